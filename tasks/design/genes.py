@@ -1,0 +1,179 @@
+"""The genes: what is evolved, their bounds and units, and designs as arrays of them.
+
+Paper, "Evolutionary Design". A design is a kinematic tree of six rectangular links stored in topological order
+(parent < child), one global frequency, and one actuator per joint. Link 0 is the root. Joint i ties link i to its
+parent, so a root has no joint: its joint genes are ignored, and kept at zero so that equal designs have equal arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+N_LINKS = 6
+"""Links in a design, the root included."""
+
+ROOT_PARENT = -1
+"""The parent of a root."""
+
+Part = Literal["body", "control"]
+Kind = Literal["interval", "angle", "flag"]
+
+
+@dataclass(frozen=True)
+class Gene:
+    """One row of the table of genes.
+
+    An ``interval`` is clipped to [low, high]; an ``angle`` wraps around at high, where it equals low; a ``flag`` is
+    False or True.
+    """
+
+    name: str
+    part: Part
+    kind: Kind
+    low: float
+    high: float
+    unit: str
+    of_root: bool
+    """Whether the root has this gene too (otherwise only the links that hang from a joint)."""
+    per_link: bool = True
+    """Whether there is one per link; the frequency is one per design."""
+
+    @property
+    def first_link(self) -> int:
+        """The first link that has this gene."""
+        return 0 if self.of_root else 1
+
+
+GENES: tuple[Gene, ...] = (
+    # fmt: off
+    #    name                 part       kind        low     high         unit             of_root
+    Gene("length_scale",      "body",    "interval", 1.0,    3.0,         "m",             True),
+    Gene("parent_attachment", "body",    "interval", -1.0,   1.0,         "half heights",  False),
+    Gene("child_attachment",  "body",    "interval", -1.0,   1.0,         "half heights",  False),
+    Gene("rest_angle",        "body",    "angle",    -np.pi, np.pi,       "rad",           False),
+    Gene("phase",             "control", "angle",    0.0,    2.0 * np.pi, "rad",           False),
+    Gene("motion_range",      "control", "interval", 0.2,    np.pi / 2.0, "rad",           False),
+    Gene("motor_on",          "control", "flag",     0.0,    1.0,         "",              False),
+    Gene("frequency",         "control", "interval", 0.0,    0.3,         "Hz",            True, per_link=False),
+    # fmt: on
+)
+"""Every gene but the tree itself (``parent``), which :func:`tasks.design.variation.mutate` rewires."""
+
+GENE_BY_NAME = {gene.name: gene for gene in GENES}
+
+N_GENES = sum(1 if not gene.per_link else N_LINKS - gene.first_link for gene in GENES)
+"""Numbers that describe a design, the tree apart: 37."""
+
+
+class DesignError(ValueError):
+    """A design that is not one: names the design, the gene, what was expected and what came."""
+
+
+@dataclass(frozen=True, eq=False)
+class Designs:
+    """Designs as a struct of arrays; axis 0 is the design.
+
+    Attributes:
+        length_scale: (n_designs, n_links) link's long axis, its height [m]; its width is the reciprocal.
+        parent: (n_designs, n_links) index of the parent link, less than the link's own; -1 for the root.
+        parent_attachment: (n_designs, n_links) joint's place on the parent's long axis [half heights].
+        child_attachment: (n_designs, n_links) joint's place on the link's own long axis [half heights].
+        rest_angle: (n_designs, n_links) angle relative to the parent at rest [rad].
+        phase: (n_designs, n_links) of the joint's oscillation [rad].
+        motion_range: (n_designs, n_links) amplitude of the joint's oscillation [rad].
+        motor_on: (n_designs, n_links) whether the joint is driven; it swings freely otherwise.
+        frequency: (n_designs,) of every joint's oscillation [Hz].
+
+    Raises:
+        DesignError: if the shapes do not agree. Values are checked by :func:`check`, not here.
+    """
+
+    length_scale: npt.NDArray[np.float64]
+    parent: npt.NDArray[np.int64]
+    parent_attachment: npt.NDArray[np.float64]
+    child_attachment: npt.NDArray[np.float64]
+    rest_angle: npt.NDArray[np.float64]
+    phase: npt.NDArray[np.float64]
+    motion_range: npt.NDArray[np.float64]
+    motor_on: npt.NDArray[np.bool_]
+    frequency: npt.NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        for name, dtype in DTYPES.items():
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=dtype))
+        n_designs = self.frequency.shape[0] if self.frequency.ndim == 1 else -1
+        for name in DTYPES:
+            expected = (n_designs,) if name == "frequency" else (n_designs, N_LINKS)
+            shape = getattr(self, name).shape
+            if shape != expected:
+                raise DesignError(f"designs: {name} has shape {shape}, expected (n_designs, {N_LINKS}) "
+                                  f"and frequency (n_designs,), with the same n_designs throughout")
+
+    def __len__(self) -> int:
+        return int(self.frequency.shape[0])
+
+    def __getitem__(self, index: npt.ArrayLike | slice) -> Designs:
+        """Choose designs by a slice, an array of indices or a mask; a single index gives one design."""
+        chosen = index if isinstance(index, slice) else np.atleast_1d(np.asarray(index))
+        return Designs(**{name: array[chosen] for name, array in self.arrays()})
+
+    def arrays(self) -> Iterator[tuple[str, npt.NDArray[np.generic]]]:
+        """Iterate over each field's name and array, in the order of declaration."""
+        for name in DTYPES:
+            yield name, getattr(self, name)
+
+    def equals(self, other: Designs) -> bool:
+        """Tell whether every gene of every design is the same."""
+        return all(np.array_equal(array, getattr(other, name)) for name, array in self.arrays())
+
+
+DTYPES: dict[str, type[np.generic]] = {
+    field.name: {"parent": np.int64, "motor_on": np.bool_}.get(field.name, np.float64) for field in fields(Designs)
+}
+
+
+def concatenate(several: list[Designs]) -> Designs:
+    """Join designs along their first axis, in the order given."""
+    return Designs(**{name: np.concatenate([getattr(part, name) for part in several]) for name in DTYPES})
+
+
+def canonical(designs: Designs) -> Designs:
+    """Zero what a root ignores, so that designs that behave alike are equal."""
+    cleared = {}
+    for gene in GENES:
+        if gene.per_link and not gene.of_root:
+            array = getattr(designs, gene.name).copy()
+            array[:, 0] = 0
+            cleared[gene.name] = array
+    return replace(designs, **cleared)
+
+
+def check(designs: Designs) -> None:
+    """Refuse designs whose tree is broken or whose genes are non-finite or out of bounds.
+
+    Raises:
+        DesignError: names the first offending design by index, the gene and the link, what was expected and what came.
+    """
+    links = np.arange(N_LINKS)
+    broken = np.where(links == 0, designs.parent != ROOT_PARENT, (designs.parent < 0) | (designs.parent >= links))
+    if broken.any():
+        design, link = np.argwhere(broken)[0]
+        expected = "-1 (it is the root)" if link == 0 else f"a link before it, 0 to {link - 1}"
+        raise DesignError(f"design {design}: parent of link {link} is {designs.parent[design, link]}, expected {expected}")
+    for gene in GENES:
+        if gene.kind == "flag":
+            continue
+        array = getattr(designs, gene.name)[:, gene.first_link :] if gene.per_link else designs.frequency[:, None]
+        outside = ~((array >= gene.low) & (array <= gene.high))  # so that NaN is outside too
+        if outside.any():
+            design, column = np.argwhere(outside)[0]
+            where = f" of link {column + gene.first_link}" if gene.per_link else ""
+            raise DesignError(
+                f"design {design}: {gene.name}{where} is {array[design, column]}, "
+                f"expected {gene.low:.6g} to {gene.high:.6g} {gene.unit}".rstrip()
+            )
