@@ -1,0 +1,21 @@
+"""What is evolved: designs, their variation, and the bodies that they describe."""
+
+from tasks.design.body import KinematicTrees, kinematic_trees, rest_pose
+from tasks.design.genes import GENES, N_LINKS, DesignError, Designs, check, concatenate
+from tasks.design.variation import Mutation, crossover, mutate, random_designs
+
+__all__ = [
+    "GENES",
+    "N_LINKS",
+    "DesignError",
+    "Designs",
+    "KinematicTrees",
+    "Mutation",
+    "check",
+    "concatenate",
+    "crossover",
+    "kinematic_trees",
+    "mutate",
+    "random_designs",
+    "rest_pose",
+]

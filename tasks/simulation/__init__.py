@@ -1,0 +1,5 @@
+"""What happens: designs in an environment, step by step."""
+
+from tasks.simulation.rollout import DIVERGED, OK, Rollouts, simulate
+
+__all__ = ["DIVERGED", "OK", "Rollouts", "simulate"]

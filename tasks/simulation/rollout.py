@@ -1,0 +1,88 @@
+"""A rollout: one design in one environment from its spawn to the end, and what came of it.
+
+Paper, "Performance Evaluation": a robot settles for a while, then the displacement of its root is measured. Motors run
+from the first step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from tasks.design.genes import Designs, check
+from tasks.simulation import reference
+from tasks.simulation.reference import X, Motion
+from tasks.world import Environment, Physics, ResidualSlush
+
+Engine = Literal["batch", "reference"]
+
+OK, DIVERGED = "ok", "diverged"
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """What came of n_designs designs; in Residual Slush every array has a leading axis of n_members."""
+
+    displacement: npt.NDArray[np.float64]
+    """(n_designs,) of the root along x, from the end of settling to the end [m]; NaN where diverged."""
+    com_displacement: npt.NDArray[np.float64]
+    """(n_designs,) the same of the whole robot's centre of mass [m]; NaN where diverged."""
+    status: npt.NDArray[np.str_]
+    """(n_designs,) "ok", or "diverged" where a state became non-finite."""
+    trace: npt.NDArray[np.float32] | None
+    """(n_designs, n_steps, n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s] after each step; links in the
+    design's own order. None unless asked for."""
+
+
+def simulate(
+    designs: Designs,
+    environment: Environment,
+    *,
+    n_settle: int = 200,
+    n_measure: int = 1200,
+    engine: Engine = "batch",
+    trace: bool = False,
+    physics: Physics | None = None,
+) -> Rollouts:
+    """Simulate designs, each alone in its own world (in Residual Slush, one world per member of the ensemble).
+
+    Args:
+        designs: n_designs designs.
+        environment: where they live.
+        n_settle: steps before the displacement is measured.
+        n_measure: steps over which it is measured.
+        engine: "reference" is pybox2d; "batch" gives the same bits sooner.
+        trace: whether to keep every state.
+        physics: the base simulator's constants; the paper's unless given.
+
+    Raises:
+        tasks.design.DesignError: a design is out of bounds; names it.
+        ValueError: an argument is out of range; names it.
+    """
+    check(designs)
+    for name, value, least in (("n_settle", n_settle, 0), ("n_measure", n_measure, 1)):
+        if value < least:
+            raise ValueError(f"{name} is {value}, expected {least} or more steps")
+    if engine != "reference":
+        raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
+    motion = reference.roll_out(
+        designs, environment, physics or Physics(), n_settle=n_settle, n_measure=n_measure, trace=trace
+    )
+    return _measure(motion, squeeze=not isinstance(environment, ResidualSlush))
+
+
+def _measure(motion: Motion, *, squeeze: bool) -> Rollouts:
+    """Turn the states at two instants into displacements."""
+    finite = np.isfinite(motion.final).all(axis=(2, 3))
+    x_settled, x_final = (states[..., X].astype(np.float64) for states in (motion.settled, motion.final))
+    moved = np.where(finite[..., None], x_final - x_settled, np.nan)
+    root = moved[..., 0]
+    whole = moved.mean(axis=2)  # every link has the same mass
+    status = np.where(finite, OK, DIVERGED)
+    if squeeze:
+        root, whole, status = root[0], whole[0], status[0]
+    trace = motion.trace if motion.trace is None or not squeeze else motion.trace[0]
+    return Rollouts(displacement=root, com_displacement=whole, status=status, trace=trace)
