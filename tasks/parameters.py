@@ -1,7 +1,8 @@
 """Parameters: what a settings file may choose, stated next to the equation that uses it.
 
-Each group of parameters is a frozen model that refuses unknown names and non-finite numbers, and whose fields carry their
-unit and their reason. The pipeline nests these groups into its settings, so that a value has one default and one bound.
+Each group of parameters is a frozen model that refuses unknown names and non-finite numbers, and whose fields carry
+their unit and their reason. The pipeline nests these groups into its settings, so that a value has one default and one
+bound.
 """
 
 from pydantic import BaseModel, ConfigDict

@@ -7,9 +7,9 @@ parent, so a root has no joint: its joint genes are ignored, and kept at zero so
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -50,7 +50,6 @@ class Gene:
 
 
 GENES: tuple[Gene, ...] = (
-    # fmt: off
     #    name                 part       kind        low     high         unit             of_root
     Gene("length_scale",      "body",    "interval", 1.0,    3.0,         "m",             True),
     Gene("parent_attachment", "body",    "interval", -1.0,   1.0,         "half heights",  False),
@@ -60,7 +59,6 @@ GENES: tuple[Gene, ...] = (
     Gene("motion_range",      "control", "interval", 0.2,    np.pi / 2.0, "rad",           False),
     Gene("motor_on",          "control", "flag",     0.0,    1.0,         "",              False),
     Gene("frequency",         "control", "interval", 0.0,    0.3,         "Hz",            True, per_link=False),
-    # fmt: on
 )
 """Every gene but the tree itself (``parent``), which :func:`tasks.design.variation.mutate` rewires."""
 
@@ -122,10 +120,15 @@ class Designs:
         chosen = index if isinstance(index, slice) else np.atleast_1d(np.asarray(index))
         return Designs(**{name: array[chosen] for name, array in self.arrays()})
 
-    def arrays(self) -> Iterator[tuple[str, npt.NDArray[np.generic]]]:
+    def arrays(self) -> Iterator[tuple[str, npt.NDArray[Any]]]:
         """Iterate over each field's name and array, in the order of declaration."""
         for name in DTYPES:
             yield name, getattr(self, name)
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Designs:
+        """Gather the fields of designs from a mapping that may hold other arrays too."""
+        return Designs(**{name: arrays[name] for name in DTYPES})
 
     def equals(self, other: Designs) -> bool:
         """Tell whether every gene of every design is the same."""
@@ -164,7 +167,8 @@ def check(designs: Designs) -> None:
     if broken.any():
         design, link = np.argwhere(broken)[0]
         expected = "-1 (it is the root)" if link == 0 else f"a link before it, 0 to {link - 1}"
-        raise DesignError(f"design {design}: parent of link {link} is {designs.parent[design, link]}, expected {expected}")
+        came = designs.parent[design, link]
+        raise DesignError(f"design {design}: parent of link {link} is {came}, expected {expected}")
     for gene in GENES:
         if gene.kind == "flag":
             continue

@@ -29,7 +29,8 @@ def sine_of_turns(turns: Float32) -> Float32:
     folded = quarter - np.abs(np.abs(r) - quarter)  # sin(π - α) = sin α
     square = folded * folded
     sine = folded * (c1 + square * (c3 + square * (c5 + square * (c7 + square * c9))))
-    return np.where(r < 0, -sine, sine).astype(np.float32)
+    signed: Float32 = np.where(r < 0, -sine, sine).astype(np.float32)
+    return signed
 
 
 @dataclass(frozen=True, eq=False)

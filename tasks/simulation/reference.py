@@ -140,7 +140,9 @@ def roll_out(
     trees = kinematic_trees(designs, density=physics.link_density)
     drive = Drive.of(designs)
     robots = [
-        _Robot(trees, design, drive, environment.depth, physics) for _ in range(n_members) for design in range(n_designs)
+        _Robot(trees, design, drive, environment.depth, physics)
+        for _ in range(n_members)
+        for design in range(n_designs)
     ]
     bodies = _Bodies([link for robot in robots for link in robot.links])
     alive = np.ones((n_members, n_designs), dtype=bool)
@@ -223,7 +225,10 @@ class FreeLinks:
         self._mass = mass.astype(np.float32)
         self._inertia = (mass * (width**2 + length_scale**2) / 12).astype(np.float32)
         self._bodies = _Bodies(
-            [_link(self._world, w / 2, a / 2, (0.0, 0.0, 0.0), physics) for w, a in zip(width, length_scale, strict=True)]
+            [
+                _link(self._world, w / 2, a / 2, (0.0, 0.0, 0.0), physics)
+                for w, a in zip(width, length_scale, strict=True)
+            ]
         )
 
     def step(self, state: Float32, medium: Medium | None) -> Float32:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tasks.design.genes import Designs, check
 from tasks.simulation import reference
-from tasks.simulation.reference import X, Motion
+from tasks.simulation.reference import Motion, X
 from tasks.world import Environment, Physics, ResidualSlush
 
 Engine = Literal["batch", "reference"]
@@ -76,12 +76,12 @@ def simulate(
 
 def _measure(motion: Motion, *, squeeze: bool) -> Rollouts:
     """Turn the states at two instants into displacements."""
-    finite = np.isfinite(motion.final).all(axis=(2, 3))
+    finite = np.asarray(np.isfinite(motion.final).all(axis=(2, 3)))
     x_settled, x_final = (states[..., X].astype(np.float64) for states in (motion.settled, motion.final))
     moved = np.where(finite[..., None], x_final - x_settled, np.nan)
     root = moved[..., 0]
     whole = moved.mean(axis=2)  # every link has the same mass
-    status = np.where(finite, OK, DIVERGED)
+    status: npt.NDArray[np.str_] = np.where(finite, OK, DIVERGED)
     if squeeze:
         root, whole, status = root[0], whole[0], status[0]
     trace = motion.trace if motion.trace is None or not squeeze else motion.trace[0]

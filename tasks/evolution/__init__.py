@@ -1,0 +1,22 @@
+"""How designs get better: age-fitness Pareto optimisation, and what it is told to optimise."""
+
+from tasks.evolution.afpo import NOBODY_YET, OPERATORS, Afpo, Children, Population, ask, select, tell
+from tasks.evolution.objective import Evaluation, evaluate, penalised_mean
+from tasks.evolution.trial import HISTORY_UNITS, History, evolve
+
+__all__ = [
+    "HISTORY_UNITS",
+    "NOBODY_YET",
+    "OPERATORS",
+    "Afpo",
+    "Children",
+    "Evaluation",
+    "History",
+    "Population",
+    "ask",
+    "evaluate",
+    "evolve",
+    "penalised_mean",
+    "select",
+    "tell",
+]

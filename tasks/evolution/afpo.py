@@ -1,0 +1,227 @@
+"""Age-fitness Pareto optimisation by ask and tell. Schmidt and Lipson (2011); paper, "Evolutionary Design".
+
+The population is a plain value: asking for children and telling their fitness give new values, and all randomness comes
+from the generator that is passed in. So a trial can stop after any generation and go on from what it was.
+
+A design is non-dominated if no design of its age or younger has a higher fitness. Survivors are the non-dominated in
+order of decreasing fitness, then a uniform sample of the dominated. New random designs are of age 0 and so compete with
+the young alone, which keeps lines of descent apart until they have had time to improve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator
+from pydantic import Field, model_validator
+
+from tasks.design import Designs, Mutation, concatenate, crossover, mutate, random_designs
+from tasks.design.genes import Part
+from tasks.parameters import Parameters
+
+Ints = npt.NDArray[np.int64]
+
+OPERATORS = ("random", "mutation", "crossover")
+"""How a design came about, in the order of their codes."""
+RANDOM, MUTATION, CROSSOVER = range(3)
+
+NOBODY = -1
+"""The parent of a design that has none."""
+
+
+class Afpo(Parameters):
+    """The algorithm's parameters; the paper's by default."""
+
+    population_size: int = Field(default=64, ge=2, le=1_000_000)
+    """Designs that survive a generation, and children that each generation adds. [P]"""
+    random_share: float = Field(default=0.15, ge=0.0, le=1.0)
+    """Share of children that are new random designs. [P]"""
+    mutation_share: float = Field(default=0.65, ge=0.0, le=1.0)
+    """Share of children that are mutated copies. [P]"""
+    crossover_share: float = Field(default=0.20, ge=0.0, le=1.0)
+    """Share of children that are recombinations of two designs. [P]"""
+    mutation: Mutation = Mutation()
+    """How mutants depart from their parents."""
+
+    @model_validator(mode="after")
+    def _shares_add_up(self) -> Self:
+        total = sum(self.shares)
+        if abs(total - 1.0) > 1e-9:
+            raise ValueError(f"random_share + mutation_share + crossover_share is {total:g}, expected 1")
+        return self
+
+    @property
+    def shares(self) -> tuple[float, float, float]:
+        """Shares in the order of OPERATORS."""
+        return self.random_share, self.mutation_share, self.crossover_share
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """The survivors of a generation."""
+
+    designs: Designs
+    """n_designs designs; fewer than the population's size only if too many diverged."""
+    fitness: npt.NDArray[np.float64]
+    """(n_designs,) finite [m]"""
+    age: Ints
+    """(n_designs,) generations since the oldest ancestor was drawn at random."""
+    identity: Ints
+    """(n_designs,) running number within the trial, in order of evaluation."""
+    n_evaluated: int
+    """Designs evaluated in the trial so far."""
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Give the state as named arrays, the inverse of :meth:`from_arrays`."""
+        return {
+            **dict(self.designs.arrays()),
+            "fitness": self.fitness,
+            "age": self.age,
+            "identity": self.identity,
+            "n_evaluated": np.array([self.n_evaluated], dtype=np.int64),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Population:
+        """Restore a state from its named arrays."""
+        return Population(
+            designs=Designs.from_arrays(arrays),
+            fitness=arrays["fitness"],
+            age=arrays["age"],
+            identity=arrays["identity"],
+            n_evaluated=int(arrays["n_evaluated"][0]),
+        )
+
+    def champion(self) -> int:
+        """Index of the fittest; the first of several. A trial's best design never leaves the population."""
+        return int(np.argmax(self.fitness))
+
+
+@dataclass(frozen=True, eq=False)
+class Children:
+    """Designs that wait to be evaluated."""
+
+    designs: Designs
+    """n_children designs."""
+    age: Ints
+    """(n_children,)"""
+    identity: Ints
+    """(n_children,)"""
+    operator: Ints
+    """(n_children,) index into OPERATORS."""
+    parents: Ints
+    """(n_children, 2) identities; NOBODY where there is none."""
+
+
+NOBODY_YET = Population(
+    designs=random_designs(0, np.random.default_rng(0)),
+    fitness=np.zeros(0),
+    age=np.zeros(0, dtype=np.int64),
+    identity=np.zeros(0, dtype=np.int64),
+    n_evaluated=0,
+)
+"""The population before the first generation."""
+
+
+def ask(population: Population, rng: Generator, afpo: Afpo, *, body: Designs | None = None) -> Children:
+    """Draw a generation of children; the first generation is random throughout.
+
+    A mutant is of its parent's age, a recombination of the older parent's. Operators are drawn for each child alone, so
+    that their shares hold on average.
+
+    Args:
+        population: the survivors.
+        rng: source of randomness.
+        afpo: the algorithm's parameters.
+        body: one design whose body all children get; only controllers evolve then.
+    """
+    n_children, n_parents = afpo.population_size, len(population.designs)
+    operator = rng.choice(len(OPERATORS), size=n_children, p=afpo.shares)
+    if n_parents == 0:
+        operator[:] = RANDOM
+    designs = random_designs(n_children, rng, body=body)
+    age = np.zeros(n_children, dtype=np.int64)
+    parents = np.full((n_children, 2), NOBODY, dtype=np.int64)
+
+    mutants = np.flatnonzero(operator == MUTATION)
+    one = rng.integers(0, max(n_parents, 1), n_children)
+    further = rng.integers(1, max(n_parents, 2), n_children)
+    other = (one + further) % max(n_parents, 1)  # another one, wherever there are two
+    if mutants.size:
+        chosen = one[mutants]
+        parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
+        mutated = mutate(population.designs[chosen], rng, mutation=afpo.mutation, parts=parts)
+        designs = _put(designs, mutants, mutated)
+        age[mutants] = population.age[chosen]
+        parents[mutants, 0] = population.identity[chosen]
+    recombined = np.flatnonzero(operator == CROSSOVER)
+    if recombined.size:
+        left, right = one[recombined], other[recombined]
+        designs = _put(designs, recombined, crossover(population.designs[left], population.designs[right], rng))
+        age[recombined] = np.maximum(population.age[left], population.age[right])
+        parents[recombined] = np.stack([population.identity[left], population.identity[right]], axis=1)
+
+    identity = population.n_evaluated + np.arange(n_children)
+    return Children(designs=designs, age=age, identity=identity, operator=operator.astype(np.int64), parents=parents)
+
+
+def _put(designs: Designs, where: Ints, replacements: Designs) -> Designs:
+    """Replace some designs by others."""
+    arrays = {name: array.copy() for name, array in designs.arrays()}
+    for name, array in replacements.arrays():
+        arrays[name][where] = array
+    return Designs(**arrays)
+
+
+def tell(
+    population: Population, children: Children, fitness: npt.NDArray[np.float64], rng: Generator, afpo: Afpo
+) -> Population:
+    """Select the survivors of parents and children, and let everybody grow older by a generation.
+
+    Args:
+        population: the parents, who keep their fitness: the simulation is deterministic.
+        children: as :func:`ask` gave them.
+        fitness: (n_children,) theirs [m]; a design whose fitness is not finite can't be selected.
+        rng: source of randomness.
+        afpo: the algorithm's parameters.
+    """
+    if fitness.shape != children.age.shape:
+        raise ValueError(f"fitness has shape {fitness.shape}, expected {children.age.shape}: one for each child")
+    all_fitness = np.concatenate([population.fitness, fitness])
+    all_age = np.concatenate([population.age, children.age])
+    survivors = select(all_fitness, all_age, rng, afpo.population_size)
+    return Population(
+        designs=concatenate([population.designs, children.designs])[survivors],
+        fitness=all_fitness[survivors],
+        age=all_age[survivors] + 1,
+        identity=np.concatenate([population.identity, children.identity])[survivors],
+        n_evaluated=population.n_evaluated + len(fitness),
+    )
+
+
+def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_survivors: int) -> Ints:
+    """Choose survivors: the non-dominated by decreasing fitness, then a uniform sample of the dominated.
+
+    Args:
+        fitness: (n_designs,) [m].
+        age: (n_designs,) generations.
+        rng: source of randomness.
+        n_survivors: how many to choose; fewer are chosen only if fewer have a finite fitness.
+
+    Returns:
+        Indices of the survivors.
+    """
+    eligible = np.flatnonzero(np.isfinite(fitness))
+    fitness, age = fitness[eligible], age[eligible]
+    beaten = ((fitness[None, :] > fitness[:, None]) & (age[None, :] <= age[:, None])).any(axis=1)
+    front = np.flatnonzero(~beaten)
+    front = front[np.argsort(-fitness[front], kind="stable")][:n_survivors]
+    dominated = np.flatnonzero(beaten)
+    n_more = min(n_survivors - len(front), len(dominated))
+    rest = rng.choice(dominated, size=n_more, replace=False)
+    survivors: Ints = eligible[np.concatenate([front, rest])]
+    return survivors

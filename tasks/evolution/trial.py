@@ -1,0 +1,79 @@
+"""A trial: one evolutionary run, as far as it is asked to go, with a record of every design that it evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator
+
+from tasks.design import Designs
+from tasks.evolution.afpo import Afpo, Children, Population, ask, tell
+from tasks.evolution.objective import Evaluation
+
+History = dict[str, npt.NDArray[Any]]
+"""Columns of equal length, a row per evaluated design: see :data:`HISTORY_UNITS`."""
+
+HISTORY_UNITS: Mapping[str, str] = {
+    "generation": "",
+    "identity": "running number within the trial",
+    "operator": "index into tasks.evolution.OPERATORS",
+    "age": "generations",
+    "parents": "two identities, -1 where there is none",
+    "survived": "whether it was selected in its own generation",
+    "fitness": "m",
+    "displacement": "m, per member",
+    "com_displacement": "m, per member",
+}
+"""Columns of a history beside the genes, and their units."""
+
+
+def evolve(
+    population: Population,
+    evaluate: Callable[[Designs], Evaluation],
+    generator_of: Callable[[int], Generator],
+    *,
+    first_generation: int,
+    n_generations: int,
+    afpo: Afpo,
+    body: Designs | None = None,
+) -> tuple[Population, History]:
+    """Advance a trial by some generations.
+
+    Args:
+        population: what the trial was before; NOBODY_YET at its start.
+        evaluate: scores designs; evolution does not know how.
+        generator_of: gives each generation its own generator, so that it does not matter where a trial was cut.
+        first_generation: number of the first generation to run.
+        n_generations: how many to run.
+        afpo: the algorithm's parameters.
+        body: one design whose body stays; only controllers evolve then.
+
+    Returns:
+        The trial as it is afterwards, and the history of these generations.
+    """
+    records = []
+    for generation in range(first_generation, first_generation + n_generations):
+        rng = generator_of(generation)
+        children = ask(population, rng, afpo, body=body)
+        evaluation = evaluate(children.designs)
+        population = tell(population, children, evaluation.fitness, rng, afpo)
+        records.append(_record(generation, children, evaluation, population))
+    return population, {name: np.concatenate([record[name] for record in records]) for name in records[0]}
+
+
+def _record(generation: int, children: Children, evaluation: Evaluation, survivors: Population) -> History:
+    return {
+        "generation": np.full(len(children.age), generation, dtype=np.int64),
+        "identity": children.identity,
+        "operator": children.operator,
+        "age": children.age,
+        "parents": children.parents,
+        "survived": np.isin(children.identity, survivors.identity),
+        "fitness": evaluation.fitness,
+        "displacement": evaluation.displacement,
+        "com_displacement": evaluation.com_displacement,
+        **dict(children.designs.arrays()),
+    }
