@@ -1,0 +1,210 @@
+"""The ensemble: trained members side by side, as a medium. Paper, "Residual Model".
+
+The standardisation is folded into the first and last layers, and only the three velocity residuals are kept, because
+only they are applied. What is left is rows @ weight + bias and ReLU, per member, in SI units.
+
+A row's result must not depend on the rows beside it, or a trial would depend on how its designs were batched. A matrix
+product picks its algorithm by shape and so changes in its last bits with the number of rows. On a CPU it is therefore
+always taken over blocks of ROWS_PER_BLOCK rows, the last one filled with zeros: a fixed shape has a fixed algorithm, in
+which rows do not meet. On CUDA a step is one batch, for speed, and the promise holds for batches of one size alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tasks.residual.observation import OBSERVATION, STATE, VELOCITIES, Float32, observe
+from tasks.world import LinkStates, Physics, VelocityChange
+
+ROWS_PER_BLOCK = 128
+"""A third of 64 designs of 6 links. Smaller blocks cost more in calls (32 rows: 2.5 times a whole batch for 2 × 32),
+larger ones more in padding."""
+
+N_OUT = len(STATE[VELOCITIES])
+
+
+class WeightsError(ValueError):
+    """Arrays that are not an ensemble's or a member's: names the array, what was expected and what came."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """Networks of one shape, one member per entry of the arrays' first axis."""
+
+    weights: tuple[Float32, ...]
+    """Of layer i: (n_members, n_in, n_out), from 6 observations to 3 velocity changes."""
+    biases: tuple[Float32, ...]
+    """Of layer i: (n_members, n_out)."""
+    device: str = "cpu"
+    """Where torch computes."""
+
+    def __post_init__(self) -> None:
+        n_members = self.weights[0].shape[:1]
+        if n_members == (0,):
+            raise WeightsError("an ensemble of no members, expected at least one")
+        _check_layers(self.weights, self.biases, n_out=N_OUT, members=n_members)
+
+    @staticmethod
+    def from_members(members: Sequence[Mapping[str, Float32]], *, device: str = "cpu") -> Ensemble:
+        """Stack members, each as :meth:`TrainedMember.arrays` gives them.
+
+        Raises:
+            WeightsError: an array is missing, of the wrong shape or not finite, or members differ in shape.
+        """
+        if not members:
+            raise WeightsError("an ensemble of no members, expected at least one")
+        folded = [_folded(member, k) for k, member in enumerate(members)]
+        shapes = [[weight.shape for weight, _ in layers] for layers in folded]
+        for k, shape in enumerate(shapes):
+            if shape != shapes[0]:
+                raise WeightsError(f"member {k} has layers {shape}, expected those of member 0: {shapes[0]}")
+        by_layer = list(zip(*folded, strict=True))
+        return Ensemble(
+            weights=tuple(np.stack([weight for weight, _ in layer]) for layer in by_layer),
+            biases=tuple(np.stack([bias for _, bias in layer]) for layer in by_layer),
+            device=device,
+        )
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, Float32], *, device: str = "cpu") -> Ensemble:
+        """Take back what :meth:`to_arrays` gave.
+
+        Raises:
+            WeightsError: an array is missing, of the wrong shape or not finite.
+        """
+        n_layers = _count_layers(arrays, "the ensemble", others=())
+        return Ensemble(
+            weights=tuple(arrays[f"weight_{i}"] for i in range(n_layers)),
+            biases=tuple(arrays[f"bias_{i}"] for i in range(n_layers)),
+            device=device,
+        )
+
+    def to_arrays(self) -> dict[str, Float32]:
+        """Name the arrays: weight_i (n_members, n_in, n_out) and bias_i (n_members, n_out) of layer i."""
+        return {f"weight_{i}": weight for i, weight in enumerate(self.weights)} | {
+            f"bias_{i}": bias for i, bias in enumerate(self.biases)
+        }
+
+    @property
+    def n_members(self) -> int:
+        """How many networks there are."""
+        return len(self.weights[0])
+
+    def member(self, k: int) -> Ensemble:
+        """Take one member as an ensemble of its own; its results are the same to the last bit."""
+        if not 0 <= k < self.n_members:
+            raise IndexError(f"member {k} of an ensemble, expected 0 to {self.n_members - 1}")
+        return replace(
+            self,
+            weights=tuple(weight[k : k + 1] for weight in self.weights),
+            biases=tuple(bias[k : k + 1] for bias in self.biases),
+        )
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
+        """Predict what the slush adds to velocities in one step: entry k of the first axis by member k.
+
+        The length of the step is in the weights, from the throws. States that are not finite give changes that are
+        not finite, in their own rows.
+
+        Raises:
+            ValueError: the links' first axis is not n_members long.
+        """
+        shape = links.y.shape
+        if not shape or shape[0] != self.n_members:
+            raise ValueError(f"links of shape {shape}, expected ({self.n_members} members, ...)")
+        observation = observe(
+            length_scale=links.length_scale, y=links.y, cos=links.cos, vx=links.vx, vy=links.vy, omega=links.omega
+        )
+        change = self.predict(observation.reshape(self.n_members, -1, len(OBSERVATION)))
+        vx, vy, omega = np.moveaxis(change.astype(links.y.dtype, copy=False), -1, 0)
+        return VelocityChange(vx=vx.reshape(shape), vy=vy.reshape(shape), omega=omega.reshape(shape))
+
+    def predict(self, observation: Float32) -> Float32:
+        """Map (n_members, n_rows, 6) observations to (n_members, n_rows, 3) changes of vx, vy, ω a step, in SI."""
+        n_rows = observation.shape[1]
+        with torch.inference_mode():
+            if self.device != "cpu":
+                return self._forward(torch.from_numpy(observation).to(self.device)).cpu().numpy()
+            torch.set_num_threads(1)  # the number of threads changes the last bits
+            n_blocks = max(-(-n_rows // ROWS_PER_BLOCK), 1)
+            filled = torch.zeros(self.n_members, n_blocks * ROWS_PER_BLOCK, len(OBSERVATION))
+            filled[:, :n_rows] = torch.from_numpy(observation)
+            changes = [self._forward(block.contiguous()) for block in filled.tensor_split(n_blocks, dim=1)]
+            return torch.cat(changes, dim=1)[:, :n_rows].numpy()
+
+    def _forward(self, rows: Tensor) -> Tensor:
+        """(n_members, n_rows, 6) to (n_members, n_rows, 3)."""
+        *hidden_layers, (last_weight, last_bias) = self._tensors
+        for weight, bias in hidden_layers:
+            rows = torch.baddbmm(bias, rows, weight).relu_()
+        return torch.baddbmm(last_bias, rows, last_weight)
+
+    @cached_property
+    def _tensors(self) -> tuple[tuple[Tensor, Tensor], ...]:
+        """Weights and (n_members, 1, n_out) biases in torch's own memory, whose alignment it chooses."""
+        return tuple(
+            (torch.tensor(weight, device=self.device), torch.tensor(bias[:, None], device=self.device))
+            for weight, bias in zip(self.weights, self.biases, strict=True)
+        )
+
+
+def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float32]]:
+    """Fold a member's standardisation into its first and last layers and keep the velocities, in float64."""
+    whose = f"member {k}"
+    scales = ("observation_mean", "observation_deviation", "residual_mean", "residual_deviation")
+    n_layers = _count_layers(member, whose, others=scales)
+    for name in scales:
+        _check(f"{whose}: {name}", member[name], (len(STATE),))
+    layers = [member[f"weight_{i}"] for i in range(n_layers)], [member[f"bias_{i}"] for i in range(n_layers)]
+    _check_layers(*layers, n_out=len(STATE), whose=f"{whose}: ")
+    weights, biases = ([array.astype(np.float64) for array in arrays] for arrays in layers)
+
+    # W ((o - mean) / deviation) + b = (W / deviation) o + (b - W mean / deviation)
+    observation_mean, observation_deviation, residual_mean, residual_deviation = (
+        member[name].astype(np.float64) for name in scales
+    )
+    weights[0] = weights[0] / observation_deviation[:, None]
+    biases[0] = biases[0] - observation_mean @ weights[0]
+    weights[-1] = (weights[-1] * residual_deviation)[:, VELOCITIES]
+    biases[-1] = (biases[-1] * residual_deviation + residual_mean)[VELOCITIES]
+    return [
+        (weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in zip(weights, biases, strict=True)
+    ]
+
+
+def _count_layers(arrays: Mapping[str, Float32], whose: str, *, others: tuple[str, ...]) -> int:
+    """Count the layers, of which there are two or more, and refuse names that are missing or unknown."""
+    n_layers = max(sum(name.startswith("weight_") for name in arrays), 2)
+    expected = {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(n_layers)} | set(others)
+    if set(arrays) != expected:
+        missing, unknown = sorted(expected - set(arrays)), sorted(set(arrays) - expected)
+        raise WeightsError(f"{whose}: arrays are missing {missing} and unknown {unknown}, expected {sorted(expected)}")
+    return n_layers
+
+
+def _check_layers(
+    weights: Sequence[Float32], biases: Sequence[Float32], *, n_out: int, members: tuple[int, ...] = (), whose: str = ""
+) -> None:
+    """Refuse layers that do not follow each other from 6 observations to n_out residuals."""
+    n_in = len(OBSERVATION)
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        last = i == len(weights) - 1
+        n_units = n_out if last or weight.ndim == 0 else weight.shape[-1]
+        _check(f"{whose}weight_{i}", weight, (*members, n_in, n_units))
+        _check(f"{whose}bias_{i}", bias, (*members, n_units))
+        n_in = n_units
+
+
+def _check(name: str, array: Float32, shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise WeightsError(f"{name} has shape {array.shape}, expected {shape}")
+    if array.dtype != np.float32:
+        raise WeightsError(f"{name} is of {array.dtype}, expected float32")
+    if not np.isfinite(array).all():
+        raise WeightsError(f"{name} has values that are not finite")

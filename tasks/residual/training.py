@@ -1,0 +1,206 @@
+"""Training one member of the ensemble. Paper, "Residual Model".
+
+A member follows from the transitions, its settings, the seed and its number: a second run gives the same bytes on the
+same machine and device. The throws held out are the same for all members.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from tasks.residual.error_report import ErrorRow, error_rows
+from tasks.residual.hyperparameters import Architecture, Training
+from tasks.residual.network import ResidualNetwork, Standardisation
+from tasks.residual.observation import OBSERVATION, Float32
+from tasks.residual.throws import Int64, Transitions
+from tasks.seeding import generator
+
+N_CURVE_POINTS = 100
+"""About how many points a learning curve has."""
+
+
+class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a rollout's status)
+    """The loss of a member is no longer a number; says which member and when."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedMember:
+    """One network, how it learned, and how wrong it is on throws that it never saw."""
+
+    weights: dict[str, Float32]
+    """weight_i (n_in, n_out) and bias_i (n_out,) of layer i, between standardised quantities."""
+    standardisation: Standardisation
+    """Measured on the training set."""
+    learning_curve: npt.NDArray[np.float64]
+    """(n_points, 3) iteration, mean training loss since the point before, validation loss."""
+    validation: tuple[ErrorRow, ...]
+    """Errors on the throws held out, in SI units."""
+
+    def arrays(self) -> dict[str, Float32]:
+        """All that inference needs, flat: the weights and the standardisation."""
+        return {**self.weights, **asdict(self.standardisation)}
+
+
+def learning_rate(training: Training, iteration: int) -> float:
+    """Rise linearly to the full rate, then decay exponentially to reach the least at the last iteration (from 0)."""
+    n_warm_up = round(training.warm_up * training.n_iterations)
+    if iteration < n_warm_up:
+        return training.learning_rate * (iteration + 1) / n_warm_up
+    decayed = (iteration - n_warm_up) / (training.n_iterations - 1 - n_warm_up)
+    return training.learning_rate * math.pow(training.min_learning_rate / training.learning_rate, decayed)
+
+
+def mean_loss(training: Training, predicted: Tensor, true: Tensor) -> Tensor:
+    """Average the loss of (n_rows, 6) predictions over the rows.
+
+    L_mse = ‖φ(o) - e‖² / 6, and the focal loss is α (1 - exp(-s L_mse))^γ L_mse.
+    """
+    L_mse = (predicted - true).square().mean(dim=1)
+    if training.loss == "mse":
+        return L_mse.mean()
+    weight = (-torch.expm1(-training.focal_s * L_mse)) ** training.focal_gamma
+    return training.focal_alpha * (weight * L_mse).mean()
+
+
+def held_out_rows(throw: Int64, share: float, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
+    """Choose throws for validation, at least one and not all, and mark their rows: (n_transitions,)."""
+    throws = np.unique(throw)
+    if len(throws) < 2:
+        raise ValueError(f"transitions of {len(throws)} throws, expected 2 or more: one to learn from and one held out")
+    n_held_out = min(max(round(share * len(throws)), 1), len(throws) - 1)
+    return np.isin(throw, rng.permutation(throws)[:n_held_out])
+
+
+def train_member(
+    transitions: Transitions,
+    architecture: Architecture,
+    training: Training,
+    *,
+    seed: int,
+    member: int,
+    device: str = "cpu",
+    on_progress: Callable[[int, float], None] | None = None,
+) -> TrainedMember:
+    """Train one network on one thread, or on a CUDA device.
+
+    Args:
+        transitions: the data set.
+        architecture: the network's size.
+        training: how it learns.
+        seed: of the study; it decides which throws are held out.
+        member: which of the ensemble, 0 or more; with the seed it decides the rest.
+        device: where torch computes; the data stay there.
+        on_progress: called with the iterations done and the minibatch's loss after each.
+
+    Raises:
+        TrainingDiverged: the loss is no longer finite.
+        ValueError: there are fewer than two throws.
+    """
+    held_out = held_out_rows(transitions.throw, training.held_out, generator(seed, "held out"))
+    to_learn, to_validate = np.flatnonzero(~held_out), np.flatnonzero(held_out)
+    standardisation = Standardisation.of(
+        transitions.observation[to_learn],
+        transitions.residual[to_learn],
+        standardise_targets=training.standardise_targets,
+    )
+
+    def standardised(rows: npt.NDArray[np.intp]) -> Tensor:
+        observation = standardisation.standard_observation(transitions.observation[rows])
+        residual = standardisation.standard_residual(transitions.residual[rows])
+        return torch.from_numpy(np.concatenate((observation, residual), axis=1)).to(device)
+
+    torch_seed = int(generator(seed, "member", member).integers(2**63))
+    with _deterministic(torch_seed, torch.device(device)):
+        network = ResidualNetwork(architecture).to(device)
+        validation_set = standardised(to_validate)
+        curve = _fit(network, standardised(to_learn), validation_set, training, member, on_progress)
+        predicted = _predict(network, validation_set[:, : len(OBSERVATION)]).cpu().numpy()
+
+    vx, vy = transitions.state[to_validate, 3], transitions.state[to_validate, 4]
+    return TrainedMember(
+        weights=network.arrays(),
+        standardisation=standardisation,
+        learning_curve=curve,
+        validation=error_rows(
+            standardisation.residual(predicted), transitions.residual[to_validate], np.hypot(vx, vy)
+        ),
+    )
+
+
+def _fit(
+    network: ResidualNetwork,
+    training_set: Tensor,
+    validation_set: Tensor,
+    training: Training,
+    member: int,
+    on_progress: Callable[[int, float], None] | None,
+) -> npt.NDArray[np.float64]:
+    """Train in place, on rows of observation and residual side by side; return the learning curve."""
+    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=training.weight_decay, fused=True)
+    n_rows, n_observed = len(training_set), len(OBSERVATION)
+    curve = []
+    losses = []
+    for iteration in range(training.n_iterations):
+        for group in optimiser.param_groups:
+            group["lr"] = learning_rate(training, iteration)
+        drawn = torch.randint(n_rows, (training.batch_size,), device=training_set.device)
+        batch = training_set.index_select(0, drawn)
+        loss = mean_loss(training, network(batch[:, :n_observed]), batch[:, n_observed:])
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+
+        done = iteration + 1
+        losses.append(_finite(loss, "training", member, done))
+        if on_progress is not None:
+            on_progress(done, losses[-1])
+        if done % max(training.n_iterations // N_CURVE_POINTS, 1) == 0 or done == training.n_iterations:
+            predicted = _predict(network, validation_set[:, :n_observed])
+            validation_loss = mean_loss(training, predicted, validation_set[:, n_observed:])
+            curve.append((done, float(np.mean(losses)), _finite(validation_loss, "validation", member, done)))
+            losses.clear()
+    return np.array(curve)
+
+
+def _finite(loss: Tensor, name: str, member: int, iteration: int) -> float:
+    value = loss.item()
+    if not math.isfinite(value):
+        raise TrainingDiverged(
+            f"member {member}: the {name} loss is {value} at iteration {iteration}; "
+            f"lower learning_rate, or look for values that are not finite in the transitions"
+        )
+    return value
+
+
+def _predict(network: ResidualNetwork, observation: Tensor) -> Tensor:
+    network.eval()
+    with torch.inference_mode():
+        predicted: Tensor = network(observation)
+    network.train()
+    return predicted
+
+
+@contextmanager
+def _deterministic(seed: int, device: torch.device) -> Iterator[None]:
+    """Seed torch, hold it to one thread and to algorithms that repeat; and put everything back."""
+    n_threads, was_deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    if device.type == "cuda":
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # without it cuBLAS refuses to be deterministic
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        try:
+            torch.manual_seed(seed)
+            torch.set_num_threads(1)
+            torch.use_deterministic_algorithms(True)
+            yield
+        finally:
+            torch.set_num_threads(n_threads)
+            torch.use_deterministic_algorithms(was_deterministic)
