@@ -161,15 +161,13 @@ def decode_sealed(data: bytes, *, schema: str, version: int, source: str) -> dic
     try:
         value = decode_json(data, source)
     except PuddleError as error:
-        raise DamagedArtifact(f"{error}. {_RESTORE}") from None
+        raise DamagedArtifact(str(error)) from None
     check_format(value, schema=schema, version=version, source=source)
     seal = value.pop("sha256", None)
     names = ("schema", "version")
     body = {name: inner for name, inner in value.items() if name not in names}
     if encode_sealed(body, schema=schema, version=version) != data:
-        raise DamagedArtifact(
-            f"{source}: expected the SHA-256 {seal}, came {digest(canonical_json(value))}. {_RESTORE}"
-        )
+        raise DamagedArtifact(f"{source}: expected SHA-256 {seal}, came {digest(canonical_json(value))}")
     return body
 
 

@@ -1,0 +1,158 @@
+"""The disk: the five effects through which the store changes it, and the one way to put a file in its place.
+
+Every change goes through :func:`write`, :func:`fsync`, :func:`rename`, :func:`mkdir` and :func:`unlink`, looked up in
+this module at each call, so that a test can let the process die, or the disk fill, at any of them. Lock files are
+apart: they hold nothing that has to outlive a process. POSIX only (flock).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import stat
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from pipeline.artifacts import digest
+from pipeline.errors import PuddleError
+
+_OWN = os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+# -- the five effects ------------------------------------------------------------------------------------------------
+
+
+def write(path: Path, data: bytes) -> None:
+    """Write a whole file, in place of what is there."""
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | _OWN, 0o644), "wb") as file:
+        file.write(data)
+
+
+def fsync(path: Path) -> None:
+    """Wait until a file, or a folder's list of names, is on the disk itself."""
+    descriptor = os.open(path, os.O_RDONLY | _OWN)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def rename(path: Path, target: Path) -> None:
+    """Give a file its final name, in place of what had it."""
+    path.replace(target)
+
+
+def mkdir(path: Path) -> None:
+    """Make one folder, unless it is there."""
+    path.mkdir(exist_ok=True)
+
+
+def unlink(path: Path) -> None:
+    """Remove a file, unless it is gone."""
+    path.unlink(missing_ok=True)
+
+
+# -- made of them ----------------------------------------------------------------------------------------------------
+
+
+def temporary(path: Path) -> Path:
+    """Return where a file's content lies before it has its final name."""
+    return path.with_name(f".{path.name}.tmp")
+
+
+def place(path: Path, data: bytes) -> None:
+    """Put a file in its place: whole under its name, or not there at all, whatever happens meanwhile.
+
+    Callers hold a lock on the folder: the temporary file's name is always the same, so that an interrupted call leaves
+    at most one, which the next call writes over.
+    """
+    write(temporary(path), data)
+    fsync(temporary(path))
+    if digest(read(temporary(path))) != digest(data):
+        raise PuddleError(f"{path}: expected the bytes just written, came others. Check the disk before going on.")
+    rename(temporary(path), path)
+    fsync(path.parent)
+
+
+def make_folders(root: Path, folder: Path) -> None:
+    """Make the folders from a root (which exists) down to a folder below it, for good."""
+    missing = [path for path in (folder, *folder.parents) if path.is_relative_to(root) and not path.is_dir()]
+    for path in reversed(missing):
+        mkdir(path)
+        fsync(path.parent)
+
+
+def read(path: Path) -> bytes:
+    """Read a regular file; a symbolic link, a folder or a pipe raises an OSError instead."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | _OWN)
+    with os.fdopen(descriptor, "rb") as file:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise OSError(errno.EINVAL, "not a regular file", str(path))
+        return file.read()
+
+
+def inside(root: Path, *parts: str) -> Path:
+    """Return a path below a root. The parts are single names that the caller has checked.
+
+    Raises:
+        PuddleError: where one of them is a symbolic link.
+    """
+    path = root
+    for part in parts:
+        path = path / part
+        if path.is_symlink():
+            raise PuddleError(
+                f"{path}: expected a file or a folder, came a symbolic link. A store holds none: replace the link by "
+                f"what it points at, or move the whole store."
+            )
+    return path
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold a lock file, waiting for other processes (and threads); it is let go when the process ends, however."""
+    with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | _OWN, 0o644), "rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def try_lock(path: Path, *, shared: bool = False) -> int | None:
+    """Take a lock file if it is free; return its descriptor, whose closing lets go, or None where it is taken.
+
+    A shared lock only asks whether somebody holds it, and does not create the file. As an asker is in the way for an
+    instant, taking it tries for half a second.
+    """
+    flags, kind = (os.O_RDONLY, fcntl.LOCK_SH) if shared else (os.O_RDWR | os.O_CREAT, fcntl.LOCK_EX)
+    descriptor = os.open(path, flags | _OWN, 0o644)
+    patience = time.monotonic() + (0.0 if shared else 0.5)
+    while True:
+        try:
+            fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+            return descriptor
+        except BlockingIOError:
+            if time.monotonic() >= patience:
+                os.close(descriptor)
+                return None
+            time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def explained(doing: str, path: Path) -> Iterator[None]:
+    """Turn an OSError into a PuddleError that says what failed, what is safe and what to do."""
+    try:
+        yield
+    except OSError as error:
+        match error.errno:
+            case errno.ENOSPC | errno.EDQUOT:
+                advice = "Free some space and give the same command again: it goes on from there."
+            case errno.EROFS | errno.EACCES | errno.EPERM:
+                advice = "Allow it (permissions, a read-only disk), or choose another place for the store."
+            case _:
+                advice = "Mend the cause and give the same command again: it goes on from there."
+        where = f" ({error.filename})" if error.filename else ""
+        raise PuddleError(
+            f"{path}: {doing} failed: {error.strerror or error}{where}. Whatever was kept before is safe. {advice}"
+        ) from error
