@@ -1,0 +1,25 @@
+"""What a study has to show: pictures, moving robots and one page. Plain data in, text and bytes out; no store here.
+
+To add a figure: draw it in figures.py, list it in ``draw_all``, and give it a place in page.html.
+"""
+
+from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.figures import Drawing, Missing, draw_all
+from pipeline.report.gif import render_gif, write_gif
+from pipeline.report.page import render_page
+from pipeline.report.replay import Replay, replay_of
+
+__all__ = [
+    "Digest",
+    "Drawing",
+    "Missing",
+    "Replay",
+    "ResidualError",
+    "StudyReport",
+    "TrialResult",
+    "draw_all",
+    "render_gif",
+    "render_page",
+    "replay_of",
+    "write_gif",
+]
