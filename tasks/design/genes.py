@@ -48,6 +48,11 @@ class Gene:
         """The first link that has this gene."""
         return 0 if self.of_root else 1
 
+    @property
+    def n_numbers(self) -> int:
+        """How many numbers of a design this gene is."""
+        return N_LINKS - self.first_link if self.per_link else 1
+
 
 GENES: tuple[Gene, ...] = (
     #    name                 part       kind        low     high         unit             of_root
@@ -64,7 +69,7 @@ GENES: tuple[Gene, ...] = (
 
 GENE_BY_NAME = {gene.name: gene for gene in GENES}
 
-N_GENES = sum(1 if not gene.per_link else N_LINKS - gene.first_link for gene in GENES)
+N_GENES = sum(gene.n_numbers for gene in GENES)
 """Numbers that describe a design, the tree apart: 37."""
 
 
@@ -104,8 +109,8 @@ class Designs:
     def __post_init__(self) -> None:
         for name, dtype in DTYPES.items():
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=dtype))
-        n_designs = self.frequency.shape[0] if self.frequency.ndim == 1 else -1
-        for name in DTYPES:
+        n_designs = self.frequency.size
+        for name in ("frequency", *DTYPES):  # the one that says how many, first
             expected = (n_designs,) if name == "frequency" else (n_designs, N_LINKS)
             shape = getattr(self, name).shape
             if shape != expected:

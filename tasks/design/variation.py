@@ -14,7 +14,7 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field
 
-from tasks.design.genes import GENES, N_LINKS, ROOT_PARENT, Designs, Gene, Part, canonical
+from tasks.design.genes import GENES, N_GENES, N_LINKS, ROOT_PARENT, Designs, Gene, Part, canonical
 from tasks.parameters import Parameters
 
 
@@ -79,36 +79,48 @@ def mutate(
         mutation: rates and steps.
         parts: what may change; ("control",) leaves bodies alone.
     """
-    n_designs = len(designs)
-    slots = [(gene, link) for gene in GENES if gene.part in parts for link in _links_of(gene)]
-    n_all = sum(len(_links_of(gene)) for gene in GENES)
-    changes = rng.random((n_designs, len(slots))) < mutation.genes_changed / n_all
-    unchanged = ~changes.any(axis=1)
-    changes[unchanged, rng.integers(0, len(slots), n_designs)[unchanged]] = True
-    steps = rng.standard_normal((n_designs, len(slots))) * mutation.step
+    genes = [gene for gene in GENES if gene.part in parts]
+    table = np.concatenate([_columns(gene, getattr(designs, gene.name)) for gene in genes], axis=1)
+    varied = table
+    changes = rng.random(table.shape) < mutation.genes_changed / N_GENES
+    while True:
+        steps = rng.standard_normal(table.shape) * mutation.step
+        varied = np.where(changes, _stepped(genes, table, steps), varied)
+        same = (varied == table).all(axis=1)
+        if not same.any():
+            break
+        # No gene was drawn, or a bound held those that were: draw one until it moves.
+        drawn = rng.integers(0, table.shape[1], len(designs))
+        changes = same[:, None] & (np.arange(table.shape[1]) == drawn[:, None])
 
     changed = {name: array.copy() for name, array in designs.arrays()}
-    for slot, (gene, link) in enumerate(slots):
-        column = changed[gene.name][:, link] if gene.per_link else changed[gene.name]
-        column[:] = np.where(changes[:, slot], _step(gene, column, steps[:, slot]), column)
+    first = 0
+    for gene in genes:
+        columns = _columns(gene, changed[gene.name])
+        columns[:] = varied[:, first : first + columns.shape[1]]
+        first += columns.shape[1]
     if "body" in parts:
         _rewire(changed["parent"], rng, mutation.rewiring)
     return Designs(**changed)
 
 
-def _links_of(gene: Gene) -> range:
-    return range(gene.first_link, N_LINKS) if gene.per_link else range(1)
+def _columns(gene: Gene, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """View a gene's numbers, what a root ignores left out, as (n_designs, numbers of this gene)."""
+    return array[:, gene.first_link :] if gene.per_link else array[:, None]
 
 
-def _step(gene: Gene, value: npt.NDArray[Any], step: npt.NDArray[np.float64]) -> npt.NDArray[Any]:
-    """Move a gene by a share of its range, and back within its bounds."""
-    if gene.kind == "flag":
-        return ~value
-    moved = value + step * (gene.high - gene.low)
-    if gene.kind == "angle":
-        # The clip catches the rounding of a remainder just below the range's end.
-        moved = gene.low + np.mod(moved - gene.low, gene.high - gene.low)
-    return np.clip(moved, gene.low, gene.high)
+def _stepped(
+    genes: list[Gene], table: npt.NDArray[np.float64], steps: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Move every number of a table of genes by a share of its gene's range, and back within its bounds."""
+    counts = [gene.n_numbers for gene in genes]
+    low, high = np.repeat([gene.low for gene in genes], counts), np.repeat([gene.high for gene in genes], counts)
+    kind = np.repeat([gene.kind for gene in genes], counts)
+    moved = table + steps * (high - low)
+    wrapped = low + np.mod(moved - low, high - low)
+    # The clip also catches the rounding of a remainder just below an angle's end.
+    within = np.clip(np.where(kind == "angle", wrapped, moved), low, high)
+    return np.where(kind == "flag", 1.0 - table, within)
 
 
 def _rewire(parent: npt.NDArray[np.int64], rng: Generator, probability: float) -> None:

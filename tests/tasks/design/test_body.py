@@ -1,0 +1,133 @@
+"""Bodies at rest against geometry: joints meet, the robot stands on y = 0, masses and inertias are a rectangle's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.design import Designs, kinematic_trees, random_designs, rest_pose
+
+N_DESIGNS = 300
+HALF_ULP = 2.0**-24
+"""Relative rounding of float32."""
+
+
+@pytest.fixture(scope="module")
+def designs() -> Designs:
+    return random_designs(N_DESIGNS, np.random.default_rng(1))
+
+
+def along(x: np.ndarray, y: np.ndarray, angle: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """World place of the point (0, distance) of links; a link's long axis at angle θ points to (-sin θ, cos θ)."""
+    return np.stack([x - np.sin(angle) * distance, y + np.cos(angle) * distance], axis=-1)
+
+
+def corners(x: np.ndarray, y: np.ndarray, angle: np.ndarray, half_width: np.ndarray, half_height: np.ndarray) -> np.ndarray:
+    """World places (..., 4, 2) of the corners of rectangles, by rotation matrices."""
+    signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    local = signs * np.stack([half_width, half_height], axis=-1)[..., None, :]
+    rotation = np.moveaxis(np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), (0, 1), (-2, -1))
+    return np.einsum("...ij,...kj->...ki", rotation, local) + np.stack([x, y], axis=-1)[..., None, :]
+
+
+def test_the_anchors_of_every_joint_coincide_at_rest(designs: Designs) -> None:
+    x, y, angle = rest_pose(designs)
+    for link in range(1, 6):
+        parent = designs.parent[:, link]
+        row = np.arange(N_DESIGNS)
+        on_parent = along(
+            x[row, parent], y[row, parent], angle[row, parent],
+            designs.parent_attachment[:, link] * designs.length_scale[row, parent] / 2,
+        )
+        on_child = along(
+            x[:, link], y[:, link], angle[:, link], designs.child_attachment[:, link] * designs.length_scale[:, link] / 2
+        )
+        # Six links of 3 m reach at most 18 m; a handful of roundings of float64 each.
+        np.testing.assert_allclose(on_parent, on_child, rtol=0, atol=18 * 2.0**-50)
+
+
+def test_the_engines_anchors_coincide_to_single_precision(designs: Designs) -> None:
+    trees = kinematic_trees(designs, density=1.0)
+    row = np.arange(N_DESIGNS)
+    x, y, angle = (getattr(trees, name).astype(np.float64) for name in ("x", "y", "angle"))
+    for link in range(1, 6):
+        parent = trees.parent[:, link]
+        on_parent = along(x[row, parent], y[row, parent], angle[row, parent], trees.parent_anchor[:, link])
+        on_child = along(x[:, link], y[:, link], angle[:, link], trees.child_anchor[:, link])
+        # Each centre (up to 18 m) and anchor (1.5 m) is rounded once, and an angle of up to 5π moves an anchor by
+        # 1.5 m times its own rounding; on both sides of the joint.
+        np.testing.assert_allclose(on_parent, on_child, rtol=0, atol=2 * HALF_ULP * (18 + 1.5 + 5 * np.pi * 1.5))
+
+
+def test_rest_angles_add_up_along_the_tree(designs: Designs) -> None:
+    _, _, angle = rest_pose(designs)
+    for design in range(N_DESIGNS):
+        for link in range(6):
+            path, above = [], link
+            while above > 0:
+                path.append(designs.rest_angle[design, above])
+                above = designs.parent[design, above]
+            assert angle[design, link] == pytest.approx(sum(path), abs=1e-14 * 6)
+
+
+def test_the_root_is_upright_at_the_origin_of_x_and_the_lowest_corner_at_zero(designs: Designs) -> None:
+    trees = kinematic_trees(designs, density=1.0)
+    assert (trees.x[:, 0] == 0).all()
+    assert (trees.angle[:, 0] == 0).all()
+    lowest = corners(
+        *(getattr(trees, name).astype(np.float64) for name in ("x", "y", "angle", "half_width", "half_height"))
+    )[..., 1].min(axis=(1, 2))
+    # Rounding of y (up to 36 m), of half a diagonal (1.6 m) and of the angle (5π) that turns it.
+    np.testing.assert_allclose(lowest, 0, atol=HALF_ULP * (36 + 1.6 + 5 * np.pi * 1.6))
+
+
+def test_every_link_is_a_square_metre_of_one_kilogram(designs: Designs) -> None:
+    trees = kinematic_trees(designs, density=1.0)
+    width, height = 2.0 * trees.half_width.astype(np.float64), 2.0 * trees.half_height.astype(np.float64)
+    np.testing.assert_allclose(height, designs.length_scale, rtol=HALF_ULP)
+    np.testing.assert_allclose(width * height, 1.0, rtol=3 * HALF_ULP)
+    np.testing.assert_allclose(trees.mass, 1.0, rtol=HALF_ULP)
+    a = designs.length_scale
+    np.testing.assert_allclose(trees.inertia, (1 / a**2 + a**2) / 12, rtol=2 * HALF_ULP)
+
+
+def test_mass_and_inertia_grow_with_density(designs: Designs) -> None:
+    light, heavy = (kinematic_trees(designs, density=density) for density in (1.0, 3.0))
+    np.testing.assert_allclose(heavy.mass, 3.0 * light.mass, rtol=4 * HALF_ULP)
+    np.testing.assert_allclose(heavy.inertia, 3.0 * light.inertia, rtol=4 * HALF_ULP)
+
+
+def test_values_are_rounded_once_to_single_precision(designs: Designs) -> None:
+    trees = kinematic_trees(designs, density=1.0)
+    for name in ("half_width", "half_height", "mass", "inertia", "parent_anchor", "child_anchor", "x", "y", "angle"):
+        assert getattr(trees, name).dtype == np.float32, name
+        assert getattr(trees, name).shape == (N_DESIGNS, 6), name
+    x, _, angle = rest_pose(designs)
+    np.testing.assert_array_equal(trees.x, x.astype(np.float32))
+    np.testing.assert_array_equal(trees.angle, angle.astype(np.float32))
+    assert (trees.parent_anchor[:, 0] == 0).all()
+    assert (trees.child_anchor[:, 0] == 0).all()
+
+
+def test_a_body_worked_out_by_hand() -> None:
+    # The root is 2 m high, links 1 to 5 are squares of 1 m. Link 1 hangs with its lower end from the root's top,
+    # turned by +90°: its long axis points to -x. Link 2 goes on from its far end in the same direction. Link 3 turns
+    # by another 90°: it starts at the middle of link 2 and points down. Links 4 and 5 sit in the middle of the root.
+    def row(*values: float) -> np.ndarray:
+        return np.array([values], dtype=float)
+
+    designs = replace(
+        random_designs(1, np.random.default_rng(0)),
+        length_scale=row(2, 1, 1, 1, 1, 1),
+        parent=np.array([[-1, 0, 1, 2, 0, 0]]),
+        parent_attachment=row(0, 1, 1, 0, 0, 0),
+        child_attachment=row(0, -1, -1, -1, 0, 0),
+        rest_angle=row(0, np.pi / 2, 0, np.pi / 2, 0, np.pi / 4),
+    )
+    trees = kinematic_trees(designs, density=1.0)
+    np.testing.assert_allclose(trees.x[0], [0, -0.5, -1.5, -1.5, 0, 0], atol=1e-7)
+    # The root's foot is the lowest point, 1 m below its centre.
+    np.testing.assert_allclose(trees.y[0], [1, 2, 2, 1.5, 1, 1], atol=1e-7)
+    np.testing.assert_allclose(trees.angle[0], [0, np.pi / 2, np.pi / 2, np.pi, 0, np.pi / 4], atol=1e-7)
+    np.testing.assert_array_equal(trees.parent_anchor[0], np.float32([0, 1, 0.5, 0, 0, 0]))
+    np.testing.assert_array_equal(trees.child_anchor[0], np.float32([0, -0.5, -0.5, -0.5, 0, 0]))

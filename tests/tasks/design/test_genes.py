@@ -1,0 +1,155 @@
+"""The table of genes, designs as arrays, and the refusals of designs that are not valid."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.design import GENES, N_LINKS, DesignError, Designs, check, concatenate, random_designs
+from tasks.design.genes import N_GENES, Gene, canonical
+
+
+@pytest.fixture
+def designs() -> Designs:
+    return random_designs(5, np.random.default_rng(3))
+
+
+def with_value(designs: Designs, name: str, index: object, value: object) -> Designs:
+    array = getattr(designs, name).copy()
+    array[index] = value
+    return replace(designs, **{name: array})
+
+
+def test_the_bounds_are_the_papers() -> None:
+    bounds = {gene.name: (gene.part, gene.low, gene.high, gene.unit) for gene in GENES}
+    assert bounds == {
+        "length_scale": ("body", 1.0, 3.0, "m"),
+        "parent_attachment": ("body", -1.0, 1.0, "half heights"),
+        "child_attachment": ("body", -1.0, 1.0, "half heights"),
+        "rest_angle": ("body", -np.pi, np.pi, "rad"),
+        "phase": ("control", 0.0, 2 * np.pi, "rad"),
+        "motion_range": ("control", 0.2, np.pi / 2, "rad"),
+        "motor_on": ("control", 0.0, 1.0, ""),
+        "frequency": ("control", 0.0, 0.3, "Hz"),
+    }
+
+
+def test_thirty_seven_numbers_describe_a_design() -> None:
+    # Six lengths, one frequency, and for each of five joints two attachments, a rest angle, a phase, a range, a flag.
+    assert N_GENES == 6 + 1 + 5 * 6 == 37
+
+
+def test_angles_wrap_flags_flip_the_rest_is_clipped() -> None:
+    kinds = {gene.name: gene.kind for gene in GENES if gene.kind != "interval"}
+    assert kinds == {"rest_angle": "angle", "phase": "angle", "motor_on": "flag"}
+
+
+@pytest.mark.parametrize("name", [name for name in Designs.__dataclass_fields__ if name != "frequency"])
+@pytest.mark.parametrize("shape", [(5, N_LINKS - 1), (4, N_LINKS), (5,), (5, N_LINKS, 1)])
+def test_a_wrong_shape_is_refused_by_name(designs: Designs, name: str, shape: tuple[int, ...]) -> None:
+    with pytest.raises(DesignError, match=re.escape(f"{name} has shape {shape}, expected (n_designs, 6)")):
+        replace(designs, **{name: np.zeros(shape)})
+
+
+@pytest.mark.parametrize("shape", [(), (5, 1)])
+def test_a_frequency_that_is_not_one_per_design_is_refused(designs: Designs, shape: tuple[int, ...]) -> None:
+    with pytest.raises(DesignError, match=re.escape(f"frequency has shape {shape}")):
+        replace(designs, frequency=np.zeros(shape))
+
+
+def test_lists_become_arrays_of_the_field_types(designs: Designs) -> None:
+    from_lists = Designs(**{name: array.tolist() for name, array in designs.arrays()})
+    assert from_lists.equals(designs)
+    assert from_lists.parent.dtype == np.int64
+    assert from_lists.motor_on.dtype == np.bool_
+    assert from_lists.phase.dtype == np.float64
+
+
+def test_designs_travel_through_a_mapping_that_holds_more(designs: Designs) -> None:
+    arrays = {"fitness": np.zeros(5), **dict(designs.arrays())}
+    assert Designs.from_arrays(arrays).equals(designs)
+
+
+@pytest.mark.parametrize("name", list(Designs.__dataclass_fields__))
+def test_equality_sees_every_gene(designs: Designs, name: str) -> None:
+    array = getattr(designs, name).copy()
+    array.flat[-1] = ~array.flat[-1] if name == "motor_on" else array.flat[-1] + 1
+    assert not replace(designs, **{name: array}).equals(designs)
+
+
+def test_indexing_chooses_designs(designs: Designs) -> None:
+    assert len(designs) == 5
+    assert len(designs[2]) == 1
+    assert designs[2].frequency[0] == designs.frequency[2]
+    assert designs[1:3].equals(designs[[1, 2]])
+    mask = np.array([True, False, False, True, False])
+    assert designs[mask].equals(designs[[0, 3]])
+    assert len(designs[np.zeros(0, dtype=np.int64)]) == 0
+    np.testing.assert_array_equal(designs[[4, 4, 0]].phase, designs.phase[[4, 4, 0]])
+    with pytest.raises(IndexError):
+        designs[5]
+
+
+def test_parts_of_designs_join_again(designs: Designs) -> None:
+    assert concatenate([designs[:2], designs[2:]]).equals(designs)
+
+
+def test_a_copy_without_what_the_root_ignores(designs: Designs) -> None:
+    joint_genes = [gene.name for gene in GENES if not gene.of_root]
+    untidy = designs
+    for name in joint_genes:
+        untidy = with_value(untidy, name, (slice(None), 0), 1)
+    assert not untidy.equals(designs)
+    assert canonical(untidy).equals(designs)
+    assert all((getattr(untidy, name)[:, 0] == 1).all() for name in joint_genes)  # the argument is left as it was
+
+
+def test_what_the_root_ignores_is_not_checked(designs: Designs) -> None:
+    check(with_value(designs, "motion_range", (0, 0), np.nan))
+
+
+NUMBERS = [gene for gene in GENES if gene.kind != "flag"]
+
+
+@pytest.mark.parametrize("gene", NUMBERS, ids=lambda gene: gene.name)
+@pytest.mark.parametrize("fault", ["nan", "inf", "-inf", "above", "below"])
+def test_a_gene_out_of_bounds_is_named(designs: Designs, gene: Gene, fault: str) -> None:
+    value = {"above": np.nextafter(gene.high, np.inf), "below": np.nextafter(gene.low, -np.inf)}.get(fault)
+    value = float(fault) if value is None else value
+    index = (3, 4) if gene.per_link else (3,)
+    with pytest.raises(DesignError) as refused:
+        check(with_value(designs, gene.name, index, value))
+    where = " of link 4" if gene.per_link else ""
+    expected = f"expected {gene.low:.6g} to {gene.high:.6g} {gene.unit}"
+    assert str(refused.value) == f"design 3: {gene.name}{where} is {value}, {expected}"
+
+
+@pytest.mark.parametrize("gene", NUMBERS, ids=lambda gene: gene.name)
+def test_bounds_belong_to_the_range(designs: Designs, gene: Gene) -> None:
+    for bound in (gene.low, gene.high):
+        check(with_value(designs, gene.name, 2, bound))
+
+
+@pytest.mark.parametrize(
+    ("link", "parent", "expected"),
+    [
+        (3, 3, "a link before it, 0 to 2"),
+        (3, 4, "a link before it, 0 to 2"),
+        (1, 1, "a link before it, 0 to 0"),
+        (5, -1, "a link before it, 0 to 4"),
+        (5, 6, "a link before it, 0 to 4"),
+        (0, 0, "-1 (it is the root)"),
+        (0, -2, "-1 (it is the root)"),
+    ],
+)
+def test_a_broken_tree_is_named(designs: Designs, link: int, parent: int, expected: str) -> None:
+    with pytest.raises(DesignError) as refused:
+        check(with_value(designs, "parent", (2, link), parent))
+    assert str(refused.value) == f"design 2: parent of link {link} is {parent}, expected {expected}"
+
+
+def test_the_first_of_several_bad_designs_is_named(designs: Designs) -> None:
+    bad = with_value(with_value(designs, "phase", (4, 1), np.nan), "phase", (1, 5), 7.0)
+    with pytest.raises(DesignError, match="design 1: phase of link 5 is 7.0"):
+        check(bad)
