@@ -1,0 +1,508 @@
+"""Where work runs: in this process, on this machine's cores, or on a Ray cluster. The only ``import ray``.
+
+The driver submits pure functions and takes their results as they come; only the driver keeps anything (reliability
+rule 5), so workers need no shared disk. Two implementations of :class:`Cluster` give the same results: a serial one for
+debugging and tests, and Ray. Ray is imported late: it costs a third of a second that ``--help`` should not pay.
+
+Ray's own wire is pickle: whoever can submit to a cluster can run code on it. A local cluster is therefore closed by a
+token that only this user can read; an existing one keeps its owner's rules.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.util
+import itertools
+import logging
+import os
+import re
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any, NoReturn, Protocol
+from urllib.parse import urlsplit
+
+from pipeline.errors import PuddleError
+
+PINNED_THREADS = {
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+}
+"""One thread per process: torch's results change in their last bits with the number of threads (reliability rule 8)."""
+
+N_INFRASTRUCTURE_RETRIES = 1
+"""Times that a task is run again after its worker, node or memory failed; an exception of its own is never retried."""
+
+OBJECT_STORE_BYTES = 512 * 2**20
+"""Shared memory of a local cluster. Ensembles and results are megabytes; Ray's default takes a third of the machine."""
+
+CONNECT_SECONDS = 15.0
+"""How long an existing cluster may take to answer."""
+
+PACKAGES = ("tasks", "pipeline")
+"""What the workers of an existing cluster are sent, since they need not have it on disk."""
+
+
+@dataclass(frozen=True)
+class Ticket:
+    """What a submitted call is known by until its outcome comes."""
+
+    number: int
+    """Order of submission, from 0."""
+    name: str
+
+
+@dataclass(frozen=True)
+class Handle:
+    """A value that was put on the cluster once; a function submitted with it receives the value itself."""
+
+    reference: Any
+
+
+@dataclass(frozen=True)
+class Done:
+    """The result of a call."""
+
+    result: Any
+
+
+class TaskFailed(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
+    """A call that gave no result.
+
+    Attributes:
+        name: what the call was submitted as.
+        reason: one line, the exception's type and message.
+        remote_traceback: the traceback where it happened, as text.
+        infrastructure: whether the worker, its node or its memory failed, and not the function.
+    """
+
+    def __init__(self, name: str, reason: str, remote_traceback: str, infrastructure: bool) -> None:
+        super().__init__(name, reason, remote_traceback, infrastructure)  # so that it survives pickling
+        self.name = name
+        self.reason = reason
+        self.remote_traceback = remote_traceback
+        self.infrastructure = infrastructure
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.reason}"
+
+
+Outcome = Done | TaskFailed
+
+
+class Cluster(Protocol):
+    """Where calls run: what :func:`serial_cluster` and :func:`ray_cluster` give for the length of a ``with``."""
+
+    @property
+    def n_cores(self) -> float:
+        """Cores that the cluster has now."""
+
+    @property
+    def n_running(self) -> int:
+        """Calls submitted whose outcome has not been taken yet."""
+
+    def share(self, value: Any) -> Handle:
+        """Put a large immutable value, such as an ensemble's weights, once for many calls."""
+
+    def submit(self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = "") -> Ticket:
+        """Queue ``function(*args)``. An argument (not something inside one) may be a :class:`Handle`.
+
+        A function that only waits for its own :func:`spread` takes ``n_cores=0``; each of those is a process, so a
+        caller keeps only as many of them in flight as it has memory for.
+        """
+
+    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
+        """Take one outcome, in no particular order on Ray; None if none came within ``timeout`` [s] or none is due."""
+
+    def cancel_all(self) -> None:
+        """Stop what runs and forget what waits; no outcome of it will come."""
+
+
+def spread(
+    function: Callable[..., Any], items: Sequence[Any], *shared: Any, n_cores: float = 1.0, name: str = ""
+) -> list[Any]:
+    """Run ``function(item, *shared)`` for every item, and return the results in the order of the items.
+
+    Evolution has two grains (architecture.md, "How data flows"). Where a generation is cheap, a segment of a trial is
+    one task and never calls this. Where a generation costs core-seconds, or cores outnumber trials, the segment is a
+    task without a core of its own, and spreads each generation's designs over the cluster with this. Outside a Ray
+    worker it is a plain loop: a result does not depend on where it ran, as long as the items are made up from the work
+    and not from timing.
+
+    Raises:
+        TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
+    """
+    if not _in_ray_worker():
+        return [function(item, *shared) for item in items]
+    import ray
+
+    name = name or _name_of(function)
+    put = [ray.put(value) for value in shared]
+    remote = _remote_call(n_cores, name)
+    references = [remote.remote(function, item, *put) for item in items]
+    results = []
+    try:
+        for index, reference in enumerate(references):
+            outcome = _outcome(f"{name}, item {index}", reference)
+            if isinstance(outcome, TaskFailed):
+                raise outcome
+            results.append(outcome.result)
+    finally:
+        if len(results) < len(references):
+            _cancel(references[len(results) :])
+    return results
+
+
+def pin_threads() -> None:
+    """Hold this process and its children to one thread each. Call it before numpy, numba or torch is imported."""
+    os.environ.update(PINNED_THREADS)
+
+
+# --- serial ---------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def serial_cluster() -> Iterator[Cluster]:
+    """Give this process as a cluster: a call runs when its outcome is asked for, in the order of submission."""
+    with _signals_unwind():
+        yield _Serial()
+
+
+class _Serial:
+    n_cores = 1.0
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count()
+        self._waiting: deque[tuple[Ticket, Callable[..., Any], tuple[Any, ...]]] = deque()
+
+    @property
+    def n_running(self) -> int:
+        return len(self._waiting)
+
+    def share(self, value: Any) -> Handle:
+        return Handle(value)
+
+    def submit(  # n_cores: there is one
+        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = ""  # noqa: ARG002
+    ) -> Ticket:
+        ticket = Ticket(next(self._numbers), name or _name_of(function))
+        self._waiting.append((ticket, function, _references(args)))
+        return ticket
+
+    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:  # noqa: ARG002
+        if not self._waiting:
+            return None
+        ticket, function, args = self._waiting.popleft()
+        try:
+            return ticket, Done(function(*args))
+        except Exception as error:
+            return ticket, _failure(ticket.name, error, traceback.format_exc())
+
+    def cancel_all(self) -> None:
+        self._waiting.clear()
+
+
+# --- Ray ------------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Iterator[Cluster]:
+    """Give an existing Ray cluster, or this machine's cores as one for as long as the context lasts.
+
+    Args:
+        address: of an existing cluster: ``host:port`` from one of its machines, ``ray://host:port`` from anywhere
+            else, or ``auto`` for the one on this machine. Without it RAY_ADDRESS counts; without either, a local
+            cluster starts.
+        n_workers: cores that a local cluster uses; all by default. An existing cluster has the cores that it has.
+
+    Raises:
+        PuddleError: if the cluster does not answer within 15 s or refuses, or if a local one does not start.
+    """
+    if n_workers is not None and n_workers < 1:
+        raise PuddleError(f"workers: expected 1 or more, got {n_workers}")
+    address = address or os.environ.get("RAY_ADDRESS") or "local"
+    with _signals_unwind(), _local(n_workers) if address == "local" else _existing(address):
+        _catch_signals()  # ray.init has put its own handler, which prints a native stack
+        cluster = _Ray()
+        try:
+            yield cluster
+        except BaseException:
+            cluster.cancel_all()
+            raise
+
+
+class _Ray:
+    def __init__(self) -> None:
+        self._numbers = itertools.count()
+        self._running: dict[Any, Ticket] = {}
+
+    @property
+    def n_cores(self) -> float:
+        import ray
+
+        return float(ray.cluster_resources().get("CPU", 0.0))
+
+    @property
+    def n_running(self) -> int:
+        return len(self._running)
+
+    def share(self, value: Any) -> Handle:
+        import ray
+
+        return Handle(ray.put(value))
+
+    def submit(self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = "") -> Ticket:
+        ticket = Ticket(next(self._numbers), name or _name_of(function))
+        reference = _remote_call(n_cores, ticket.name).remote(function, *_references(args))
+        self._running[reference] = ticket
+        return ticket
+
+    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
+        import ray
+
+        if not self._running:
+            return None
+        ready, _ = ray.wait(list(self._running), num_returns=1, timeout=timeout)
+        if not ready:
+            return None
+        ticket = self._running.pop(ready[0])
+        return ticket, _outcome(ticket.name, ready[0])
+
+    def cancel_all(self) -> None:
+        _cancel(self._running)
+        self._running.clear()
+
+
+@contextlib.contextmanager
+def _local(n_workers: int | None) -> Iterator[None]:
+    """Start Ray on this machine, open to this user alone, and stop it."""
+    import ray
+
+    # A folder of our own, which nobody else can enter: /tmp/ray may be another user's, and Ray makes its folder open to
+    # all. Its name is short, because the path of a Unix socket in it may have 107 bytes.
+    root = Path(tempfile.mkdtemp(prefix="puddle-", dir="/tmp"))
+    try:
+        token = root / "token"
+        with os.fdopen(os.open(token, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            file.write(secrets.token_hex(32))
+        # Ray listens on every interface even where it is told 127.0.0.1, so the token is what keeps others out.
+        with _environment({"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token), "RAY_AUTH_TOKEN": None}):
+            try:
+                _connect(
+                    address="local",
+                    num_cpus=n_workers,
+                    object_store_memory=OBJECT_STORE_BYTES,
+                    include_dashboard=False,
+                    _temp_dir=str(root / "ray"),
+                    runtime_env={"env_vars": PINNED_THREADS},
+                )
+            except Exception as error:
+                raise PuddleError(
+                    f"Ray did not start on this machine: {error}\nExpected room in {root.parent} and /dev/shm, and "
+                    f"memory for {n_workers or 'as many workers as there are cores'}; `puddle doctor` looks at these."
+                ) from error
+            try:
+                yield
+            finally:
+                ray.shutdown()
+    finally:
+        shutil.rmtree(root, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _existing(address: str) -> Iterator[None]:
+    """Connect to a cluster that somebody else started, under its own token settings, and send it our packages."""
+    _check_reachable(address)
+    import ray
+
+    with _environment({}):
+        try:
+            packages = [_folder_of(package) for package in PACKAGES]
+            _connect(address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages})
+        except Exception as error:
+            raise _unusable(address, str(error)) from error
+        try:
+            yield
+        finally:
+            ray.shutdown()
+
+
+def _connect(**where: Any) -> None:
+    import ray
+    from ray._raylet import AuthenticationTokenLoader, Config  # type: ignore[attr-defined]  # compiled
+
+    # Ray reads the environment once, when it is imported. Ask it to look again, as its own start-up code does.
+    Config.initialize("")
+    AuthenticationTokenLoader.instance().reset_cache()
+    ray.init(log_to_driver=False, logging_level=logging.ERROR, **where)
+
+
+def _check_reachable(address: str) -> None:
+    """Ask whether a cluster answers, in a process that can be given up on: ray.init takes two minutes to say no."""
+    if address != "auto":
+        parts = urlsplit(address if "://" in address else f"gcs://{address}")
+        try:
+            port = parts.port
+        except ValueError:
+            port = None
+        if not parts.hostname or port is None or parts.scheme not in ("gcs", "ray"):
+            raise _unusable(address, "it is not an address; expected host:port, ray://host:port or auto")
+        try:
+            socket.create_connection((parts.hostname, port), timeout=CONNECT_SECONDS).close()
+        except OSError as error:
+            raise _unusable(address, f"nothing answers there ({error})") from error
+    hello = "import ray, sys; ray.init(address=sys.argv[1], log_to_driver=False, logging_level='ERROR')"
+    try:
+        # In a session of its own, so that Ctrl-C in the terminal reaches it through us alone.
+        subprocess.run(
+            [sys.executable, "-c", hello, address],
+            check=True, capture_output=True, text=True, timeout=CONNECT_SECONDS, start_new_session=True,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise _unusable(address, f"what listens there did not answer as Ray within {CONNECT_SECONDS:.0f} s") from error
+    except subprocess.CalledProcessError as error:
+        raise _unusable(address, (error.stderr.strip() or "no reason given").splitlines()[-1]) from error
+
+
+def _unusable(address: str, reason: str) -> PuddleError:
+    return PuddleError(
+        f"the Ray cluster at {address} can't be used: {reason}\n"
+        f"Expected a running cluster with this machine's versions of Python and Ray and, if it asks for a token, "
+        f"RAY_AUTH_MODE=token with RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH. "
+        f"Check the address (`ray status` on the head), or leave out --address and RAY_ADDRESS to use this machine."
+    )
+
+
+def _folder_of(package: str) -> str:
+    specification = importlib.util.find_spec(package)
+    assert specification is not None and specification.submodule_search_locations
+    return str(Path(specification.submodule_search_locations[0]).resolve())
+
+
+# --- calls ----------------------------------------------------------------------------------------------------------
+
+
+def _call(function: Callable[..., Any], *args: Any) -> Any:
+    return function(*args)
+
+
+@functools.cache
+def _remote_function() -> Any:
+    import ray
+
+    return ray.remote(_call)  # once: Ray sends each remote function to every worker that runs it
+
+
+def _remote_call(n_cores: float, name: str) -> Any:
+    return _remote_function().options(
+        num_cpus=n_cores, name=name, max_retries=N_INFRASTRUCTURE_RETRIES, retry_exceptions=False
+    )
+
+
+def _outcome(name: str, reference: Any) -> Outcome:
+    import ray
+    from ray.exceptions import RayError, RayTaskError
+
+    try:
+        return Done(ray.get(reference))
+    except RayTaskError as error:
+        return _failure(name, error.cause, re.sub(r"\x1b\[[0-9;]*m", "", str(error)))
+    except RayError as error:
+        message = str(error) or type(error).__name__
+        return TaskFailed(name, f"{type(error).__name__}: {message.strip().splitlines()[0]}", message, True)
+
+
+def _failure(name: str, cause: BaseException, remote_traceback: str) -> TaskFailed:
+    within = isinstance(cause, TaskFailed)  # an item of a spread
+    reason = str(cause) if within else f"{type(cause).__name__}: {cause}"
+    failure = TaskFailed(name, reason, remote_traceback, isinstance(cause, TaskFailed) and cause.infrastructure)
+    failure.__cause__ = cause
+    return failure
+
+
+def _cancel(references: Any) -> None:
+    import ray
+
+    for reference in references:
+        with contextlib.suppress(Exception):  # it may have ended, or the cluster may be gone
+            ray.cancel(reference, force=True, recursive=True)
+
+
+def _references(args: tuple[Any, ...]) -> tuple[Any, ...]:
+    return tuple(arg.reference if isinstance(arg, Handle) else arg for arg in args)
+
+
+def _name_of(function: Callable[..., Any]) -> str:
+    inner = function.func if isinstance(function, functools.partial) else function
+    return str(getattr(inner, "__qualname__", type(inner).__name__))
+
+
+def _in_ray_worker() -> bool:
+    ray = sys.modules.get("ray")
+    return bool(ray and ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE)
+
+
+# --- this process ---------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _environment(changes: Mapping[str, str | None]) -> Iterator[None]:
+    """Set what Ray reads from the environment while it runs; None unsets."""
+    always = {
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # a cancelled call's error is nobody's
+        "RAY_task_oom_retries": str(N_INFRASTRUCTURE_RETRIES),  # endless by default
+        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # the coming default; without it Ray prints a warning
+    }
+    changes = always | dict(changes)
+    before = {name: os.environ.get(name) for name in changes}
+    _set_environment(changes)
+    try:
+        yield
+    finally:
+        _set_environment(before)
+
+
+def _set_environment(values: Mapping[str, str | None]) -> None:
+    for name, value in values.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
+
+
+def _catch_signals() -> None:
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, _unwind)
+
+
+def _unwind(number: int, _frame: FrameType | None) -> NoReturn:
+    raise SystemExit(128 + number)
+
+
+@contextlib.contextmanager
+def _signals_unwind() -> Iterator[None]:
+    """Let SIGTERM and a closed terminal leave as Ctrl-C does, through every ``finally``, so that no process is left."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    _catch_signals()
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in before.items():
+                signal.signal(number, handler)
