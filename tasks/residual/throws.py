@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,7 @@ class Throws(Parameters):
     """[P]"""
     n_steps: int = Field(default=200, ge=1, le=100_000)
     """Steps of each throw: 3.3 s. [P]"""
-    length_scales: tuple[float, ...] = Field(default=(1.0, 2.0, 3.0), min_length=1)
+    length_scales: tuple[Annotated[float, Field(ge=0.1, le=10.0)], ...] = Field(default=(1.0, 2.0, 3.0), min_length=1)
     """Long axes that links are drawn from [m]. [P]"""
     x_reach: float = Field(default=0.2, ge=0.0, le=1000.0)
     """x starts within ± this [m]. [P]"""

@@ -1,0 +1,187 @@
+import numpy as np
+import pytest
+import torch
+
+from tasks.design import random_designs
+from tasks.residual import Architecture
+from tasks.residual.ensemble import Ensemble, WeightsError
+from tasks.residual.network import ResidualNetwork, Standardisation
+from tasks.simulation import simulate
+from tasks.world import LinkStates, Physics, ResidualSlush
+
+PHYSICS = Physics()
+N_MEMBERS = 3
+
+
+def members(architecture, n_members=N_MEMBERS, seed=0):
+    """Untrained networks, with the standardisation of data of different scales."""
+    torch.manual_seed(seed)
+    rng = np.random.default_rng(seed)
+    networks, arrays = [], []
+    for _ in range(n_members):
+        rows = (rng.normal(size=(2, 100, 6)) * rng.uniform(0.1, 5, 6) + rng.normal(size=6)).astype(np.float32)
+        standardisation = Standardisation.of(*rows, standardise_targets=True)
+        network = ResidualNetwork(architecture).eval()
+        networks.append((network, standardisation))
+        arrays.append({**network.arrays(), **vars(standardisation)})
+    return networks, arrays
+
+
+def observations(n_rows, n_members=N_MEMBERS, seed=1):
+    rng = np.random.default_rng(seed)
+    return (rng.normal(size=(n_members, n_rows, 6)) * (0.7, 3, 0.6, 4, 4, 4)).astype(np.float32)
+
+
+def links(shape, seed=2):
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-9, 9, shape)
+    a = rng.uniform(1, 3, shape)
+    y, vx, vy, omega = rng.normal(size=(4, *shape))
+    arrays = (a, np.ones(shape), (a**2 + a**-2) / 12, y, np.cos(angle), np.sin(angle), vx, vy, omega)
+    return LinkStates(*(x.astype(np.float32) for x in arrays))
+
+
+@pytest.fixture(scope="module")
+def ensemble():
+    return Ensemble.from_members(members(Architecture(hidden_layers=2, width=32))[1])
+
+
+@pytest.mark.parametrize("architecture", [Architecture(hidden_layers=1, width=7), Architecture()])
+def test_equals_each_member_s_own_network(architecture):
+    networks, arrays = members(architecture)
+    x = observations(300)
+    got = Ensemble.from_members(arrays).predict(x)
+    assert got.shape == (N_MEMBERS, 300, 3) and got.dtype == np.float32
+    for k, (network, standardisation) in enumerate(networks):
+        with torch.inference_mode():
+            standard = network(torch.from_numpy(standardisation.standard_observation(x[k]))).numpy()
+        expected = standardisation.residual(standard)[:, 3:]
+        assert np.abs(got[k] - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    ("hidden_layers", "width"), [(1, 7), (2, 32), (2, 64), (3, 64), (3, 100), (3, 128), (4, 256)]
+)
+def test_a_row_does_not_depend_on_the_rows_beside_it(hidden_layers, width):
+    ensemble = Ensemble.from_members(members(Architecture(hidden_layers=hidden_layers, width=width))[1])
+    x = observations(700)
+    whole = ensemble.predict(x)
+    rng = np.random.default_rng()
+    for n_rows in (1, 2, 5, 96, 127, 128, 129, 384, 699, *rng.integers(1, 700, 5)):
+        rows = rng.permutation(700)[:n_rows]
+        assert (ensemble.predict(np.ascontiguousarray(x[:, rows])) == whole[:, rows]).all(), n_rows
+    for k in range(N_MEMBERS):
+        assert (ensemble.member(k).predict(x[k : k + 1]) == whole[k : k + 1]).all()
+
+
+def test_a_row_that_is_not_finite_spoils_itself_alone(ensemble):
+    x = observations(200)
+    clean = ensemble.predict(x)
+    x[0, 17, 3], x[1, 0, 4], x[2, 130, 1] = np.nan, np.inf, 3e38
+    got = ensemble.predict(x)
+    spoiled = np.zeros((N_MEMBERS, 200), bool)
+    spoiled[0, 17] = spoiled[1, 0] = spoiled[2, 130] = True
+    assert (got[~spoiled] == clean[~spoiled]).all()
+    assert np.isnan(got[0, 17]).all()
+
+
+def test_velocity_change_reads_the_links_in_order(ensemble):
+    state = links((N_MEMBERS, 5, 6))
+    change = ensemble.velocity_change(state, PHYSICS)
+    observation = np.stack((state.length_scale, state.y, state.cos, state.vx, state.vy, state.omega), axis=-1)
+    expected = ensemble.predict(observation.reshape(N_MEMBERS, 30, 6)).reshape(N_MEMBERS, 5, 6, 3)
+    for i, name in enumerate(("vx", "vy", "omega")):
+        got = getattr(change, name)
+        assert got.shape == (N_MEMBERS, 5, 6) and got.dtype == np.float32
+        assert (got == expected[..., i]).all()
+
+
+def test_absurd_states_raise_nothing(ensemble):
+    state = LinkStates(*(np.array([[1e300], [np.nan], [-np.inf]]) for _ in range(9)))
+    change = ensemble.velocity_change(state, PHYSICS)
+    assert change.vx.dtype == np.float64 and not np.isfinite(change.vx).any()
+
+
+@pytest.mark.parametrize("shape", [(), (1, 4, 6), (N_MEMBERS + 1, 4, 6)])
+def test_links_of_another_number_of_members_are_refused(ensemble, shape):
+    with pytest.raises(ValueError, match=r"links of shape \(.*\), expected \(3 members, \.\.\.\)"):
+        ensemble.velocity_change(links(shape), PHYSICS)
+
+
+def test_arrays_come_back(ensemble):
+    arrays = ensemble.to_arrays()
+    assert list(arrays) == ["weight_0", "weight_1", "weight_2", "bias_0", "bias_1", "bias_2"]
+    again = Ensemble.from_arrays({name: array.copy() for name, array in reversed(arrays.items())})
+    assert again.n_members == N_MEMBERS
+    x = observations(40)
+    assert (again.predict(x) == ensemble.predict(x)).all()
+
+
+def test_one_member_is_an_ensemble(ensemble):
+    assert ensemble.member(2).n_members == 1
+    with pytest.raises(IndexError, match="member 3 of an ensemble, expected 0 to 2"):
+        ensemble.member(3)
+
+
+def test_robots_in_residual_slush_do_not_depend_on_their_batch_or_on_other_members(ensemble):
+    designs = random_designs(8, np.random.default_rng(11))
+    settle_and_measure = {"n_settle": 5, "n_measure": 20, "engine": "reference", "trace": True}
+    whole = simulate(designs, ResidualSlush(depth=2.0, ensemble=ensemble), **settle_and_measure)
+    assert whole.displacement.shape == (N_MEMBERS, 8)
+    assert len(set(whole.displacement[:, 0])) == N_MEMBERS
+    for k in range(N_MEMBERS):
+        alone = simulate(designs[5:8], ResidualSlush(depth=2.0, ensemble=ensemble.member(k)), **settle_and_measure)
+        assert (alone.displacement[0] == whole.displacement[k, 5:8]).all()
+        assert (alone.trace[0] == whole.trace[k, 5:8]).all()
+
+
+def spoil(arrays, name, change):
+    return [arrays[0], {**arrays[1], name: change(arrays[1][name])}]
+
+
+def with_nan(array):
+    array = array.copy()
+    array.flat[0] = np.nan
+    return array
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("weight_0", lambda w: w[:5], r"member 1: weight_0 has shape \(5, 4\), expected \(6, 4\)"),
+        ("weight_1", lambda w: w[:3], r"member 1: weight_1 has shape \(3, 4\), expected \(4, 4\)"),
+        ("bias_1", lambda b: b[:1], r"member 1: bias_1 has shape \(1,\), expected \(4,\)"),
+        ("weight_2", lambda w: w[:, :3], r"member 1: weight_2 has shape \(4, 3\), expected \(4, 6\)"),
+        ("weight_2", lambda w: np.float32(1), r"member 1: weight_2 has shape \(\), expected \(4, 6\)"),
+        ("bias_0", with_nan, "member 1: bias_0 has values that are not finite"),
+        ("residual_mean", lambda m: m.astype(np.float64), "member 1: residual_mean is of float64, expected float32"),
+        ("observation_mean", lambda d: d[:2], r"member 1: observation_mean has shape \(2,\), expected \(6,\)"),
+    ],
+)
+def test_damaged_members_are_refused_by_name(name, change, message):
+    arrays = members(Architecture(hidden_layers=2, width=4), n_members=2)[1]
+    with pytest.raises(WeightsError, match=message):
+        Ensemble.from_members(spoil(arrays, name, change))
+
+
+def test_members_that_are_incomplete_or_differ_are_refused():
+    small, large = (members(Architecture(hidden_layers=2, width=w), n_members=1)[1][0] for w in (4, 5))
+    with pytest.raises(WeightsError, match="member 1 has layers"):
+        Ensemble.from_members([small, large])
+    with pytest.raises(WeightsError, match="no members"):
+        Ensemble.from_members([])
+    lacking = {name: array for name, array in small.items() if name != "bias_1"}
+    with pytest.raises(WeightsError, match=r"member 0: arrays are missing \['bias_1'\] and unknown \[\]"):
+        Ensemble.from_members([lacking])
+
+
+def test_damaged_ensembles_are_refused_by_name(ensemble):
+    arrays = ensemble.to_arrays()
+    with pytest.raises(WeightsError, match=r"bias_1 has shape \(2, 32\), expected \(3, 32\)"):
+        Ensemble.from_arrays({**arrays, "bias_1": arrays["bias_1"][:2]})
+    with pytest.raises(WeightsError, match=r"unknown \['layer'\]"):
+        Ensemble.from_arrays({**arrays, "layer": arrays["bias_1"]})
+    with pytest.raises(WeightsError, match="no members"):
+        Ensemble.from_arrays({name: array[:0] for name, array in arrays.items()})
+    with pytest.raises(WeightsError, match="weight_0 has shape"):
+        Ensemble.from_arrays({**arrays, "weight_0": arrays["weight_0"][0]})

@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
+from tasks.residual.observation import VELOCITIES
+from tasks.simulation.reference import FreeLinks
+from tasks.world import LinkStates, Physics, Slush
+
+PHYSICS = Physics()
+SLUSH = Slush()
+
+
+@pytest.fixture(scope="module")
+def starts():
+    return initial_states(Throws(n_throws=24), np.random.default_rng(7))
+
+
+@pytest.fixture(scope="module")
+def transitions(starts):
+    return simulate_throws(starts, 30, SLUSH, PHYSICS)
+
+
+def test_starts_fill_their_ranges():
+    throws = Throws(n_throws=20_000, length_scales=(1.0, 2.5))
+    starts = initial_states(throws, np.random.default_rng(0))
+    low = [-0.2, -6, 0, -20, -20, -20]
+    high = [0.2, 6, 2 * np.pi, 20, 20, 20]
+    width = np.subtract(high, low)
+    # 20,000 draws come within 1e-3 of each end of a range but for a chance of exp(-20).
+    assert (starts.state >= np.array(low, np.float32)).all() and (starts.state <= np.array(high, np.float32)).all()
+    assert (starts.state.min(axis=0) < low + 1e-3 * width).all()
+    assert (starts.state.max(axis=0) > high - 1e-3 * width).all()
+    # A share of 1/2 of 20,000 has a deviation of 0.0035.
+    assert set(starts.length_scale) == {1.0, 2.5}
+    assert np.mean(starts.length_scale == 1.0) == pytest.approx(0.5, abs=5 * 0.0035)
+
+
+def test_log_uniform_throws_scale_all_velocities_of_a_throw_alike():
+    rng = np.random.default_rng
+    plain = initial_states(Throws(n_throws=5000), rng(3))
+    scaled = initial_states(Throws(n_throws=5000, throw_speed="log_uniform"), rng(3))
+    assert (scaled.state[:, :3] == plain.state[:, :3]).all()
+    ratio = scaled.state[:, 3:].astype(float) / plain.state[:, 3:]
+    assert ratio == pytest.approx(ratio[:, :1] * np.ones(3), rel=1e-6)  # float32 rounds twice
+    exponent = np.log10(ratio[:, 0])
+    assert -2 - 1e-6 <= exponent.min() < -1.99 and -0.01 < exponent.max() <= 1e-6
+    assert exponent.mean() == pytest.approx(-1, abs=5 * (2 / 12**0.5) / 5000**0.5)
+
+
+def test_the_same_generator_gives_the_same_starts(starts):
+    again = initial_states(Throws(n_throws=24), np.random.default_rng(7))
+    assert (again.state == starts.state).all() and (again.length_scale == starts.length_scale).all()
+
+
+def test_residual_is_the_difference_of_two_separate_one_step_simulations(transitions):
+    rng = np.random.default_rng(1)
+    for i in rng.choice(len(transitions), 60, replace=False):
+        x, a = transitions.state[i : i + 1], transitions.length_scale[i : i + 1]
+        in_slush = FreeLinks(a, PHYSICS).step(x, SLUSH)[0]
+        on_dry_land = FreeLinks(a, PHYSICS).step(x, None)[0]
+        assert (transitions.next_in_slush[i] == in_slush).all()
+        assert (transitions.next_on_dry_land[i] == on_dry_land).all()
+        assert (transitions.residual[i] == in_slush - on_dry_land).all()
+
+
+def test_residual_is_the_slush_s_velocity_change_and_its_time_integral(transitions):
+    a, x = transitions.length_scale, transitions.state.astype(float)
+    _, y, angle, vx, vy, omega = x.T
+    inertia = (a**2 + a**-2.0) / 12  # of mass 1
+    links = LinkStates(a, np.ones_like(a), inertia, y, np.cos(angle), np.sin(angle), vx, vy, omega)
+    change = SLUSH.velocity_change(links, PHYSICS)
+    expected = np.stack((change.vx, change.vy, change.omega), axis=1)
+    # In float32 a velocity below 64 is rounded by 2^-19 at most, a few times a step; the change itself, of up to 28,
+    # comes from a chain of some twenty roundings of 2^-24 each.
+    tolerance = 4 * 2**-19 + 20 * 2**-24 * 28
+    assert np.abs(transitions.residual[:, VELOCITIES] - expected).max() < tolerance
+    # Positions below 64 m (angles below 64 rad) are rounded likewise, and follow the velocities by dt.
+    positions = transitions.residual[:, :3]
+    assert np.abs(positions - PHYSICS.time_step * transitions.residual[:, VELOCITIES]).max() < 4 * 2**-19
+    assert np.abs(x[:, :3]).max() < 64
+
+
+def test_a_link_in_the_air_has_no_residual(transitions):
+    half_diagonal = np.hypot(transitions.length_scale, 1 / transitions.length_scale) / 2
+    airborne = transitions.state[:, 1] > half_diagonal + 1e-3
+    assert 0.1 < airborne.mean() < 0.9
+    assert (transitions.residual[airborne] == 0).all()
+    assert (transitions.residual[~airborne, 4] != 0).mean() > 0.9
+
+
+def test_rows_run_throw_by_throw_and_step_by_step_through_the_slush(starts, transitions):
+    assert len(transitions) == 24 * 30
+    assert (transitions.throw == np.repeat(np.arange(24), 30)).all()
+    assert (transitions.step == np.tile(np.arange(30), 24)).all()
+    assert (transitions.state[::30] == starts.state).all()
+    goes_on = transitions.step[1:] > 0
+    assert (transitions.state[1:][goes_on] == transitions.next_in_slush[:-1][goes_on]).all()
+
+
+def test_observation_is_in_its_order(transitions):
+    assert OBSERVATION == ("a", "y", "cos_angle", "vx", "vy", "omega")
+    assert STATE == ("x", "y", "angle", "vx", "vy", "omega")
+    _, y, angle, vx, vy, omega = transitions.state.T
+    for column, expected in enumerate((transitions.length_scale, y, np.cos(angle), vx, vy, omega)):
+        assert (transitions.observation[:, column] == expected.astype(np.float32)).all()
+
+
+def test_a_throw_does_not_depend_on_its_chunk(starts, transitions):
+    chunks = [starts[:1], starts[1:6], starts[6:]]
+    joined = Transitions.concatenate([simulate_throws(chunk, 30, SLUSH, PHYSICS) for chunk in chunks])
+    for name in Transitions.__dataclass_fields__:
+        assert (getattr(joined, name) == getattr(transitions, name)).all(), name
+        assert getattr(joined, name).dtype == getattr(transitions, name).dtype
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"n_throws": 1}, {"n_steps": 0}, {"length_scales": ()}, {"y_reach": -1.0}, {"max_velocity": float("nan")},
+     {"throw_speed": "fast"}, {"length_scales": (1.0, 0.0)}, {"unknown": 1}],
+)  # fmt: skip
+def test_wrong_settings_are_refused(wrong):
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
+        Throws(**wrong)

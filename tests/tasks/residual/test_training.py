@@ -1,0 +1,210 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+from pydantic import ValidationError
+
+from tasks.residual import Architecture, Throws, Training, Transitions, initial_states, low_speed_bias, simulate_throws
+from tasks.residual.training import TrainingDiverged, held_out_rows, learning_rate, mean_loss, train_member
+from tasks.seeding import generator
+from tasks.world import Physics, Slush
+
+SMALL = Architecture(hidden_layers=2, width=16)
+SHORT = Training(n_iterations=20, batch_size=256)
+
+
+def synthetic(n_throws, n_steps, residual_of, seed=0):
+    """Transitions with random observations and a residual that is a function of them; the rest is not looked at."""
+    rng = np.random.default_rng(seed)
+    n = n_throws * n_steps
+    observation = rng.normal(size=(n, 6)).astype(np.float32)
+    residual = residual_of(observation, rng).astype(np.float32)
+    none = np.zeros((n, 6), np.float32)
+    return Transitions(
+        throw=np.repeat(np.arange(n_throws), n_steps),
+        step=np.tile(np.arange(n_steps), n_throws),
+        length_scale=np.ones(n),
+        state=none,
+        next_in_slush=none,
+        next_on_dry_land=none,
+        observation=observation,
+        residual=residual,
+    )
+
+
+@pytest.fixture(scope="module")
+def thrown():
+    starts = initial_states(Throws(n_throws=40), np.random.default_rng(5))
+    return simulate_throws(starts, 200, Slush(), Physics())
+
+
+def test_focal_loss_by_hand():
+    predicted = torch.tensor([[0.0] * 6, [0.3, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 2.0]])
+    true = torch.zeros(3, 6)
+    # ‖·‖² / 6: 0, 0.09 / 6 = 0.015, 9 / 6 = 1.5
+    focal = [0.0, 2 * (1 - math.exp(-10 * 0.015)) ** 3 * 0.015, 2 * (1 - math.exp(-10 * 1.5)) ** 3 * 1.5]
+    training = Training(focal_alpha=2.0, focal_s=10.0, focal_gamma=3.0)
+    assert float(mean_loss(training, predicted, true)) == pytest.approx(sum(focal) / 3, rel=1e-6)
+    assert float(mean_loss(Training(loss="mse"), predicted, true)) == pytest.approx((0.015 + 1.5) / 3, rel=1e-6)
+
+
+def test_focal_loss_is_accurate_and_smooth_for_tiny_errors():
+    error = torch.full((1, 6), 1e-6, requires_grad=True)
+    loss = mean_loss(Training(), error, torch.zeros(1, 6))
+    # 1 - exp(-s L) = s L (1 - s L / 2 ...) with s L = 1e-10
+    assert loss.item() == pytest.approx((100 * 1e-12) ** 2 * 1e-12, rel=1e-5)
+    zero = torch.zeros(1, 6, requires_grad=True)
+    mean_loss(Training(focal_gamma=1.0), zero, torch.zeros(1, 6)).backward()
+    assert (zero.grad == 0).all()
+
+
+def test_learning_rate_rises_to_its_peak_and_decays_exponentially_to_its_least():
+    training = Training(n_iterations=1000, warm_up=0.02)
+    rates = np.array([learning_rate(training, i) for i in range(1000)])
+    assert rates[0] == pytest.approx(1e-3 / 20)
+    assert rates[9] == pytest.approx(1e-3 / 2)
+    assert rates[19] == rates[20] == pytest.approx(1e-3)
+    assert rates[-1] == pytest.approx(1e-6)
+    ratios = rates[21:] / rates[20:-1]
+    assert ratios == pytest.approx(1e-3 ** (1 / 979))
+    default = Training()
+    assert learning_rate(default, 499) == default.learning_rate
+    assert learning_rate(default, 49_999) == pytest.approx(1e-6)
+    for shortest in (Training(n_iterations=10, warm_up=0.0), Training(n_iterations=10, warm_up=0.5)):
+        assert max(learning_rate(shortest, i) for i in range(10)) == 1e-3
+        assert learning_rate(shortest, 9) == pytest.approx(1e-6)
+
+
+def test_whole_throws_are_held_out():
+    throw = np.random.default_rng(0).permutation(np.repeat(np.arange(50), 7))
+    rows = held_out_rows(throw, 0.1, np.random.default_rng(1))
+    assert len(set(throw[rows])) == 5 and rows.sum() == 35
+    assert set(throw[rows]).isdisjoint(throw[~rows])
+    assert set(throw[held_out_rows(throw, 0.1, np.random.default_rng(2))]) != set(throw[rows])
+    assert held_out_rows(np.array([3, 9]), 0.01, np.random.default_rng(0)).sum() == 1
+    assert held_out_rows(np.array([3, 9]), 0.99, np.random.default_rng(0)).sum() == 1
+    with pytest.raises(ValueError, match="of 1 throws, expected 2"):
+        held_out_rows(np.array([3, 3]), 0.1, np.random.default_rng(0))
+
+
+def test_a_second_run_gives_the_same_bytes_and_leaves_torch_as_it_was(thrown):
+    runs = []
+    for n_threads in (1, 2):
+        torch.set_num_threads(n_threads)
+        torch.manual_seed(n_threads)
+        before = torch.get_rng_state()
+        runs.append(train_member(thrown, SMALL, SHORT, seed=3, member=1))
+        assert torch.get_num_threads() == n_threads
+        assert (torch.get_rng_state() == before).all()
+        assert not torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(1)
+    first, second = runs
+    assert list(first.arrays()) == list(second.arrays())
+    for name, array in first.arrays().items():
+        assert array.dtype == np.float32
+        assert array.tobytes() == second.arrays()[name].tobytes(), name
+    assert first.learning_curve.tobytes() == second.learning_curve.tobytes()
+    assert repr(first.validation) == repr(second.validation)
+
+
+def test_members_differ_in_their_networks_and_share_their_hold_out(thrown):
+    a, b, c = (train_member(thrown, SMALL, SHORT, seed=s, member=m) for s, m in ((3, 0), (3, 1), (4, 0)))
+    assert (a.weights["weight_0"] != b.weights["weight_0"]).all()
+    assert (a.standardisation.residual_mean == b.standardisation.residual_mean).all()
+    assert (a.standardisation.residual_mean != c.standardisation.residual_mean).any()
+
+
+def test_standardisation_knows_the_training_set_alone(thrown):
+    member = train_member(thrown, SMALL, SHORT, seed=3, member=0)
+    held_out = held_out_rows(thrown.throw, SHORT.held_out, generator(3, "held out"))
+    learned = thrown.residual[~held_out].mean(axis=0, dtype=float).astype(np.float32)
+    assert (member.standardisation.residual_mean == learned).all()
+    assert {row.n_rows for row in member.validation if row.band == "all"} == {held_out.sum()} == {4 * 200}
+
+
+def test_minibatches_are_drawn_with_replacement():
+    """Two rows to learn from, and a learning rate that changes nothing: a batch's loss counts how often each came."""
+    data = synthetic(3, 1, lambda o, rng: 10 * rng.normal(size=o.shape))
+    still = {"learning_rate": 1e-30, "min_learning_rate": 1e-30, "loss": "mse", "weight_decay": 0.0}
+
+    def losses(batch_size, n_iterations):
+        seen = []
+        training = Training(batch_size=batch_size, n_iterations=n_iterations, **still)
+        train_member(
+            data, Architecture(hidden_layers=1, width=4, dropout=0.0), training, seed=0, member=0,
+            on_progress=lambda done, loss: seen.append((done, loss)),
+        )  # fmt: skip
+        assert [done for done, _ in seen] == list(range(1, n_iterations + 1))
+        return np.array([loss for _, loss in seen])
+
+    single = losses(1, 50)
+    low, high = single.min(), single.max()
+    assert high > 1.01 * low
+    assert ((np.abs(single - low) < 1e-5) | (np.abs(single - high) < 1e-5)).all()
+    # The share of one row in a batch of 64 is binomial: a deviation of (1/4 / 64)^½ of the losses' difference. Of 500
+    # batches the deviation is known to 1 / (2 · 500)^½ = 3 %.
+    spread = losses(64, 500).std() / (high - low)
+    assert spread == pytest.approx(1 / 16, rel=5 * 0.032)
+
+
+def test_a_linear_residual_is_learned_down_to_its_noise():
+    matrix = np.random.default_rng(9).normal(size=(6, 6))
+    matrix /= np.linalg.norm(matrix, axis=0)  # every component then has variance 1
+    noise = 0.1
+    data = synthetic(100, 200, lambda o, rng: o @ matrix + noise * rng.normal(size=o.shape))
+    training = Training(n_iterations=3000, batch_size=1024, loss="mse", learning_rate=1e-2)
+    member = train_member(data, SMALL.model_copy(update={"dropout": 0.0}), training, seed=0, member=0)
+    # Nothing predicts the noise: its variance is left, over that of the signal (1) and itself. A fit of k parameters
+    # to n rows leaves k/n more, and 12,000 held-out values know a variance to (2 / 12,000)^½ = 1.3 %.
+    n_parameters = sum(array.size for array in member.weights.values())
+    floor = noise**2 / (1 + noise**2)
+    expected = floor * (1 + n_parameters / 18_000)
+    assert member.learning_curve[-1, 2] == pytest.approx(expected, rel=5 * 0.013)
+    for row in member.validation:
+        if row.band == "all":
+            assert row.rmse == pytest.approx(noise, rel=0.1)
+            assert row.r2 == pytest.approx(1 - floor, abs=0.003)
+
+
+def test_throws_never_seen_are_predicted_much_better_than_by_the_mean():
+    # With 40 throws a single impact unlike all others can outweigh the rest; 200 leave some 50 to be judged by.
+    starts = initial_states(Throws(n_throws=200), np.random.default_rng(5))
+    thrown = simulate_throws(starts, 200, Slush(), Physics())
+    training = Training(n_iterations=3000, batch_size=1024, loss="mse", learning_rate=5e-3, held_out=0.25)
+    member = train_member(thrown, Architecture(hidden_layers=2, width=32), training, seed=0, member=0)
+    curve = member.learning_curve
+    assert curve[0, 0] == 30 and curve[-1, 0] == 3000 and curve.shape == (100, 3)
+    assert curve[-1, 1] < 0.3 * curve[0, 1]
+    r2 = [row.r2 for row in member.validation if row.band == "all"]
+    assert len(r2) == 6 and min(r2) > 0.5, r2
+    assert abs(low_speed_bias(member.validation)) < 0.02
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_data_that_are_not_finite_end_a_training_by_name(thrown, value):
+    def spoiled(o, rng):
+        residual = o.copy()
+        residual[:, 3] = value
+        return residual
+
+    with pytest.raises(TrainingDiverged, match=r"member 4: the training loss is nan at iteration 1\b"):
+        train_member(synthetic(10, 5, spoiled), SMALL, SHORT, seed=0, member=4)
+
+
+def test_a_learning_rate_that_explodes_ends_a_training_by_name():
+    data = synthetic(10, 50, lambda o, rng: o)
+    # AdamW multiplies a weight by 1 - rate · decay = -9 at every step.
+    wild = Training(n_iterations=200, batch_size=64, loss="mse", weight_decay=10.0, learning_rate=1.0, warm_up=0.0)
+    with pytest.raises(TrainingDiverged, match=r"member 2: the \w+ loss is (inf|nan) at iteration \d+; lower"):
+        train_member(data, SMALL, wild, seed=0, member=2)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"n_iterations": 0}, {"learning_rate": 0.0}, {"loss": "huber"}, {"held_out": 0.0}, {"held_out": 1.0},
+     {"focal_gamma": 0.5}, {"min_learning_rate": 1e-2}, {"batch_size": 0}, {"unknown": 1}],
+)  # fmt: skip
+def test_wrong_settings_are_refused(wrong):
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
+        Training(**wrong)
