@@ -21,7 +21,7 @@ setup: $(READY) ## make .venv and install everything, at the versions of constra
 $(READY): pyproject.toml constraints.txt
 	@if [ -z "$(PYTHON)" ]; then echo "puddle needs Python 3.11, 3.12 or 3.13; found none. Install one, or name it: make PYTHON=/path/to/python" >&2; exit 2; fi
 	@echo "Setting up $(VENV) with $$($(PYTHON) --version): about 2 GB, 2 to 5 minutes."
-	$(PYTHON) -m venv --clear $(VENV)
+	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install --quiet "$$(grep '^torch==' constraints.txt)"
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
 	@touch $@

@@ -1,0 +1,250 @@
+"""The command line: one command per stage, the whole study, and what a person asks about it."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pipeline.cluster import Cluster, pin_threads, ray_cluster, serial_cluster
+from pipeline.errors import PuddleError
+
+if TYPE_CHECKING:
+    from pipeline.settings import Settings
+    from pipeline.store import Store
+
+USER_ERROR = 2
+"""Exit code of a mistake that the user can mend."""
+INCOMPLETE = 1
+"""Exit code of a study that went to its end without some of its work, which the message names."""
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
+app = typer.Typer(
+    help="Evolve robots for a world whose physics the simulator lacks.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Preset = Annotated[str, typer.Option("--preset", help="Settings in configs/: smoke, laptop, paper, pontoon.")]
+SettingsFile = Annotated[Path | None, typer.Option("--settings", help="A settings file of your own, instead of a preset.")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change one setting: evolution.n_generations=50.")]
+StorePath = Annotated[Path, typer.Option("--store", envvar="PUDDLE_STORE", help="Where results are kept.")]
+Workers = Annotated[
+    int | None, typer.Option("--workers", min=0, help="Cores to use here; all by default, 0 for none but this process.")
+]
+Address = Annotated[
+    str | None, typer.Option("--address", envvar="RAY_ADDRESS", help="An existing Ray cluster, to run on instead.")
+]
+TrackingUri = Annotated[
+    str | None,
+    typer.Option("--tracking-uri", envvar="MLFLOW_TRACKING_URI", help="An MLflow server; the store's own by default."),
+]
+
+DEFAULT_PRESET, DEFAULT_STORE = "laptop", Path("store")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """What the options that all commands share say."""
+
+    preset: str
+    settings_file: Path | None
+    overrides: tuple[str, ...]
+    store: Path
+
+    def settings(self) -> Settings:
+        """Read the settings."""
+        from pipeline.configuration import load, preset_path
+        from pipeline.settings import Settings
+
+        return load(Settings, self.settings_file or preset_path(self.preset), self.overrides)
+
+    def open_store(self, *, create: bool) -> Store:
+        """Open the store."""
+        from pipeline.store import Store
+
+        return Store.open(self.store, create=create)
+
+    def command(self, name: str) -> str:
+        """Give the command line that runs another command under the same options."""
+        words = ["puddle", name]
+        if self.settings_file is not None:
+            words += ["--settings", str(self.settings_file)]
+        elif self.preset != DEFAULT_PRESET:
+            words += ["--preset", self.preset]
+        for override in self.overrides:
+            words += ["--set", override]
+        if self.store != DEFAULT_STORE:
+            words += ["--store", str(self.store)]
+        return shlex.join(words)
+
+
+def _run(chosen: Chosen, names: tuple[str, ...], workers: int | None, address: str | None, tracking: str | None) -> None:
+    """Run stages by name, or all of them."""
+    from pipeline.driver import drive
+    from pipeline.progress import progress
+    from pipeline.stages import STAGES
+    from pipeline.tracking import open_tracker
+
+    settings = chosen.settings()
+    store = chosen.open_store(create=True)
+    with _interruptible(), progress() as show:
+        upstream = drive(
+            settings,
+            [stage for stage in STAGES if not names or stage.name in names],
+            store=store,
+            open_cluster=_cluster(workers, address),
+            tracker=open_tracker(store.root, tracking, say=show.say),
+            progress=show,
+            how_to_run=chosen.command,
+        )
+    lost = [f"{name}: {label}: {why}" for name, found in upstream.items() for label, why in found.set_aside.items()]
+    if lost:
+        typer.echo(f"{len(lost)} pieces of work were set aside; the rest is done:\n" + "\n".join(lost), err=True)
+        raise typer.Exit(INCOMPLETE)
+
+
+def _cluster(workers: int | None, address: str | None) -> Callable[[], AbstractContextManager[Cluster]]:
+    if workers == 0:
+        return serial_cluster
+    return lambda: ray_cluster(address=address, n_workers=workers)
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo("\nStopped. What is done is kept: the same command goes on from there.", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _add_stage_command(name: str, summary: str, stages: tuple[str, ...]) -> None:
+    @app.command(name=name, help=summary)
+    def command(
+        preset: Preset = DEFAULT_PRESET,
+        settings: SettingsFile = None,
+        overrides: Overrides = None,
+        store: StorePath = DEFAULT_STORE,
+        workers: Workers = None,
+        address: Address = None,
+        tracking_uri: TrackingUri = None,
+    ) -> None:
+        chosen = Chosen(preset, settings, tuple(overrides or ()), store)
+        _run(chosen, stages, workers, address, tracking_uri)
+
+
+for _name, _summary in {
+    "collect": "Throw rectangles into slush and keep what the base simulator gets wrong.",
+    "train": "Train the ensemble of residual networks on the throws.",
+    "evolve": "Evolve designs in every environment, at every depth.",
+    "transfer": "Score champions in True Slush, zero-shot and with adapted controllers.",
+    "report": "Make the page that shows what came of it.",
+}.items():
+    _add_stage_command(_name, _summary, (_name,))
+_add_stage_command("study", "Run every stage that is not done yet, and show what came of it.", ())
+
+
+@app.command()
+def status(
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+    store: StorePath = DEFAULT_STORE,
+    digests: Annotated[bool, typer.Option("--digests", help="Print the SHA-256 of every file that is done.")] = False,
+) -> None:
+    """Say what of a study is done, running and missing."""
+    from pipeline.status import digest_lines, status_lines
+
+    chosen = Chosen(preset, settings, tuple(overrides or ()), store)
+    lines = digest_lines if digests else status_lines
+    for line in lines(chosen.settings(), chosen.open_store(create=False)):
+        typer.echo(line)
+
+
+@app.command()
+def forecast(
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+    store: StorePath = DEFAULT_STORE,
+    cores: Annotated[
+        list[int] | None, typer.Option("--cores", min=1, help="Also say it for so many cores like this machine's.")
+    ] = None,
+) -> None:
+    """Say how long a study will take, from rates measured on this machine now, and how much it will keep."""
+    from pipeline.forecast import forecast_lines
+
+    chosen = Chosen(preset, settings, tuple(overrides or ()), store)
+    existing = chosen.open_store(create=False) if (store / "store.json").exists() else None
+    with _interruptible():
+        for line in forecast_lines(chosen.settings(), existing, tuple(cores or ()), say=_to_stderr):
+            typer.echo(line)
+
+
+@app.command()
+def simulate(
+    design: Annotated[Path, typer.Argument(help="A design file (design.json).")],
+    environment: Annotated[str, typer.Option("--environment", help="dry_land, true_slush or residual_slush.")],
+    depth: Annotated[float, typer.Option("--depth", help="Of the ground below the surface [m].")],
+    out: Annotated[Path | None, typer.Option("--out", help="A GIF to film the robot in.")] = None,
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+    store: StorePath = DEFAULT_STORE,
+) -> None:
+    """Simulate one design, say how far it gets, and film it.
+
+    The settings say how long it is watched; residual_slush takes the networks that the store holds for them.
+    """
+    from pipeline.single import simulate_design
+
+    chosen = Chosen(preset, settings, tuple(overrides or ()), store)
+    lines = simulate_design(
+        design,
+        environment,
+        depth,
+        out,
+        settings=chosen.settings(),
+        open_store=lambda: chosen.open_store(create=False),
+        how_to_run=chosen.command,
+    )
+    for line in lines:
+        typer.echo(line)
+
+
+@app.command()
+def ui(
+    store: StorePath = DEFAULT_STORE,
+    port: Annotated[int, typer.Option("--port", min=1, max=65535, help="On this machine's loopback.")] = 5000,
+) -> None:
+    """Open the MLflow UI on this machine's loopback."""
+    from pipeline.tracking import serve_ui
+
+    chosen = Chosen(DEFAULT_PRESET, None, (), store)
+    with _interruptible():
+        serve_ui(chosen.open_store(create=False).root, port)
+
+
+def _to_stderr(line: str) -> None:
+    typer.echo(line, err=True)
+
+
+def main(arguments: list[str] | None = None) -> Any:
+    """Run the command line; a mistake that the user can mend ends in one message and exit code 2."""
+    pin_threads()
+    try:
+        return app(arguments)
+    except PuddleError as error:
+        typer.echo(f"puddle: {error}", err=True)
+        sys.exit(USER_ERROR)

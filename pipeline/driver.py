@@ -1,0 +1,104 @@
+"""The driver: the one process that runs a study's stages, keeps their results and mirrors them to MLflow."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+
+from pipeline.cluster import Cluster
+from pipeline.errors import DamagedArtifact
+from pipeline.mirror import mirror_stage
+from pipeline.progress import Progress
+from pipeline.settings import Settings
+from pipeline.stage import Results, Stage, Upstream
+from pipeline.stages import STAGES
+from pipeline.store import Store, StudyItem
+from pipeline.study import follow, require, results_of, run_stage
+from pipeline.tracking import Tracker
+
+
+def drive(
+    settings: Settings,
+    wanted: Sequence[Stage],
+    *,
+    store: Store,
+    open_cluster: Callable[[], AbstractContextManager[Cluster]],
+    tracker: Tracker,
+    progress: Progress,
+    how_to_run: Callable[[str], str],
+) -> Upstream:
+    """Do what is missing of some stages, and show what came of them.
+
+    The cluster is opened only once there is something to compute, so that a study that is done says so at once.
+
+    Args:
+        settings: the study's.
+        wanted: stages to run; those before them must be done, or be wanted too.
+        store: where results are kept.
+        open_cluster: starts or joins the cluster.
+        tracker: MLflow.
+        progress: the terminal.
+        how_to_run: gives the command line that runs a stage, for messages.
+
+    Returns:
+        Results of every stage up to the last one wanted.
+    """
+    with store.lock_study(settings.name), contextlib.ExitStack() as stack:
+        cluster: list[Cluster] = []
+
+        def the_cluster() -> Cluster:
+            if not cluster:
+                cluster.append(stack.enter_context(open_cluster()))
+            return cluster[0]
+
+        while True:
+            try:
+                return _drive(settings, wanted, store, the_cluster, tracker, progress, how_to_run)
+            except DamagedArtifact as damage:
+                if damage.stage is None or damage.key is None:
+                    raise
+                progress.say(f"{damage}")
+                store.discard(damage.stage, damage.key)
+
+
+def _drive(
+    settings: Settings,
+    wanted: Sequence[Stage],
+    store: Store,
+    the_cluster: Callable[[], Cluster],
+    tracker: Tracker,
+    progress: Progress,
+    how_to_run: Callable[[str], str],
+) -> Upstream:
+    upstream: dict[str, Results] = {}
+    for stage in STAGES[: 1 + max(STAGES.index(stage) for stage in wanted)]:
+        walks = follow(stage, settings, store, upstream, say=progress.say)
+        if stage in wanted:
+            require(settings, stage, upstream, how_to_run=how_to_run)
+            if any(walk.open for walk in walks):
+                left = sum(walk.work_left for walk in walks if walk.open)
+                done = sum(walk.chain.weight * walk.chain.units_per_item * len(walk.manifests) for walk in walks)
+                cluster = the_cluster()
+                with progress.stage(stage.name, unit=stage.unit, total=left + done, done=done) as bar:
+                    run_stage(
+                        settings, stage, walks, upstream, store=store, cluster=cluster, bar=bar, say=progress.say
+                    )
+        upstream[stage.name] = results_of(stage, walks)
+        if stage in wanted:
+            _keep_record(settings, upstream, store)
+            summary = stage.summarise(settings, upstream[stage.name], upstream, store)
+            progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
+            mirror_stage(tracker, settings, stage, upstream, summary)
+    return upstream
+
+
+def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:
+    """Write down what the study is made of."""
+    items = [
+        StudyItem(name, f"{label}#{index}", manifest.key)
+        for name, results in upstream.items()
+        for label, manifests in results.done.items()
+        for index, manifest in enumerate(manifests)
+    ]
+    store.write_study(settings.name, settings.model_dump(mode="json"), items)

@@ -1,0 +1,235 @@
+"""Forecast: how long a study will take and how much it will keep, from rates measured on this machine just now."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.artifacts import encode_table
+from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.stage import Chain, Results, Stage
+from pipeline.stages import STAGES
+from pipeline.stages.segments import history_units
+from pipeline.store import Store
+from pipeline.study import survey
+from tasks.design import random_designs
+from tasks.evolution import NOBODY_YET, Evaluation, ask, evolve, tell
+from tasks.residual import OBSERVATION, initial_states, simulate_throws
+from tasks.simulation import simulate
+from tasks.world import DryLand, Environment, ResidualSlush, TrueSlush
+
+if TYPE_CHECKING:
+    from tasks.residual.ensemble import Ensemble
+
+N_CALIBRATION_STEPS = 60
+"""Steps of a rollout that is timed; its cost is proportional to its steps."""
+N_CALIBRATION_ITERATIONS = 4
+"""Iterations of training that are timed, after as many that are not."""
+N_CALIBRATION_THROWS = 8
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What a unit of each stage's work costs on one core of this machine [s]."""
+
+    throw: float
+    iteration: float
+    generation: Mapping[EnvironmentName, float]
+    """By the world in which designs are simulated."""
+    bytes_per_design: float
+    """What a trial's history keeps of each evaluated design [bytes]."""
+
+
+@dataclass(frozen=True)
+class StageForecast:
+    """A stage's work that is still to do."""
+
+    stage: str
+    unit: str
+    n_units: float
+    core_seconds: float
+    longest_chain_seconds: float
+    """No number of cores gets below this."""
+    n_bytes: float
+
+
+def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
+    """Time a small piece of each kind of work that these settings ask for."""
+    worlds = dict.fromkeys(environment for environment, _, _ in settings.grid.trials())
+    if settings.transfer.adapted_environments:
+        worlds["true_slush"] = None
+    throw = iteration = 0.0
+    if settings.needs_ensemble:
+        say("timing throws and training")
+        throw, iteration = _time_of_throw(settings), _time_of_iteration(settings)
+    generation = {}
+    for world in worlds:
+        say(f"timing a generation in {world.replace('_', ' ')}")
+        generation[world] = _time_of_generation(settings, world)
+    return Rates(throw, iteration, generation, _bytes_per_design(settings))
+
+
+def forecast(
+    settings: Settings, stages: Sequence[Stage], rates: Rates, upstream: Mapping[str, Results]
+) -> list[StageForecast]:
+    """Price the work that the store does not hold yet, stage by stage."""
+    forecasts = []
+    for stage in stages:
+        n_units = core_seconds = longest = n_bytes = 0.0
+        for chain in stage.plan(settings):
+            n_done = upstream[stage.name].n_done.get(chain.label, 0) if stage.name in upstream else 0
+            n_left = chain.units_per_item * (chain.n_items - n_done)
+            seconds = n_left * _price(stage, chain, rates)
+            n_units, core_seconds, longest = n_units + n_left, core_seconds + seconds, max(longest, seconds)
+            if stage.unit == "generations":
+                n_bytes += n_left * settings.evolution.afpo.population_size * rates.bytes_per_design
+        forecasts.append(StageForecast(stage.name, stage.unit, n_units, core_seconds, longest, n_bytes))
+    return forecasts
+
+
+def _price(stage: Stage, chain: Chain, rates: Rates) -> float:
+    match stage.unit:
+        case "throws":
+            return rates.throw
+        case "iterations":
+            return rates.iteration
+        case "generations":
+            return rates.generation[chain.spec["world"]]
+    return 0.0  # the report: seconds, whatever the study
+
+
+def _seconds(function: Callable[[], object]) -> float:
+    """Time a call, after one that is not timed: it compiles and fills caches."""
+    function()
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
+
+
+def _time_of_throw(settings: Settings) -> float:
+    throws = settings.throws.model_copy(update={"n_throws": N_CALIBRATION_THROWS})
+    starts = initial_states(throws, np.random.default_rng(0))
+    return _seconds(lambda: simulate_throws(starts, throws.n_steps, settings.slush, settings.physics)) / len(starts)
+
+
+def _time_of_iteration(settings: Settings) -> float:
+    from tasks.residual.training import train_member
+
+    throws = settings.throws.model_copy(update={"n_throws": N_CALIBRATION_THROWS})
+    starts = initial_states(throws, np.random.default_rng(0))
+    transitions = simulate_throws(starts, throws.n_steps, settings.slush, settings.physics)
+    times: list[float] = []
+    train_member(
+        transitions,
+        settings.network,
+        settings.training.model_copy(update={"n_iterations": 2 * N_CALIBRATION_ITERATIONS}),
+        seed=0,
+        member=0,
+        on_progress=lambda iteration, loss: times.append(time.perf_counter()),
+    )
+    return (times[-1] - times[N_CALIBRATION_ITERATIONS - 1]) / N_CALIBRATION_ITERATIONS
+
+
+def _world(settings: Settings, world: EnvironmentName, depth: float) -> Environment:
+    if world in RESIDUAL_ENVIRONMENTS:
+        n_members = settings.ensemble.n_members if world == "residual_slush" else 1
+        return ResidualSlush(depth=depth, ensemble=_untrained_ensemble(settings, n_members))
+    return DryLand(depth=depth) if world == "dry_land" else TrueSlush(depth=depth, slush=settings.slush)
+
+
+def _untrained_ensemble(settings: Settings, n_members: int) -> Ensemble:
+    """Make networks of the right size that change velocities by about a millimetre per second."""
+    from tasks.residual.ensemble import Ensemble
+
+    rng = np.random.default_rng(0)
+    widths = [len(OBSERVATION), *[settings.network.width] * settings.network.hidden_layers, 3]
+    scales = [1.0] * settings.network.hidden_layers + [1e-3]
+    return Ensemble(
+        weights=tuple(
+            (scale * rng.normal(size=(n_members, n_in, n_out)) / np.sqrt(n_in)).astype(np.float32)
+            for n_in, n_out, scale in zip(widths[:-1], widths[1:], scales, strict=True)
+        ),
+        biases=tuple(np.zeros((n_members, n_out), np.float32) for n_out in widths[1:]),
+    )
+
+
+def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
+    """Time a whole generation: asking, simulating a few steps for all, telling."""
+    afpo = settings.evolution.afpo
+    depths = [depth for environment, depth, _ in settings.grid.trials() if environment == world]
+    environment = _world(settings, world, float(np.median(depths or list(settings.grid.depths))))
+    rng = np.random.default_rng(0)
+    designs = random_designs(afpo.population_size, rng)
+
+    def rollouts() -> object:
+        return simulate(
+            designs, environment, n_settle=0, n_measure=N_CALIBRATION_STEPS, engine=settings.work.engine,
+            physics=settings.physics,
+        )  # fmt: skip
+
+    def selection() -> object:
+        children = ask(NOBODY_YET, rng, afpo)
+        population = tell(NOBODY_YET, children, rng.normal(size=afpo.population_size), rng, afpo)
+        return tell(population, ask(population, rng, afpo), rng.normal(size=afpo.population_size), rng, afpo)
+
+    n_steps = settings.rollout.n_settle + settings.rollout.n_measure
+    return _seconds(rollouts) * n_steps / N_CALIBRATION_STEPS + _seconds(selection)
+
+
+def _bytes_per_design(settings: Settings) -> float:
+    """Encode a short history and weigh it."""
+    n_members = settings.ensemble.n_members if settings.needs_ensemble else 1
+    rng = np.random.default_rng(0)
+
+    def random_scores(n_designs: int) -> Evaluation:
+        displacement = rng.normal(size=(n_designs, n_members))
+        return Evaluation(fitness=displacement.mean(axis=1), displacement=displacement, com_displacement=displacement)
+
+    _, history = evolve(
+        NOBODY_YET, lambda designs: random_scores(len(designs)), lambda generation: rng,
+        first_generation=0, n_generations=8, afpo=settings.evolution.afpo,
+    )  # fmt: skip
+    data = encode_table(history, schema="history", version=1, producer="", units=history_units())
+    return len(data) / len(history["fitness"])
+
+
+def forecast_lines(
+    settings: Settings, store: Store | None, cores: Sequence[int], *, say: Callable[[str], None]
+) -> list[str]:
+    """Say what is left of a study, for this machine's cores and for others.
+
+    Args:
+        settings: the study's.
+        store: what is done already; None if nothing is.
+        cores: numbers of cores, of this machine's kind, to say it for besides this machine's own.
+        say: shows what is being measured.
+    """
+    upstream = survey(settings, STAGES, store, say=say) if store is not None else {}
+    stages = forecast(settings, STAGES, measure(settings, say), upstream)
+    own = os.cpu_count() or 1
+    columns = dict.fromkeys([own, *cores])
+    lines = [f"study {settings.name}: what is left, from rates measured on this machine just now", ""]
+    header = "".join(f"{f'{n} cores':>14}" for n in columns)
+    lines.append(f"{'stage':<10}{'work':>22}{'core-hours':>12}{header}{'kept':>12}")
+    total = dict.fromkeys(columns, 0.0)
+    for stage in stages:
+        hours = {n: max(stage.core_seconds / n, stage.longest_chain_seconds) / 3600 for n in columns}
+        for n in columns:
+            total[n] += hours[n]
+        lines.append(
+            f"{stage.stage:<10}{f'{stage.n_units:,.0f} {stage.unit}':>22}{stage.core_seconds / 3600:12.2f}"
+            + "".join(f"{hours[n]:12.2f} h" for n in columns)
+            + f"{stage.n_bytes / 1e6:9.0f} MB"
+        )
+    core_hours, kept = sum(s.core_seconds for s in stages) / 3600, sum(s.n_bytes for s in stages) / 1e6
+    lines.append(
+        f"{'all':<10}{'':>22}{core_hours:12.2f}" + "".join(f"{total[n]:12.2f} h" for n in columns) + f"{kept:9.0f} MB"
+    )
+    if store is not None:
+        lines.append(f"\nThe store holds {store.size_bytes() / 1e6:.0f} MB now.")
+    return lines

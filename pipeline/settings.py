@@ -1,0 +1,144 @@
+"""The settings of a study: everything that a user may choose, typed, bounded, with its unit and its reason.
+
+The defaults are the paper's study. A file in configs/ states what it changes. Each group of scientific parameters is
+declared beside the equation that uses it (see tasks/); what is declared here is the study around them.
+
+Settings name the things in the pipeline's order: data, networks, environments, evolution, transfer, and how the work is
+cut. How it is cut never changes a result.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self, get_args
+
+from pydantic import Field, model_validator
+
+from tasks.evolution import Afpo
+from tasks.parameters import Parameters
+from tasks.residual import Architecture, Throws, Training
+from tasks.world import Physics, Slush
+
+EnvironmentName = Literal["true_slush", "dry_land", "residual_slush", "single_member"]
+"""Where a trial evolves: E, E', Ê with the whole ensemble, Ê with one member of it."""
+
+ENVIRONMENTS: tuple[EnvironmentName, ...] = get_args(EnvironmentName)
+
+RESIDUAL_ENVIRONMENTS: tuple[EnvironmentName, ...] = ("residual_slush", "single_member")
+"""The environments that need trained networks."""
+
+Depth = Annotated[float, Field(ge=0.0, le=1000.0)]
+
+
+class Ensemble(Parameters):
+    """The residual networks together."""
+
+    n_members: int = Field(default=8, ge=1, le=64)
+    """Independently initialised networks. [P]"""
+    disagreement_penalty: float = Field(default=1.0, ge=0.0, le=100.0)
+    """k of the fitness μ - k σ over members. [P]"""
+
+
+class Grid(Parameters):
+    """Which trials there are."""
+
+    depths: tuple[Depth, ...] = Field(default=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0), min_length=1)
+    """Of the ground below the surface [m]. [P]"""
+    environments: tuple[EnvironmentName, ...] = Field(
+        default=("true_slush", "dry_land", "residual_slush"), min_length=1
+    )
+    """Where designs evolve, at every depth. [P]"""
+    single_member_depths: tuple[Depth, ...] = (9.0,)
+    """Depths at which designs also evolve in one member: trial k in member k, counted around. [P]"""
+    n_trials: int = Field(default=10, ge=1, le=10_000)
+    """Independent trials of each depth and environment. [P]"""
+
+    @model_validator(mode="after")
+    def _no_repeats(self) -> Self:
+        for name in ("depths", "environments", "single_member_depths"):
+            values = getattr(self, name)
+            if len(set(values)) != len(values):
+                raise ValueError(f"{name} repeats a value, expected each once")
+        return self
+
+    def trials(self) -> list[tuple[EnvironmentName, float, int]]:
+        """List environment, depth and number of every trial."""
+        arms = [(environment, depth) for depth in self.depths for environment in self.environments]
+        arms += [("single_member", depth) for depth in self.single_member_depths if "single_member" not in self.environments]
+        return [(environment, depth, trial) for environment, depth in arms for trial in range(self.n_trials)]
+
+
+class Rollout(Parameters):
+    """How long a design is watched."""
+
+    n_settle: int = Field(default=200, ge=0, le=1_000_000)
+    """Steps of settling before displacement counts. [P]"""
+    n_measure: int = Field(default=1200, ge=1, le=1_000_000)
+    """Steps over which displacement counts. [P]"""
+
+
+class Evolution(Parameters):
+    """The evolution of bodies and controllers."""
+
+    n_generations: int = Field(default=1000, ge=1, le=1_000_000)
+    """Of each trial. [P]"""
+    afpo: Afpo = Afpo()
+    """The algorithm."""
+
+
+class Transfer(Parameters):
+    """What champions go through in True Slush."""
+
+    adapted_environments: tuple[EnvironmentName, ...] = ENVIRONMENTS
+    """Whose champions' controllers are evolved again from scratch in True Slush, bodies frozen."""
+    n_generations: int = Field(default=1000, ge=1, le=1_000_000)
+    """Of each adaptation. [P]"""
+
+
+class Work(Parameters):
+    """How the work is cut into pieces. None of it changes a result."""
+
+    engine: Literal["batch", "reference"] = "batch"
+    """What simulates: "reference" is pybox2d; "batch" gives the same bits sooner."""
+    throws_per_item: int = Field(default=100, ge=1, le=1_000_000)
+    """Throws that one worker makes at a time."""
+    generations_per_item: int = Field(default=50, ge=1, le=1_000_000)
+    """Generations between two checkpoints of a trial. A piece should take a second or more."""
+    designs_per_batch: int | None = Field(default=None, ge=1, le=1_000_000)
+    """Split each generation into batches of so many designs, simulated by different workers; null keeps a trial on one
+    worker, which is right unless a generation costs core-seconds or there are more cores than trials."""
+
+
+class Settings(Parameters):
+    """A study."""
+
+    name: str = Field(default="paper", pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")
+    """Under which the store keeps this study; lower-case letters, digits, - and _."""
+    seed: int = Field(default=1, ge=0, lt=2**63)
+    """All randomness follows from it and from what each piece of work is."""
+    physics: Physics = Physics()
+    """The base simulator."""
+    slush: Slush = Slush()
+    """The medium of True Slush, which the base simulator lacks."""
+    throws: Throws = Throws()
+    """The data set."""
+    network: Architecture = Architecture()
+    """One residual network."""
+    training: Training = Training()
+    """How it learns."""
+    ensemble: Ensemble = Ensemble()
+    """The networks together."""
+    grid: Grid = Grid()
+    """The trials."""
+    rollout: Rollout = Rollout()
+    """How long a design is watched."""
+    evolution: Evolution = Evolution()
+    """How designs evolve."""
+    transfer: Transfer = Transfer()
+    """How champions are put to the test."""
+    work: Work = Work()
+    """How the work is cut."""
+
+    @property
+    def needs_ensemble(self) -> bool:
+        """Whether any trial evolves under residual networks."""
+        return any(environment in RESIDUAL_ENVIRONMENTS for environment, _, _ in self.grid.trials())

@@ -1,0 +1,171 @@
+"""The contract of a stage: what it reads, which work there is, what one piece computes, and what came of it all.
+
+To add a stage, write a module in pipeline/stages/ that defines a :class:`Stage`, and name it in pipeline/stages/__init__.py.
+The middleware (pipeline/study.py) does the rest: it finds what is done, spreads the missing pieces over the cluster, keeps
+their results and mirrors them to MLflow.
+
+A stage's work is a set of *chains*: pieces that follow one another, such as the segments of an evolutionary trial. Chains do
+not depend on one another. A piece is an :class:`Item`; its key is the SHA-256 of what it is, so that a piece is done if
+and only if the store holds its key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.artifacts import Json, key_of
+from pipeline.errors import PuddleError
+from pipeline.settings import Settings
+from pipeline.store import Manifest, Store
+
+Spec = Mapping[str, Any]
+"""Plain JSON values by name."""
+
+Files = Mapping[str, bytes]
+"""An item's results: contents by file name."""
+
+
+class MissingInputs(PuddleError):  # noqa: N818 (what is the case, not what went wrong)
+    """A piece of work needs results that are not there; says which, and how to get them."""
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Pieces of work that follow one another."""
+
+    label: str
+    """What a person calls it; unique in its stage."""
+    n_items: int
+    spec: Spec
+    """What tells this chain from the others of its stage."""
+    units_per_item: float
+    """Size of a piece, in the stage's unit."""
+    weight: float = 1.0
+    """Cost of a unit relative to the stage's other chains, for the order of work and the time left."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """Files of an earlier item that a piece of work reads."""
+
+    manifest: Manifest
+    files: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a worker is told of a piece of work, its inputs apart."""
+
+    key: str
+    """The item's; its tables name it as their producer."""
+    spec: Spec
+    how: Spec
+
+
+@dataclass(frozen=True)
+class Item:
+    """One piece of work: a pure function of its specification and its inputs' bytes."""
+
+    stage: str
+    version: int
+    label: str
+    spec: Spec
+    """All that changes the result, inputs apart: settings used, seed, what it is."""
+    inputs: Mapping[str, Input]
+    how: Spec = field(default_factory=dict)
+    """What does not change the result: engine, size of batches."""
+
+    @cached_property
+    def identity(self) -> Mapping[str, Json]:
+        """What the key stands for."""
+        inputs = {name: source.manifest.digest for name, source in self.inputs.items()}
+        return {"stage": self.stage, "version": self.version, "spec": self.spec, "inputs": inputs}
+
+    @cached_property
+    def key(self) -> str:
+        """The SHA-256 of the identity."""
+        return key_of(self.identity)
+
+    @property
+    def job(self) -> Job:
+        """What its worker is told."""
+        return Job(key=self.key, spec=self.spec, how=self.how)
+
+
+@dataclass(frozen=True)
+class Results:
+    """What the store holds of a stage for one study."""
+
+    stage: str
+    done: Mapping[str, tuple[Manifest, ...]]
+    """Manifests of every chain that is complete, by label."""
+    set_aside: Mapping[str, str] = field(default_factory=dict)
+    """Why, for every chain that failed, by label."""
+    unfinished: tuple[str, ...] = ()
+    """Labels of the chains that have pieces still to do."""
+    n_done: Mapping[str, int] = field(default_factory=dict)
+    """Pieces done of every chain, by label."""
+    seconds: float = 0.0
+    """Core-seconds that the pieces done took, on whatever machine made them."""
+
+    def chain(self, label: str) -> tuple[Manifest, ...]:
+        """Give the manifests of a chain.
+
+        Raises:
+            MissingInputs: the chain is not complete; says why.
+        """
+        if label not in self.done:
+            raise MissingInputs(f"{self.stage} of {label} is {self.set_aside.get(label, 'not done')}")
+        return self.done[label]
+
+
+Upstream = Mapping[str, Results]
+"""Results of earlier stages, by name."""
+
+
+@dataclass(frozen=True)
+class TrialSummary:
+    """One trial, as MLflow shows it."""
+
+    name: str
+    params: Mapping[str, str | int | float]
+    metrics: Mapping[str, float]
+    curves: Mapping[str, npt.NDArray[np.float64]]
+    """Metrics by generation."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What came of a stage."""
+
+    lines: Sequence[str]
+    """For the terminal."""
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    trials: Sequence[TrialSummary] = ()
+    artifacts: Mapping[str, bytes] = field(default_factory=dict)
+    """Files that a person may want to open, by path."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """All work of one kind."""
+
+    name: str
+    version: int
+    """Raised when the same specification would give other results than before."""
+    unit: str
+    """What its work is counted in."""
+    reads: Callable[[Settings], tuple[str, ...]]
+    """Stages whose results it needs under these settings."""
+    plan: Callable[[Settings], Sequence[Chain]]
+    item: Callable[[Settings, Chain, int, Manifest | None, Upstream], Item]
+    """Specify a chain's next piece from the one before it (None at the chain's start) and the stages it reads."""
+    compute: Callable[[Job, Mapping[str, Files]], Files]
+    """Compute a piece from what it is and its inputs' files, by name. Runs on a worker: no store, no clock."""
+    summarise: Callable[[Settings, Results, Upstream, Store], Summary]

@@ -1,0 +1,5 @@
+"""The stages of a study, in the order in which they run."""
+
+from pipeline.stages import collect, evolve, report, train, transfer
+
+STAGES = (collect.STAGE, train.STAGE, evolve.STAGE, transfer.STAGE, report.STAGE)

@@ -1,0 +1,81 @@
+"""evolve: the evolution of bodies and controllers, every trial of every depth and environment. Paper, "Evolution"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.settings import Settings
+from pipeline.stage import Chain, Input, Item, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.stages import segments
+from pipeline.store import Manifest, Store
+
+NAME, VERSION = "evolve", 1
+
+
+def reads(settings: Settings) -> tuple[str, ...]:
+    """Residual environments need the networks; the others need nothing."""
+    return ("train",) if settings.needs_ensemble else ()
+
+
+def plan(settings: Settings) -> Sequence[Chain]:
+    """Give every trial its chain of segments."""
+    chains = []
+    for environment, depth, trial in settings.grid.trials():
+        spec = segments.segment_spec(
+            settings, stage=NAME, environment=environment, world=environment, depth=depth, trial=trial
+        )
+        label = segments.trial_label(environment, depth, trial)
+        chains.append(segments.chain_of(settings, label, spec, settings.evolution.n_generations))
+    return chains
+
+
+def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
+    """Specify a trial's next segment."""
+    trial = chain.spec["identity"][-1]
+    inputs = segments.world_inputs(settings, chain.spec["world"], trial, upstream)
+    if previous is not None:
+        inputs[segments.BEFORE] = Input(previous, (segments.POPULATION,))
+    generations = segments.generations_of(settings, settings.evolution.n_generations, index)
+    return Item(
+        stage=NAME,
+        version=VERSION,
+        label=f"{chain.label}/segment-{index}",
+        spec={**chain.spec, **generations},
+        inputs=inputs,
+        how=segments.how(settings),
+    )
+
+
+def summarise(settings: Settings, results: Results, upstream: Upstream, store: Store) -> Summary:
+    """Report each arm's best fitness, and each trial's curves."""
+    trials, best = [], dict[tuple[str, float], list[float]]()
+    for environment, depth, trial in settings.grid.trials():
+        label = segments.trial_label(environment, depth, trial)
+        if label not in results.done:
+            continue
+        curve = segments.read_curve(store, results.done[label])
+        final = float(curve["best_fitness"][-1])
+        best.setdefault((environment, depth), []).append(final)
+        curves = {name: curve[name].astype(np.float64) for name in ("best_fitness", "median_fitness", "n_diverged")}
+        params: dict[str, str | int | float] = {"environment": environment, "depth": depth, "trial": trial}
+        trials.append(TrialSummary(name=label, params=params, metrics={"champion_fitness": final}, curves=curves))
+    lines = [
+        f"{environment:>15} at {depth:g} m: champions' fitness {np.mean(of):6.2f} ± {np.std(of):.2f} m (n = {len(of)})"
+        for (environment, depth), of in best.items()
+    ]
+    metrics = {f"champion_fitness.{environment}.{depth:g}m": float(np.mean(of)) for (environment, depth), of in best.items()}
+    return Summary(lines=lines, metrics=metrics, trials=trials)
+
+
+STAGE = Stage(
+    name=NAME,
+    version=VERSION,
+    unit="generations",
+    reads=reads,
+    plan=plan,
+    item=item,
+    compute=segments.compute_segment,
+    summarise=summarise,
+)

@@ -1,0 +1,198 @@
+"""report: the page that a person looks at, with the curves, the table of transfer and moving robots."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import yaml
+
+from pipeline.artifacts import decode_json, decode_table
+from pipeline.design_file import design_from
+from pipeline.provenance import environment as provenance
+from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.gif import render_gif
+from pipeline.report.page import render_page
+from pipeline.report.replay import Replay, replay_of
+from pipeline.settings import Settings
+from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.stages import segments
+from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
+from pipeline.stages.transfer import CHAMPION, SCORE
+from pipeline.store import Manifest, Store
+from tasks.simulation import OK, simulate
+from tasks.world import TrueSlush
+
+NAME, VERSION = "report", 1
+
+PAGE, REPLAY = "index.html", "replay.gif"
+
+N_REPLAYS_IN_GIF = 2
+"""Robots in the moving picture: the best with residuals above the best without."""
+
+
+def reads(settings: Settings) -> tuple[str, ...]:
+    """Everything."""
+    return ("collect", "train", "evolve", "transfer") if settings.needs_ensemble else ("evolve", "transfer")
+
+
+def plan(settings: Settings) -> Sequence[Chain]:
+    """One page."""
+    spec = {"settings": settings.model_dump(mode="json", exclude={"work"})}
+    return [Chain(label=PAGE, n_items=1, spec=spec, units_per_item=1)]
+
+
+def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
+    """Specify the page: the small files of all that is done, and the names of what was set aside."""
+    inputs: dict[str, Input] = {}
+    for label, (member,) in upstream["train"].done.items():
+        inputs[f"train/{label}"] = Input(member, (ERRORS,))
+    for label, trial in upstream["evolve"].done.items():
+        for number, segment in enumerate(trial):
+            inputs[f"evolve/{label}/{number:04d}"] = Input(segment, (segments.CURVE,))
+    for label, trial in upstream["transfer"].done.items():
+        inputs[f"transfer/{label}"] = Input(trial[-1], tuple(n for n in (SCORE, CHAMPION) if n in trial[-1].files))
+    set_aside = [f"{name}: {label} {why}" for name in upstream for label, why in upstream[name].set_aside.items()]
+    digests = [
+        [name, label, manifests[-1].digest]
+        for name in upstream
+        for label, manifests in upstream[name].done.items()
+        if name in reads(settings)
+    ]
+    spec = {**chain.spec, "set_aside": set_aside, "digests": digests, "made_with": dict(provenance())}
+    return Item(NAME, VERSION, chain.label, spec, inputs, how={"engine": settings.work.engine})
+
+
+def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
+    """Draw the page, and one moving picture."""
+    settings = Settings.model_validate(job.spec["settings"])
+    trials = [result for row in settings.grid.trials() if (result := _trial_result(row, inputs)) is not None]
+    replays = _replays(settings, trials, inputs, job.how["engine"])
+    report = StudyReport(
+        name=settings.name,
+        title=f"Robots evolved for slush: {settings.name}",
+        created_with=job.spec["made_with"],
+        settings_yaml=yaml.safe_dump(job.spec["settings"], sort_keys=False),
+        trials=trials,
+        residual_errors=_residual_errors(inputs),
+        replays=replays,
+        digests=[Digest(*row) for row in job.spec["digests"]],
+        set_aside=job.spec["set_aside"],
+    )
+    files = {PAGE: render_page(report).encode()}
+    if replays:
+        files[REPLAY] = render_gif(_for_the_gif(replays))
+    return files
+
+
+def _trial_result(row: tuple[Any, float, int], inputs: Mapping[str, Files]) -> TrialResult | None:
+    """Gather one trial's curve and scores; None where it was set aside or all of it diverged."""
+    environment, depth, trial = row
+    label = segments.trial_label(environment, depth, trial)
+    scored = inputs.get(f"transfer/{label}")
+    if scored is None:
+        return None
+    scores = decode_json(scored[SCORE], label)
+    if scores["status"] != "ok":
+        return None
+    prefix = f"evolve/{label}/"
+    curves = [
+        decode_table(inputs[name][segments.CURVE], schema="curve", version=1, source=name)["best_fitness"]
+        for name in sorted(inputs)
+        if name.startswith(prefix)
+    ]
+    measured = {
+        name: np.nan if scores[name] is None else scores[name]
+        for name in ("zero_shot", "zero_shot_com", "adapted", "adapted_com")
+        if name in scores
+    }
+    return TrialResult(environment, depth, trial, scores["predicted"], **measured, curve=np.concatenate(curves))
+
+
+def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:
+    """Gather every member's errors by component and band of speed."""
+    rows = []
+    members = sorted(name for name in inputs if name.startswith("train/"))
+    for member, name in enumerate(members):
+        errors = read_errors(inputs[name][ERRORS], name)
+        for component, band, rmse, relative in zip(
+            errors["component"], errors["band"], errors["rmse"], errors["relative_error"], strict=True
+        ):
+            if band != "all" and np.isfinite(rmse):
+                known = np.isfinite(relative) and relative > 0
+                rows.append(
+                    ResidualError(
+                        member=member,
+                        component=str(component),
+                        unit=UNIT_OF[str(component)],
+                        speed_band=f"{band} m/s",
+                        rmse=float(rmse),
+                        rms_residual=float(rmse / relative) if known else 0.0,
+                    )
+                )
+    return rows
+
+
+def _replays(settings: Settings, trials: Sequence[TrialResult], inputs: Mapping[str, Files], engine: Any) -> list[Replay]:
+    """Film the best zero-shot champion of every arm in True Slush, deepest first."""
+    best: dict[tuple[float, str], TrialResult] = {}
+    for trial in trials:
+        arm = (trial.depth, trial.environment)
+        if trial.zero_shot is not None and np.isfinite(trial.zero_shot):
+            if arm not in best or trial.zero_shot > (best[arm].zero_shot or -np.inf):
+                best[arm] = trial
+    replays = []
+    for (depth, environment), trial in sorted(best.items(), key=lambda entry: -entry[0][0]):
+        label = segments.trial_label(environment, depth, trial.trial)
+        design = design_from(decode_json(inputs[f"transfer/{label}"][CHAMPION], label), label)
+        rollouts = simulate(
+            design,
+            TrueSlush(depth=depth, slush=settings.slush),
+            n_settle=settings.rollout.n_settle,
+            n_measure=settings.rollout.n_measure,
+            engine=engine,
+            trace=True,
+            physics=settings.physics,
+        )
+        assert rollouts.trace is not None and rollouts.status[0] == OK
+        replays.append(
+            replay_of(
+                design,
+                rollouts.trace[0],
+                title=f"{environment.replace('_', ' ')}, {depth:g} m, trial {trial.trial}",
+                environment=environment,
+                world="True Slush",
+                depth=depth,
+                has_medium=True,
+                n_settle=settings.rollout.n_settle,
+            )
+        )
+    return replays
+
+
+def _for_the_gif(replays: Sequence[Replay]) -> list[Replay]:
+    """Choose, at the greatest depth, the robot evolved with residuals and the one evolved on dry land, where both are."""
+    deepest = [replay for replay in replays if replay.depth == replays[0].depth]
+    wanted = [r for name in ("residual_slush", "dry_land") for r in deepest if r.environment == name]
+    return wanted[:N_REPLAYS_IN_GIF] or deepest[:1]
+
+
+def summarise(settings: Settings, results: Results, upstream: Upstream, store: Store) -> Summary:
+    """Put the page where a person finds it."""
+    (page,) = results.done[PAGE]
+    files = {name: store.read(page, name) for name in page.files}
+    folder = store.export(settings.name, files)
+    return Summary(lines=[f"{folder / PAGE}"], artifacts=files)
+
+
+STAGE = Stage(
+    name=NAME,
+    version=VERSION,
+    unit="pages",
+    reads=reads,
+    plan=plan,
+    item=item,
+    compute=compute,
+    summarise=summarise,
+)

@@ -1,0 +1,226 @@
+"""Segments: some generations of one trial as a piece of work. Evolution and controller adaptation both consist of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.artifacts import decode_arrays, decode_table, encode_arrays, encode_table
+from pipeline.cluster import spread
+from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.stage import Chain, Files, Input, Job, Spec, Upstream
+from pipeline.store import Manifest, Store
+from tasks.design import Designs
+from tasks.design.genes import GENES
+from tasks.evolution import HISTORY_UNITS, NOBODY_YET, Afpo, Evaluation, Population, evaluate, evolve
+from tasks.seeding import generator
+from tasks.simulation import Rollouts, simulate
+from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
+
+POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
+WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
+
+BEFORE, CHAMPION_OF = "before", "champion-of"
+"""Names of inputs: the segment before; the trial whose champion's body is frozen."""
+
+FLOPS_OF_PHYSICS = 8e3
+"""About what Box2D's step of one link costs, to weigh networks against it."""
+
+
+def member_label(member: int) -> str:
+    """Name a member of the ensemble."""
+    return f"member-{member:02d}"
+
+
+def trial_label(environment: str, depth: float, trial: int) -> str:
+    """Name a trial."""
+    return f"{environment}/{depth:g}m/trial-{trial}"
+
+
+def segment_spec(
+    settings: Settings, *, stage: str, environment: EnvironmentName, world: EnvironmentName, depth: float, trial: int
+) -> dict[str, Any]:
+    """Say what a trial's segments have in common.
+
+    Args:
+        settings: the study's.
+        stage: which stage the trial belongs to.
+        environment: the arm of the study.
+        world: where designs are simulated: the environment itself, or True Slush for an adaptation.
+        depth: [m]
+        trial: its number.
+    """
+    spec = {
+        "identity": [stage, depth, environment, trial],
+        "seed": settings.seed,
+        "world": world,
+        "depth": depth,
+        "afpo": settings.evolution.afpo.model_dump(mode="json"),
+        "rollout": settings.rollout.model_dump(mode="json"),
+        "physics": settings.physics.model_dump(mode="json"),
+    }
+    if world == "true_slush":
+        spec["slush"] = settings.slush.model_dump(mode="json")
+    if world in RESIDUAL_ENVIRONMENTS:
+        spec["disagreement_penalty"] = settings.ensemble.disagreement_penalty
+    return spec
+
+
+def n_segments(settings: Settings, n_generations: int) -> int:
+    """Count the segments of a trial."""
+    return -(-n_generations // settings.work.generations_per_item)
+
+
+def generations_of(settings: Settings, n_generations: int, index: int) -> dict[str, int]:
+    """Say which generations a segment runs."""
+    first = index * settings.work.generations_per_item
+    return {
+        "first_generation": first,
+        "n_generations": min(settings.work.generations_per_item, n_generations - first),
+    }
+
+
+def how(settings: Settings) -> Spec:
+    """Say how rollouts are computed, which does not change what they are."""
+    return {"engine": settings.work.engine, "designs_per_batch": settings.work.designs_per_batch}
+
+
+def world_inputs(settings: Settings, world: EnvironmentName, trial: int, upstream: Upstream) -> dict[str, Input]:
+    """Give the trained networks that a world consists of."""
+    if world not in RESIDUAL_ENVIRONMENTS:
+        return {}
+    n_members = settings.ensemble.n_members
+    members = range(n_members) if world == "residual_slush" else [trial % n_members]
+    labels = [member_label(member) for member in members]
+    return {label: Input(upstream["train"].chain(label)[-1], (WEIGHTS,)) for label in labels}
+
+
+def relative_cost(settings: Settings, world: EnvironmentName) -> float:
+    """Estimate what a generation costs, relative to one on dry land."""
+    if world not in RESIDUAL_ENVIRONMENTS:
+        return 1.0
+    width, n_hidden = settings.network.width, settings.network.hidden_layers
+    flops = 2 * (6 * width + (n_hidden - 1) * width**2 + width * 6)
+    return (settings.ensemble.n_members if world == "residual_slush" else 1) * (1 + flops / FLOPS_OF_PHYSICS)
+
+
+def world_of(spec: Spec, inputs: Mapping[str, Files]) -> Environment:
+    """Build the environment that a specification names."""
+    world, depth = spec["world"], spec["depth"]
+    if world == "dry_land":
+        return DryLand(depth=depth)
+    if world == "true_slush":
+        return TrueSlush(depth=depth, slush=Slush.model_validate(spec["slush"]))
+    from tasks.residual.ensemble import Ensemble  # torch takes a second to import; only residual worlds need it
+
+    members = [
+        decode_arrays(inputs[name][WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=name)[0]
+        for name in sorted(inputs)
+        if name.startswith("member-")
+    ]
+    return ResidualSlush(depth=depth, ensemble=Ensemble.from_members(members))
+
+
+def roll_out(spec: Spec, how: Spec, environment: Environment, designs: Designs) -> Rollouts:
+    """Simulate designs as a specification says."""
+    return simulate(
+        designs,
+        environment,
+        **spec["rollout"],
+        engine=how["engine"],
+        physics=Physics.model_validate(spec["physics"]),
+    )
+
+
+def _score_batch(designs: Designs, spec: Spec, how: Spec, environment: Environment) -> Evaluation:
+    penalty = spec.get("disagreement_penalty", 0.0)
+    return evaluate(roll_out(spec, how, environment, designs), disagreement_penalty=penalty)
+
+
+def score(spec: Spec, how: Spec, environment: Environment, designs: Designs) -> Evaluation:
+    """Simulate and score designs, in batches on several workers where ``how`` says so."""
+    size = how["designs_per_batch"]
+    if size is None or size >= len(designs):
+        return _score_batch(designs, spec, how, environment)
+    batches = [designs[first : first + size] for first in range(0, len(designs), size)]
+    scored: Sequence[Evaluation] = spread(_score_batch, batches, spec, how, environment)
+    return Evaluation(
+        fitness=np.concatenate([part.fitness for part in scored]),
+        displacement=np.concatenate([part.displacement for part in scored]),
+        com_displacement=np.concatenate([part.com_displacement for part in scored]),
+    )
+
+
+def compute_segment(job: Job, inputs: Mapping[str, Files]) -> Files:
+    """Advance a trial by the segment's generations."""
+    spec = job.spec
+    environment = world_of(spec, inputs)
+    before = population_of(inputs[BEFORE]) if BEFORE in inputs else NOBODY_YET
+    body = champion_of(population_of(inputs[CHAMPION_OF])) if CHAMPION_OF in inputs else None
+    after, history = evolve(
+        before,
+        partial(score, spec, job.how, environment),
+        partial(generator, spec["seed"], *spec["identity"]),
+        first_generation=spec["first_generation"],
+        n_generations=spec["n_generations"],
+        afpo=Afpo.model_validate(spec["afpo"]),
+        body=body,
+    )
+    return {
+        POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=job.key),
+        HISTORY: encode_table(history, schema="history", version=1, producer=job.key, units=history_units()),
+        CURVE: encode_table(_curve(before, history), schema="curve", version=1, producer=job.key, units=CURVE_UNITS),
+    }
+
+
+def population_of(files: Files) -> Population:
+    """Decode a segment's survivors."""
+    arrays, _ = decode_arrays(files[POPULATION], schema="population", version=1, source=POPULATION)
+    return Population.from_arrays(arrays)
+
+
+def champion_of(population: Population) -> Designs | None:
+    """Give the fittest design, or None if all diverged."""
+    return population.designs[population.champion()] if len(population.designs) else None
+
+
+def history_units() -> dict[str, str]:
+    """Give the units of a history's columns."""
+    return {**HISTORY_UNITS, **{gene.name: gene.unit for gene in GENES}}
+
+
+CURVE_UNITS = {"generation": "", "best_fitness": "m", "median_fitness": "m", "n_diverged": "designs"}
+
+
+def _curve(before: Population, history: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Follow fitness over a segment: the best ever, and the median of each generation's children."""
+    generations = np.unique(history["generation"])
+    fitness = history["fitness"].reshape(len(generations), -1)
+    best_before = before.fitness.max(initial=-np.inf)
+    return {
+        "generation": generations,
+        "best_fitness": np.maximum(np.maximum.accumulate(fitness.max(axis=1)), best_before),
+        "median_fitness": np.median(fitness, axis=1),
+        "n_diverged": np.isneginf(fitness).sum(axis=1),
+    }
+
+
+def read_curve(store: Store, segments: Sequence[Manifest]) -> dict[str, npt.NDArray[Any]]:
+    """Join the curves of a trial's segments."""
+    parts = [decode_table(store.read(m, CURVE), schema="curve", version=1, source=m.key) for m in segments]
+    return {name: np.concatenate([part[name] for part in parts]) for name in CURVE_UNITS}
+
+
+def chain_of(settings: Settings, label: str, spec: Spec, n_generations: int) -> Chain:
+    """Lay out a trial as a chain of segments."""
+    return Chain(
+        label=label,
+        n_items=n_segments(settings, n_generations),
+        spec=spec,
+        units_per_item=min(n_generations, settings.work.generations_per_item),
+        weight=relative_cost(settings, spec["world"]),
+    )

@@ -1,0 +1,149 @@
+"""transfer: how champions do in the true slush, where they have never been. Paper, "Evolution" and Fig. 4.
+
+The champion of every trial is scored zero-shot in True Slush at its own depth. Then its body is frozen and its controller
+is evolved from scratch in True Slush: what is still missing after that is the body's fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.artifacts import decode_json, encode_json
+from pipeline.design_file import design_document
+from pipeline.settings import Settings
+from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.stages import segments
+from pipeline.stages.segments import CHAMPION_OF, POPULATION
+from pipeline.store import Manifest, Store
+from tasks.design import Designs
+
+NAME, VERSION = "transfer", 1
+
+ADAPTED_TO = "adapted"
+"""Name of an input: the last segment of the adaptation."""
+
+SCORE, CHAMPION, ADAPTED = "score.json", "champion.json", "adapted.json"
+
+
+def reads(settings: Settings) -> tuple[str, ...]:
+    """Champions come out of evolution."""
+    return ("evolve",)
+
+
+def plan(settings: Settings) -> Sequence[Chain]:
+    """Give every trial the segments of its adaptation, where it has one, and then one piece that scores its champions."""
+    chains = []
+    for environment, depth, trial in settings.grid.trials():
+        spec = segments.segment_spec(
+            settings, stage=NAME, environment=environment, world="true_slush", depth=depth, trial=trial
+        )
+        label = segments.trial_label(environment, depth, trial)
+        adapted = environment in settings.transfer.adapted_environments
+        n_adaptation = segments.n_segments(settings, settings.transfer.n_generations) if adapted else 0
+        units = min(settings.transfer.n_generations, settings.work.generations_per_item) if adapted else 1
+        chains.append(Chain(label=label, n_items=n_adaptation + 1, spec=spec, units_per_item=units))
+    return chains
+
+
+def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
+    """Specify the next segment of an adaptation, or the scoring at its end."""
+    champion = Input(upstream["evolve"].chain(chain.label)[-1], (POPULATION,))
+    inputs = {CHAMPION_OF: champion}
+    spec = dict(chain.spec)
+    if index < chain.n_items - 1:
+        label = f"{chain.label}/adaptation-{index}"
+        spec |= segments.generations_of(settings, settings.transfer.n_generations, index)
+        if previous is not None:
+            inputs[segments.BEFORE] = Input(previous, (POPULATION,))
+    else:
+        label = f"{chain.label}/score"
+        if previous is not None:
+            inputs[ADAPTED_TO] = Input(previous, (POPULATION,))
+    how = segments.how(settings)
+    return Item(stage=NAME, version=VERSION, label=label, spec=spec, inputs=inputs, how=how)
+
+
+def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
+    """Advance an adaptation, or score a trial's champion before and after it."""
+    if "n_generations" in job.spec:
+        return segments.compute_segment(job, inputs)
+    evolved = segments.population_of(inputs[CHAMPION_OF])
+    champion = segments.champion_of(evolved)
+    if champion is None:
+        return {SCORE: encode_json({"status": "no champion: every design of the trial diverged"})}
+    files = {CHAMPION: encode_json(design_document(champion))}
+    scores: dict[str, Any] = {"status": "ok", "predicted": float(evolved.fitness[evolved.champion()])}
+    scores |= _in_true_slush(job, champion, "zero_shot")
+    if ADAPTED_TO in inputs:
+        adapted = segments.champion_of(segments.population_of(inputs[ADAPTED_TO]))
+        if adapted is not None:
+            files[ADAPTED] = encode_json(design_document(adapted))
+            scores |= _in_true_slush(job, adapted, "adapted")
+    return {**files, SCORE: encode_json(scores)}
+
+
+def _in_true_slush(job: Job, design: Designs, name: str) -> dict[str, float | None]:
+    """Displacement of a design's root and centre of mass; null where it diverged."""
+    rollouts = segments.roll_out(job.spec, job.how, segments.world_of(job.spec, {}), design)
+    root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
+    return {name: root, f"{name}_com": whole} if np.isfinite(root) else {name: None, f"{name}_com": None}
+
+
+def read_scores(settings: Settings, results: Results, store: Store) -> list[dict[str, Any]]:
+    """Read every trial's scores, with its environment, depth [m] and trial."""
+    rows = []
+    for environment, depth, trial in settings.grid.trials():
+        label = segments.trial_label(environment, depth, trial)
+        if label in results.done:
+            scores = decode_json(store.read(results.done[label][-1], SCORE), label)
+            rows.append({"environment": environment, "depth": depth, "trial": trial, **scores})
+    return rows
+
+
+def summarise(settings: Settings, results: Results, upstream: Upstream, store: Store) -> Summary:
+    """Tabulate champions in True Slush by depth and environment."""
+    rows = read_scores(settings, results, store)
+    lines = [f"{'depth':>7}  {'evolved in':<15} {'n':>3}  {'predicted':>14}  {'zero-shot':>14}  {'adapted':>14}   [m]"]
+    metrics = {}
+    for depth in settings.grid.depths:
+        for environment in dict.fromkeys(e for e, d, _ in settings.grid.trials() if d == depth):
+            arm = [row for row in rows if row["environment"] == environment and row["depth"] == depth]
+            cells = []
+            for name in ("predicted", "zero_shot", "adapted"):
+                values = [row[name] for row in arm if row.get(name) is not None]
+                cells.append(f"{np.mean(values):6.2f} ± {np.std(values):5.2f}" if values else "-")
+                if values:
+                    metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
+            lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
+    trials = [
+        TrialSummary(
+            name=segments.trial_label(row["environment"], row["depth"], row["trial"]),
+            params={name: row[name] for name in ("environment", "depth", "trial")},
+            metrics={k: v for k, v in row.items() if isinstance(v, float) and k != "depth"},
+            curves=_adaptation_curve(row, results, store),
+        )
+        for row in rows
+    ]
+    return Summary(lines=lines, metrics=metrics, trials=trials)
+
+
+def _adaptation_curve(row: Mapping[str, Any], results: Results, store: Store) -> dict[str, Any]:
+    adaptation = results.done[segments.trial_label(row["environment"], row["depth"], row["trial"])][:-1]
+    if not adaptation:
+        return {}
+    return {"adapted_best_fitness": segments.read_curve(store, adaptation)["best_fitness"].astype(np.float64)}
+
+
+STAGE = Stage(
+    name=NAME,
+    version=VERSION,
+    unit="generations",
+    reads=reads,
+    plan=plan,
+    item=item,
+    compute=compute,
+    summarise=summarise,
+)

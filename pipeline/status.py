@@ -1,0 +1,46 @@
+"""What of a study is done, running and missing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from pipeline.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.store import Store
+from pipeline.study import survey
+
+
+def status_lines(settings: Settings, store: Store) -> Iterator[str]:
+    """Give a line for the study, one for each stage, and one for each piece that failed."""
+    notes: list[str] = []
+    upstream = survey(settings, STAGES, store, say=notes.append)
+    driver = store.driver_of(settings.name)
+    yield f"study {settings.name} in {store.root} ({store.size_bytes() / 1e6:.1f} MB)"
+    yield f"driven by {driver}" if driver else "no process is driving it"
+    for stage in STAGES:
+        chains = stage.plan(settings)
+        total = sum(chain.n_items * chain.units_per_item for chain in chains)
+        found = upstream[stage.name]
+        done = sum(chain.units_per_item * found.n_done.get(chain.label, 0) for chain in chains)
+        n_done, n_items = sum(found.n_done.values()), sum(chain.n_items for chain in chains)
+        if not found.unfinished and not found.set_aside:
+            state = "done" if chains else "not needed"
+        elif n_done:
+            state = "running" if driver else "begun"
+        else:
+            state = "missing"
+        yield (
+            f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} pieces, {done:g} of {total:g} {stage.unit}, "
+            f"{found.seconds:.0f} core-seconds"
+        )
+    yield from notes
+
+
+def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
+    """Give the SHA-256 of every file of the study that is done, in the order of the study's plan."""
+    upstream = survey(settings, STAGES, store, say=lambda line: None)
+    for results in upstream.values():
+        for label, manifests in results.done.items():
+            for index, manifest in enumerate(manifests):
+                for name, entry in sorted(manifest.files.items()):
+                    yield f"{entry.sha256}  {results.stage}/{label}/{index}/{name}"

@@ -1,0 +1,242 @@
+"""A study: the graph of stages under one set of settings, and the middleware that gets it done.
+
+For every stage: find what the store holds, spread the missing pieces over the cluster, commit each result as it comes,
+and go on with the chain it belongs to. Only this process writes to the store; workers give bytes back. A piece that fails
+twice is set aside and named, and the rest of the study goes on without it.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.progress import Bar
+from pipeline.settings import Settings
+from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Upstream
+from pipeline.store import Manifest, Store
+
+N_ATTEMPTS = 2
+"""Times that a piece is tried before it is set aside."""
+
+QUEUED_PER_CORE = 2
+"""Pieces handed to the cluster at a time, so that no core waits for this process."""
+
+
+@dataclass
+class Walk:
+    """How far a chain has got."""
+
+    chain: Chain
+    manifests: list[Manifest] = field(default_factory=list)
+    n_failed: int = 0
+    """Failures in a row of the piece that is next."""
+    set_aside: str | None = None
+    """Why the chain can't go on, if it can't."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether every piece is done."""
+        return len(self.manifests) == self.chain.n_items
+
+    @property
+    def open(self) -> bool:
+        """Whether there is a piece to do."""
+        return not self.finished and self.set_aside is None
+
+    @property
+    def work_left(self) -> float:
+        """Weighted units still to do."""
+        return self.chain.weight * self.chain.units_per_item * (self.chain.n_items - len(self.manifests))
+
+
+def _next_item(stage: Stage, settings: Settings, walk: Walk, upstream: Upstream) -> Item:
+    previous = walk.manifests[-1] if walk.manifests else None
+    return stage.item(settings, walk.chain, len(walk.manifests), previous, upstream)
+
+
+def follow(
+    stage: Stage, settings: Settings, store: Store, upstream: Upstream, *, say: Callable[[str], None]
+) -> list[Walk]:
+    """Walk every chain of a stage as far as the store holds it.
+
+    A damaged item counts as missing, and ``say`` says so; its successor will take its place.
+    """
+    walks = []
+    for chain in stage.plan(settings):
+        walk = Walk(chain)
+        try:
+            while not walk.finished:
+                item = _next_item(stage, settings, walk, upstream)
+                manifest = _held(store, item, say)
+                if manifest is None:
+                    break
+                walk.manifests.append(manifest)
+        except MissingInputs as missing:
+            walk.set_aside = f"not possible: {missing}"
+        walks.append(walk)
+    return walks
+
+
+def _held(store: Store, item: Item, say: Callable[[str], None]) -> Manifest | None:
+    try:
+        return store.manifest(item.stage, item.key)
+    except DamagedArtifact as damage:
+        say(f"{damage}")
+        return None
+
+
+def results_of(stage: Stage, walks: Sequence[Walk]) -> Results:
+    """Sum up how far a stage has got."""
+    return Results(
+        stage=stage.name,
+        done={walk.chain.label: tuple(walk.manifests) for walk in walks if walk.finished},
+        set_aside={walk.chain.label: walk.set_aside for walk in walks if walk.set_aside is not None},
+        unfinished=tuple(walk.chain.label for walk in walks if walk.open),
+        n_done={walk.chain.label: len(walk.manifests) for walk in walks},
+        seconds=sum(float(m.record.get("seconds", 0.0)) for walk in walks for m in walk.manifests),
+    )
+
+
+def survey(
+    settings: Settings, stages: Sequence[Stage], store: Store, *, say: Callable[[str], None]
+) -> dict[str, Results]:
+    """Find what the store holds of each stage, in order; nothing is computed."""
+    upstream: dict[str, Results] = {}
+    for stage in stages:
+        upstream[stage.name] = results_of(stage, follow(stage, settings, store, upstream, say=say))
+    return upstream
+
+
+def require(settings: Settings, stage: Stage, upstream: Upstream, *, how_to_run: Callable[[str], str]) -> None:
+    """Refuse to start a stage whose inputs are not there.
+
+    Raises:
+        PuddleError: names the first stage that must come first, what it lacks, and the command that runs it.
+    """
+    for name in stage.reads(settings):
+        lacking = upstream[name].unfinished
+        if lacking:
+            raise PuddleError(
+                f"{stage.name} needs the results of {name}, and {len(lacking)} of them are missing "
+                f"(the first: {lacking[0]}).\n"
+                f"Run `{how_to_run(name)}` first, or `{how_to_run('study')}` for everything."
+            )
+
+
+def run_stage(
+    settings: Settings,
+    stage: Stage,
+    walks: Sequence[Walk],
+    upstream: Upstream,
+    *,
+    store: Store,
+    cluster: Cluster,
+    bar: Bar,
+    say: Callable[[str], None],
+) -> None:
+    """Do what is missing of one stage, and move its walks along.
+
+    Args:
+        settings: the study's.
+        stage: what to do.
+        walks: its chains, as :func:`follow` found them.
+        upstream: results of the stages before it.
+        store: where results are kept.
+        cluster: what computes them.
+        bar: the stage's progress; it advances by weighted units.
+        say: shows a line to the user.
+    """
+    _Dispatcher(settings, stage, upstream, store, cluster, bar, say).run(walks)
+
+
+class _Dispatcher:
+    """Keeps a cluster busy with a stage's chains, heaviest remaining chain first."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        stage: Stage,
+        upstream: Upstream,
+        store: Store,
+        cluster: Cluster,
+        bar: Bar,
+        say: Callable[[str], None],
+    ) -> None:
+        self._settings, self._stage, self._upstream = settings, stage, upstream
+        self._store, self._cluster, self._bar, self._say = store, cluster, bar, say
+        self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
+        self._running: dict[Ticket, tuple[Walk, Item]] = {}
+
+    def run(self, walks: Sequence[Walk]) -> None:
+        ready: list[tuple[float, int]] = []
+
+        def make_ready(number: int) -> None:
+            if walks[number].open:
+                heapq.heappush(ready, (-walks[number].work_left, number))
+
+        numbers = {id(walk): number for number, walk in enumerate(walks)}
+        for number in range(len(walks)):
+            make_ready(number)
+        capacity = max(1, round(QUEUED_PER_CORE * self._cluster.n_cores))
+        while ready or self._running:
+            while ready and len(self._running) < capacity:
+                self._submit(walks[heapq.heappop(ready)[1]])
+            finished = self._cluster.next_done(timeout=None)
+            if finished is not None:
+                walk = self._finish(*finished)
+                make_ready(numbers[id(walk)])
+
+    def _submit(self, walk: Walk) -> None:
+        item = _next_item(self._stage, self._settings, walk, self._upstream)
+        contents = [self._contents(source) for source in item.inputs.values()]
+        batched = item.how.get("designs_per_batch") is not None
+        ticket = self._cluster.submit(
+            compute_item,
+            self._stage.compute,
+            item.job,
+            tuple(item.inputs),
+            *contents,
+            n_cores=0.0 if batched else 1.0,
+            name=f"{item.stage} {item.label}",
+        )
+        self._running[ticket] = (walk, item)
+
+    def _contents(self, source: Input) -> Handle | Files:
+        """Read an input; what other stages made is used many times and so is shared once."""
+        manifest = source.manifest
+        if manifest.stage == self._stage.name:
+            return {name: self._store.read(manifest, name) for name in source.files}
+        slot = (manifest.key, source.files)
+        if slot not in self._shared:
+            self._shared[slot] = self._cluster.share({name: self._store.read(manifest, name) for name in source.files})
+        return self._shared[slot]
+
+    def _finish(self, ticket: Ticket, outcome: Outcome) -> Walk:
+        walk, item = self._running.pop(ticket)
+        if isinstance(outcome, TaskFailed):
+            walk.n_failed += 1
+            if walk.n_failed >= N_ATTEMPTS:
+                walk.set_aside = f"set aside after {N_ATTEMPTS} attempts at {item.label}: {outcome.reason}"
+                self._say(f"{self._stage.name}: {walk.chain.label} is {walk.set_aside}")
+            return walk
+        files, seconds = outcome.result
+        record = {"label": item.label, "seconds": seconds}
+        manifest = self._store.commit(item.stage, item.key, item.identity, files, record=record)
+        walk.manifests.append(manifest)
+        walk.n_failed = 0
+        self._bar.advance(walk.chain.units_per_item * walk.chain.weight)
+        return walk
+
+
+def compute_item(
+    compute: Callable[[Job, Mapping[str, Files]], Files], job: Job, names: tuple[str, ...], *contents: Files
+) -> tuple[Files, float]:
+    """Compute a piece on a worker, and time it."""
+    start = time.perf_counter()
+    files = compute(job, dict(zip(names, contents, strict=True)))
+    return files, time.perf_counter() - start
+
