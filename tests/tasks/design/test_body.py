@@ -22,11 +22,14 @@ def along(x: np.ndarray, y: np.ndarray, angle: np.ndarray, distance: np.ndarray)
     return np.stack([x - np.sin(angle) * distance, y + np.cos(angle) * distance], axis=-1)
 
 
-def corners(x: np.ndarray, y: np.ndarray, angle: np.ndarray, half_width: np.ndarray, half_height: np.ndarray) -> np.ndarray:
+def corners(
+    x: np.ndarray, y: np.ndarray, angle: np.ndarray, half_width: np.ndarray, half_height: np.ndarray
+) -> np.ndarray:
     """World places (..., 4, 2) of the corners of rectangles, by rotation matrices."""
     signs = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     local = signs * np.stack([half_width, half_height], axis=-1)[..., None, :]
-    rotation = np.moveaxis(np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), (0, 1), (-2, -1))
+    cos, sin = np.cos(angle), np.sin(angle)
+    rotation = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), (0, 1), (-2, -1))
     return np.einsum("...ij,...kj->...ki", rotation, local) + np.stack([x, y], axis=-1)[..., None, :]
 
 
@@ -39,9 +42,8 @@ def test_the_anchors_of_every_joint_coincide_at_rest(designs: Designs) -> None:
             x[row, parent], y[row, parent], angle[row, parent],
             designs.parent_attachment[:, link] * designs.length_scale[row, parent] / 2,
         )
-        on_child = along(
-            x[:, link], y[:, link], angle[:, link], designs.child_attachment[:, link] * designs.length_scale[:, link] / 2
-        )
+        anchor = designs.child_attachment[:, link] * designs.length_scale[:, link] / 2
+        on_child = along(x[:, link], y[:, link], angle[:, link], anchor)
         # Six links of 3 m reach at most 18 m; a handful of roundings of float64 each.
         np.testing.assert_allclose(on_parent, on_child, rtol=0, atol=18 * 2.0**-50)
 

@@ -151,5 +151,5 @@ def test_a_broken_tree_is_named(designs: Designs, link: int, parent: int, expect
 
 def test_the_first_of_several_bad_designs_is_named(designs: Designs) -> None:
     bad = with_value(with_value(designs, "phase", (4, 1), np.nan), "phase", (1, 5), 7.0)
-    with pytest.raises(DesignError, match="design 1: phase of link 5 is 7.0"):
+    with pytest.raises(DesignError, match=r"design 1: phase of link 5 is 7\.0"):
         check(bad)
