@@ -22,6 +22,10 @@ from pipeline.errors import PuddleError
 _OWN = os.O_NOFOLLOW | os.O_CLOEXEC
 
 
+class NotAFileError(OSError):
+    """Something else has a file's name."""
+
+
 # -- the five effects ------------------------------------------------------------------------------------------------
 
 
@@ -86,11 +90,15 @@ def make_folders(root: Path, folder: Path) -> None:
 
 
 def read(path: Path) -> bytes:
-    """Read a regular file; a symbolic link, a folder or a pipe raises an OSError instead."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | _OWN)
-    with os.fdopen(descriptor, "rb") as file:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise OSError(errno.EINVAL, "not a regular file", str(path))
+    """Read a regular file.
+
+    Raises:
+        NotAFileError: where it is a symbolic link, a folder, a pipe or the like.
+        OSError: where it is not there or can't be read.
+    """
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise NotAFileError(errno.EINVAL, "not a regular file", str(path))
+    with os.fdopen(os.open(path, os.O_RDONLY | _OWN), "rb") as file:
         return file.read()
 
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-import errno
 import functools
 import os
 import platform
@@ -122,6 +121,8 @@ class Store:
     @classmethod
     def _create(cls, root: Path) -> None:
         existing = next(path for path in (root, *root.parents) if path.exists())
+        if not existing.is_dir():
+            raise PuddleError(f"{root}: expected a folder for the store; {existing} is a file. Choose another folder.")
         disk.make_folders(existing, root)
         own = {"commit.lock", "store.json", disk.temporary(root / "store.json").name}
         if strangers := sorted({path.name for path in root.iterdir()} - own):
@@ -216,6 +217,8 @@ class Store:
                 data = disk.read(path)
             except FileNotFoundError:
                 return None
+            except disk.NotAFileError as error:
+                raise DamagedArtifact(f"{path}: expected a manifest, came {error.strerror}") from error
             manifest = decode_manifest(data, stage=stage, key=key, source=str(path))
             for name, entry in manifest.files.items():
                 file = disk.inside(folder, name)
@@ -236,9 +239,7 @@ class Store:
         with disk.explained(f"reading {name}", self.root), _damage(manifest.stage, manifest.key):
             try:
                 data = disk.read(path)
-            except OSError as error:
-                if error.errno in (errno.EACCES, errno.EPERM):
-                    raise
+            except (FileNotFoundError, disk.NotAFileError) as error:
                 raise DamagedArtifact(f"{path}: expected {entry.n_bytes} bytes, came {error.strerror}") from error
             if digest(data) != entry.sha256:
                 raise DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, came {digest(data)}")
@@ -273,22 +274,22 @@ class Store:
         """Hash everything again; return what is wrong, which is empty where all is well.
 
         Damage to an item is a :class:`DamagedArtifact` that names its stage and key. A symbolic link, or a file of a
-        newer puddle, is a plain PuddleError: discarding would not mend it.
+        newer puddle, is a plain PuddleError: discarding would not mend it. Where there are links, nothing else is
+        looked at.
         """
-        wrong: dict[str, PuddleError] = {}
-        checks: list[Callable[[], object]] = []
-        checks += [functools.partial(disk.inside, self.root, *link) for link in self._links()]
-        checks += [functools.partial(self._verified, stage, key) for stage in self.stages() for key in self.keys(stage)]
-        checks += [functools.partial(self.read_study, name) for name in self.studies()]
+        links = sorted(path.relative_to(self.root) for path in self.root.rglob("*") if path.is_symlink())
+        checks: list[Callable[[], object]] = [functools.partial(disk.inside, self.root, *link.parts) for link in links]
+        if not links:
+            items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
+            checks += [functools.partial(self._verified, stage, key) for stage, key in items]
+            checks += [functools.partial(self.read_study, name) for name in self.studies()]
+        wrong = []
         for check in checks:
             try:
                 check()
             except PuddleError as error:
-                wrong.setdefault(str(error), error)  # a link may be met twice
-        return list(wrong.values())
-
-    def _links(self) -> list[tuple[str, ...]]:
-        return sorted(path.relative_to(self.root).parts for path in self.root.rglob("*") if path.is_symlink())
+                wrong.append(error)
+        return wrong
 
     def size_bytes(self) -> int:
         """Return the length of all files together."""
