@@ -31,7 +31,7 @@ class Training(Parameters):
     batch_size: int = Field(default=262_144, ge=1, le=2**24)
     """Transitions in a minibatch, drawn with replacement. [P]"""
     learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
-    """After warm-up. [P] Short trainings want more: 2 × 32 for 10 s on a core did best at 1e-2 with minibatches of 2,048."""
+    """After warm-up. [P] Short trainings want more: 2 × 32 for 10 s on a core did best at 1e-2, batch size 2,048."""
     min_learning_rate: float = Field(default=1e-6, gt=0.0, le=1.0)
     """Where the exponential decay ends, at the last iteration. [P]"""
     warm_up: float = Field(default=0.01, ge=0.0, le=0.5)
