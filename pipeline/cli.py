@@ -36,7 +36,7 @@ app = typer.Typer(
 )
 
 Preset = Annotated[str, typer.Option("--preset", help="Settings in configs/: smoke, laptop, paper, pontoon.")]
-SettingsFile = Annotated[Path | None, typer.Option("--settings", help="A settings file of your own, instead of a preset.")]
+SettingsFile = Annotated[Path | None, typer.Option("--settings", help="A settings file instead of a preset.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change one setting: evolution.n_generations=50.")]
 StorePath = Annotated[Path, typer.Option("--store", envvar="PUDDLE_STORE", help="Where results are kept.")]
 Workers = Annotated[
@@ -89,7 +89,9 @@ class Chosen:
         return shlex.join(words)
 
 
-def _run(chosen: Chosen, names: tuple[str, ...], workers: int | None, address: str | None, tracking: str | None) -> None:
+def _run(
+    chosen: Chosen, names: tuple[str, ...], workers: int | None, address: str | None, tracking_uri: str | None
+) -> None:
     """Run stages by name, or all of them."""
     from pipeline.driver import drive
     from pipeline.progress import progress
@@ -104,7 +106,7 @@ def _run(chosen: Chosen, names: tuple[str, ...], workers: int | None, address: s
             [stage for stage in STAGES if not names or stage.name in names],
             store=store,
             open_cluster=_cluster(workers, address),
-            tracker=open_tracker(store.root, tracking, say=show.say),
+            tracker=open_tracker(store.root, tracking_uri, say=show.say),
             progress=show,
             how_to_run=chosen.command,
         )

@@ -87,7 +87,7 @@ def _drive(
         upstream[stage.name] = results_of(stage, walks)
         if stage in wanted:
             _keep_record(settings, upstream, store)
-            summary = stage.summarise(settings, upstream[stage.name], upstream, store)
+            summary = stage.summarise(settings, upstream[stage.name], store)
             progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
             mirror_stage(tracker, settings, stage, upstream, summary)
     return upstream

@@ -63,7 +63,8 @@ class Grid(Parameters):
     def trials(self) -> list[tuple[EnvironmentName, float, int]]:
         """List environment, depth and number of every trial."""
         arms = [(environment, depth) for depth in self.depths for environment in self.environments]
-        arms += [("single_member", depth) for depth in self.single_member_depths if "single_member" not in self.environments]
+        if "single_member" not in self.environments:
+            arms += [("single_member", depth) for depth in self.single_member_depths]
         return [(environment, depth, trial) for environment, depth in arms for trial in range(self.n_trials)]
 
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
+from typing import cast
 
 import numpy as np
 
 from pipeline import disk
 from pipeline.design_file import read_design
 from pipeline.errors import PuddleError
-from pipeline.report.data import ENVIRONMENTS
+from pipeline.report.data import ENVIRONMENTS as STYLES
 from pipeline.report.gif import render_gif
 from pipeline.report.replay import replay_of
-from pipeline.settings import EnvironmentName, Settings
+from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import MissingInputs
 from pipeline.stages import STAGES
 from pipeline.stages.segments import WEIGHTS, segment_spec, world_inputs, world_of
@@ -23,12 +23,12 @@ from pipeline.study import survey
 from tasks.evolution import evaluate
 from tasks.simulation import OK, simulate
 
-WORLDS = tuple(name for name in get_args(EnvironmentName) if name != "single_member")
+WORLDS = tuple(name for name in ENVIRONMENTS if name != "single_member")
 
 
 def simulate_design(
     path: Path,
-    world: str,
+    environment: str,
     depth: float,
     out: Path | None,
     *,
@@ -40,7 +40,7 @@ def simulate_design(
 
     Args:
         path: of the design file.
-        world: dry_land, true_slush or residual_slush.
+        environment: dry_land, true_slush or residual_slush.
         depth: of the ground [m].
         out: where to put a GIF, if anywhere; in Residual Slush it shows the first member's world.
         settings: how long the design is watched, and which networks residual_slush means.
@@ -51,8 +51,9 @@ def simulate_design(
         Lines that say how far the design got.
     """
     design = read_design(path)
-    if world not in WORLDS:
-        raise PuddleError(f"--environment: expected one of {', '.join(WORLDS)}, came {world!r}")
+    if environment not in WORLDS:
+        raise PuddleError(f"--environment: expected one of {', '.join(WORLDS)}, came {environment!r}")
+    world = cast(EnvironmentName, environment)
     if out is not None and out.suffix.lower() != ".gif":
         raise PuddleError(f"--out: expected a file name that ends in .gif, came {out}")
     spec = segment_spec(settings, stage="simulate", environment=world, world=world, depth=depth, trial=0)
@@ -66,12 +67,12 @@ def simulate_design(
             raise PuddleError(f"{missing}. Run `{how_to_run('train')}` first.") from None
         files = {name: {WEIGHTS: store.read(source.manifest, WEIGHTS)} for name, source in inputs.items()}
     try:
-        environment = world_of(spec, files)
+        place = world_of(spec, files)
     except ValueError as error:
         raise PuddleError(f"--depth: {error}") from None
     rollouts = simulate(
         design,
-        environment,
+        place,
         n_settle=settings.rollout.n_settle,
         n_measure=settings.rollout.n_measure,
         engine=settings.work.engine,
@@ -80,9 +81,10 @@ def simulate_design(
     )
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state became non-finite. There is nothing to measure.")
-    lines = [f"{ENVIRONMENTS[world].label}, {depth:g} m deep, {settings.rollout.n_measure / 60:.0f} s:"]
+    lines = [f"{STYLES[world].label}, {depth:g} m deep, {settings.rollout.n_measure / 60:.0f} s:"]
     evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
-    lines.append(f"  root {np.mean(rollouts.displacement):+.3f} m, whole robot {np.mean(rollouts.com_displacement):+.3f} m")
+    root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
+    lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
     if world == "residual_slush":
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
         lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
@@ -93,7 +95,7 @@ def simulate_design(
             trace,
             title=path.stem,
             environment=world,
-            world=ENVIRONMENTS[world].label,
+            world=STYLES[world].label,
             depth=depth,
             has_medium=world != "dry_land",
             n_settle=settings.rollout.n_settle,

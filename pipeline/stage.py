@@ -1,12 +1,12 @@
 """The contract of a stage: what it reads, which work there is, what one piece computes, and what came of it all.
 
-To add a stage, write a module in pipeline/stages/ that defines a :class:`Stage`, and name it in pipeline/stages/__init__.py.
-The middleware (pipeline/study.py) does the rest: it finds what is done, spreads the missing pieces over the cluster, keeps
-their results and mirrors them to MLflow.
+To add a stage, write a module in pipeline/stages/ that defines a :class:`Stage`, and name it in
+pipeline/stages/__init__.py. The middleware (pipeline/study.py) does the rest: it finds what is done, spreads the
+missing pieces over the cluster, keeps their results and mirrors them to MLflow.
 
-A stage's work is a set of *chains*: pieces that follow one another, such as the segments of an evolutionary trial. Chains do
-not depend on one another. A piece is an :class:`Item`; its key is the SHA-256 of what it is, so that a piece is done if
-and only if the store holds its key.
+A stage's work is a set of *chains*: pieces that follow one another, such as the segments of an evolutionary trial.
+Chains do not depend on one another. A piece is an :class:`Item`; its key is the SHA-256 of what it is, so that a piece
+is done if and only if the store holds its key.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ import numpy.typing as npt
 
 from pipeline.artifacts import Json, key_of
 from pipeline.errors import PuddleError
+from pipeline.manifest import Manifest
 from pipeline.settings import Settings
-from pipeline.store import Manifest, Store
+from pipeline.store import Store
 
 Spec = Mapping[str, Any]
 """Plain JSON values by name."""
@@ -168,4 +169,4 @@ class Stage:
     """Specify a chain's next piece from the one before it (None at the chain's start) and the stages it reads."""
     compute: Callable[[Job, Mapping[str, Files]], Files]
     """Compute a piece from what it is and its inputs' files, by name. Runs on a worker: no store, no clock."""
-    summarise: Callable[[Settings, Results, Upstream, Store], Summary]
+    summarise: Callable[[Settings, Results, Store], Summary]

@@ -1,8 +1,8 @@
 """A study: the graph of stages under one set of settings, and the middleware that gets it done.
 
 For every stage: find what the store holds, spread the missing pieces over the cluster, commit each result as it comes,
-and go on with the chain it belongs to. Only this process writes to the store; workers give bytes back. A piece that fails
-twice is set aside and named, and the rest of the study goes on without it.
+and go on with the chain it belongs to. Only this process writes to the store; workers give bytes back. A piece that
+fails twice is set aside and named, and the rest of the study goes on without it.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from dataclasses import dataclass, field
 
 from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
 from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.manifest import Manifest
 from pipeline.progress import Bar
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Upstream
-from pipeline.store import Manifest, Store
+from pipeline.store import Store
 
 N_ATTEMPTS = 2
 """Times that a piece is tried before it is set aside."""

@@ -8,9 +8,10 @@ from dataclasses import fields
 import numpy as np
 
 from pipeline.artifacts import decode_table, encode_table
+from pipeline.manifest import Manifest
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Files, Item, Job, Results, Stage, Summary, Upstream
-from pipeline.store import Manifest, Store
+from pipeline.store import Store
 from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
 from tasks.seeding import generator
 from tasks.world import Physics, Slush
@@ -20,18 +21,21 @@ NAME, VERSION = "collect", 1
 TRANSITIONS = "transitions.parquet"
 SCHEMA, SCHEMA_VERSION = "transitions", 1
 
+STATE_UNITS = f"{', '.join(STATE)} [m, m, rad, m/s, m/s, rad/s]"
 UNITS = {
     "throw": "",
     "step": "",
     "length_scale": "m",
-    **{name: f"{', '.join(STATE)} [m, m, rad, m/s, m/s, rad/s]" for name in ("state", "next_in_slush", "next_on_dry_land")},
+    "state": STATE_UNITS,
+    "next_in_slush": STATE_UNITS,
+    "next_on_dry_land": STATE_UNITS,
     "observation": f"{', '.join(OBSERVATION)} [m, m, 1, m/s, m/s, rad/s]",
     "residual": f"{', '.join(STATE)}, in slush minus on dry land [m, m, rad, m/s, m/s, rad/s]",
 }
 
 
 def plan(settings: Settings) -> Sequence[Chain]:
-    """Cut the throws into chunks; none where no trial needs networks. All starts are drawn at once, whatever the chunks."""
+    """Cut the throws into chunks; none where no trial needs networks. All starts are drawn at once."""
     if not settings.needs_ensemble:
         return []
     size, n_throws = settings.work.throws_per_item, settings.throws.n_throws
@@ -75,7 +79,7 @@ def read_transitions(files: Sequence[Files]) -> Transitions:
     return Transitions.concatenate(chunks)
 
 
-def summarise(settings: Settings, results: Results, upstream: Upstream, store: Store) -> Summary:
+def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Count transitions by immersion and speed: robots live at low speeds, throws mostly do not."""
     chunks = [{TRANSITIONS: store.read(chain[0], TRANSITIONS)} for chain in results.done.values()]
     if not chunks:
@@ -86,8 +90,8 @@ def summarise(settings: Settings, results: Results, upstream: Upstream, store: S
     slow_and_wet = float(np.mean(wet & (speed < 0.5)))
     return Summary(
         lines=[
-            f"{len(np.unique(transitions.throw))} throws, {len(transitions)} transitions; {wet.mean():.0%} touch slush, "
-            f"{slow_and_wet:.0%} touch it at less than 0.5 m/s"
+            f"{len(np.unique(transitions.throw))} throws, {len(transitions)} transitions; "
+            f"{wet.mean():.0%} touch slush, {slow_and_wet:.0%} touch it at less than 0.5 m/s"
         ],
         metrics={"n_transitions": len(transitions), "wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet},
     )

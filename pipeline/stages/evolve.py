@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pipeline.manifest import Manifest
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Input, Item, Results, Stage, Summary, TrialSummary, Upstream
 from pipeline.stages import segments
-from pipeline.store import Manifest, Store
+from pipeline.store import Store
 
 NAME, VERSION = "evolve", 1
 
@@ -48,7 +49,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
     )
 
 
-def summarise(settings: Settings, results: Results, upstream: Upstream, store: Store) -> Summary:
+def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Report each arm's best fitness, and each trial's curves."""
     trials, best = [], dict[tuple[str, float], list[float]]()
     for environment, depth, trial in settings.grid.trials():
@@ -65,7 +66,7 @@ def summarise(settings: Settings, results: Results, upstream: Upstream, store: S
         f"{environment:>15} at {depth:g} m: champions' fitness {np.mean(of):6.2f} ± {np.std(of):.2f} m (n = {len(of)})"
         for (environment, depth), of in best.items()
     ]
-    metrics = {f"champion_fitness.{environment}.{depth:g}m": float(np.mean(of)) for (environment, depth), of in best.items()}
+    metrics = {f"champion_fitness.{name}.{depth:g}m": float(np.mean(of)) for (name, depth), of in best.items()}
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 

@@ -10,6 +10,7 @@ import yaml
 
 from pipeline.artifacts import decode_json, decode_table
 from pipeline.design_file import design_from
+from pipeline.manifest import Manifest
 from pipeline.provenance import environment as provenance
 from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
 from pipeline.report.gif import render_gif
@@ -20,7 +21,7 @@ from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summa
 from pipeline.stages import segments
 from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
 from pipeline.stages.transfer import CHAMPION, SCORE
-from pipeline.store import Manifest, Store
+from pipeline.store import Store
 from tasks.simulation import OK, simulate
 from tasks.world import TrueSlush
 
@@ -134,14 +135,20 @@ def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:
     return rows
 
 
-def _replays(settings: Settings, trials: Sequence[TrialResult], inputs: Mapping[str, Files], engine: Any) -> list[Replay]:
+def _zero_shot(trial: TrialResult) -> float:
+    """How far a champion got in True Slush; -inf if it diverged."""
+    return trial.zero_shot if trial.zero_shot is not None and np.isfinite(trial.zero_shot) else -np.inf
+
+
+def _replays(
+    settings: Settings, trials: Sequence[TrialResult], inputs: Mapping[str, Files], engine: Any
+) -> list[Replay]:
     """Film the best zero-shot champion of every arm in True Slush, deepest first."""
     best: dict[tuple[float, str], TrialResult] = {}
     for trial in trials:
         arm = (trial.depth, trial.environment)
-        if trial.zero_shot is not None and np.isfinite(trial.zero_shot):
-            if arm not in best or trial.zero_shot > (best[arm].zero_shot or -np.inf):
-                best[arm] = trial
+        if _zero_shot(trial) > (_zero_shot(best[arm]) if arm in best else -np.inf):
+            best[arm] = trial
     replays = []
     for (depth, environment), trial in sorted(best.items(), key=lambda entry: -entry[0][0]):
         label = segments.trial_label(environment, depth, trial.trial)
@@ -172,13 +179,13 @@ def _replays(settings: Settings, trials: Sequence[TrialResult], inputs: Mapping[
 
 
 def _for_the_gif(replays: Sequence[Replay]) -> list[Replay]:
-    """Choose, at the greatest depth, the robot evolved with residuals and the one evolved on dry land, where both are."""
+    """Choose the robots at the greatest depth evolved with residuals and without, where both are there."""
     deepest = [replay for replay in replays if replay.depth == replays[0].depth]
     wanted = [r for name in ("residual_slush", "dry_land") for r in deepest if r.environment == name]
     return wanted[:N_REPLAYS_IN_GIF] or deepest[:1]
 
 
-def summarise(settings: Settings, results: Results, upstream: Upstream, store: Store) -> Summary:
+def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Put the page where a person finds it."""
     (page,) = results.done[PAGE]
     files = {name: store.read(page, name) for name in page.files}

@@ -1,4 +1,4 @@
-"""Segments: some generations of one trial as a piece of work. Evolution and controller adaptation both consist of them."""
+"""Segments: some generations of one trial as a piece of work. Evolution and adaptation both consist of them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from pipeline.artifacts import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.cluster import spread
+from pipeline.manifest import Manifest
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Chain, Files, Input, Job, Spec, Upstream
-from pipeline.store import Manifest, Store
+from pipeline.store import Store
 from tasks.design import Designs
 from tasks.design.genes import GENES
 from tasks.evolution import HISTORY_UNITS, NOBODY_YET, Afpo, Evaluation, Population, evaluate, evolve

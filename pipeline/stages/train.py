@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.artifacts import decode_table, encode_arrays, encode_table
+from pipeline.manifest import Manifest
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
 from pipeline.stages.collect import TRANSITIONS, read_transitions
 from pipeline.stages.segments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_label
-from pipeline.store import Manifest, Store
+from pipeline.store import Store
 from tasks.residual import STATE, Architecture, ErrorRow, Training
 
 NAME, VERSION = "train", 1
@@ -36,7 +37,7 @@ ERROR_UNITS = {
 
 
 def reads(settings: Settings) -> tuple[str, ...]:
-    """The data set."""
+    """Every member reads the data set."""
     return ("collect",)
 
 
@@ -98,7 +99,7 @@ def read_errors(data: bytes, source: str) -> dict[str, npt.NDArray[Any]]:
     return decode_table(data, schema="errors", version=1, source=source)
 
 
-def summarise(settings: Settings, results: Results, upstream: Upstream, store: Store) -> Summary:
+def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Say how wrong each member is at the speeds of robots and over all throws."""
     lines, trials = [], []
     for label, (member,) in results.done.items():

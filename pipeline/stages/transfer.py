@@ -1,7 +1,7 @@
 """transfer: how champions do in the true slush, where they have never been. Paper, "Evolution" and Fig. 4.
 
-The champion of every trial is scored zero-shot in True Slush at its own depth. Then its body is frozen and its controller
-is evolved from scratch in True Slush: what is still missing after that is the body's fault.
+The champion of every trial is scored zero-shot in True Slush at its own depth. Then its body is frozen and its
+controller is evolved from scratch in True Slush: what is still missing after that is the body's fault.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ import numpy as np
 
 from pipeline.artifacts import decode_json, encode_json
 from pipeline.design_file import design_document
+from pipeline.manifest import Manifest
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
 from pipeline.stages import segments
 from pipeline.stages.segments import CHAMPION_OF, POPULATION
-from pipeline.store import Manifest, Store
+from pipeline.store import Store
 from tasks.design import Designs
 
 NAME, VERSION = "transfer", 1
@@ -34,7 +35,7 @@ def reads(settings: Settings) -> tuple[str, ...]:
 
 
 def plan(settings: Settings) -> Sequence[Chain]:
-    """Give every trial the segments of its adaptation, where it has one, and then one piece that scores its champions."""
+    """Give every trial the segments of its adaptation, if it has one, and then a piece that scores its champions."""
     chains = []
     for environment, depth, trial in settings.grid.trials():
         spec = segments.segment_spec(
@@ -103,7 +104,7 @@ def read_scores(settings: Settings, results: Results, store: Store) -> list[dict
     return rows
 
 
-def summarise(settings: Settings, results: Results, upstream: Upstream, store: Store) -> Summary:
+def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Tabulate champions in True Slush by depth and environment."""
     rows = read_scores(settings, results, store)
     lines = [f"{'depth':>7}  {'evolved in':<15} {'n':>3}  {'predicted':>14}  {'zero-shot':>14}  {'adapted':>14}   [m]"]
