@@ -95,10 +95,10 @@ def load(model: type[M], path: Path, overrides: Sequence[str] = ()) -> M:
 
 def parse(model: type[M], text: str, *, name: str, overrides: Sequence[str] = ()) -> M:
     """Read settings from YAML text; ``name`` is what a message calls it. Otherwise as :func:`load`."""
-    root = _compose(text, name) or Value({}, name)
-    if not isinstance(root.content, dict):
-        raise PuddleError(f"{root.where}: expected settings like `name: value`, came {_show(_plain(root))}")
-    root = Value(root.content, name)
+    document = _compose(text, name)
+    if not isinstance(document.content, dict | None):
+        raise PuddleError(f"{document.where}: expected settings like `name: value`, came {_show(_plain(document))}")
+    root = Value(document.content or {}, name)
     for override in overrides:
         root = _override(root, override)
     try:
@@ -139,13 +139,13 @@ _INT = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 
-def _compose(text: str, name: str, where: str | None = None) -> Value | None:
-    """Return what YAML text says, or None where it says nothing. Values stand at ``NAME:LINE``, or all at ``where``."""
+def _compose(text: str, name: str, where: str | None = None) -> Value:
+    """Return what YAML text says; an empty one says null. Values stand at ``NAME:LINE``, or all at ``where``."""
     loader = None
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
-        return None if node is None else _value(node, name, where)
+        return Value(None, where or name) if node is None else _value(node, name, where)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         at = where or (f"{name}:{mark.line + 1}" if mark else name)
@@ -218,9 +218,9 @@ def _override(root: Value, override: str) -> Value:
     if "\n" in text:
         raise PuddleError(f"{where}: expected a value on one line")
     value = _compose(text, name=where, where=where)
-    if value is not None and isinstance(value.content, dict) and not text.lstrip().startswith("{"):
+    if isinstance(value.content, dict) and not text.lstrip().startswith("{"):
         raise PuddleError(f"{where}: expected a value, a list [..] or a group {{..}}, came a colon (quote it)")
-    return _replaced(root, names, Value(value.content if value else None, where))
+    return _replaced(root, names, value)
 
 
 def _replaced(group: Value, names: Sequence[str], value: Value, above: str = "") -> Value:
