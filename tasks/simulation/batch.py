@@ -1,0 +1,266 @@
+"""The batch engine: many robots at once, one per lane, with the bits of the reference engine.
+
+Designs are packed into groups of as many robots as the machine's vectors have lanes, and a compiled kernel steps group
+after group. One thread: a study runs one process per core.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from tasks.design.body import KinematicTrees, kinematic_trees
+from tasks.design import genes
+from tasks.design.genes import N_LINKS, Designs
+from tasks.simulation import contact, drive, joint, kernels, lanes, rotation, rows
+from tasks.simulation.compiled import compiled
+from tasks.simulation.contact import NO_VERTEX
+from tasks.simulation.drive import Drive
+from tasks.simulation.kernels import World
+from tasks.simulation.lanes import Block, widest
+from tasks.simulation.motion import GROUND_HALF_HEIGHT, Motion
+from tasks.world import Environment, LinkStates, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world import slush as slush_source
+
+Float32 = npt.NDArray[np.float32]
+Indices = npt.NDArray[np.int64]
+
+_advance = compiled(
+    kernels.advance,
+    [genes, slush_source, drive, lanes, rows, rotation, joint, contact, kernels],
+    seconds=20,
+)
+
+
+def discovery_order(parent: Indices) -> Indices:
+    """Links in the order in which Box2D's island search meets them.
+
+    The search keeps a stack of bodies. Taking one off, it goes through its joints, the latest first: each gives the
+    island a joint, and the stack a child. So bodies come off in preorder with the earliest child first, and a body's
+    joints are listed with the latest child first.
+
+    Args:
+        parent: (n_designs, n_links) parents, of links created from the last to the root and joints from the first.
+
+    Returns:
+        (n_designs, n_links) the link that comes first (the root), second, and so on.
+    """
+    n_designs = len(parent)
+    design = np.arange(n_designs)
+    size = np.ones((n_designs, N_LINKS), np.int64)  # of the subtree
+    for link in range(N_LINKS - 1, 0, -1):
+        size[design, parent[:, link]] += size[:, link]
+    taken = np.zeros((n_designs, N_LINKS), np.int64)  # how many come off the stack before
+    next_child = np.ones((n_designs, N_LINKS), np.int64)  # how much later than its parent the next child does
+    for link in range(1, N_LINKS):
+        above = parent[:, link]
+        taken[:, link] = taken[design, above] + next_child[design, above]
+        next_child[design, above] += size[:, link]
+    key = np.take_along_axis(taken, np.maximum(parent, 0), axis=1) * N_LINKS + N_LINKS - np.arange(N_LINKS)
+    key[:, 0] = -1
+    return np.argsort(key, axis=1)
+
+
+def inverse_mass_and_inertia(half_width: Float32, half_height: Float32, density: float) -> tuple[Float32, Float32]:
+    """b2PolygonShape::ComputeMass and b2Body::ResetMassData of boxes, operation by operation in float32."""
+    zero, half, quarter = np.float32(0), np.float32(0.5), np.float32(0.25)
+    third = np.float32(1) / np.float32(3)
+    corners = [(-half_width, -half_height), (half_width, -half_height), (half_width, half_height), (-half_width, half_height)]
+    area, inertia = np.full_like(half_width, zero), np.full_like(half_width, zero)
+    for (ex1, ey1), (ex2, ey2) in zip(corners, corners[1:] + corners[:1], strict=True):
+        D = ex1 * ey2 - ey1 * ex2
+        area = area + half * D
+        intx2 = ex1 * ex1 + ex2 * ex1 + ex2 * ex2
+        inty2 = ey1 * ey1 + ey2 * ey1 + ey2 * ey2
+        inertia = inertia + (quarter * third * D) * (intx2 + inty2)
+    one, rho = np.float32(1), np.float32(density)
+    return one / (rho * area), one / (rho * inertia)
+
+
+def shared_world(environment: Environment, physics: Physics) -> World:
+    """Round what all robots share to float32, as Box2D and NumPy do on the way in."""
+    single = np.float32
+    dt = single(physics.time_step)
+    slush = environment.slush if isinstance(environment, TrueSlush) else Slush()
+    top = single(GROUND_HALF_HEIGHT) + single(-environment.depth - GROUND_HALF_HEIGHT)
+    friction = single(physics.friction)
+    return World(
+        dt=dt,
+        dt_ratio=(single(1) / dt) * dt,
+        fall=dt * single(-physics.gravity),
+        ground=top,
+        friction=np.sqrt(friction * friction),
+        restitution=single(physics.restitution),
+        motor_gain=single(physics.motor_gain),
+        velocity_iterations=physics.velocity_iterations,
+        position_iterations=physics.position_iterations,
+        slush=isinstance(environment, TrueSlush),
+        drag=single(0.5 * slush.density * slush.linear_drag * physics.time_step),
+        angular_drag=single(slush.density * slush.angular_drag * physics.time_step),
+        lift=single(slush.density * physics.gravity * physics.time_step),
+    )
+
+
+class Groups:
+    """Robots packed into lanes: robot i is lane i mod n_lanes of group i // n_lanes."""
+
+    def __init__(self, designs: Designs, physics: Physics, *, n_members: int, n_lanes: int) -> None:
+        """Spawn n_members robots of each of n_designs designs: robot number member · n_designs + design."""
+        self.n_robots = n_members * len(designs)
+        self.n_lanes = n_lanes
+        self.n_groups = -(-self.n_robots // n_lanes)
+        self._block = Block(self.n_groups * rows.N_ROWS, n_lanes)
+        self.blocks = self._block.rows.reshape(self.n_groups, rows.N_ROWS, n_lanes)
+        # Lanes left over at the end hold copies, so that every lane holds a robot.
+        self._design = np.minimum(np.arange(self.n_groups * n_lanes), self.n_robots - 1) % len(designs)
+        self._order = discovery_order(designs.parent)
+        self._place = np.argsort(self._order, axis=1)
+        self._fill(designs, kinematic_trees(designs, density=physics.link_density), physics)
+
+    def _fill(self, designs: Designs, trees: KinematicTrees, physics: Physics) -> None:
+        order, single = self._order, np.float32
+        drive = Drive.of(designs)
+        inverse_mass, inverse_inertia = inverse_mass_and_inertia(
+            trees.half_width, trees.half_height, physics.link_density
+        )
+        length = designs.length_scale.astype(single)
+        for row, of_link in (
+            (rows.X, trees.x),
+            (rows.Y, trees.y),
+            (rows.ANGLE, trees.angle),
+            (rows.HALF_WIDTH, trees.half_width),
+            (rows.HALF_HEIGHT, trees.half_height),
+            (rows.INVERSE_MASS, inverse_mass),
+            (rows.INVERSE_INERTIA, inverse_inertia),
+            (rows.LENGTH, length),
+            (rows.WIDTH, 1 / length),
+            (rows.MASS, trees.mass),
+            (rows.INERTIA, trees.inertia),
+        ):
+            self._put(row, np.take_along_axis(of_link, order, axis=1))
+        child = order[:, 1:]
+        above = np.take_along_axis(designs.parent, child, axis=1)
+        max_motor_impulse = single(physics.time_step) * single(physics.max_motor_torque)
+        for row, of_joint in (
+            (rows.PARENT, np.take_along_axis(self._place, above, axis=1)),
+            (rows.PARENT_INVERSE_MASS, np.take_along_axis(inverse_mass, above, axis=1)),
+            (rows.PARENT_INVERSE_INERTIA, np.take_along_axis(inverse_inertia, above, axis=1)),
+            (rows.PARENT_ANCHOR, np.take_along_axis(trees.parent_anchor, child, axis=1)),
+            (rows.CHILD_ANCHOR, np.take_along_axis(trees.child_anchor, child, axis=1)),
+            (rows.MAX_MOTOR_IMPULSE, np.take_along_axis(drive.motor_on, child, axis=1) * max_motor_impulse),
+            (rows.PHASE, np.take_along_axis(drive.phase_turns, child, axis=1)),
+            (rows.MOTION_RANGE, np.take_along_axis(drive.motion_range, child, axis=1)),
+            (rows.REST_ANGLE, np.take_along_axis(drive.rest_angle, child, axis=1)),
+            (rows.FREQUENCY, drive.frequency),
+        ):
+            self._put(row, of_joint)
+        self.blocks[:, rows.VERTEX_1 : rows.VERTEX_2 + N_LINKS] = NO_VERTEX
+
+    def _put(self, row: int, of_design: npt.NDArray[np.generic]) -> None:
+        """Write (n_designs, n) numbers to n rows from one on."""
+        n = of_design.shape[1]
+        lanes = of_design[self._design].reshape(self.n_groups, self.n_lanes, n)
+        self.blocks[:, row : row + n] = lanes.transpose(0, 2, 1)
+
+    def states(self, columns: tuple[int, ...]) -> Float32:
+        """Read quantities of the links, numbered as the kernels do.
+
+        Args:
+            columns: first rows of the quantities.
+
+        Returns:
+            (n_columns, n_robots, n_links)
+        """
+        taken = np.stack([self.blocks[:, row : row + N_LINKS] for row in columns])
+        return taken.transpose(0, 1, 3, 2).reshape(len(columns), -1, N_LINKS)[:, : self.n_robots]
+
+    def set_velocities(self, vx: Float32, vy: Float32, omega: Float32) -> None:
+        """Write (n_robots, n_links) velocities, links numbered as the kernels do."""
+        robot = np.minimum(np.arange(self.n_groups * self.n_lanes), self.n_robots - 1)
+        for row, values in ((rows.VX, vx), (rows.VY, vy), (rows.OMEGA, omega)):
+            lanes_last = values[robot].reshape(self.n_groups, self.n_lanes, N_LINKS)
+            self.blocks[:, row : row + N_LINKS] = lanes_last.transpose(0, 2, 1)
+
+    def poses(self) -> Float32:
+        """Read (n_robots, n_links, 6) states, links in the designs' own order; NaN where diverged."""
+        state = np.moveaxis(self.states((rows.X, rows.Y, rows.ANGLE, rows.VX, rows.VY, rows.OMEGA)), 0, -1)
+        state = np.take_along_axis(state, self._place_of_robot()[..., None], axis=1)
+        diverged = np.isnan(self.blocks[:, rows.DIVERGENCE].reshape(-1)[: self.n_robots])
+        state[diverged] = np.nan
+        return state
+
+    def _place_of_robot(self) -> Indices:
+        """(n_robots, n_links) numbers that the kernels give to the designs' links."""
+        return self._place[self._design[: self.n_robots]]
+
+    def advance(self, world: World, first_step: int, n_steps: int, kept: Float32 | None) -> None:
+        """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""
+        for group in range(self.n_groups if kept is not None else 1):
+            n_groups = 1 if kept is not None else self.n_groups
+            trace = Block(n_steps * rows.N_TRACED if kept is not None else 1, self.n_lanes)
+            block = lanes.from_row(self._block, group * rows.N_ROWS)
+            with np.errstate(all="ignore"):  # without the compiler the lanes are NumPy's, and it would warn
+                _advance(block, n_groups, world, first_step, n_steps, trace, kept is not None)
+            if kept is not None:
+                mine = slice(group * self.n_lanes, min((group + 1) * self.n_lanes, self.n_robots))
+                states = trace.rows.reshape(n_steps, 6, N_LINKS, self.n_lanes).transpose(3, 0, 2, 1)
+                place = self._place_of_robot()[mine, None, :, None]
+                kept[mine] = np.take_along_axis(states[: mine.stop - mine.start], place, axis=2)
+
+
+def roll_out(
+    designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool
+) -> Motion:
+    """Simulate designs in an environment; see :func:`tasks.simulation.simulate`."""
+    return roll_out_on(
+        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, n_lanes=widest()
+    )
+
+
+def roll_out_on(
+    designs: Designs,
+    environment: Environment,
+    physics: Physics,
+    *,
+    n_settle: int,
+    n_measure: int,
+    trace: bool,
+    n_lanes: int,
+) -> Motion:
+    """Simulate designs on a given number of lanes, on which nothing depends but the time it takes."""
+    n_members = environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1
+    groups = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes)
+    world = shared_world(environment, physics)
+    n_steps = n_settle + n_measure
+    shape = (n_members, len(designs))
+    kept = np.empty((groups.n_robots, n_steps, N_LINKS, 6), np.float32) if trace else None
+    groups.advance(world, 0, 0, None)
+    settled = groups.poses()
+    for first, last in ((0, n_settle), (n_settle, n_steps)):
+        if isinstance(environment, ResidualSlush):
+            for step in range(first, last):
+                _push(groups, environment, physics)
+                groups.advance(world, step, 1, None if kept is None else kept[:, step : step + 1])
+        else:
+            groups.advance(world, first, last - first, None if kept is None else kept[:, first:last])
+        if last == n_settle:
+            settled = groups.poses()
+    return Motion(
+        settled=settled.reshape(*shape, N_LINKS, 6),
+        final=groups.poses().reshape(*shape, N_LINKS, 6),
+        trace=None if kept is None else kept.reshape(*shape, n_steps, N_LINKS, 6),
+    )
+
+
+def _push(groups: Groups, environment: ResidualSlush, physics: Physics) -> None:
+    """Add the ensemble's velocity change to every link, as the reference engine does."""
+    shape = (environment.ensemble.n_members, -1, N_LINKS)
+    links = LinkStates(
+        *groups.states(
+            (rows.LENGTH, rows.MASS, rows.INERTIA, rows.Y, rows.COS, rows.SIN, rows.VX, rows.VY, rows.OMEGA)
+        ).reshape(9, *shape)
+    )
+    change = environment.ensemble.velocity_change(links, physics)
+    velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
+    vx, vy, omega = (v.astype(np.float32).reshape(groups.n_robots, N_LINKS) for v in velocities)
+    groups.set_velocities(vx, vy, omega)

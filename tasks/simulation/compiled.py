@@ -1,0 +1,61 @@
+"""Kernels compiled once per machine, and again when their source changes.
+
+numba keys its cache on disk by the file of the function itself and does not see an edit of another module that it calls.
+So the folder of the cache is named by a digest of all the modules that go into a kernel. It lies in the user's cache, which
+all processes of a machine share, or in NUMBA_CACHE_DIR if that is set, and needs no write access to the package.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import inspect
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from types import ModuleType
+from typing import Any
+
+import numba
+
+
+def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:
+    """Compile a kernel on its first call, or take it from the cache.
+
+    Args:
+        function: the kernel.
+        sources: the modules whose code or constants go into it.
+        seconds: about how long compilation takes, for a word to whoever waits.
+    """
+    if numba.config.DISABLE_JIT:
+        return function
+    digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in sources).encode()).hexdigest()
+    folder = os.path.join(_cache_folder(), digest[:16])
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = folder  # numba reads it here, where the function is decorated
+    try:
+        kernel = numba.njit(error_model="numpy", cache=True)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+
+    def call(*args: Any) -> Any:
+        if not kernel.overloads and not glob.glob(os.path.join(folder, "*", f"*.{function.__name__}-*.nbc")):
+            print(f"compiling {function.__module__} (once, about {seconds} s)", file=sys.stderr, flush=True)
+        return kernel(*args)
+
+    return call
+
+
+def _cache_folder() -> str:
+    """Find a folder for compiled kernels that can be written to."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    for folder in (chosen, tempfile.gettempdir()):
+        own = os.path.join(folder, f"puddle-{os.getuid()}")
+        try:
+            os.makedirs(own, mode=0o700, exist_ok=True)
+            if os.stat(own).st_uid == os.getuid() and os.access(own, os.W_OK):  # compiled code is trusted: ours alone
+                return own
+        except OSError:
+            continue
+    return tempfile.mkdtemp(prefix="puddle-")

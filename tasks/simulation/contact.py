@@ -1,0 +1,284 @@
+"""Contacts of links with the ground, on lanes: Box2D 2.3's b2CollidePolygons and b2ContactSolver, operation by operation.
+
+The ground is one static box, so wide and thick that its top is always the reference face. So the normal is (0, 1), the
+tangent (1, 0), a link has at most one contact of at most two points, and what Box2D multiplies by 0 or 1 is left out.
+Body A of a contact is the ground, B the link; points are its vertices. A lane without a point has a mass of zero there.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tasks.simulation.joint import LINEAR_SLOP, clamp
+from tasks.simulation.lanes import any_lane, inline, select
+from tasks.simulation.rotation import sincos
+from tasks.simulation.rows import (
+    ANGLE,
+    BIAS_1,
+    BIAS_2,
+    COS,
+    HALF_HEIGHT,
+    HALF_WIDTH,
+    IN_BLOCK,
+    INVERSE_11,
+    INVERSE_12,
+    INVERSE_22,
+    INVERSE_INERTIA,
+    INVERSE_MASS,
+    K_11,
+    K_12,
+    K_22,
+    LOCAL_X_1,
+    LOCAL_X_2,
+    LOCAL_Y_1,
+    LOCAL_Y_2,
+    NORMAL_1,
+    NORMAL_2,
+    NORMAL_MASS_1,
+    NORMAL_MASS_2,
+    OMEGA,
+    R_X_1,
+    R_X_2,
+    R_Y_1,
+    R_Y_2,
+    SIN,
+    SOLVED_NORMAL_1,
+    SOLVED_NORMAL_2,
+    SOLVED_TANGENT_1,
+    SOLVED_TANGENT_2,
+    TANGENT_1,
+    TANGENT_2,
+    TANGENT_MASS_1,
+    TANGENT_MASS_2,
+    VERTEX_1,
+    VERTEX_2,
+    VX,
+    VY,
+    X,
+    Y,
+)
+
+NO_VERTEX = -1.0
+POLYGON_RADIUS = 0.01
+"""b2_polygonRadius [m]: the skin of a polygon."""
+TOTAL_RADIUS = 0.02
+"""Both skins [m]: how near a vertex makes a contact point."""
+CLEARLY_APART = 0.1
+"""[m]. Estimated, and far more than the error of the estimate: no contact, whatever the rounding."""
+VELOCITY_THRESHOLD = 1.0
+"""b2_velocityThreshold [m/s]: slower than this nothing bounces."""
+MAX_CONDITION_NUMBER = 1000.0
+BAUMGARTE = 0.2
+MAX_LINEAR_CORRECTION = 0.2
+"""b2_maxLinearCorrection [m]."""
+DEEPEST = float(-np.float32(3.0) * np.float32(LINEAR_SLOP))
+"""Least separation that is good enough [m]."""
+
+
+@inline
+def collide(block: Any, link: int, ground: Any) -> None:
+    """b2CollidePolygons and b2Contact::Update: the points that touch, with the impulses of their last step."""
+    x, y, c, s = block[X + link], block[Y + link], block[COS + link], block[SIN + link]
+    hx, hy = block[HALF_WIDTH + link], block[HALF_HEIGHT + link]
+    old_vertex_1, old_vertex_2 = block[VERTEX_1 + link], block[VERTEX_2 + link]
+    if not any_lane(y - abs(s) * hx - abs(c) * hy - ground < CLEARLY_APART):
+        if any_lane(old_vertex_1 != NO_VERTEX):
+            block[VERTEX_1 + link], block[VERTEX_2 + link] = NO_VERTEX, NO_VERTEX
+            block[NORMAL_1 + link], block[TANGENT_1 + link] = 0.0, 0.0
+            block[NORMAL_2 + link], block[TANGENT_2 + link] = 0.0, 0.0
+        return
+
+    # b2FindIncidentEdge: the first of the normals (0, -1), (1, 0), (0, 1), (-1, 0) that points down most.
+    least = -c
+    right = s < least
+    least = select(right, s, least)
+    top = c < least
+    least = select(top, c, least)
+    left = -s < least
+    ends_right = (right | top) & ~left  # the edge's first vertex is right of the link's axis; its second is above
+    above = top | left
+    vertex_1 = select(left, 3.0, select(top, 2.0, select(right, 1.0, 0.0)))
+    vertex_2 = select(left, 0.0, vertex_1 + 1.0)
+    v1_x, v1_y = select(ends_right, hx, -hx), select(above, hy, -hy)
+    v2_x, v2_y = select(above, -hx, hx), select(ends_right, hy, -hy)
+    p1_x, p1_y = (c * v1_x - s * v1_y) + x, (s * v1_x + c * v1_y) + y
+    p2_x, p2_y = (c * v2_x - s * v2_y) + x, (s * v2_x + c * v2_y) + y
+
+    # b2EdgeSeparation at the support vertex, which is on that edge; of equals the one with the lower index.
+    dot_1, dot_2 = v1_x * s + v1_y * c, v2_x * s + v2_y * c
+    second_supports = (dot_2 < dot_1) | ((dot_2 == dot_1) & left)
+    near = ~(select(second_supports, p2_y, p1_y) - ground > TOTAL_RADIUS)
+    touches_1 = near & (p1_y - ground <= TOTAL_RADIUS)
+    touches_2 = near & (p2_y - ground <= TOTAL_RADIUS)
+    both = touches_1 & touches_2
+
+    # b2MulT(xf, p): back to the link's frame, with its rounding. A second point that is alone becomes the first.
+    p1_x, p1_y = select(touches_1, p1_x, p2_x) - x, select(touches_1, p1_y, p2_y) - y
+    p2_x, p2_y = p2_x - x, p2_y - y
+    block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link] = c * p1_x + s * p1_y, -s * p1_x + c * p1_y
+    block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link] = c * p2_x + s * p2_y, -s * p2_x + c * p2_y
+
+    # b2Contact::Update: a vertex that touched before keeps its impulses. Without a point they are zero.
+    vertex_1 = select(touches_1, vertex_1, select(touches_2, vertex_2, NO_VERTEX))
+    vertex_2 = select(both, vertex_2, NO_VERTEX)
+    normal_1, normal_2 = block[NORMAL_1 + link], block[NORMAL_2 + link]
+    tangent_1, tangent_2 = block[TANGENT_1 + link], block[TANGENT_2 + link]
+    is_old_1, is_old_2 = vertex_1 == old_vertex_1, vertex_1 == old_vertex_2
+    block[NORMAL_1 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
+    block[TANGENT_1 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
+    is_old_1, is_old_2 = vertex_2 == old_vertex_1, vertex_2 == old_vertex_2
+    block[NORMAL_2 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
+    block[TANGENT_2 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
+    block[VERTEX_1 + link], block[VERTEX_2 + link] = vertex_1, vertex_2
+
+
+@inline
+def touching(block: Any, link: int) -> bool:
+    """Whether a link touches the ground in any lane."""
+    return any_lane(block[VERTEX_1 + link] != NO_VERTEX)
+
+
+@inline
+def _lever(block: Any, link: int, local_x: Any, local_y: Any, ground: Any) -> Any:
+    """b2WorldManifold::Initialize: a point midway between the surfaces of both skins, from the link's centre."""
+    x, y, c, s = block[X + link], block[Y + link], block[COS + link], block[SIN + link]
+    clip_x, clip_y = (c * local_x - s * local_y) + x, (s * local_x + c * local_y) + y
+    on_ground = clip_y + (POLYGON_RADIUS - (clip_y - ground))
+    on_link = clip_y - POLYGON_RADIUS
+    return clip_x - x, 0.5 * (on_ground + on_link) - y
+
+
+@inline
+def init_velocity_constraint(block: Any, link: int, ground: Any, restitution: Any, dt_ratio: Any) -> None:
+    """b2ContactSolver's InitializeVelocityConstraints and WarmStart."""
+    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
+    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
+    touches_1, both = block[VERTEX_1 + link] != NO_VERTEX, block[VERTEX_2 + link] != NO_VERTEX
+    r1_x, r1_y = _lever(block, link, block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link], ground)
+    r2_x, r2_y = _lever(block, link, block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link], ground)
+
+    k11 = mB + iB * r1_x * r1_x
+    k22 = mB + iB * r2_x * r2_x
+    k12 = mB + iB * r1_x * r2_x
+    in_block = both & (k11 * k11 < MAX_CONDITION_NUMBER * (k11 * k22 - k12 * k12))
+    det = k11 * k22 - k12 * k12
+    det = select(det != 0.0, 1.0 / det, det)
+    block[IN_BLOCK + link] = select(in_block, 1.0, 0.0)
+    block[K_11 + link], block[K_12 + link], block[K_22 + link] = k11, k12, k22
+    block[INVERSE_11 + link], block[INVERSE_12 + link], block[INVERSE_22 + link] = det * k22, -det * k12, det * k11
+
+    block[R_X_1 + link], block[R_Y_1 + link] = r1_x, r1_y
+    block[R_X_2 + link], block[R_Y_2 + link] = r2_x, r2_y
+    block[NORMAL_MASS_1 + link] = select(touches_1, 1.0 / k11, 0.0)
+    block[NORMAL_MASS_2 + link] = select(in_block, 1.0 / k22, 0.0)
+    block[TANGENT_MASS_1 + link] = select(touches_1, 1.0 / (mB + iB * r1_y * r1_y), 0.0)
+    block[TANGENT_MASS_2 + link] = select(in_block, 1.0 / (mB + iB * r2_y * r2_y), 0.0)
+    v_rel_1, v_rel_2 = vy + w * r1_x, vy + w * r2_x
+    block[BIAS_1 + link] = select(v_rel_1 < -VELOCITY_THRESHOLD, -(restitution * v_rel_1), 0.0)
+    block[BIAS_2 + link] = select(v_rel_2 < -VELOCITY_THRESHOLD, -(restitution * v_rel_2), 0.0)
+
+    normal_1, tangent_1 = dt_ratio * block[NORMAL_1 + link], dt_ratio * block[TANGENT_1 + link]
+    # Where the block is ill-conditioned the second point is left out, and keeps its impulses for the next step.
+    normal_2 = select(in_block, dt_ratio * block[NORMAL_2 + link], 0.0)
+    tangent_2 = select(in_block, dt_ratio * block[TANGENT_2 + link], 0.0)
+    block[SOLVED_NORMAL_1 + link], block[SOLVED_TANGENT_1 + link] = normal_1, tangent_1
+    block[SOLVED_NORMAL_2 + link], block[SOLVED_TANGENT_2 + link] = normal_2, tangent_2
+    w = w + iB * (r1_x * normal_1 - r1_y * tangent_1)
+    w = w + iB * (r2_x * normal_2 - r2_y * tangent_2)
+    block[OMEGA + link] = w
+    block[VX + link] = (vx + mB * tangent_1) + mB * tangent_2
+    block[VY + link] = (vy + mB * normal_1) + mB * normal_2
+
+
+@inline
+def solve_velocity_constraint(block: Any, link: int, friction: Any) -> None:
+    """b2ContactSolver::SolveVelocityConstraints: friction at each point, then the normal impulses of both together."""
+    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
+    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
+    r1_x, r1_y = block[R_X_1 + link], block[R_Y_1 + link]
+    r2_x, r2_y = block[R_X_2 + link], block[R_Y_2 + link]
+    a1, a2 = block[SOLVED_NORMAL_1 + link], block[SOLVED_NORMAL_2 + link]
+
+    max_friction = friction * a1
+    old = block[SOLVED_TANGENT_1 + link]
+    new = clamp(old - block[TANGENT_MASS_1 + link] * (vx - w * r1_y), -max_friction, max_friction)
+    block[SOLVED_TANGENT_1 + link] = new
+    vx = vx + mB * (new - old)
+    w = w - iB * (r1_y * (new - old))
+
+    max_friction = friction * a2
+    old = block[SOLVED_TANGENT_2 + link]
+    new = clamp(old - block[TANGENT_MASS_2 + link] * (vx - w * r2_y), -max_friction, max_friction)
+    block[SOLVED_TANGENT_2 + link] = new
+    vx = vx + mB * (new - old)
+    w = w - iB * (r2_y * (new - old))
+
+    b1 = vy + w * r1_x - block[BIAS_1 + link]
+    b2 = vy + w * r2_x - block[BIAS_2 + link]
+    alone = a1 - block[NORMAL_MASS_1 + link] * b1
+    alone = select(alone > 0.0, alone, 0.0)
+
+    # The linear complementarity problem b = K x + b', x ≥ 0, b ≥ 0, x · b = 0: the first of the cases that holds.
+    k12 = block[K_12 + link]
+    b1 = b1 - (block[K_11 + link] * a1 + k12 * a2)
+    b2 = b2 - (k12 * a1 + block[K_22 + link] * a2)
+    x1 = -(block[INVERSE_11 + link] * b1 + block[INVERSE_12 + link] * b2)
+    x2 = -(block[INVERSE_12 + link] * b1 + block[INVERSE_22 + link] * b2)
+    case_1 = (x1 >= 0.0) & (x2 >= 0.0)
+    only_1 = -(block[NORMAL_MASS_1 + link] * b1)
+    case_2 = (only_1 >= 0.0) & (k12 * only_1 + b2 >= 0.0)
+    only_2 = -(block[NORMAL_MASS_2 + link] * b2)
+    case_3 = (only_2 >= 0.0) & (k12 * only_2 + b1 >= 0.0)
+    case_4 = (b1 >= 0.0) & (b2 >= 0.0)
+    x1 = select(case_1, x1, select(case_2, only_1, select(case_3 | case_4, 0.0, a1)))
+    x2 = select(case_1, x2, select(case_2, 0.0, select(case_3, only_2, select(case_4, 0.0, a2))))
+
+    in_block = block[IN_BLOCK + link] != 0.0
+    x1 = select(in_block, x1, alone)
+    x2 = select(in_block, x2, a2)
+    block[SOLVED_NORMAL_1 + link], block[SOLVED_NORMAL_2 + link] = x1, x2
+    d1, d2 = x1 - a1, x2 - a2
+    block[VX + link] = vx
+    block[VY + link] = vy + mB * (d1 + d2)
+    block[OMEGA + link] = w + iB * (r1_x * d1 + r2_x * d2)
+
+
+@inline
+def store_impulses(block: Any, link: int) -> None:
+    """b2ContactSolver::StoreImpulses: keep them for the next step."""
+    in_block = block[IN_BLOCK + link] != 0.0
+    block[NORMAL_1 + link], block[TANGENT_1 + link] = block[SOLVED_NORMAL_1 + link], block[SOLVED_TANGENT_1 + link]
+    block[NORMAL_2 + link] = select(in_block, block[SOLVED_NORMAL_2 + link], block[NORMAL_2 + link])
+    block[TANGENT_2 + link] = select(in_block, block[SOLVED_TANGENT_2 + link], block[TANGENT_2 + link])
+
+
+@inline
+def _push_out(block: Any, link: int, local_x: Any, local_y: Any, ground: Any, pushed: Any) -> Any:
+    """One point of SolvePositionConstraints, in some lanes; return its separation."""
+    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
+    x, y, c, s = block[X + link], block[Y + link], block[COS + link], block[SIN + link]
+    clip_x, clip_y = (c * local_x - s * local_y) + x, (s * local_x + c * local_y) + y
+    separation = clip_y - ground - POLYGON_RADIUS - POLYGON_RADIUS
+    C = clamp(BAUMGARTE * (separation + LINEAR_SLOP), -MAX_LINEAR_CORRECTION, 0.0)
+    pushed = pushed & (C != 0.0)
+    if any_lane(pushed):
+        r_x = clip_x - x
+        impulse = select(pushed, -C / (mB + iB * r_x * r_x), 0.0)
+        angle = block[ANGLE + link] + iB * (r_x * impulse)
+        block[Y + link] = y + mB * impulse
+        block[ANGLE + link] = angle
+        block[SIN + link], block[COS + link] = sincos(angle)
+    return separation
+
+
+@inline
+def solve_position_constraint(block: Any, link: int, ground: Any, unsolved: Any) -> Any:
+    """b2ContactSolver::SolvePositionConstraints in the unsolved lanes; return where the link was not too deep."""
+    touches_1, both = block[VERTEX_1 + link] != NO_VERTEX, block[VERTEX_2 + link] != NO_VERTEX
+    local_x, local_y = block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link]
+    separation_1 = _push_out(block, link, local_x, local_y, ground, unsolved & touches_1)
+    local_x, local_y = block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link]
+    separation_2 = _push_out(block, link, local_x, local_y, ground, unsolved & both)
+    return (~touches_1 | (separation_1 >= DEEPEST)) & (~both | (separation_2 >= DEEPEST))

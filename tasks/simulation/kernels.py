@@ -1,0 +1,246 @@
+"""A step of many robots at once, on lanes: the motors, the slush, and Box2D 2.3's b2World::Step, operation by operation.
+
+The order of a step is Box2D's: collide, integrate velocities, warm-start contacts then joints, sweep joints then contacts
+for velocities, integrate positions, sweep contacts then joints for positions. Contacts tie no two links, so their order
+among themselves does not matter; that of the joints does. The motors and the slush are those of drive.py and
+tasks/world/slush.py, in the same float32 operations. Everything equals the reference engine to the last bit.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tasks.design.genes import N_LINKS
+from tasks.simulation import contact, joint
+from tasks.simulation.drive import SINE_OF_TURNS
+from tasks.simulation.joint import of_parent
+from tasks.simulation.lanes import any_lane, floor, from_row, inline, select, sqrt
+from tasks.simulation.rotation import sincos
+from tasks.simulation.rows import (
+    ANGLE,
+    COS,
+    DIVERGENCE,
+    FREQUENCY,
+    INERTIA,
+    LENGTH,
+    MASS,
+    MOTION_RANGE,
+    MOTOR_SPEED,
+    N_JOINTS,
+    N_ROWS,
+    N_TRACED,
+    OMEGA,
+    PARENT,
+    PHASE,
+    REST_ANGLE,
+    SIN,
+    VX,
+    VY,
+    WIDTH,
+    X,
+    Y,
+)
+from tasks.world.slush import TINY
+
+C1, C3, C5, C7, C9 = SINE_OF_TURNS
+MAX_TRANSLATION = 2.0
+"""b2_maxTranslation [m]: no body moves farther in a step."""
+MAX_ROTATION = float(np.float32(0.5) * np.float32(3.14159265359))
+"""b2_maxRotation [rad]."""
+MAX_ROTATION_SQUARED = float(np.float32(MAX_ROTATION) * np.float32(MAX_ROTATION))
+
+
+class World(NamedTuple):
+    """What all robots of a call share, rounded once to float32."""
+
+    dt: np.float32
+    """[s]"""
+    dt_ratio: np.float32
+    """Box2D's dtRatio of a steady time step: 1, give or take a rounding."""
+    fall: np.float32
+    """Gain of vy by gravity in a step [m/s]."""
+    ground: np.float32
+    """Height of the ground's top [m]."""
+    friction: np.float32
+    restitution: np.float32
+    motor_gain: np.float32
+    """[1/s]"""
+    velocity_iterations: int
+    position_iterations: int
+    slush: bool
+    """Whether the built-in slush fills the world below y = 0; its factors follow."""
+    drag: np.float32
+    """½ ρ C_dl dt"""
+    angular_drag: np.float32
+    """ρ C_dr dt"""
+    lift: np.float32
+    """ρ g dt"""
+
+
+@inline
+def command_motor(block: Any, j: int, time: Any, gain: Any) -> None:
+    """Motor speed gain · (θ* - θ); see tasks/simulation/drive.py."""
+    parent = block[PARENT + j]
+    joint_angle = block[ANGLE + j + 1] - of_parent(block, ANGLE, parent, j)
+    turns = block[FREQUENCY] * time + block[PHASE + j]
+    r = turns - floor(turns + 0.5)
+    folded = 0.25 - abs(abs(r) - 0.25)
+    square = folded * folded
+    sine = folded * (C1 + square * (C3 + square * (C5 + square * (C7 + square * C9))))
+    target = block[REST_ANGLE + j] + block[MOTION_RANGE + j] * select(r < 0.0, -sine, sine)
+    block[MOTOR_SPEED + j] = gain * (target - joint_angle)
+
+
+@inline
+def _share(lanes: Any) -> Any:
+    """Clamp to [0, 1]."""
+    positive = select(lanes > 0.0, lanes, 0.0)
+    return select(positive < 1.0, positive, 1.0)
+
+
+@inline
+def submerge(block: Any, link: int, world: Any) -> None:
+    """Drag and buoyancy of the slush on a link over one step; see tasks/world/slush.py."""
+    length, width = block[LENGTH + link], block[WIDTH + link]
+    rise_short, rise_long = abs(block[SIN + link]) * width / 2.0, abs(block[COS + link]) * length / 2.0
+    depth = rise_short + rise_long - block[Y + link]
+    if not any_lane(depth > 0.0):
+        return
+    per_short = 0.5 / select(rise_short > TINY, rise_short, TINY)
+    per_long = 0.5 / select(rise_long > TINY, rise_long, TINY)
+    t1, t2 = _share(depth * per_short), _share(depth * per_long)
+    t3, t4 = _share((depth - 2.0 * rise_short) * per_long), _share((depth - 2.0 * rise_long) * per_short)
+    area = (t1 * (t2 + t3) + t4 * (t2 - t3)) / 2.0
+    p1, p4 = 2.0 * t1 - 1.0, 2.0 * t4 - 1.0
+    q3, q2 = 2.0 * t3 - 1.0, 2.0 * t2 - 1.0
+    across = width * width * ((t2 + t3) + (t2 - t3) * ((p1 * p1 + p4 * p4) * (p1 + p4)) / 4.0)
+    along = length * length * ((t1 + t4) + (t1 - t4) * ((q2 * q2 + q3 * q3) * (q2 + q3)) / 4.0)
+    second_moment = (across + along) / 24.0
+    second_moment = select(second_moment > 0.0, second_moment, 0.0)
+
+    vx, vy, omega = block[VX + link], block[VY + link], block[OMEGA + link]
+    k_dt = world.drag * area / block[MASS + link]
+    k_r_dt = world.angular_drag * second_moment / block[INERTIA + link]
+    slowed = 1.0 + k_dt * sqrt(vx * vx + vy * vy)
+    lift = world.lift * area / block[MASS + link]
+    block[VX + link] = vx + (vx / slowed - vx)
+    block[VY + link] = vy + ((vy / slowed + lift) - vy)
+    block[OMEGA + link] = omega + (omega / (1.0 + k_r_dt * abs(omega)) - omega)
+
+
+@inline
+def integrate_position(block: Any, link: int, dt: Any) -> None:
+    """b2Island::Solve: limit the velocities, then move."""
+    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
+    translation_x, translation_y, rotation = dt * vx, dt * vy, dt * w
+    squared = translation_x * translation_x + translation_y * translation_y
+    too_far = squared > MAX_TRANSLATION * MAX_TRANSLATION
+    too_much = rotation * rotation > MAX_ROTATION_SQUARED
+    if any_lane(too_far | too_much):
+        ratio = MAX_TRANSLATION / sqrt(squared)
+        vx, vy = select(too_far, vx * ratio, vx), select(too_far, vy * ratio, vy)
+        w = select(too_much, w * (MAX_ROTATION / abs(rotation)), w)
+        block[VX + link], block[VY + link], block[OMEGA + link] = vx, vy, w
+    angle = block[ANGLE + link] + dt * w
+    block[X + link], block[Y + link] = block[X + link] + dt * vx, block[Y + link] + dt * vy
+    block[ANGLE + link] = angle
+    block[SIN + link], block[COS + link] = sincos(angle)
+
+
+@inline
+def solve_velocities(block: Any, world: Any) -> None:
+    """Sweeps of the velocity solver."""
+    for _ in range(world.velocity_iterations):
+        joint.solve_velocity_constraint(block, 0)
+        joint.solve_velocity_constraint(block, 1)
+        joint.solve_velocity_constraint(block, 2)
+        joint.solve_velocity_constraint(block, 3)
+        joint.solve_velocity_constraint(block, 4)
+        for link in range(N_LINKS):
+            if contact.touching(block, link):
+                contact.solve_velocity_constraint(block, link, world.friction)
+
+
+@inline
+def solve_positions(block: Any, world: Any) -> None:
+    """Sweeps of the position solver; a lane is left alone once all its errors were small in one sweep."""
+    unsolved = block[DIVERGENCE] == 0.0
+    for _ in range(world.position_iterations):
+        solved = unsolved
+        for link in range(N_LINKS):
+            if contact.touching(block, link):
+                solved = solved & contact.solve_position_constraint(block, link, world.ground, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 0, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 1, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 2, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 3, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 4, unsolved)
+        unsolved = unsolved & ~solved
+        if not any_lane(unsolved):
+            break
+
+
+@inline
+def take_step(block: Any, world: Any, step: int) -> None:
+    """The motors, the slush, and b2World::Step."""
+    time = np.float32(step) * world.dt
+    command_motor(block, 0, time, world.motor_gain)
+    command_motor(block, 1, time, world.motor_gain)
+    command_motor(block, 2, time, world.motor_gain)
+    command_motor(block, 3, time, world.motor_gain)
+    command_motor(block, 4, time, world.motor_gain)
+    for link in range(N_LINKS):
+        if world.slush:
+            submerge(block, link, world)
+        block[VY + link] = block[VY + link] + world.fall
+        contact.collide(block, link, world.ground)
+        if contact.touching(block, link):
+            contact.init_velocity_constraint(block, link, world.ground, world.restitution, world.dt_ratio)
+    joint.init_velocity_constraint(block, 0, world.dt_ratio)
+    joint.init_velocity_constraint(block, 1, world.dt_ratio)
+    joint.init_velocity_constraint(block, 2, world.dt_ratio)
+    joint.init_velocity_constraint(block, 3, world.dt_ratio)
+    joint.init_velocity_constraint(block, 4, world.dt_ratio)
+    solve_velocities(block, world)
+    for link in range(N_LINKS):
+        if contact.touching(block, link):
+            contact.store_impulses(block, link)
+        integrate_position(block, link, world.dt)
+    solve_positions(block, world)
+    divergence = block[DIVERGENCE]
+    for row in range(N_TRACED):
+        divergence = divergence + 0.0 * block[row]
+    block[DIVERGENCE] = divergence
+
+
+@inline
+def orient(block: Any) -> None:
+    """Sine and cosine of the angles at the spawn; from then on they follow the angles."""
+    for link in range(N_LINKS):
+        block[SIN + link], block[COS + link] = sincos(block[ANGLE + link])
+
+
+def advance(blocks: Any, n_groups: int, world: Any, first_step: int, n_steps: int, trace: Any, traced: bool) -> None:
+    """Take steps with groups of robots.
+
+    Args:
+        blocks: n_groups blocks of N_ROWS rows, one after the other.
+        n_groups: how many there are.
+        world: a :class:`World`.
+        first_step: number of the first step since the spawn; 0 orients the links first.
+        n_steps: how many to take, 0 or more.
+        trace: a block of n_groups · n_steps · N_TRACED rows to fill with the states after each step.
+        traced: whether to.
+    """
+    for group in range(n_groups):
+        block = from_row(blocks, group * N_ROWS)
+        if first_step == 0:
+            orient(block)
+        for step in range(n_steps):
+            take_step(block, world, first_step + step)
+            if traced:
+                kept = from_row(trace, (group * n_steps + step) * N_TRACED)
+                for row in range(N_TRACED):
+                    kept[row] = block[row] + block[DIVERGENCE]
