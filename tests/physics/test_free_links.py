@@ -1,0 +1,137 @@
+"""Single links against closed forms: free fall, sinking and floating in slush. No ground, no joints."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tasks.simulation.reference import FreeLinks
+from tasks.world import LinkStates, Medium, Physics, Slush, TrueSlush, VelocityChange
+from tasks.world.slush import submerged_part
+
+DT, G = 1 / 60, 9.8
+EPS32 = 2.0**-24
+"""Relative rounding of float32."""
+
+X, Y, ANGLE, VX, VY, OMEGA = range(6)
+
+
+def run(links: FreeLinks, state: np.ndarray, medium: Medium | None, n_steps: int) -> np.ndarray:
+    """States after each step, (n_steps, n_links, 6)."""
+    states = []
+    for _ in range(n_steps):
+        state = links.step(state.astype(np.float32), medium)
+        states.append(state)
+    return np.array(states, dtype=np.float64)
+
+
+def at_rest(n: int, *, y: float, angle: np.ndarray | float = 0.0) -> np.ndarray:
+    state = np.zeros((n, 6), dtype=np.float32)
+    state[:, Y], state[:, ANGLE] = y, angle
+    return state
+
+
+def test_free_fall() -> None:
+    n_steps = 120
+    start = at_rest(3, y=2.0)
+    start[:, VX], start[:, OMEGA] = 3.0, 2.0
+    states = run(FreeLinks(np.array([1.0, 2.0, 3.0]), Physics()), start, None, n_steps)
+    n = np.arange(1, n_steps + 1)[:, None]
+    # Semi-implicit Euler: v takes its change first, then x moves by the new v. So v_n = -g n dt and
+    # y_n = y_0 - g dt² (1 + 2 + … + n). Each step rounds v and the product g dt, and then y and the product v dt.
+    v_error = 2 * n * EPS32 * G * n * DT
+    y_error = np.cumsum(v_error, axis=0) * DT + 2 * n * EPS32 * 20
+    assert (np.abs(states[..., VY] + G * n * DT) <= v_error).all()
+    assert (np.abs(states[..., Y] - (2.0 - G * DT**2 * n * (n + 1) / 2)) <= y_error).all()
+    assert (np.abs(states[..., X] - 3.0 * n * DT) <= 2 * n * EPS32 * 6).all()
+    assert (np.abs(states[..., ANGLE] - 2.0 * n * DT) <= 2 * n * EPS32 * 4).all()
+    assert (states[..., VX] == 3.0).all()
+    assert (states[..., OMEGA] == 2.0).all()
+
+
+@pytest.mark.parametrize("density", [2.0, 5.0])
+@pytest.mark.parametrize("v0", [0.0, -25.0])
+def test_terminal_velocity_of_a_link_that_sinks(density: float, v0: float) -> None:
+    start = at_rest(3, y=-20.0, angle=np.array([0.0, 0.7, np.pi / 2], dtype=np.float32))
+    start[:, VY] = v0
+    links = FreeLinks(np.array([1.0, 2.0, 3.0]), Physics(link_density=density))
+    speed = -run(links, start, Slush(), 300)[-1, :, VY]
+    # Wholly submerged, A_s = 1 m² and m = density. In steps, a speed s (downward) becomes s / (1 + k s dt) + b with
+    # k = ½ ρ C_dl / m and b = (g - ρ g / m) dt. Its fixed point solves k dt s² - b k dt s - b = 0.
+    k, b = 0.5 * 1.25 * 10.0 / density, (G - 1.25 * G / density) * DT
+    terminal = (b + np.sqrt(b * b + 4 * b / (k * DT))) / 2
+    # Near it an error shrinks in each step by 1 / (1 + k s dt)², so of some six roundings a step at most their sum
+    # over the steps that it takes to forget them, 1 / (1 - that), is left.
+    forgets = 1 / (1 - (1 + k * terminal * DT) ** -2)
+    np.testing.assert_allclose(speed, terminal, rtol=0, atol=6 * EPS32 * terminal * forgets)
+    # The differential equation's own, √((g - ρ g / m) / k), lies within b of it.
+    assert abs(terminal - np.sqrt(b / DT / k)) < b
+
+
+def test_a_link_floats_with_four_fifths_submerged() -> None:
+    lengths = np.array([1.0, 2.0, 3.0, 2.0, 2.0])
+    angle = np.array([0.0, 0.0, 0.0, np.pi / 2, 0.8], dtype=np.float32)
+    seconds = 60
+    states = run(FreeLinks(lengths, Physics()), at_rest(5, y=0.0, angle=angle), Slush(), seconds * 60)[-1]
+    area, _ = submerged_part(lengths, states[:, Y], np.cos(states[:, ANGLE]), np.sin(states[:, ANGLE]))
+    # Archimedes: ρ A_s = m, so A_s = 1 / 1.25. A link bobs about it with ω² = ρ g w / m, w its length at the water
+    # line, and quadratic drag of k = ½ ρ C_dl A_s / m = 5 /m takes the amplitude A down by dA/dt = -(4 / 3π) k ω A²
+    # (the loss of energy averaged over a period), so that A = 1 / ((4 / 3π) k ω t) however it began. The area is off
+    # by w A at most. An amplitude half as large again covers what averaging leaves out.
+    at_line = np.array([1 / 1.0, 1 / 2.0, 1 / 3.0, 2.0, (1 / 2.0) / np.cos(0.8)])
+    omega = np.sqrt(1.25 * G * at_line)
+    amplitude = 1 / (4 / (3 * np.pi) * 5.0 * omega * seconds)
+    assert (np.abs(area - 0.8) <= 1.5 * at_line * amplitude).all()
+    np.testing.assert_array_equal(states[:, ANGLE].astype(np.float32), angle)  # there is no buoyant torque
+
+
+def test_an_upright_link_at_its_floating_depth_stays() -> None:
+    # Of a link of 2 m, 1.6 m are below the surface: the centre is at -0.6 m.
+    states = run(FreeLinks(np.array([2.0]), Physics()), at_rest(1, y=-0.6), Slush(), 600)
+    # Rounding unbalances weight and buoyancy by a few parts of 2^-24, and the water line pushes back: a bob no larger
+    # than some roundings of y over the stiffness of a step, (ω dt)² with ω² = ρ g w = 6.1 /s².
+    assert np.abs(states[:, 0, Y] + 0.6).max() < 4 * EPS32 / (6.1 * DT**2)
+
+
+def test_a_step_depends_on_the_given_state_alone() -> None:
+    rng = np.random.default_rng(21)
+    lengths = rng.uniform(1, 3, 40)
+    state = rng.uniform([0, -6, 0, -20, -20, -20], [0.2, 6, 2 * np.pi, 20, 20, 20], (40, 6)).astype(np.float32)
+    links = FreeLinks(lengths, Physics())
+    first = links.step(state, Slush())
+    links.step(-state, Slush())  # something else in between
+    np.testing.assert_array_equal(links.step(state, Slush()), first)
+    alone = FreeLinks(lengths[7:8], Physics()).step(state[7:8], Slush())
+    np.testing.assert_array_equal(alone, first[7:8])
+
+
+@pytest.mark.parametrize("medium_of", [lambda: TrueSlush(0.0).medium, lambda: Slush(density=3.0, linear_drag=2.0)])
+def test_the_residual_of_a_step_is_the_mediums_velocity_change(medium_of: Callable[[], Medium]) -> None:
+    rng = np.random.default_rng(22)
+    n = 400
+    lengths = rng.uniform(1, 3, n)
+    low, high = [-0.2, -6, 0, -20, -20, -20], [0.2, 6, 2 * np.pi, 20, 20, 20]
+    state = rng.uniform(low, high, (n, 6)).astype(np.float32)
+    links, medium, physics = FreeLinks(lengths, Physics()), medium_of(), Physics()
+    with_it, without = links.step(state, medium).astype(np.float64), links.step(state, None).astype(np.float64)
+    residual = with_it - without
+    s = state.astype(np.float64)
+    change: VelocityChange = medium.velocity_change(
+        LinkStates(
+            length_scale=lengths, mass=np.ones(n), inertia=(lengths**2 + lengths**-2) / 12,
+            y=s[:, Y], cos=np.cos(s[:, ANGLE]), sin=np.sin(s[:, ANGLE]),
+            vx=s[:, VX], vy=s[:, VY], omega=s[:, OMEGA],
+        ),
+        physics,
+    )  # fmt: skip
+    # Speeds up to 20 m/s are rounded when the change is formed, added, and when gravity is: a few times in each world.
+    # The change itself hangs on A_s and I_s, good to some 1e-5 of the speed (test_slush.py).
+    velocity_error = 20 * (8 * EPS32 + 1e-5)
+    for column, expected in ((VX, change.vx), (VY, change.vy), (OMEGA, change.omega)):
+        np.testing.assert_allclose(residual[:, column], expected, rtol=0, atol=velocity_error)
+    # Positions follow: they move by the new velocity, so that their residual is dt times that of velocity.
+    for column, expected in ((X, change.vx), (Y, change.vy), (ANGLE, change.omega)):
+        np.testing.assert_allclose(
+            residual[:, column], expected * DT, rtol=0, atol=velocity_error * DT + 4 * EPS32 * (6 + 2 * np.pi)
+        )
+    assert (np.abs(change.vx) > 1).sum() > n / 10  # it is not a comparison of zeros

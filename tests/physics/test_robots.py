@@ -1,0 +1,119 @@
+"""Whole robots against conservation laws and a resting place."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tasks.design import Designs, kinematic_trees, random_designs
+from tasks.simulation import simulate
+from tasks.world import DryLand, Physics, TrueSlush
+from tasks.world.slush import submerged_part
+
+DT, G = 1 / 60, 9.8
+EPS32 = 2.0**-24
+"""Relative rounding of float32."""
+POLYGON_RADIUS, SLOP = 0.01, 0.005
+"""Box2D 2.3, b2Settings.h: every polygon has a skin, contacts keep a little overlap of skins."""
+
+X, Y, ANGLE, VX, VY, OMEGA = range(6)
+
+
+def still(designs: Designs) -> Designs:
+    return replace(designs, motor_on=np.zeros_like(designs.motor_on))
+
+
+def driven(designs: Designs) -> Designs:
+    """All motors on, at the highest frequency."""
+    return replace(
+        designs,
+        motor_on=np.ones_like(designs.motor_on),
+        frequency=np.full_like(designs.frequency, 0.3),
+    )
+
+
+def test_motors_do_not_move_the_centre_of_mass_of_a_robot_that_falls() -> None:
+    n_steps = 120
+    designs = driven(random_designs(24, np.random.default_rng(31)))
+    rollouts = simulate(designs, DryLand(100.0), n_settle=0, n_measure=n_steps, engine="reference", trace=True)
+    assert rollouts.trace is not None
+    mean = rollouts.trace.astype(np.float64).mean(axis=2)  # links of one mass
+    fastest = np.abs(rollouts.trace[..., VX : VY + 1]).max()
+    # Joint impulses act equal and opposite; what they leave is rounding. A step adds to the velocities of the two
+    # links of each of 5 joints in the warm start and 8 sweeps: 90 roundings and as many of the impulse times 1/m,
+    # and Box2D's own masses differ by a rounding. Over 6 links, if all of them pushed one way:
+    per_step = 2 * 90 / 6 * EPS32 * fastest
+    step = np.arange(1, n_steps + 1)
+    assert (np.abs(mean[..., VX]) <= per_step * step).all()
+    assert (np.abs(mean[..., VY] + G * step * DT) <= per_step * step).all()
+    # The position moves by the mean velocity, and the position solver's corrections (3 sweeps of 5 joints at most) are
+    # equal and opposite too, up to the rounding of a place within 40 m.
+    drift = per_step * n_steps**2 / 2 * DT + n_steps * (1 + 2 * 15 / 6) * EPS32 * 40
+    assert np.abs(rollouts.com_displacement).max() <= drift
+    assert np.abs(rollouts.displacement).max() > 100 * drift  # the root itself does move
+
+
+def test_a_robot_at_rest_on_the_ground_stays() -> None:
+    # Six upright links on the ground, hinged at their centres, with nothing to push them over.
+    designs = still(random_designs(3, np.random.default_rng(32)))
+    designs = replace(
+        designs,
+        length_scale=np.array([np.full(6, 1.0), np.full(6, 1.5), np.full(6, 3.0)]),
+        **{name: np.zeros((3, 6)) for name in ("parent_attachment", "child_attachment", "rest_angle")},
+    )
+    rollouts = simulate(designs, DryLand(0.0), engine="reference", trace=True)
+    assert rollouts.trace is not None
+    assert np.abs(rollouts.displacement).max() < 1e-4
+    # They rest on the skins of two polygons, less the slop.
+    height = rollouts.trace[..., Y] - designs.length_scale[:, None] / 2
+    assert (height[:, 200:] <= 2 * POLYGON_RADIUS).all()
+    assert (height[:, 200:] >= 2 * POLYGON_RADIUS - 2 * SLOP).all()
+    assert np.abs(rollouts.trace[:, 200:, :, ANGLE]).max() < 1e-3
+
+
+def test_nothing_sinks_into_the_ground() -> None:
+    depth = 1.0
+    designs = random_designs(16, np.random.default_rng(33))
+    rollouts = simulate(designs, DryLand(depth), n_settle=200, n_measure=200, engine="reference", trace=True)
+    assert rollouts.trace is not None
+    trees = kinematic_trees(designs, density=1.0)
+    angle = rollouts.trace[..., ANGLE]
+    reach = np.abs(np.cos(angle)) * trees.half_height[:, None] + np.abs(np.sin(angle)) * trees.half_width[:, None]
+    lowest = (rollouts.trace[..., Y] - reach).min()
+    # Skins keep 0.02 m between them; a fast link may enter them within a step by v dt before it is pushed out.
+    fastest = np.abs(rollouts.trace[..., VY]).max() + np.abs(rollouts.trace[..., OMEGA]).max() * 1.6
+    assert lowest >= -depth - fastest * DT
+
+
+def test_slush_only_takes_energy_from_an_idle_robot_that_it_carries() -> None:
+    # As dense as the slush, a robot that is wholly submerged has no weight: only drag and joints act, and neither adds
+    # kinetic energy.
+    physics = Physics(link_density=1.25)
+    designs = still(random_designs(24, np.random.default_rng(34)))
+    rollouts = simulate(
+        designs, TrueSlush(50.0), n_settle=0, n_measure=600, engine="reference", trace=True, physics=physics
+    )
+    assert rollouts.trace is not None
+    s = rollouts.trace.astype(np.float64)
+    a = designs.length_scale[:, None]
+    mass, inertia = 1.25, 1.25 * (a**2 + a**-2) / 12
+    energy = (mass * (s[..., VX] ** 2 + s[..., VY] ** 2) / 2 + inertia * s[..., OMEGA] ** 2 / 2).sum(axis=2)
+    area, _ = submerged_part(np.broadcast_to(a, s.shape[:3]), s[..., Y], np.cos(s[..., ANGLE]), np.sin(s[..., ANGLE]))
+    under = (area > 1 - 1e-9).all(axis=2)
+    both = under[:, :-1] & under[:, 1:]
+    assert both.sum() > 1000
+    # Weight and buoyancy cancel but for a rounding of g dt each; it acts on a momentum of at most m v for each link.
+    slack = 6 * 2 * EPS32 * G * DT * mass * np.abs(s[..., VX : VY + 1]).max()
+    assert (np.diff(energy)[both] <= slack).all()
+
+
+def test_idle_robots_come_to_rest_in_slush() -> None:
+    designs = still(random_designs(12, np.random.default_rng(35)))
+    rollouts = simulate(designs, TrueSlush(9.0), n_settle=600, n_measure=1200, engine="reference", trace=True)
+    assert rollouts.trace is not None
+    s = rollouts.trace.astype(np.float64)
+    a = designs.length_scale[:, None]
+    energy = ((s[..., VX] ** 2 + s[..., VY] ** 2) / 2 + (a**2 + a**-2) / 24 * s[..., OMEGA] ** 2).sum(axis=2)
+    windows = energy.reshape(12, 3, 600).max(axis=2)
+    # A window of ten seconds is longer than any bob, so that its highest energy does not depend on the phase.
+    assert (windows[:, 1] < windows[:, 0]).all()
+    assert (windows[:, 2] < windows[:, 1]).all()

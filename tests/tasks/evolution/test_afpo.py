@@ -1,0 +1,271 @@
+"""Age-fitness Pareto optimisation: selection on worked examples, shares of children, ages and identities."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy import stats
+
+from tasks.design import GENES, check, random_designs
+from tasks.evolution import NOBODY_YET, OPERATORS, Afpo, Population, ask, select, tell
+from tasks.evolution.afpo import CROSSOVER, MUTATION, NOBODY, RANDOM
+
+BODY = ("parent", *(gene.name for gene in GENES if gene.part == "body"))
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def chosen(fitness: list[float], age: list[int], n_survivors: int, seed: int = 0) -> list[int]:
+    return select(np.array(fitness), np.array(age), rng(seed), n_survivors).tolist()
+
+
+def population_of(n: int, *, seed: int = 0) -> Population:
+    """A population of different ages, with identities that tell one from another."""
+    draw = rng(seed)
+    return Population(
+        designs=random_designs(n, draw),
+        fitness=draw.normal(size=n),
+        age=draw.permutation(np.arange(1, n + 1)),
+        identity=np.arange(100, 100 + n),
+        n_evaluated=100 + n,
+    )
+
+
+def binomial_interval(n: int, p: float) -> tuple[float, float]:
+    """Where a count of n draws of probability p falls but once in a million."""
+    low, high = stats.binom.interval(1 - 1e-6, n, p)
+    return float(low), float(high)
+
+
+# Selection. Non-dominated: no design of its age or younger has a higher fitness.
+
+
+def test_the_front_survives_in_order_of_fitness() -> None:
+    #            0    1    2    3    4    5
+    fitness = [1.0, 5.0, 3.0, 2.0, 4.0, 0.5]
+    age = [0, 9, 2, 3, 9, 0]
+    # 0 is the best of age 0; 2 beats all of age <= 2; 1 beats all. 3 is beaten by 2, 4 by 1, 5 by 0.
+    assert chosen(fitness, age, 3) == [1, 2, 0]
+    for seed in range(20):
+        assert chosen(fitness, age, 5, seed)[:3] == [1, 2, 0]
+        assert set(chosen(fitness, age, 5, seed)[3:]) < {3, 4, 5}
+
+
+def test_a_front_too_large_is_cut_by_fitness() -> None:
+    # The older the fitter: all are non-dominated.
+    fitness, age = [1.0, 2.0, 3.0, 4.0, 5.0], [0, 1, 2, 3, 4]
+    for seed in range(20):
+        assert chosen(fitness, age, 3, seed) == [4, 3, 2]
+
+
+def test_ties_do_not_dominate() -> None:
+    # Equal age and fitness, and equal fitness at another age: neither has a *higher* fitness.
+    assert chosen([2.0, 2.0, 1.0], [1, 1, 1], 2) == [0, 1]
+    assert chosen([2.0, 2.0, 1.0], [3, 1, 3], 2) == [0, 1]
+    for seed in range(20):  # and among equals the first comes first
+        assert chosen([2.0, 2.0, 2.0], [1, 1, 1], 2, seed) == [0, 1]
+
+
+def test_age_counts_up_to_and_with_its_own() -> None:
+    # A younger one that is fitter dominates; an older one that is fitter does not; one of the same age does.
+    assert chosen([1.0, 2.0], [5, 4], 1) == [1]
+    assert chosen([1.0, 2.0], [4, 5], 2) == [1, 0]
+    assert set(chosen([1.0, 2.0, 0.5], [4, 5, 4], 2)) == {0, 1}
+    assert chosen([1.0, 2.0], [4, 4], 1) == [1]
+
+
+def test_the_dominated_are_sampled_alike_and_without_replacement() -> None:
+    fitness, age = [9.0, 1.0, 2.0, 3.0, 4.0], [0, 1, 1, 5, 9]
+    draws = [chosen(fitness, age, 3, seed) for seed in range(3000)]
+    assert all(survivors[0] == 0 and len(set(survivors)) == 3 for survivors in draws)
+    counts = np.bincount(np.array(draws)[:, 1:].ravel(), minlength=5)[1:]
+    low, high = binomial_interval(3000, 2 / 4)
+    assert ((counts >= low) & (counts <= high)).all()
+
+
+@pytest.mark.parametrize("bad", [-np.inf, np.nan, np.inf])
+def test_a_fitness_that_is_not_finite_is_never_selected_and_dominates_nobody(bad: float) -> None:
+    for seed in range(20):
+        assert chosen([1.0, bad, 0.5], [3, 0, 3], 2, seed) == [0, 2]
+        assert chosen([bad, 1.0, bad], [0, 3, 0], 2, seed) == [1]
+    assert chosen([bad, bad], [0, 1], 2) == []
+
+
+def test_fewer_than_there_is_room_for_all_survive() -> None:
+    assert sorted(chosen([1.0, 2.0, 3.0], [0, 0, 0], 10)) == [0, 1, 2]
+
+
+def test_selection_agrees_with_the_definition_on_random_populations() -> None:
+    for seed in range(50):
+        draw = rng(seed)
+        fitness, age = draw.integers(0, 12, 30).astype(float), draw.integers(0, 8, 30)
+        front = [
+            i for i in range(30) if not any(fitness[j] > fitness[i] and age[j] <= age[i] for j in range(30))
+        ]
+        n = max(len(front), 20)
+        survivors = select(fitness, age, draw, n).tolist()
+        assert set(survivors[: len(front)]) == set(front)
+        assert (np.diff(fitness[survivors[: len(front)]]) <= 0).all()
+        assert len(set(survivors)) == n
+
+
+# Children.
+
+
+def test_the_papers_algorithm() -> None:
+    afpo = Afpo()
+    assert afpo.population_size == 64
+    assert afpo.shares == (0.15, 0.65, 0.20)
+    assert OPERATORS == ("random", "mutation", "crossover")
+
+
+def test_shares_of_children() -> None:
+    afpo, population, draw = Afpo(), population_of(64), rng(1)
+    operators = np.concatenate([ask(population, draw, afpo).operator for _ in range(150)])
+    for operator, share in enumerate((0.15, 0.65, 0.20)):
+        low, high = binomial_interval(operators.size, share)
+        assert low <= (operators == operator).sum() <= high
+
+
+def test_parents_are_drawn_alike() -> None:
+    afpo, population, draw = Afpo(), population_of(8), rng(2)
+    parents = np.concatenate([ask(population, draw, afpo).parents for _ in range(1500)])
+    mutation, crossover = parents[(parents[:, 0] >= 0) & (parents[:, 1] < 0), 0], parents[parents[:, 1] >= 0]
+    for drawn in (mutation, crossover[:, 0], crossover[:, 1]):
+        low, high = binomial_interval(drawn.size, 1 / 8)
+        counts = np.bincount(drawn - 100, minlength=8)
+        assert ((counts >= low) & (counts <= high)).all()
+
+
+def test_children_are_valid_and_come_from_the_population() -> None:
+    afpo, population, draw = Afpo(), population_of(64), rng(3)
+    ages = dict(zip(population.identity.tolist(), population.age.tolist(), strict=True))
+    row = {identity: i for i, identity in enumerate(population.identity.tolist())}
+    for _ in range(10):
+        children = ask(population, draw, afpo)
+        check(children.designs)
+        np.testing.assert_array_equal(children.identity, np.arange(164, 164 + 64))
+        for child, (operator, (one, other)) in enumerate(
+            zip(children.operator.tolist(), children.parents.tolist(), strict=True)
+        ):
+            design = children.designs[child]
+            if operator == RANDOM:
+                assert (one, other, children.age[child]) == (NOBODY, NOBODY, 0)
+            elif operator == MUTATION:
+                assert other == NOBODY
+                assert children.age[child] == ages[one]
+                parent = population.designs[row[one]]
+                assert not design.equals(parent)
+                assert (design.length_scale == parent.length_scale).sum() >= 1
+            else:
+                assert operator == CROSSOVER
+                assert one != other
+                assert children.age[child] == max(ages[one], ages[other])
+                lengths = np.stack([population.designs[row[p]].length_scale[0] for p in (one, other)])
+                assert (design.length_scale == lengths).any(axis=0).all()
+
+
+def test_the_first_generation_is_random() -> None:
+    children = ask(NOBODY_YET, rng(4), Afpo())
+    check(children.designs)
+    assert (children.operator == RANDOM).all()
+    assert (children.parents == NOBODY).all()
+    assert (children.age == 0).all()
+    np.testing.assert_array_equal(children.identity, np.arange(64))
+
+
+def test_all_children_get_the_frozen_body() -> None:
+    body = random_designs(1, rng(5))
+    afpo = Afpo(population_size=32)
+    population, draw = NOBODY_YET, rng(6)
+    for _ in range(5):
+        children = ask(population, draw, afpo, body=body)
+        for name in BODY:
+            expected = np.repeat(getattr(body, name), 32, axis=0)
+            np.testing.assert_array_equal(getattr(children.designs, name), expected)
+        population = tell(population, children, children.designs.frequency, draw, afpo)
+    assert len(np.unique(population.designs.phase)) > 32  # the controllers do vary
+
+
+# Telling.
+
+
+def test_everybody_grows_older_and_parents_keep_their_fitness() -> None:
+    afpo, population, draw = Afpo(population_size=16), population_of(16), rng(7)
+    children = ask(population, draw, afpo)
+    fitness = draw.normal(size=16)
+    after = tell(population, children, fitness, draw, afpo)
+    before = {
+        int(identity): (float(f), int(age))
+        for group in (
+            zip(population.identity, population.fitness, population.age, strict=True),
+            zip(children.identity, fitness, children.age, strict=True),
+        )
+        for identity, f, age in group
+    }
+    assert len(after.identity) == len(set(after.identity.tolist())) == 16
+    for identity, f, age in zip(after.identity.tolist(), after.fitness, after.age, strict=True):
+        assert (f, age - 1) == before[identity]
+    assert after.n_evaluated == population.n_evaluated + 16
+
+
+def test_the_arguments_are_left_as_they_were() -> None:
+    afpo, population = Afpo(population_size=16), population_of(16)
+    twin = population_of(16)
+    tell(population, ask(population, rng(8), afpo), np.ones(16), rng(9), afpo)
+    for (name, array), (_, before) in zip(population.arrays().items(), twin.arrays().items(), strict=True):
+        np.testing.assert_array_equal(array, before, err_msg=name)
+
+
+def test_after_a_generation_that_diverged_throughout_evolution_starts_again() -> None:
+    afpo = Afpo(population_size=8)
+    nobody = tell(NOBODY_YET, ask(NOBODY_YET, rng(10), afpo), np.full(8, -np.inf), rng(11), afpo)
+    assert len(nobody.designs) == 0
+    children = ask(nobody, rng(12), afpo)
+    assert (children.operator == RANDOM).all()
+    np.testing.assert_array_equal(children.identity, np.arange(8, 16))
+
+
+def test_a_fitness_for_each_child_is_asked_for() -> None:
+    afpo = Afpo(population_size=8)
+    with pytest.raises(ValueError, match=r"fitness has shape \(7,\), expected \(8,\)"):
+        tell(NOBODY_YET, ask(NOBODY_YET, rng(), afpo), np.zeros(7), rng(), afpo)
+
+
+def test_the_state_travels_as_arrays() -> None:
+    population = population_of(5)
+    again = Population.from_arrays(population.arrays())
+    assert again.designs.equals(population.designs)
+    assert again.n_evaluated == population.n_evaluated
+    for name in ("fitness", "age", "identity"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(population, name))
+
+
+def test_the_champion_is_the_fittest_and_the_first_of_several() -> None:
+    population = replace(population_of(4), fitness=np.array([1.0, 3.0, 3.0, 2.0]))
+    assert population.champion() == 1
+
+
+def test_a_pair_is_two_designs_but_where_there_is_one_alone() -> None:
+    one = population_of(1)
+    afpo = Afpo(random_share=0, mutation_share=0, crossover_share=1, population_size=8)
+    assert (ask(one, rng(), afpo).parents == 100).all()
+    two = ask(population_of(2), rng(), afpo).parents
+    assert (two[:, 0] != two[:, 1]).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"random_share": 0.5}, r"random_share \+ mutation_share \+ crossover_share is 1\.35, expected 1"),
+        ({"population_size": 1}, "population_size"),
+        ({"mutation_share": -0.1}, "mutation_share"),
+        ({"elitism": True}, "elitism"),
+    ],
+)
+def test_impossible_parameters_are_refused_by_name(settings: dict[str, float], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        Afpo(**settings)

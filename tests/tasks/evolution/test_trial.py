@@ -1,0 +1,169 @@
+"""A trial: cut anywhere it is the same, its best is never lost, and its history tells everything."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tasks.design import GENES, Designs, check, random_designs
+from tasks.evolution import (
+    HISTORY_UNITS,
+    NOBODY_YET,
+    Afpo,
+    Evaluation,
+    History,
+    Population,
+    evaluate,
+    evolve,
+)
+from tasks.evolution.afpo import CROSSOVER, MUTATION, RANDOM
+from tasks.seeding import generator
+from tasks.simulation import simulate
+from tasks.world import TrueSlush
+
+AFPO = Afpo(population_size=12)
+N_GENERATIONS = 25
+
+
+def long_and_fast(designs: Designs) -> Evaluation:
+    """A landscape that costs nothing: long links, and a ripple. Now and then a design diverges."""
+    displacement = designs.length_scale.sum(axis=1) + np.sin(20 * designs.frequency)
+    displacement = np.where(designs.phase[:, 1] < 0.3, np.nan, displacement)[:, None]
+    fitness = np.where(np.isfinite(displacement[:, 0]), displacement[:, 0], -np.inf)
+    return Evaluation(fitness=fitness, displacement=displacement, com_displacement=displacement / 2)
+
+
+def of_trial(generation: int) -> np.random.Generator:
+    return generator(5, "evolve", 9.0, 0, generation)
+
+
+def run(
+    cuts: list[int],
+    *,
+    afpo: Afpo = AFPO,
+    body: Designs | None = None,
+    score: Callable[[Designs], Evaluation] = long_and_fast,
+) -> tuple[Population, History]:
+    """Run a trial in pieces that end at the given generations; between them the state travels as arrays."""
+    population, histories, first = NOBODY_YET, [], 0
+    for end in cuts:
+        population = Population.from_arrays(population.arrays())
+        population, history = evolve(
+            population, score, of_trial, first_generation=first, n_generations=end - first, afpo=afpo, body=body
+        )
+        histories.append(history)
+        first = end
+    return population, {name: np.concatenate([history[name] for history in histories]) for name in histories[0]}
+
+
+@pytest.fixture(scope="module")
+def uncut() -> tuple[Population, History]:
+    return run([N_GENERATIONS])
+
+
+@pytest.mark.parametrize("cuts", [[1, N_GENERATIONS], [10, 11, N_GENERATIONS], list(range(1, N_GENERATIONS + 1))])
+def test_a_trial_cut_anywhere_is_the_uncut_one(uncut: tuple[Population, History], cuts: list[int]) -> None:
+    population, history = run(cuts)
+    for (name, array), (_, expected) in zip(population.arrays().items(), uncut[0].arrays().items(), strict=True):
+        assert array.tobytes() == expected.tobytes(), name
+    assert list(history) == list(uncut[1])
+    for name, column in history.items():
+        assert column.tobytes() == uncut[1][name].tobytes(), name
+        assert column.dtype == uncut[1][name].dtype, name
+
+
+def test_the_best_is_never_lost(uncut: tuple[Population, History]) -> None:
+    best_so_far = -np.inf
+    _, history = uncut
+    for generation in range(N_GENERATIONS):
+        population, _ = run([generation + 1])
+        best_so_far = max(best_so_far, history["fitness"][history["generation"] == generation].max())
+        assert population.fitness[population.champion()] == best_so_far
+
+
+def test_evolution_finds_longer_links(uncut: tuple[Population, History]) -> None:
+    # Random designs have 6 links of 2 m on average; of as many draws as the trial made, evolution's best is better.
+    population, history = uncut
+    drawn = long_and_fast(random_designs(len(history["fitness"]), np.random.default_rng(1)))
+    assert population.fitness.max() > drawn.fitness.max()
+
+
+def test_the_history_has_a_row_for_every_design(uncut: tuple[Population, History]) -> None:
+    population, history = uncut
+    n = N_GENERATIONS * AFPO.population_size
+    genes = {"parent", *(gene.name for gene in GENES)}
+    assert set(history) == set(HISTORY_UNITS) | genes
+    assert {len(column) for column in history.values()} == {n}
+    np.testing.assert_array_equal(history["identity"], np.arange(n))
+    np.testing.assert_array_equal(history["generation"], np.repeat(np.arange(N_GENERATIONS), AFPO.population_size))
+    designs = Designs.from_arrays(history)
+    check(designs)
+    again = long_and_fast(designs)
+    np.testing.assert_array_equal(history["fitness"], again.fitness)
+    np.testing.assert_array_equal(history["displacement"], again.displacement)
+    np.testing.assert_array_equal(history["com_displacement"], again.com_displacement)
+    # The survivors are rows of it.
+    assert designs[population.identity].equals(population.designs)
+    np.testing.assert_array_equal(history["fitness"][population.identity], population.fitness)
+    # They have grown older by a generation since each that they lived through.
+    lived = N_GENERATIONS - history["generation"][population.identity]
+    np.testing.assert_array_equal(population.age, history["age"][population.identity] + lived)
+
+
+def test_parents_were_evaluated_before_and_had_survived(uncut: tuple[Population, History]) -> None:
+    _, history = uncut
+    n_parents = (history["parents"] >= 0).sum(axis=1)
+    np.testing.assert_array_equal(n_parents, np.array([0, 1, 2])[history["operator"]])
+    child = np.repeat(np.arange(len(n_parents)), n_parents)
+    parent = history["parents"][history["parents"] >= 0]
+    assert (history["generation"][parent] < history["generation"][child]).all()
+    assert history["survived"][parent].all()
+    assert np.isfinite(history["fitness"][parent]).all()
+    # A line of descent is as old as the generations since its oldest ancestor.
+    ages = history["age"] - history["generation"]
+    mutant = history["operator"] == MUTATION
+    np.testing.assert_array_equal(ages[mutant], ages[history["parents"][mutant, 0]])
+    cross = history["operator"] == CROSSOVER
+    np.testing.assert_array_equal(ages[cross], ages[history["parents"][cross]].max(axis=1))
+    assert (history["age"][history["operator"] == RANDOM] == 0).all()
+
+
+def test_the_diverged_are_kept_but_never_survive(uncut: tuple[Population, History]) -> None:
+    _, history = uncut
+    diverged = np.isneginf(history["fitness"])
+    assert diverged.any()
+    assert not history["survived"][diverged].any()
+
+
+def test_another_trial_is_another() -> None:
+    def other(generation: int) -> np.random.Generator:
+        return generator(5, "evolve", 9.0, 1, generation)
+
+    one, _ = run([2])
+    two, _ = evolve(NOBODY_YET, long_and_fast, other, first_generation=0, n_generations=2, afpo=AFPO)
+    assert not one.designs.equals(two.designs)
+
+
+def test_a_frozen_body_stays_through_a_trial() -> None:
+    body = random_designs(1, np.random.default_rng(2))
+    population, history = run([10], body=body)
+    for name in ("parent", *(gene.name for gene in GENES if gene.part == "body")):
+        assert (history[name] == getattr(body, name)).all(), name
+    assert len(np.unique(history["frequency"])) > 12
+    assert len(population.designs) > 0
+
+
+def test_a_short_trial_in_slush() -> None:
+    afpo = Afpo(population_size=6)
+
+    def score(designs: Designs) -> Evaluation:
+        rollouts = simulate(designs, TrueSlush(1.0), n_settle=20, n_measure=40, engine="reference")
+        return evaluate(rollouts, disagreement_penalty=1.0)
+
+    population, history = run([1, 4], afpo=afpo, score=score)
+    whole, _ = run([4], afpo=afpo, score=score)
+    assert whole.designs.equals(population.designs)
+    np.testing.assert_array_equal(whole.fitness, population.fitness)
+    champion = population.designs[population.champion()]
+    again = simulate(champion, TrueSlush(1.0), n_settle=20, n_measure=40, engine="reference")
+    assert again.displacement[0] == population.fitness.max() == history["fitness"].max()
