@@ -203,7 +203,8 @@ def encode_table(
     fields = [pa.field(name, part.type, nullable=False) for name, part in zip(arrays, parts, strict=True)]
     table = pa.Table.from_arrays(parts, schema=pa.schema(fields, metadata={METADATA_KEY: label}))
     sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
+    texts = [name for name, array in arrays.items() if array.dtype.kind == "U"]  # a dictionary of numbers saves nothing
+    pq.write_table(table, sink, compression="zstd", use_dictionary=texts, write_page_checksum=True)
     return bytes(sink.getvalue())
 
 

@@ -243,6 +243,16 @@ def test_a_flipped_bit_never_changes_a_value_silently(kind: str) -> None:
     assert n_refused == len(bits) if kind != "table" else n_refused > 0.7 * len(bits)
 
 
+def test_pages_carry_checksums_that_other_readers_can_verify() -> None:
+    data = bytearray(encode_table({"x": np.random.default_rng(9).random(1000)}, **FORMAT, producer=""))
+    chunk = pq.ParquetFile(io.BytesIO(data)).metadata.row_group(0).column(0)
+    data[chunk.data_page_offset + chunk.total_compressed_size // 2] ^= 1
+    with pytest.raises(OSError, match="CRC checksum verification failed"):
+        pq.read_table(io.BytesIO(data), page_checksum_verification=True)
+    with pytest.raises(PuddleError, match=r"the file: .*CRC checksum verification failed"):
+        DECODE["table"](bytes(data))
+
+
 @pytest.mark.parametrize("kind", DECODE)
 def test_a_truncated_or_extended_file_is_refused(kind: str) -> None:
     good = all_kinds()[kind]

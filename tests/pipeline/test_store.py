@@ -368,6 +368,34 @@ def test_damage_is_found_named_and_mended_by_discarding(store: Store, name: str,
     assert tree(store.root) == undisturbed
 
 
+def test_a_missing_or_cut_file_is_noticed_before_it_is_read(store: Store) -> None:
+    """A study plans by manifests alone: work whose result is gone must not look done."""
+    commit(store)
+    path = item(store) / "history.parquet"
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, came 399 bytes"):
+        store.manifest("evolve", KEY)
+    path.unlink()
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, came no file"):
+        store.manifest("evolve", KEY)
+
+
+def test_a_commit_leaves_no_stray_files(store: Store) -> None:
+    disk.make_folders(store.root, item(store))
+    (item(store) / ".history.parquet.tmp").write_bytes(b"half of it")
+    (item(store) / "old").write_bytes(b"of a commit that died")
+    commit(store)
+    assert {path.name for path in item(store).iterdir()} == {*FILES, "manifest.json"}
+
+
+def test_a_disk_that_writes_other_bytes_is_found_out(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = disk.write
+    monkeypatch.setattr(disk, "write", lambda path, data: write(path, data.replace(b"rows", b"cows")))
+    with pytest.raises(PuddleError, match=r"history\.parquet: expected the bytes just written, came others\. Check"):
+        commit(store)
+    assert store.manifest("evolve", KEY) is None
+
+
 def test_a_commit_replaces_a_damaged_item(store: Store) -> None:
     commit(store)
     undisturbed = tree(store.root)
