@@ -1,8 +1,6 @@
-"""Where work runs: in this process, on this machine's cores, or on a Ray cluster. The only ``import ray``.
+"""A cluster of Ray workers: this machine's cores, or an existing cluster. The only ``import ray``.
 
-The driver submits pure functions and takes their results as they come; only the driver keeps anything (reliability
-rule 5), so workers need no shared disk. Two implementations of :class:`Cluster` give the same results: a serial one for
-debugging and tests, and Ray. Ray is imported late: it costs a third of a second that ``--help`` should not pay.
+Ray is imported late: it costs a third of a second that ``--help`` should not pay.
 
 Ray's own wire is pickle: whoever can submit to a cluster can run code on it. A local cluster is therefore closed by a
 token that only this user can read; an existing one keeps its owner's rules.
@@ -19,30 +17,18 @@ import os
 import re
 import secrets
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 import tempfile
-import threading
-import traceback
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
-from typing import Any, NoReturn, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
+from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
+from pipeline.cluster.process import PINNED_THREADS, signals_unwind
 from pipeline.errors import PuddleError
-
-PINNED_THREADS = {
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-}
-"""One thread per process: torch's results change in their last bits with the number of threads (reliability rule 8)."""
 
 N_INFRASTRUCTURE_RETRIES = 1
 """Times that a task is run again after its worker, node or memory failed; an exception of its own is never retried."""
@@ -55,168 +41,6 @@ CONNECT_SECONDS = 15.0
 
 PACKAGES = ("tasks", "pipeline")
 """What the workers of an existing cluster are sent, since they need not have it on disk."""
-
-
-@dataclass(frozen=True)
-class Ticket:
-    """What a submitted call is known by until its outcome comes."""
-
-    number: int
-    """Order of submission, from 0."""
-    name: str
-
-
-@dataclass(frozen=True)
-class Handle:
-    """A value that was put on the cluster once; a function submitted with it receives the value itself."""
-
-    reference: Any
-
-
-@dataclass(frozen=True)
-class Done:
-    """The result of a call."""
-
-    result: Any
-
-
-class TaskFailed(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
-    """A call that gave no result.
-
-    Attributes:
-        name: what the call was submitted as.
-        reason: one line, the exception's type and message.
-        remote_traceback: the traceback where it happened, as text.
-        infrastructure: whether the worker, its node or its memory failed, and not the function.
-    """
-
-    def __init__(self, name: str, reason: str, remote_traceback: str, infrastructure: bool) -> None:
-        super().__init__(name, reason, remote_traceback, infrastructure)  # so that it survives pickling
-        self.name = name
-        self.reason = reason
-        self.remote_traceback = remote_traceback
-        self.infrastructure = infrastructure
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.reason}"
-
-
-Outcome = Done | TaskFailed
-
-
-class Cluster(Protocol):
-    """Where calls run: what :func:`serial_cluster` and :func:`ray_cluster` give for the length of a ``with``."""
-
-    @property
-    def n_cores(self) -> float:
-        """Cores that the cluster has now."""
-
-    @property
-    def n_running(self) -> int:
-        """Calls submitted whose outcome has not been taken yet."""
-
-    def share(self, value: Any) -> Handle:
-        """Put a large immutable value, such as an ensemble's weights, once for many calls."""
-
-    def submit(self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = "") -> Ticket:
-        """Queue ``function(*args)``. An argument (not something inside one) may be a :class:`Handle`.
-
-        A function that only waits for its own :func:`spread` takes ``n_cores=0``; each of those is a process, so a
-        caller keeps only as many of them in flight as it has memory for.
-        """
-
-    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
-        """Take one outcome, in no particular order on Ray; None if none came within ``timeout`` [s] or none is due."""
-
-    def cancel_all(self) -> None:
-        """Stop what runs and forget what waits; no outcome of it will come."""
-
-
-def spread(
-    function: Callable[..., Any], items: Sequence[Any], *shared: Any, n_cores: float = 1.0, name: str = ""
-) -> list[Any]:
-    """Run ``function(item, *shared)`` for every item, and return the results in the order of the items.
-
-    Evolution has two grains (architecture.md, "How data flows"). Where a generation is cheap, a segment of a trial is
-    one task and never calls this. Where a generation costs core-seconds, or cores outnumber trials, the segment is a
-    task without a core of its own, and spreads each generation's designs over the cluster with this. Outside a Ray
-    worker it is a plain loop: a result does not depend on where it ran, as long as the items are made up from the work
-    and not from timing.
-
-    Raises:
-        TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
-    """
-    if not _in_ray_worker():
-        return [function(item, *shared) for item in items]
-    import ray
-
-    name = name or _name_of(function)
-    put = [ray.put(value) for value in shared]
-    remote = _remote_call(n_cores, name)
-    references = [remote.remote(function, item, *put) for item in items]
-    results = []
-    try:
-        for index, reference in enumerate(references):
-            outcome = _outcome(f"{name}, item {index}", reference)
-            if isinstance(outcome, TaskFailed):
-                raise outcome
-            results.append(outcome.result)
-    finally:
-        if len(results) < len(references):
-            _cancel(references[len(results) :])
-    return results
-
-
-def pin_threads() -> None:
-    """Hold this process and its children to one thread each. Call it before numpy, numba or torch is imported."""
-    os.environ.update(PINNED_THREADS)
-
-
-# --- serial ---------------------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def serial_cluster() -> Iterator[Cluster]:
-    """Give this process as a cluster: a call runs when its outcome is asked for, in the order of submission."""
-    with _signals_unwind():
-        yield _Serial()
-
-
-class _Serial:
-    n_cores = 1.0
-
-    def __init__(self) -> None:
-        self._numbers = itertools.count()
-        self._waiting: deque[tuple[Ticket, Callable[..., Any], tuple[Any, ...]]] = deque()
-
-    @property
-    def n_running(self) -> int:
-        return len(self._waiting)
-
-    def share(self, value: Any) -> Handle:
-        return Handle(value)
-
-    def submit(  # n_cores: there is one
-        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = ""  # noqa: ARG002
-    ) -> Ticket:
-        ticket = Ticket(next(self._numbers), name or _name_of(function))
-        self._waiting.append((ticket, function, _references(args)))
-        return ticket
-
-    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:  # noqa: ARG002
-        if not self._waiting:
-            return None
-        ticket, function, args = self._waiting.popleft()
-        try:
-            return ticket, Done(function(*args))
-        except Exception as error:
-            return ticket, _failure(ticket.name, error, traceback.format_exc())
-
-    def cancel_all(self) -> None:
-        self._waiting.clear()
-
-
-# --- Ray ------------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -235,8 +59,8 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
     if n_workers is not None and n_workers < 1:
         raise PuddleError(f"workers: expected 1 or more, got {n_workers}")
     address = address or os.environ.get("RAY_ADDRESS") or "local"
-    with _signals_unwind(), _local(n_workers) if address == "local" else _existing(address):
-        _catch_signals()  # ray.init has put its own handler, which prints a native stack
+    with signals_unwind() as catch_signals, _local(n_workers) if address == "local" else _existing(address):
+        catch_signals()  # ray.init has put its own handler, which prints a native stack
         cluster = _Ray()
         try:
             yield cluster
@@ -266,8 +90,8 @@ class _Ray:
         return Handle(ray.put(value))
 
     def submit(self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = "") -> Ticket:
-        ticket = Ticket(next(self._numbers), name or _name_of(function))
-        reference = _remote_call(n_cores, ticket.name).remote(function, *_references(args))
+        ticket = Ticket(next(self._numbers), name or name_of(function))
+        reference = _remote_call(n_cores, ticket.name).remote(function, *references(args))
         self._running[reference] = ticket
         return ticket
 
@@ -343,11 +167,14 @@ def _existing(address: str) -> Iterator[None]:
 
 def _connect(**where: Any) -> None:
     import ray
+    import ray._private.worker
     from ray._raylet import AuthenticationTokenLoader, Config  # type: ignore[attr-defined]  # compiled
 
     # Ray reads the environment once, when it is imported. Ask it to look again, as its own start-up code does.
     Config.initialize("")
     AuthenticationTokenLoader.instance().reset_cache()
+    # A dead worker is told by its outcome; Ray would also print a paragraph on stdout, whatever log_to_driver says.
+    ray._private.worker._worker_logs_enabled = False
     ray.init(log_to_driver=False, logging_level=logging.ERROR, **where)
 
 
@@ -370,12 +197,18 @@ def _check_reachable(address: str) -> None:
         # In a session of its own, so that Ctrl-C in the terminal reaches it through us alone.
         subprocess.run(
             [sys.executable, "-c", hello, address],
-            check=True, capture_output=True, text=True, timeout=CONNECT_SECONDS, start_new_session=True,
+            check=True, capture_output=True, timeout=CONNECT_SECONDS, start_new_session=True,
         )
     except subprocess.TimeoutExpired as error:
-        raise _unusable(address, f"what listens there did not answer as Ray within {CONNECT_SECONDS:.0f} s") from error
+        reason = f"it did not let us in within {CONNECT_SECONDS:.0f} s. Ray's last word: {_last_line(error.stderr)}"
+        raise _unusable(address, reason) from error
     except subprocess.CalledProcessError as error:
-        raise _unusable(address, (error.stderr.strip() or "no reason given").splitlines()[-1]) from error
+        raise _unusable(address, _last_line(error.stderr)) from error
+
+
+def _last_line(output: bytes | str | None) -> str:
+    text = output.decode(errors="replace") if isinstance(output, bytes) else output or ""
+    return (text.strip() or "none").splitlines()[-1]
 
 
 def _unusable(address: str, reason: str) -> PuddleError:
@@ -393,7 +226,39 @@ def _folder_of(package: str) -> str:
     return str(Path(specification.submodule_search_locations[0]).resolve())
 
 
-# --- calls ----------------------------------------------------------------------------------------------------------
+def spread(
+    function: Callable[..., Any], items: Sequence[Any], *shared: Any, n_cores: float = 1.0, name: str = ""
+) -> list[Any]:
+    """Run ``function(item, *shared)`` for every item, and return the results in the order of the items.
+
+    Evolution has two grains (architecture.md, "How data flows"). Where a generation is cheap, a segment of a trial is
+    one task and never calls this. Where a generation costs core-seconds, or cores outnumber trials, the segment is a
+    task without a core of its own, and spreads each generation's designs over the cluster with this. Outside a Ray
+    worker it is a plain loop: a result does not depend on where it ran, as long as the items are made up from the work
+    and not from timing.
+
+    Raises:
+        TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
+    """
+    if not _in_ray_worker():
+        return [function(item, *shared) for item in items]
+    import ray
+
+    name = name or name_of(function)
+    put = [ray.put(value) for value in shared]
+    remote = _remote_call(n_cores, name)
+    references = [remote.remote(function, item, *put) for item in items]
+    results = []
+    try:
+        for index, reference in enumerate(references):
+            outcome = _outcome(f"{name}, item {index}", reference)
+            if isinstance(outcome, TaskFailed):
+                raise outcome
+            results.append(outcome.result)
+    finally:
+        if len(results) < len(references):
+            _cancel(references[len(results) :])
+    return results
 
 
 def _call(function: Callable[..., Any], *args: Any) -> Any:
@@ -420,18 +285,10 @@ def _outcome(name: str, reference: Any) -> Outcome:
     try:
         return Done(ray.get(reference))
     except RayTaskError as error:
-        return _failure(name, error.cause, re.sub(r"\x1b\[[0-9;]*m", "", str(error)))
+        return failure(name, error.cause, re.sub(r"\x1b\[[0-9;]*m", "", str(error)))
     except RayError as error:
         message = str(error) or type(error).__name__
         return TaskFailed(name, f"{type(error).__name__}: {message.strip().splitlines()[0]}", message, True)
-
-
-def _failure(name: str, cause: BaseException, remote_traceback: str) -> TaskFailed:
-    within = isinstance(cause, TaskFailed)  # an item of a spread
-    reason = str(cause) if within else f"{type(cause).__name__}: {cause}"
-    failure = TaskFailed(name, reason, remote_traceback, isinstance(cause, TaskFailed) and cause.infrastructure)
-    failure.__cause__ = cause
-    return failure
 
 
 def _cancel(references: Any) -> None:
@@ -442,21 +299,9 @@ def _cancel(references: Any) -> None:
             ray.cancel(reference, force=True, recursive=True)
 
 
-def _references(args: tuple[Any, ...]) -> tuple[Any, ...]:
-    return tuple(arg.reference if isinstance(arg, Handle) else arg for arg in args)
-
-
-def _name_of(function: Callable[..., Any]) -> str:
-    inner = function.func if isinstance(function, functools.partial) else function
-    return str(getattr(inner, "__qualname__", type(inner).__name__))
-
-
 def _in_ray_worker() -> bool:
     ray = sys.modules.get("ray")
     return bool(ray and ray.is_initialized() and ray.get_runtime_context().worker.mode == ray.WORKER_MODE)
-
-
-# --- this process ---------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -483,26 +328,3 @@ def _set_environment(values: Mapping[str, str | None]) -> None:
             os.environ.pop(name, None)
         else:
             os.environ[name] = value
-
-
-def _catch_signals() -> None:
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            signal.signal(number, _unwind)
-
-
-def _unwind(number: int, _frame: FrameType | None) -> NoReturn:
-    raise SystemExit(128 + number)
-
-
-@contextlib.contextmanager
-def _signals_unwind() -> Iterator[None]:
-    """Let SIGTERM and a closed terminal leave as Ctrl-C does, through every ``finally``, so that no process is left."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    _catch_signals()
-    try:
-        yield
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            for number, handler in before.items():
-                signal.signal(number, handler)

@@ -1,0 +1,24 @@
+"""Where work runs: in this process, on this machine's cores, or on a Ray cluster.
+
+The driver submits pure functions and takes their outcomes as they come; only the driver keeps anything (reliability
+rule 5), so workers need no shared disk. :func:`serial_cluster`, for debugging and tests, and :func:`ray_cluster` give
+the same results.
+"""
+
+from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket
+from pipeline.cluster.on_ray import ray_cluster, spread
+from pipeline.cluster.process import pin_threads
+from pipeline.cluster.serial import serial_cluster
+
+__all__ = [
+    "Cluster",
+    "Done",
+    "Handle",
+    "Outcome",
+    "TaskFailed",
+    "Ticket",
+    "pin_threads",
+    "ray_cluster",
+    "serial_cluster",
+    "spread",
+]

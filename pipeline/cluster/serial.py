@@ -1,0 +1,54 @@
+"""A cluster of this process alone."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, Ticket, failure, name_of, references
+from pipeline.cluster.process import signals_unwind
+
+
+@contextlib.contextmanager
+def serial_cluster() -> Iterator[Cluster]:
+    """Give this process as a cluster: a call runs when its outcome is asked for, in the order of submission."""
+    with signals_unwind():
+        yield _Serial()
+
+
+class _Serial:
+    n_cores = 1.0
+
+    def __init__(self) -> None:
+        self._numbers = itertools.count()
+        self._waiting: deque[tuple[Ticket, Callable[..., Any], tuple[Any, ...]]] = deque()
+
+    @property
+    def n_running(self) -> int:
+        return len(self._waiting)
+
+    def share(self, value: Any) -> Handle:
+        return Handle(value)
+
+    def submit(  # n_cores: there is one
+        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = ""  # noqa: ARG002
+    ) -> Ticket:
+        ticket = Ticket(next(self._numbers), name or name_of(function))
+        self._waiting.append((ticket, function, references(args)))
+        return ticket
+
+    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:  # noqa: ARG002
+        if not self._waiting:
+            return None
+        ticket, function, args = self._waiting.popleft()
+        try:
+            return ticket, Done(function(*args))
+        except Exception as error:
+            return ticket, failure(ticket.name, error, traceback.format_exc())
+
+    def cancel_all(self) -> None:
+        self._waiting.clear()
