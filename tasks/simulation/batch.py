@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tasks.design.body import KinematicTrees, kinematic_trees
 from tasks.design import genes
+from tasks.design.body import KinematicTrees, kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation import contact, drive, joint, kernels, lanes, rotation, rows
+from tasks.simulation import contact, drive, joint, kernels, lanes, rotation, rows, simd
 from tasks.simulation.compiled import compiled
 from tasks.simulation.contact import NO_VERTEX
 from tasks.simulation.drive import Drive
@@ -27,7 +27,7 @@ Indices = npt.NDArray[np.int64]
 
 _advance = compiled(
     kernels.advance,
-    [genes, slush_source, drive, lanes, rows, rotation, joint, contact, kernels],
+    [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels],
     seconds=20,
 )
 
@@ -63,10 +63,12 @@ def discovery_order(parent: Indices) -> Indices:
 
 def inverse_mass_and_inertia(half_width: Float32, half_height: Float32, density: float) -> tuple[Float32, Float32]:
     """b2PolygonShape::ComputeMass and b2Body::ResetMassData of boxes, operation by operation in float32."""
-    zero, half, quarter = np.float32(0), np.float32(0.5), np.float32(0.25)
+    half, quarter = np.float32(0.5), np.float32(0.25)
     third = np.float32(1) / np.float32(3)
-    corners = [(-half_width, -half_height), (half_width, -half_height), (half_width, half_height), (-half_width, half_height)]
-    area, inertia = np.full_like(half_width, zero), np.full_like(half_width, zero)
+    x, y = half_width, half_height
+    corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
+    area: Float32 = np.zeros_like(x)
+    inertia: Float32 = np.zeros_like(x)
     for (ex1, ey1), (ex2, ey2) in zip(corners, corners[1:] + corners[:1], strict=True):
         D = ex1 * ey2 - ey1 * ex2
         area = area + half * D
@@ -191,7 +193,8 @@ class Groups:
 
     def _place_of_robot(self) -> Indices:
         """(n_robots, n_links) numbers that the kernels give to the designs' links."""
-        return self._place[self._design[: self.n_robots]]
+        place: Indices = self._place[self._design[: self.n_robots]]
+        return place
 
     def advance(self, world: World, first_step: int, n_steps: int, kept: Float32 | None) -> None:
         """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""

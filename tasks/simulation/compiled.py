@@ -1,9 +1,13 @@
 """Kernels compiled once per machine, and again when their source changes.
 
-numba keys its cache on disk by the file of the function itself and does not see an edit of another module that it calls.
-So the folder of the cache is named by a digest of all the modules that go into a kernel. It lies in the user's cache, which
-all processes of a machine share, or in NUMBA_CACHE_DIR if that is set, and needs no write access to the package.
+numba keys its cache on disk by the file of the function itself, and does not see an edit of another module that it
+calls. So the folder of the cache is named by a digest of all the modules that go into a kernel. It lies in the user's
+cache, which all processes of a machine share, or in NUMBA_CACHE_DIR if that is set, and needs no write access to the
+package.
 """
+
+# ruff: noqa: PTH103, PTH111, PTH116, PTH118, PTH207
+# (no pathlib in tasks, and this is the one place that keeps a file)
 
 from __future__ import annotations
 
@@ -18,6 +22,8 @@ from types import ModuleType
 from typing import Any
 
 import numba
+
+from tasks.simulation import simd  # noqa: F401 (importing it teaches numba what lanes are)
 
 
 def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:

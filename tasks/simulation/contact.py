@@ -1,4 +1,4 @@
-"""Contacts of links with the ground, on lanes: Box2D 2.3's b2CollidePolygons and b2ContactSolver, operation by operation.
+"""Contacts of links with the ground, on lanes: Box2D 2.3's b2CollidePolygons and b2ContactSolver, step by step.
 
 The ground is one static box, so wide and thick that its top is always the reference face. So the normal is (0, 1), the
 tangent (1, 0), a link has at most one contact of at most two points, and what Box2D multiplies by 0 or 1 is left out.

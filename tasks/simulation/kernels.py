@@ -1,9 +1,9 @@
-"""A step of many robots at once, on lanes: the motors, the slush, and Box2D 2.3's b2World::Step, operation by operation.
+"""A step of many robots at once, on lanes: the motors, the slush, and Box2D 2.3's b2World::Step.
 
-The order of a step is Box2D's: collide, integrate velocities, warm-start contacts then joints, sweep joints then contacts
-for velocities, integrate positions, sweep contacts then joints for positions. Contacts tie no two links, so their order
-among themselves does not matter; that of the joints does. The motors and the slush are those of drive.py and
-tasks/world/slush.py, in the same float32 operations. Everything equals the reference engine to the last bit.
+The order of a step is Box2D's: collide, integrate velocities, warm-start contacts then joints, sweep joints then
+contacts for velocities, integrate positions, sweep contacts then joints for positions. Contacts tie no two links, so
+their order among themselves does not matter; that of the joints does. The motors and the slush are those of drive.py
+and tasks/world/slush.py, in the same float32 operations. Everything equals the reference engine to the last bit.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from tasks.simulation.rows import (
     MASS,
     MOTION_RANGE,
     MOTOR_SPEED,
-    N_JOINTS,
     N_ROWS,
     N_TRACED,
     OMEGA,
@@ -184,7 +183,7 @@ def solve_positions(block: Any, world: Any) -> None:
 
 @inline
 def take_step(block: Any, world: Any, step: int) -> None:
-    """The motors, the slush, and b2World::Step."""
+    """Run the motors, the slush, and b2World::Step."""
     time = np.float32(step) * world.dt
     command_motor(block, 0, time, world.motor_gain)
     command_motor(block, 1, time, world.motor_gain)

@@ -9,7 +9,6 @@ so that the root heads Box2D's list of bodies and seeds its island; then the joi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import Box2D
@@ -19,31 +18,13 @@ import numpy.typing as npt
 from tasks.design.body import KinematicTrees, kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.drive import Drive
+from tasks.simulation.motion import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, OMEGA, VX, VY, Motion, Y
 from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, VelocityChange
 
 Float32 = npt.NDArray[np.float32]
 
-GROUND_HALF_WIDTH = 10_000.0
-"""[m]. Far wider than any robot gets in a rollout."""
-GROUND_HALF_HEIGHT = 10.0
-"""[m]. Far thicker than any link moves in a step (Box2D allows 2 m), so nothing tunnels."""
 THROUGH_ONE_ANOTHER = -1
 """Box2D's group of things that never collide with each other; links belong to it, the ground does not."""
-
-X, Y, ANGLE, VX, VY, OMEGA = range(6)
-"""Columns of a link's state: x, y [m], angle [rad], vx, vy [m/s], omega [rad/s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Where the links were, as an engine reports it; NaN from where a rollout diverged."""
-
-    settled: Float32
-    """(n_members, n_designs, n_links, 6) states at the end of settling."""
-    final: Float32
-    """(n_members, n_designs, n_links, 6) states at the end."""
-    trace: Float32 | None
-    """(n_members, n_designs, n_steps, n_links, 6) states after each step, if asked for."""
 
 
 class _Bodies:

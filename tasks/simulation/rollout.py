@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tasks.design.genes import Designs, check
-from tasks.simulation import reference
-from tasks.simulation.reference import Motion, X
+from tasks.simulation import batch, reference
+from tasks.simulation.motion import Motion, X
 from tasks.world import Environment, Physics, ResidualSlush
 
 Engine = Literal["batch", "reference"]
+ENGINES = {"batch": batch.roll_out, "reference": reference.roll_out}
 
 OK, DIVERGED = "ok", "diverged"
 
@@ -66,9 +67,9 @@ def simulate(
     for name, value, least in (("n_settle", n_settle, 0), ("n_measure", n_measure, 1)):
         if value < least:
             raise ValueError(f"{name} is {value}, expected {least} or more steps")
-    if engine != "reference":
+    if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
-    motion = reference.roll_out(
+    motion = ENGINES[engine](
         designs, environment, physics or Physics(), n_settle=n_settle, n_measure=n_measure, trace=trace
     )
     return _measure(motion, squeeze=not isinstance(environment, ResidualSlush))

@@ -1,7 +1,8 @@
 """Where the numbers of a group of robots lie: the rows of its block, one robot per lane.
 
-Links are numbered in the order in which Box2D's island discovers them, which is the order in which it solves joints: the
-root is link 0, and joint j ties link j + 1 to its parent, one of links 0 to j. ``VX + link`` is the row of a link's vx.
+Links are numbered in the order in which Box2D's island discovers them, which is the order in which it solves joints:
+the root is link 0, and joint j ties link j + 1 to its parent, one of links 0 to j. ``VX + link`` is the row of a link's
+vx.
 """
 
 from __future__ import annotations
@@ -41,10 +42,8 @@ RA_X, RA_Y, RB_X, RB_Y, K_XX, K_XY, K_YY, K_INVERSE_DET, MOTOR_MASS, MOTOR_SPEED
 # Contacts: b2ContactSolver's two points j = 1, 2: place on the link, r_j, masses, bias, the impulses being solved for.
 _CONTACT = MOTOR_SPEED + N_JOINTS
 (
-    # fmt: off
     LOCAL_X_1, LOCAL_Y_1, LOCAL_X_2, LOCAL_Y_2, R_X_1, R_Y_1, R_X_2, R_Y_2, TANGENT_MASS_1, TANGENT_MASS_2,
     NORMAL_MASS_1, NORMAL_MASS_2, BIAS_1, BIAS_2, SOLVED_NORMAL_1, SOLVED_NORMAL_2, SOLVED_TANGENT_1, SOLVED_TANGENT_2,
-    # fmt: on
 ) = range(_CONTACT, _CONTACT + 18 * N_LINKS, N_LINKS)
 # And the block of both: whether there is one (1 or 0), its matrix and the inverse.
 _BLOCK = SOLVED_TANGENT_2 + N_LINKS
