@@ -164,6 +164,12 @@ def depths(trials: Iterable[TrialResult]) -> list[float]:
     return sorted({trial.depth for trial in trials})
 
 
+def deepest_scored(trials: Iterable[TrialResult]) -> float | None:
+    """Find the greatest depth at which a champion went to True Slush as it was [m]; None where none has."""
+    scored = [trial.depth for trial in trials if trial.zero_shot is not None and np.isfinite(trial.zero_shot)]
+    return max(scored, default=None)
+
+
 def arm(trials: Iterable[TrialResult], environment: EnvironmentName, depth: float) -> list[TrialResult]:
     """Choose the trials of one environment and depth, in the order of their numbers."""
     chosen = [trial for trial in trials if trial.environment == environment and trial.depth == depth]

@@ -12,11 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib import style as mpl_style
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from pipeline.report.data import (
     ENVIRONMENTS,
@@ -28,6 +29,7 @@ from pipeline.report.data import (
     StudyReport,
     TrialResult,
     arm,
+    deepest_scored,
     depths,
     environments,
     estimate,
@@ -104,7 +106,7 @@ def draw_all(report: StudyReport) -> dict[str, Drawing | Missing]:
 def _draw(
     name: str, title: str, draw: Callable[[StudyReport], tuple[Figure, str]], report: StudyReport
 ) -> Drawing | Missing:
-    with mpl.rc_context(STYLE):
+    with mpl_style.context(["default", STYLE]):  # whatever style the user has set
         try:
             figure, description = draw(report)
         except NothingToDraw as nothing:
@@ -120,7 +122,9 @@ def _draw(
 
 def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
     """Bars for every arm at the deepest depth: mean ± 1 SD in True Slush, a point for each trial, the paper's mark."""
-    depth = _deepest(report)
+    depth = deepest_scored(report.trials)
+    if depth is None:
+        raise NothingToDraw(_NOT_SCORED if report.trials else _NO_TRIALS)
     trials = [trial for trial in report.trials if trial.depth == depth]
     bars: list[tuple[EnvironmentName, Quantity, Estimate]] = [
         (environment, quantity, found)
@@ -128,8 +132,6 @@ def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
         for quantity in _TRANSFERS
         if (found := estimate(arm(trials, environment, depth), quantity))
     ]
-    if not bars:
-        raise NothingToDraw("no champion has been scored in True Slush yet")
     figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
     axes = figure.add_subplot()
     centers, groups = _bar_places(bars)
@@ -200,7 +202,7 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
     """Lines over depth for every environment, zero-shot solid and adapted dashed, with bands of ± 1 SD."""
     listed = depths(report.trials)
     if len(listed) < 2:
-        raise NothingToDraw(f"it compares depths, and this study has {_count(listed, 'depth')} so far")
+        raise NothingToDraw("it compares depths, and so far there are trials at one alone" if listed else _NO_TRIALS)
     figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
     axes = figure.add_subplot()
     handles: list[Any] = []
@@ -220,7 +222,7 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
                 if not any(handle.get_label() == style.label for handle in handles):
                     handles.append(Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label))
     if not handles:
-        raise NothingToDraw("no champion has been scored in True Slush yet")
+        raise NothingToDraw(_NOT_SCORED)
     if anything_adapted:
         handles += [
             Line2D([], [], color=INK, label="zero-shot"),
@@ -278,6 +280,7 @@ def fitness_curves(report: StudyReport, *, n_columns: int = 2) -> tuple[Figure, 
         panel.set_title(f"depth {depth:g} m", loc="left")
         panel.grid()
         panel.set_axisbelow(True)
+    panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     for panel in panels[len(listed) :]:
         panel.set_visible(False)
     for panel in panels[max(0, len(listed) - n_columns) : len(listed)]:
@@ -364,11 +367,8 @@ def _count(things: Sequence[Any], name: str) -> str:
     return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
-def _deepest(report: StudyReport) -> float:
-    listed = depths(report.trials)
-    if not listed:
-        raise NothingToDraw("no trial has finished yet")
-    return listed[-1]
+_NO_TRIALS = "no trial has finished yet"
+_NOT_SCORED = "no champion has been scored in True Slush yet"
 
 
 def _wide_fitness_curves(report: StudyReport) -> tuple[Figure, str]:

@@ -20,13 +20,13 @@ from PIL import Image, ImageDraw, ImageFont
 from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.replay import Replay
 
-WIDTH = 640
+WIDTH = 600
 """Of the picture [pixel]."""
-LANE_HEIGHT = 260
+LANE_HEIGHT = 240
 """Of each robot's part of it [pixel]."""
-FRAME = 0.08
+FRAME = 0.1
 """Time between frames [s]; a GIF counts in hundredths."""
-N_COLORS = 48
+N_COLORS = 40
 OVERSAMPLING = 2
 
 MARGIN = 0.6
@@ -136,10 +136,11 @@ def _vertical_extent(replay: Replay, pose: Points) -> tuple[float, float]:
 
 
 def _smooth(path: Points, window: int) -> Points:
-    """Average a path (n_frames, 2) over a window on either side, shorter towards its ends."""
-    kernel = np.ones(2 * window + 1)
-    weight = np.convolve(np.ones(len(path)), kernel)[window:-window]
-    return np.stack([np.convolve(path[:, axis], kernel)[window:-window] / weight for axis in range(2)], axis=1)
+    """Average a path (n_frames, 2) over as much of a window to either side as both sides have, so it never lags."""
+    sums = np.concatenate([np.zeros((1, 2)), np.cumsum(path, axis=0)])
+    frame = np.arange(len(path))
+    reach = np.minimum(window, np.minimum(frame, len(path) - 1 - frame))
+    return np.asarray((sums[frame + reach + 1] - sums[frame - reach]) / (2 * reach + 1)[:, None])
 
 
 # -- one robot's part of one frame ------------------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from pipeline.report.data import (
     StudyReport,
     TrialResult,
     arm,
+    deepest_scored,
     depths,
     environments,
     estimate,
@@ -32,6 +33,9 @@ from pipeline.report.data import (
 )
 from pipeline.report.figures import FAINT, INK, PAPER_MARK, Drawing, Missing, draw_all
 from pipeline.report.replay import Replay, encode
+
+LARGEST = 1.5
+"""Pixels for a unit of a figure, at most: its letters then have the size of a heading's."""
 
 NONE = "–"
 """Stands where there is no number."""
@@ -74,21 +78,21 @@ def _finding(trials: Sequence[TrialResult]) -> str:
     """Say in a sentence how designs transferred at the deepest depth, as far as there is something to say."""
     if not trials:
         return '<p class="finding">No trial has finished yet; this page fills as the study goes on.</p>'
-    depth = depths(trials)[-1]
+    depth = deepest_scored(trials)
+    if depth is None:
+        return '<p class="finding">Robots have evolved, but none has been in True Slush yet.</p>'
     scored: dict[EnvironmentName, Estimate] = {
         environment: found
         for environment in environments(trials)
         if (found := estimate(arm(trials, environment, depth), "zero_shot"))
     }
-    if not scored:
-        return '<p class="finding">Robots have evolved, but none has been in True Slush yet.</p>'
     best = scored.get("true_slush")
     parts = []
     for environment, found in scored.items():
         share = ratio(found, best) if environment != "true_slush" else None
         of_best = "" if share is None else f" ({_percent(share)})"
         evolved = escape(ENVIRONMENTS[environment].evolved)
-        parts.append(f"<b>{_number(found.mean)} m</b>{of_best} if they evolved {evolved}")
+        parts.append(f"<b>{_number(found.mean)}\u00a0m</b>{of_best} if they evolved {evolved}")
     return (
         f'<p class="finding">In {depth:g} m of True Slush, champions put there as they were moved on average '
         f"{', '.join(parts)}.</p>"
@@ -111,7 +115,7 @@ def _number(value: float) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{round(100 * share) + 0:d} %".replace("-", "−")
+    return f"{round(100 * share)}\u00a0%".replace("-", "−")
 
 
 def _absent(title: str, reason: str) -> str:
@@ -145,8 +149,10 @@ def inline_svg(drawing: Drawing) -> str:
     svg = drawing.svg.decode("utf-8")
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", svg)
-    for attribute in ("width", "height"):  # the viewBox keeps the proportions, the page gives the size
+    for attribute in ("width", "height"):  # the viewBox keeps the proportions, the page gives the size up to a limit
         svg = re.sub(rf'(<svg[^>]*?) {attribute}="[^"]*"', r"\1", svg, count=1)
+    width = float(re.search(r'viewBox="0 0 ([\d.]+) ', svg)[1])  # type: ignore[index]  # matplotlib always writes it
+    svg = svg.replace("<svg", f'<svg style="max-width: {LARGEST * width:.0f}px"', 1)
     svg = re.sub(r'\bid="', f'id="{drawing.name}-', svg)
     svg = re.sub(r'((?:xlink:)?href="#|url\(#)', rf"\g<1>{drawing.name}-", svg)
     for hexadecimal, variable in _PAGE_COLORS.items():
@@ -172,19 +178,19 @@ def _transfer_table(trials: Sequence[TrialResult]) -> str:
     bodies = "".join(_depth_rows(trials, depth) for depth in depths(trials))
     note = (
         "Means over n trials ± 1 SD [m]. The first line is the displacement of the root link; CoM is that of the whole "
-        "robot’s centre of mass, which a root at the end of a swinging chain cannot fool. “of E” compares means with "
-        "that of the designs evolved in True Slush at the same depth."
+        "robot’s centre of mass, which a root at the end of a swinging chain cannot fool. “of <i>E</i>” compares means "
+        "with that of the designs evolved in True Slush at the same depth."
     )
     if PAPER_DEPTH in depths(trials):
         note += (
-            f" “paper” is the mean over 10 trials that the paper states at {PAPER_DEPTH:g} m; for Residual Slush it "
-            f"states shares of {PAPER_TRUE_SLUSH:g} m."
+            f" “paper” is the mean over 10 trials that it states at {PAPER_DEPTH:g}\u00a0m; for Residual Slush it "
+            f"states shares of {PAPER_TRUE_SLUSH:g}\u00a0m."
         )
     return (
         '<div class="scroll" tabindex="0" role="region" aria-label="Transfer by depth and environment">'
         '<table class="transfer"><thead><tr>'
         "<th>Evolved in</th><th>Predicted<br>where it evolved</th><th>Zero-shot<br>in True Slush</th>"
-        "<th>of E</th><th>Adapted<br>in True Slush</th><th>of E</th></tr></thead>"
+        "<th>of <i>E</i></th><th>Adapted<br>in True Slush</th><th>of <i>E</i></th></tr></thead>"
         f'{bodies}</table></div><p class="small">{note}</p>'
     )
 
@@ -197,7 +203,8 @@ def _depth_rows(trials: Sequence[TrialResult], depth: float) -> str:
         if not chosen:
             continue
         cells = [
-            f'<td><span class="swatch {environment}"></span>{escape(style.label)}<small>n = {len(chosen)}</small></td>',
+            f'<td><span class="swatch {environment}"></span>{escape(style.label)} <i>{escape(style.symbol)}</i>'
+            f"<small>n = {len(chosen)}</small></td>",
             _cell(chosen, "predicted", None, _paper(environment, "predicted", depth)),
             _cell(chosen, "zero_shot", "zero_shot_com", _paper(environment, "zero_shot", depth)),
             _share(chosen, "zero_shot", best, _paper(environment, "zero_shot", depth)),
@@ -205,7 +212,8 @@ def _depth_rows(trials: Sequence[TrialResult], depth: float) -> str:
             _share(chosen, "adapted", best, _paper(environment, "adapted", depth)),
         ]
         rows.append(f"<tr>{''.join(cells)}</tr>")
-    return f'<tbody><tr><th colspan="6" scope="rowgroup">Depth {depth:g} m</th></tr>{"".join(rows)}</tbody>'
+    heading = f'<tr><th colspan="6" scope="rowgroup"><span>Depth {depth:g} m</span></th></tr>'
+    return f"<tbody>{heading}{''.join(rows)}</tbody>"
 
 
 def _paper(environment: EnvironmentName, quantity: Quantity, depth: float) -> float | None:

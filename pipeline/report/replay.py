@@ -97,7 +97,7 @@ def replay_of(
     frames = trace[max(n_settle - 1, 0) :: STEPS_PER_FRAME, :, :3].astype(np.float64)
     if len(frames) < 2:
         raise ValueError(f"replay {title!r}: {len(trace)} steps, expected {n_settle + STEPS_PER_FRAME} or more")
-    if not np.isfinite(frames).all():
+    if not np.isfinite(trace).all():
         raise ValueError(f"replay {title!r}: the rollout diverged, there is nothing to show")
     return Replay(
         title=title,

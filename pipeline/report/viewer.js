@@ -42,8 +42,8 @@
       sums.push([sums[frame][0] + x, sums[frame][1] + y]);
     }
     return Array.from({ length: replay.nFrames }, (_, frame) => {
-      const from = Math.max(0, frame - window), to = Math.min(replay.nFrames, frame + window + 1);
-      return [0, 1].map((axis) => (sums[to][axis] - sums[from][axis]) / (to - from));
+      const reach = Math.min(window, frame, replay.nFrames - 1 - frame); // the same to either side, so it never lags
+      return [0, 1].map((axis) => (sums[frame + reach + 1][axis] - sums[frame - reach][axis]) / (2 * reach + 1));
     });
   }
 
@@ -79,7 +79,7 @@
 
   function draw() {
     const ratio = window.devicePixelRatio || 1;
-    const width = canvas.clientWidth, height = Math.round(Math.min(460, Math.max(260, width * 0.5)));
+    const width = canvas.clientWidth, height = Math.round(Math.min(420, Math.max(260, width * 0.5)));
     if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
       canvas.width = Math.round(width * ratio);
       canvas.height = Math.round(height * ratio);
@@ -106,10 +106,14 @@
     context.clip();
     context.fillStyle = color("sky");
     context.fillRect(box.left, 0, box.width, box.height);
+    if (replay.hasMedium) {
+      context.fillStyle = color("slush");
+      context.fillRect(box.left, surface, box.width, Math.max(box.height - surface, 0));
+    }
     drawDistances(replay, camera, box);
     drawRobot(replay, links, camera);
     if (replay.hasMedium && surface < box.height) {
-      context.globalAlpha = 0.55;
+      context.globalAlpha = 0.45;
       context.fillStyle = color("slush");
       context.fillRect(box.left, surface, box.width, box.height - surface);
       context.globalAlpha = 1;
@@ -199,7 +203,7 @@
   function drawDistances(replay, camera, box) {
     eachDistance(replay, camera, 5, (at, x) => {
       context.fillStyle = color(at === 0 ? "unknown" : "line");
-      context.fillRect(x - 0.5, 0, 1, box.height);
+      context.fillRect(x - 0.5, 40, 1, box.height - 40);
     });
   }
 

@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.report.data import Estimate, TrialResult, arm, deepest_scored, depths, environments, estimate, ratio
+
+
+def test_estimate_of_two_trials_by_hand(study):
+    found = estimate(arm(study.trials, "dry_land", 9.0), "zero_shot")
+    # −2 and 0: mean −1; deviations ∓1, so the sample variance is (1 + 1) / (2 − 1) = 2.
+    assert found == Estimate(mean=-1.0, sd=pytest.approx(math.sqrt(2)), values=(-2.0, 0.0))
+    assert found.n == 2
+
+
+def test_a_single_trial_has_no_deviation(study):
+    assert estimate(arm(study.trials, "single_member", 9.0), "zero_shot").sd is None
+
+
+def test_diverged_and_unscored_trials_do_not_count():
+    trials = [
+        TrialResult("dry_land", 1.0, 0, predicted=-np.inf, zero_shot=np.nan),
+        TrialResult("dry_land", 1.0, 1, predicted=5.0, zero_shot=None),
+        TrialResult("dry_land", 1.0, 2, predicted=7.0, zero_shot=2.0),
+    ]
+    assert estimate(trials, "predicted").values == (5.0, 7.0)
+    assert estimate(trials, "zero_shot").values == (2.0,)
+    assert estimate(trials, "adapted") is None
+
+
+def test_trials_are_chosen_and_ordered(study):
+    shuffled = list(reversed(study.trials))
+    assert [t.trial for t in arm(shuffled, "residual_slush", 9.0)] == [0, 1]
+    assert depths(shuffled) == [1.0, 9.0]
+    assert environments(shuffled) == ["true_slush", "dry_land", "residual_slush", "single_member"]
+
+
+def test_the_deepest_depth_is_one_where_a_champion_was_scored(study):
+    unscored = [replace(t, zero_shot=None) if t.depth == 9.0 else t for t in study.trials]
+    assert deepest_scored(study.trials) == 9.0
+    assert deepest_scored(unscored) == 1.0
+    assert deepest_scored([]) is None
+
+
+@pytest.mark.parametrize("whole", [0.0, -1.0])
+def test_no_share_of_what_went_nowhere(whole):
+    assert ratio(Estimate(3.0, None, (3.0,)), Estimate(whole, None, (whole,))) is None
+
+
+def test_share_by_hand():
+    assert ratio(Estimate(9.0, None, (9.0,)), Estimate(12.0, None, (12.0,))) == 0.75

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import io
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.report.data import ENVIRONMENTS, TrialResult
+from pipeline.report.figures import FIGURES, PAPER_MARK, Drawing, Missing, draw_all
+
+
+@pytest.fixture(scope="module")
+def drawn(study):
+    return draw_all(study)
+
+
+def texts(drawing: Drawing) -> list[str]:
+    nodes = ElementTree.fromstring(drawing.svg).iter("{http://www.w3.org/2000/svg}text")
+    return ["".join(node.itertext()) for node in nodes]
+
+
+def test_every_figure_is_drawn_twice(drawn):
+    assert list(drawn) == list(FIGURES)
+    for drawing in drawn.values():
+        assert isinstance(drawing, Drawing)
+        assert ElementTree.fromstring(drawing.svg).tag == "{http://www.w3.org/2000/svg}svg"
+        assert Image.open(io.BytesIO(drawing.png)).format == "PNG"
+        assert drawing.description.endswith(".")
+
+
+def test_the_same_bytes_each_time_whatever_style_is_set(study, drawn):
+    with mpl.rc_context({"lines.linewidth": 9.0, "axes.facecolor": "red"}):
+        again = draw_all(study)
+    assert {name: (d.svg, d.png) for name, d in again.items()} == {name: (d.svg, d.png) for name, d in drawn.items()}
+    assert not any(b"<dc:date>" in drawing.svg for drawing in drawn.values())
+
+
+def test_the_arms_have_their_colours_and_names(drawn):
+    svg = drawn["transfer_at_depth"].svg.decode()
+    for style in ENVIRONMENTS.values():
+        assert style.color in svg
+        assert set(style.label.split()) <= set(texts(drawn["transfer_at_depth"]))
+    assert ENVIRONMENTS["residual_slush"].adapted_color in svg
+
+
+def test_the_paper_stands_beside_nine_metres_alone(study, drawn):
+    assert PAPER_MARK in drawn["transfer_at_depth"].svg.decode()
+    shallow = draw_all(replace(study, trials=[t for t in study.trials if t.depth == 1.0]))["transfer_at_depth"]
+    assert PAPER_MARK not in shallow.svg.decode()
+    assert "depth 1 m" in texts(shallow)
+
+
+def test_a_panel_for_each_depth(drawn):
+    for name in ("fitness_curves", "fitness_curves_wide"):
+        assert {"depth 1 m", "depth 9 m"} <= set(texts(drawn[name]))
+
+
+def test_only_velocities_in_the_residuals_error(drawn):
+    labels = texts(drawn["residual_error"])
+    assert {"vx [m/s]", "vy [m/s]", "omega [rad/s]", "< 0.5", "0.5–2"} <= set(labels)
+    assert "x [m]" not in labels
+
+
+def test_an_empty_study_says_why_for_each(study):
+    empty = draw_all(replace(study, trials=[], residual_errors=[]))
+    assert {name: missing.reason for name, missing in empty.items() if isinstance(missing, Missing)} == {
+        "transfer_at_depth": "no trial has finished yet",
+        "transfer_across_depths": "no trial has finished yet",
+        "fitness_curves": "no trial has finished a generation yet",
+        "fitness_curves_wide": "no trial has finished a generation yet",
+        "residual_error": "no member of the residual ensemble has been validated yet, or the study needs none",
+    }
+
+
+@pytest.mark.parametrize(
+    "trials",
+    [
+        [TrialResult("residual_slush", 9.0, 0, 1.0, 1.0, curve=np.array([1.0]))],
+        [TrialResult("residual_slush", 9.0, 0, -np.inf, np.nan, curve=np.full(5, -np.inf))],
+        [TrialResult("dry_land", 0.0, n, 2.0, 2.0, 2.0, 2.0, 2.0, curve=np.full(5, 2.0)) for n in range(3)],
+        [
+            TrialResult("dry_land", 3.0, 0, 5.0, curve=np.arange(9.0)),
+            TrialResult("dry_land", 3.0, 1, 5.0, curve=np.r_[-np.inf, np.arange(3.0)]),
+            TrialResult("true_slush", 4.0, 0, 5.0, curve=np.empty(0)),
+        ],
+    ],
+    ids=["one trial, one generation", "all diverged", "constant fitness", "half done, nothing scored"],
+)
+@pytest.mark.filterwarnings("error")
+def test_partial_studies_draw_what_they_can_without_a_warning(study, trials):
+    drawn = draw_all(replace(study, trials=trials, residual_errors=[]))
+    assert len(drawn) == len(FIGURES)
+    assert isinstance(drawn["residual_error"], Missing)
+
+
+def test_a_shorter_trial_cuts_the_mean_curve(study):
+    """A mean must be over the same trials throughout: with 9 and 4 generations it ends after generation 3."""
+    trials = [TrialResult("dry_land", 3.0, n, 5.0, curve=np.arange(float(length))) for n, length in ((0, 9), (1, 4))]
+    drawing = draw_all(replace(study, trials=trials))["fitness_curves"]
+    ticks = [text for text in texts(drawing) if text.isdigit()]
+    assert "3" in ticks and "8" not in ticks

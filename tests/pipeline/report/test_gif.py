@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image, ImageColor
+
+from pipeline.report.data import ENVIRONMENTS
+from pipeline.report.gif import FRAME, GROUND, LANE_HEIGHT, SKY, SLUSH, WIDTH, link_outline, render_gif, write_gif
+
+
+def count(picture: Image.Image, color: str, tolerance: int = 12) -> int:
+    """Pixels of a colour, or nearly: a palette of 40 may have moved it."""
+    difference = np.abs(np.asarray(picture.convert("RGB")).astype(int) - ImageColor.getrgb(color))
+    return int((difference.max(axis=2) <= tolerance).sum())
+
+
+def test_two_robots_above_one_another(slush_replay, dry_replay):
+    data = render_gif([slush_replay, dry_replay])
+    picture = Image.open(io.BytesIO(data))
+    assert picture.size == (WIDTH, 2 * LANE_HEIGHT)
+    assert picture.n_frames == int(slush_replay.duration / FRAME) + 1  # the longer of the two
+    assert picture.info["duration"] == FRAME * 1000
+    assert picture.info["loop"] == 0
+    upper, lower = (picture.crop((0, top, WIDTH, top + LANE_HEIGHT)) for top in (0, LANE_HEIGHT))
+    assert count(upper, SLUSH) > 0.2 * WIDTH * LANE_HEIGHT
+    assert count(lower, SLUSH) == 0
+    assert count(lower, GROUND) > 0.05 * WIDTH * LANE_HEIGHT
+    assert count(upper, SKY) > 0 < count(lower, SKY)
+    assert count(lower, ENVIRONMENTS["dry_land"].color) > 200
+
+
+def test_the_same_bytes_each_time(dry_replay, tmp_path):
+    write_gif([dry_replay], tmp_path / "a.gif")
+    assert (tmp_path / "a.gif").read_bytes() == render_gif([dry_replay])
+
+
+def test_twenty_seconds_of_two_robots_stay_small(slush_replay, dry_replay):
+    """Rocking back and forth while they go 12 m in 20 s, so that robots and scenery differ in every frame."""
+    moving = []
+    for replay in (slush_replay, dry_replay):
+        there = replay.frames
+        frames = np.resize(np.concatenate([there, there[::-1]]), (601, 6, 3))
+        frames[:, :, 0] += np.linspace(0, 12, 601)[:, None]
+        moving.append(replace(replay, frames=frames))
+    assert len(render_gif(moving)) < 1_500_000
+
+
+def test_the_camera_keeps_a_robot_in_view_however_far_and_high_it_goes(dry_replay):
+    frames = dry_replay.frames + np.linspace([0.0, 0.0, 0.0], [200.0, 60.0, 0.0], len(dry_replay.frames))[:, None]
+    picture = Image.open(io.BytesIO(render_gif([replace(dry_replay, frames=frames)])))
+    picture.seek(picture.n_frames - 1)
+    body = picture.crop((0, 50, WIDTH, LANE_HEIGHT))
+    assert count(body, ENVIRONMENTS["dry_land"].color, tolerance=40) > 100
+
+
+def test_an_unknown_origin_and_any_text_are_drawn(dry_replay):
+    assert render_gif([replace(dry_replay, environment="", title="<b>Ê′ – 日本</b>" * 9)])[:6] == b"GIF89a"
+
+
+def test_nothing_to_draw():
+    with pytest.raises(ValueError, match="needs a replay"):
+        render_gif([])
+
+
+def test_outline_of_a_link_that_lies_on_its_side():
+    """A link of length 2 is 0.5 wide; turned by 90° its long axis lies along x."""
+    outline = link_outline(np.array([3.0, 1.0, np.pi / 2]), 2.0)
+    assert outline.min(axis=0) == pytest.approx([2.0, 0.75])
+    assert outline.max(axis=0) == pytest.approx([4.0, 1.25])

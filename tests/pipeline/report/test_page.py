@@ -1,0 +1,220 @@
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from pipeline.report.data import TrialResult
+from pipeline.report.figures import draw_all
+from pipeline.report.page import render_page
+
+VOID = {"meta", "link", "br", "input", "img", "hr"}
+FETCHES = {"src", "srcset", "href", "xlink:href", "data", "action", "poster"}
+
+
+class Page(HTMLParser):
+    """The page taken apart: ids, what it would fetch, the text of its scripts, its words, and what was left open."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.references: list[str] = []
+        self.scripts: dict[str, str] = {}
+        self.words: list[str] = []
+        self.open: list[str] = []
+        self._script: str | None = None
+        self.feed(html)
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        self.ids += [found["id"]] if "id" in found else []
+        self.references += [value for name, value in attributes if name in FETCHES]
+        self.references += re.findall(r"url\((.*?)\)", found.get("style") or "")
+        if tag == "script":
+            self._script = found.get("id", "viewer")
+            self.scripts[self._script] = ""
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+        self._script = None
+
+    def handle_data(self, data):
+        if self._script is not None:
+            self.scripts[self._script] += data
+        else:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def html(study) -> str:
+    return render_page(study)
+
+
+def test_it_is_whole_and_every_id_is_its_own(html):
+    page = Page(html)
+    assert page.open == []
+    assert len(page.ids) == len(set(page.ids))
+
+
+def test_nothing_is_fetched(html):
+    page = Page(html)
+    outside = [reference for reference in page.references if not reference.startswith(("#", "data:"))]
+    assert outside == []
+    assert "url(" not in html.replace("url(#", "")
+    assert "@import" not in html
+    assert not re.search(r"https?://", html)
+    assert "default-src 'none'" in html
+    targets = {reference[1:] for reference in page.references if reference.startswith("#")}
+    assert targets <= set(page.ids)
+
+
+def test_the_viewer_finds_its_controls_and_its_robots(html, study):
+    page = Page(html)
+    code = without_comments(page.scripts["viewer"])
+    asked_for = set(re.findall(r"""(?:control|getElementById)\("(\w+)"\)""", code))
+    assert asked_for >= {"replays", "stage", "choice", "play", "scrub", "speed", "follow", "time"}
+    assert asked_for <= set(page.ids)
+    replays = json.loads(page.scripts["replays"])
+    read = set(re.findall(r"\b(?:encoded|replay)\.(\w+)", code))
+    made_by_the_viewer = {"poses", "nLinks", "nFrames", "duration", "start", "center", "extent"}
+    assert read - made_by_the_viewer <= set(replays[0])
+    assert len(replays) == len(study.replays)
+    robots = re.search(r'<select id="choice">(.*?)</select>', html)[1]
+    assert sorted(map(int, re.findall(r'<option value="(\d+)"', robots))) == list(range(len(replays)))
+
+
+def without_comments(code: str) -> str:
+    return re.sub(r"//[^\n]*", "", code)
+
+
+def test_brackets_of_the_viewer_match(html):
+    """Not a parser, but it catches a cut or a slip: brackets outside strings and comments close in order."""
+    code = without_comments(Page(html).scripts["viewer"])
+    code = re.sub(r'"(?:\\.|[^"\\\n])*"', "", code)
+    stack = []
+    for character in code:
+        if character in "([{":
+            stack.append(character)
+        elif character in ")]}":
+            assert stack and stack.pop() + character in ("()", "[]", "{}")
+    assert stack == []
+
+
+def test_the_first_robot_shown_is_the_deepest_with_residuals(html, study):
+    chosen = int(re.search(r'<option value="(\d+)" selected>', html)[1])
+    assert (study.replays[chosen].environment, study.replays[chosen].depth) == ("residual_slush", 9.0)
+
+
+def rows(html: str) -> list[list[str]]:
+    table = html[html.index('<table class="transfer">') : html.index("</table>")]
+    return [
+        [re.sub(r"<[^>]+>", " ", cell).split() for cell in re.findall(r"<td>(.*?)</td>", row)]
+        for row in re.findall(r"<tr>(.*?)</tr>", table)
+        if "<td>" in row
+    ]
+
+
+def test_the_transfer_table_by_hand(html):
+    """Residual Slush at 9 m: 7 and 6 predicted, 8 and 10 zero-shot, 11 and 11 adapted; True Slush has the mean 12."""
+    row = next(row for row in rows(html) if row[0][:2] == ["Residual", "Slush"])
+    assert row == [
+        ["Residual", "Slush", "Ê", "n", "=", "2"],
+        ["6.5", "±", "0.7"],
+        ["9.0", "±", "1.4", "CoM", "8.5", "±", "1.4", "paper", "9.1"],
+        ["75", "%", "paper", "67", "%"],
+        ["11.0", "±", "0.0", "CoM", "11.0", "±", "0.0", "paper", "11.8"],
+        ["92", "%", "paper", "87", "%"],
+    ]
+
+
+def test_the_finding_says_it_in_words(html):
+    assert (
+        "In 9 m of True Slush, champions put there as they were moved on average 12.0 m if they evolved in True Slush, "
+        "−1.0 m (−8 %) if they evolved on Dry Land, 9.0 m (75 %) if they evolved in Residual Slush" in
+        re.sub(r" (?=[,.])", "", Page(html).text)
+    )
+
+
+def test_a_diverged_champion_is_counted_out(study):
+    trials = [*study.trials, TrialResult("residual_slush", 9.0, 2, 5.0, np.nan)]
+    row = next(row for row in rows(render_page(replace(study, trials=trials))) if row[0][:2] == ["Residual", "Slush"])
+    assert row[0][-1] == "3"
+    assert " ".join(row[2]).startswith("9.0 ± 1.4 2 of 3 trials")
+
+
+NASTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)> & \"'` $title"
+
+
+def test_every_text_of_the_study_is_escaped(study):
+    nasty = render_page(
+        replace(
+            study,
+            name=NASTY,
+            title=NASTY,
+            created_with={NASTY: NASTY},
+            settings_yaml=NASTY,
+            set_aside=[NASTY],
+            seconds={NASTY: 1.0},
+            digests=[replace(study.digests[0], label=NASTY, stage=NASTY)],
+            residual_errors=[replace(row, speed_band=NASTY, unit=NASTY) for row in study.residual_errors],
+            replays=[replace(study.replays[0], title=NASTY, world=NASTY)],
+        )
+    )
+    page = Page(nasty)
+    assert page.open == []
+    assert set(page.scripts) == {"replays", "viewer"}
+    assert "x" not in page.references
+    assert json.loads(page.scripts["replays"])[0]["title"] == NASTY
+    assert page.text.count("onerror=alert(2)") >= 8
+
+
+def test_what_was_set_aside_is_named(study, html):
+    assert "Not everything ran" not in html
+    assert "dry_land 9 m trial 3" in Page(render_page(replace(study, set_aside=["dry_land 9 m trial 3"]))).text
+
+
+def test_a_study_that_has_only_begun_makes_a_page(study):
+    begun = replace(study, trials=[], residual_errors=[], replays=[], digests=[], seconds={})
+    page = Page(render_page(begun))
+    assert page.open == [] and page.scripts == {}
+    for missing in ("The replay viewer", "Transfer at the deepest depth", "The transfer table"):
+        assert f"{missing} is not here" in page.text
+
+
+def test_how_it_was_made_is_there(html):
+    text = Page(html).text
+    assert "2 min 05 s" in text
+    assert "depths: [1, 9]" in text
+    assert "ab" * 32 in text
+
+
+def test_the_same_page_each_time_and_from_drawings_at_hand(study, html):
+    assert render_page(study, draw_all(study)) == html
+
+
+def test_the_whole_grid_stays_under_ten_megabytes(study, slush_replay):
+    """10 depths × 3 environments × 10 trials of 1,000 generations, and a replay of 20 s for each arm."""
+    rng = np.random.default_rng(0)
+    trials = [
+        TrialResult(environment, depth, number, 9.0, 8.0, 8.0, 8.0, 8.0, np.maximum.accumulate(rng.random(1000)))
+        for depth in (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0)
+        for environment in ("true_slush", "dry_land", "residual_slush")
+        for number in range(10)
+    ]
+    long = replace(slush_replay, frames=np.resize(slush_replay.frames, (601, 6, 3)))
+    assert len(render_page(replace(study, trials=trials, replays=[long] * 30)).encode()) < 10_000_000

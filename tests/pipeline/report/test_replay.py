@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from pipeline.report.replay import QUANTUM, EncodedReplay, encode, replay_of
+
+WORDS = {"title": "a walk", "environment": "", "world": "True Slush", "depth": 2.0, "has_medium": True}
+
+
+def decode(encoded: EncodedReplay) -> np.ndarray:
+    """Undo encode() as viewer.js does: running sums of int16, from the first frame."""
+    first = np.array(encoded["first"], dtype=np.int64).reshape(1, -1, 3)
+    steps = np.frombuffer(base64.b64decode(encoded["steps"]), dtype="<i2").reshape(-1, *first.shape[1:])
+    return np.cumsum(np.concatenate([first, steps]), axis=0) * encoded["quantum"]
+
+
+def test_frames_begin_where_the_displacement_is_measured_from(rollout, slush_replay):
+    _, trace, displacement = rollout
+    # 60 steps settle, 180 are measured: the states after steps 60, 62 ... 240 are 91 frames of 1/30 s, so 3 s.
+    assert slush_replay.frames.shape == (91, 6, 3)
+    assert slush_replay.duration == pytest.approx(3.0)
+    assert np.array_equal(slush_replay.frames[0], trace[59, :, :3])
+    assert np.array_equal(slush_replay.frames[-1], trace[-1, :, :3])
+    assert slush_replay.frames[-1, 0, 0] - slush_replay.frames[0, 0, 0] == pytest.approx(displacement, abs=1e-6)
+
+
+def test_joints_hold_in_the_replay(slush_replay):
+    """Where the parent has a joint, the child's long axis passes, to what Box2D's position correction leaves."""
+    child = slush_replay.frames[:, 1:]
+    parent = slush_replay.parent[1:]
+    above = slush_replay.frames[:, parent]
+    along = slush_replay.parent_attachment[1:] * slush_replay.length_scale[parent] / 2
+    joint = above[..., :2] + along[:, None] * np.stack([-np.sin(above[..., 2]), np.cos(above[..., 2])], axis=-1)
+    # Seen from the child, the joint lies on its long axis: its local x is 0.
+    offset = joint - child[..., :2]
+    local_x = np.cos(child[..., 2]) * offset[..., 0] + np.sin(child[..., 2]) * offset[..., 1]
+    assert np.abs(local_x).max() < 0.05
+
+
+def test_encoding_stays_within_half_a_quantum(slush_replay):
+    encoded = encode(slush_replay)
+    assert encoded["quantum"] == QUANTUM
+    # Rounding gives half a quantum; what is left is double precision at 10 m.
+    assert np.abs(decode(encoded) - slush_replay.frames).max() <= QUANTUM / 2 + 1e-9
+    assert json.dumps(encode(slush_replay)) == json.dumps(encoded)
+
+
+@given(
+    frames=hnp.arrays(
+        np.float64, st.tuples(st.integers(2, 6), st.just(6), st.just(3)), elements=st.floats(-1e4, 1e4)
+    )
+)
+def test_encoding_any_motion_stays_within_half_a_quantum(slush_replay, frames):
+    encoded = encode(replace(slush_replay, frames=frames))
+    assert np.abs(decode(encoded) - frames).max() <= encoded["quantum"] * 0.5 + 1e-9
+
+
+def test_twenty_seconds_take_thirty_kilobytes(slush_replay):
+    frames = np.resize(slush_replay.frames, (601, 6, 3))
+    # 600 steps of 18 int16 are 21,600 bytes, 28,800 characters of base64; 1,000 are left for the rest.
+    assert len(json.dumps(encode(replace(slush_replay, frames=frames)))) < 29_800
+
+
+def test_pose_between_frames_is_a_mix(slush_replay):
+    halfway = slush_replay.at(0.5 / slush_replay.fps)
+    assert halfway == pytest.approx((slush_replay.frames[0] + slush_replay.frames[1]) / 2)
+    assert np.array_equal(slush_replay.at(99.0), slush_replay.frames[-1])
+
+
+def test_a_diverged_rollout_is_refused(rollout):
+    design, trace, _ = rollout
+    broken = trace.copy()
+    broken[-1, 3, 1] = np.nan
+    with pytest.raises(ValueError, match="'a walk': the rollout diverged"):
+        replay_of(design, broken, n_settle=0, **WORDS)
+
+
+def test_a_wrong_trace_is_named(rollout):
+    design, trace, _ = rollout
+    with pytest.raises(ValueError, match=r"shape \(240, 5, 6\), expected \(n_steps, 6, 6\)"):
+        replay_of(design, trace[:, :5], n_settle=0, **WORDS)
+    with pytest.raises(ValueError, match="240 steps, expected 242 or more"):
+        replay_of(design, trace, n_settle=240, **WORDS)
+    with pytest.raises(ValueError, match="2 designs, expected one"):
+        replay_of(design[[0, 0]], trace, n_settle=0, **WORDS)
