@@ -1,6 +1,7 @@
 """The reference engine: the motors' law, the joints' hold, and a step worked out by an obvious script of its own."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import Box2D
 import numpy as np
@@ -69,7 +70,7 @@ def test_joints_hold_together() -> None:
     assert trace is not None
     s = trace.astype(np.float64)
     row = np.arange(16)
-    worst = 0.0
+    typical = []
     for link in range(1, 6):
         parent = designs.parent[:, link]
         ends = []
@@ -77,8 +78,9 @@ def test_joints_hold_together() -> None:
             along = anchor[:, link, None]
             x, y, angle = state[..., X], state[..., Y], state[..., ANGLE]
             ends.append(np.stack([x - np.sin(angle) * along, y + np.cos(angle) * along]))
-        worst = max(worst, float(np.median(np.hypot(*(ends[0] - ends[1])))))
-    assert worst < 0.005  # Box2D's linear slop, to which its position solver works
+        typical.append(np.median(np.hypot(*(ends[0] - ends[1]))))
+    # Box2D's linear slop, to which its position solver works; in a crash on the ground three sweeps may not reach it.
+    assert max(typical) < 0.005
 
 
 def obvious_script(designs: Designs, design: int, depth: float, n_steps: int) -> np.ndarray:
@@ -112,15 +114,13 @@ def obvious_script(designs: Designs, design: int, depth: float, n_steps: int) ->
         for link, body in links.items():
             a = designs.length_scale[design, link]
             rectangle = shapely.box(-0.5 / a, -a / 2, 0.5 / a, a / 2)
-            c, s, (x, y) = np.cos(body.angle), np.sin(body.angle), body.position
+            c, s, y = np.cos(body.angle), np.sin(body.angle), body.position.y
             placed = shapely.transform(rectangle, lambda p, c=c, s=s: p @ np.array([[c, s], [-s, c]]))
-            # The second moment about the centre of mass: of the part about its own centroid by strips is slow, so
-            # triangles from the centre: A (p² + p·q + q²) / 6 each, signed.
             part = placed.intersection(shapely.box(-10, -20, 10, -y))
             area, moment = part.area, 0.0
             if area > 0:
-                points = shapely.get_coordinates(shapely.orient_polygons(part))
-                for p, q in zip(points[:-1], points[1:], strict=True):
+                # Of the triangles that the part's edges span with the centre: A (p² + p·q + q²) / 6 each, signed.
+                for p, q in pairwise(shapely.get_coordinates(shapely.orient_polygons(part))):
                     moment += (p[0] * q[1] - p[1] * q[0]) / 2 * (p @ p + p @ q + q @ q) / 6
             v, omega = np.array(body.linearVelocity), body.angularVelocity
             v = v / (1 + 0.5 * 1.25 * 10 * area * np.hypot(*v) * DT)
@@ -145,6 +145,5 @@ def test_the_engine_agrees_with_the_obvious_script(design: int) -> None:
     trace = simulate(designs, TrueSlush(9.0), n_settle=0, n_measure=n_steps, engine="reference", trace=True).trace
     assert trace is not None
     expected = obvious_script(designs, design, 9.0, n_steps)
-    # The script computes motors and slush in float64; the differences of a rounding, 1e-7, grow where links whirl in
-    # the air, and slush damps them. A term left out shows as 1e-2 within a few steps.
-    np.testing.assert_allclose(trace[design][..., :3], expected[..., :3], rtol=0, atol=1e-3)
+    # The script computes motors and slush in float64: a rounding of 1e-7 apart at first, 2e-6 m or rad after 2.5 s.
+    np.testing.assert_allclose(trace[design][..., :3], expected[..., :3], rtol=0, atol=2e-5)

@@ -1,0 +1,92 @@
+"""The rules of the house: who may import whom, no files in tasks/, one order of axes."""
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCIENCE = sorted((ROOT / "tasks").rglob("*.py"))
+
+COMPILERS_CACHE = ROOT / "tasks/simulation/compiled.py"
+"""The one module that knows of a folder: where numba keeps compiled kernels. No result of a task passes through it."""
+
+FILE_MODULES = {
+    "pathlib", "io", "shutil", "tempfile", "glob", "fileinput", "mmap", "pickle", "shelve", "sqlite3", "zipfile",
+    "gzip", "csv", "subprocess", "socket", "urllib", "http", "random", "time", "datetime",
+}  # fmt: skip
+"""Ways to files, other machines, a clock and a global generator: a task is arrays in, arrays out."""
+
+FILE_CALLS = re.compile(
+    r"open|print|input"
+    r"|os\.(?!environ\b).*"
+    r"|(np|numpy|torch)\.(save.*|load.*|genfromtxt|fromfile|memmap)"
+    r"|.*\.(tofile|read_text|write_text|read_bytes|write_bytes)"
+)
+"""Calls that read, write, ask or tell, as they stand in the source."""
+
+GLOSSARY = ("n_members", "n_designs", "n_steps", "n_links")
+"""Axes in their order."""
+
+TABLES = {ROOT / "tasks/evolution/objective.py"}
+"""Where arrays are columns of a history, a table with a row per design: there n_designs leads, whatever follows."""
+
+
+def test_the_contracts_of_imports_hold() -> None:
+    script = "from importlinter.cli import lint_imports; raise SystemExit(lint_imports(no_cache=True))"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"Contracts: \d+ kept, 0 broken", done.stdout), done.stdout
+
+
+def imported(tree: ast.AST) -> Iterator[str]:
+    """Top-level names of the packages that a module imports."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module.split(".")[0]
+
+
+def called(tree: ast.AST) -> Iterator[str]:
+    """What a module calls, as it stands in the source: ``open``, ``np.load``."""
+    yield from (ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call))
+
+
+@pytest.mark.parametrize("module", SCIENCE, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_science_touches_no_files(module: Path) -> None:
+    if module == COMPILERS_CACHE:
+        pytest.skip("the compiler's cache")
+    tree = ast.parse(module.read_text())
+    assert not FILE_MODULES & set(imported(tree))
+    assert not [call for call in called(tree) if FILE_CALLS.fullmatch(call)]
+
+
+@pytest.mark.parametrize("module", SCIENCE, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_science_draws_from_no_global_generator(module: Path) -> None:
+    """Numbers come from a Generator that is passed in; numpy's and torch's global ones are never seeded."""
+    for node in ast.walk(ast.parse(module.read_text())):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) in {"np.random", "numpy.random"}:
+            allowed = {"Generator", "SeedSequence", "default_rng"}
+            assert node.attr in allowed, f"line {node.lineno}: np.random.{node.attr}"
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("default_rng"):
+            assert node.args, f"line {node.lineno}: a generator without a seed"
+
+
+@pytest.mark.parametrize("module", SCIENCE, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_shapes_name_axes_in_the_order_of_the_glossary(module: Path) -> None:
+    glossary = ("n_designs", "n_members") if module in TABLES else GLOSSARY
+    for shape in re.findall(r"\(([^()]*\bn_\w+[^()]*)\)", module.read_text()):
+        axes = [axis for axis in re.findall(r"\bn_\w+", shape) if axis in glossary]
+        if len(set(axes)) == len(axes) > 1 and re.fullmatch(r"[\w\s,]+", shape):
+            assert axes == sorted(axes, key=glossary.index), f"({shape})"
+
+
+def test_the_suite_mirrors_the_source() -> None:
+    packages = {path.parent.relative_to(ROOT / "tasks") for path in SCIENCE if path.name != "__init__.py"}
+    missing = [str(package) for package in packages if not list((ROOT / "tests/tasks" / package).glob("test_*.py"))]
+    assert not missing
