@@ -1,7 +1,7 @@
 """Replays as one GIF: a robot in its world, or several above one another at one scale.
 
-Drawn with Pillow at twice the size and reduced, then put on one palette for all frames. The same replays always give
-the same bytes.
+Drawn with Pillow at twice the size and reduced, then put on one palette of the colours that are drawn. The same replays
+always give the same bytes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ LANE_HEIGHT = 240
 """Of each robot's part of it [pixel]."""
 FRAME = 0.1
 """Time between frames [s]; a GIF counts in hundredths."""
-N_COLORS = 40
 OVERSAMPLING = 2
 
 MARGIN = 0.6
@@ -87,22 +86,39 @@ def render_gif(replays: Sequence[Replay]) -> bytes:
             drawn = _lane(replay, pose, camera, frame, min(float(time), replay.duration))
             picture.paste(drawn, (0, lane * LANE_HEIGHT * OVERSAMPLING))
         frames.append(picture.reduce(OVERSAMPLING))
-    return _encode(frames)
+    return _encode(frames, _palette(replays))
 
 
-def _encode(frames: Sequence[Image.Image]) -> bytes:
-    """Put frames on one palette, taken from a few of them, and into a GIF that repeats for ever."""
-    samples = [frames[index] for index in np.linspace(0, len(frames) - 1, 6).astype(int)]
-    sheet = Image.new("RGB", (samples[0].width, samples[0].height * len(samples)))
-    for index, sample in enumerate(samples):
-        sheet.paste(sample, (0, index * sample.height))
-    palette = sheet.quantize(N_COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+def _encode(frames: Sequence[Image.Image], colors: Sequence[Rgb]) -> bytes:
+    """Put frames on one palette and into a GIF that repeats for ever."""
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([part for color in colors for part in color])
     paletted = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     out = io.BytesIO()
     paletted[0].save(
-        out, "GIF", save_all=True, append_images=paletted[1:], duration=round(FRAME * 1000), loop=0, optimize=True
+        out,
+        "GIF",
+        save_all=True,
+        append_images=paletted[1:],
+        duration=round(FRAME * 1000),
+        loop=0,
+        optimize=True,  # only what changed is written
     )
     return out.getvalue()
+
+
+def _palette(replays: Sequence[Replay]) -> list[Rgb]:
+    """List the colours that are drawn, and what lies halfway between those that meet at an edge."""
+    colors = [_mix(flat, flat, 0) for flat in (WHITE, SKY, SLUSH, GROUND, INK, FAINT, SURFACE, GROUND_EDGE, UNKNOWN)]
+    colors += [_mix(INK, WHITE, share) for share in (0.25, 0.5, 0.75)]
+    edges = ((INK, GROUND), (INK, SLUSH), (GROUND_EDGE, SKY), (SURFACE, SKY), (UNKNOWN, SKY))
+    colors += [_mix(one, other, 0.5) for one, other in edges]
+    colors += [_mix(color, SLUSH, SLUSH_OVER_ROBOT) for color in (INK, WHITE, UNKNOWN, FAINT)]
+    for environment in sorted({replay.environment for replay in replays}):
+        color, paler, edge = _robot_colors(environment)
+        dry = [color, paler, edge, _mix(edge, paler, 0.5), _mix(edge, SKY, 0.5)]
+        colors += [*dry, _mix(color, WHITE, 0.6), *(_mix(part, SLUSH, SLUSH_OVER_ROBOT) for part in dry)]
+    return list(dict.fromkeys(colors))
 
 
 def _cameras(replays: Sequence[Replay], poses: Sequence[Points]) -> list[_Camera]:
@@ -202,8 +218,7 @@ def _scale(draw: ImageDraw.ImageDraw, camera: _Camera, frame: int, start: float,
 
 def _robot(draw: ImageDraw.ImageDraw, replay: Replay, pose: Points, camera: _Camera, frame: int) -> None:
     """Draw links from the last to the root, so that the root lies on top, then the joints."""
-    color = _color(replay.environment)
-    edge, paler = _mix(color, INK, 0.55), _mix(color, WHITE, 0.28)
+    color, paler, edge = _robot_colors(replay.environment)
     for link in reversed(range(len(pose))):
         outline = camera.project(link_outline(pose[link], float(replay.length_scale[link])), frame)
         draw.polygon(outline, fill=color if link == 0 else paler, outline=edge, width=2 * OVERSAMPLING)
@@ -211,6 +226,12 @@ def _robot(draw: ImageDraw.ImageDraw, replay: Replay, pose: Points, camera: _Cam
         _dot(draw, camera.project(_joint(replay, pose, link)[None], frame)[0], 3.2, WHITE, edge)
     root = camera.project(pose[:1, :2], frame)[0]
     _dot(draw, root, 4.6, INK, WHITE)
+
+
+def _robot_colors(environment: str) -> tuple[Rgb, Rgb, Rgb]:
+    """Give the colours of a root, of the other links and of their edges."""
+    color = _color(environment)
+    return color, _mix(color, WHITE, 0.28), _mix(color, INK, 0.55)
 
 
 def link_outline(pose: Points, length: float) -> Points:
@@ -280,7 +301,8 @@ def _font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
 
 def _color(environment: str) -> Rgb:
     colors: dict[str, str] = {name: style.color for name, style in ENVIRONMENTS.items()}
-    return _mix(colors.get(environment, UNKNOWN), WHITE, 0.0)
+    color = colors.get(environment, UNKNOWN)
+    return _mix(color, color, 0)
 
 
 def _mix(first: str | Rgb, second: str | Rgb, share: float) -> Rgb:
