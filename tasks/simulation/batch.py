@@ -6,6 +6,10 @@ after group. One thread: a study runs one process per core.
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -32,33 +36,28 @@ _advance = compiled(
 )
 
 
-def discovery_order(parent: Indices) -> Indices:
-    """Links in the order in which Box2D's island search meets them.
-
-    The search keeps a stack of bodies. Taking one off, it goes through its joints, the latest first: each gives the
-    island a joint, and the stack a child. So bodies come off in preorder with the earliest child first, and a body's
-    joints are listed with the latest child first.
+def discovery_order(parents: Sequence[int]) -> list[int]:
+    """Order in which Box2D's island search meets a robot's links (b2World::Solve): the root, then joint by joint.
 
     Args:
-        parent: (n_designs, n_links) parents, of links created from the last to the root and joints from the first.
-
-    Returns:
-        (n_designs, n_links) the link that comes first (the root), second, and so on.
+        parents: of each link; the links were created from the last to the root, the joints from the first on.
     """
-    n_designs = len(parent)
-    design = np.arange(n_designs)
-    size = np.ones((n_designs, N_LINKS), np.int64)  # of the subtree
-    for link in range(N_LINKS - 1, 0, -1):
-        size[design, parent[:, link]] += size[:, link]
-    taken = np.zeros((n_designs, N_LINKS), np.int64)  # how many come off the stack before
-    next_child = np.ones((n_designs, N_LINKS), np.int64)  # how much later than its parent the next child does
-    for link in range(1, N_LINKS):
-        above = parent[:, link]
-        taken[:, link] = taken[design, above] + next_child[design, above]
-        next_child[design, above] += size[:, link]
-    key = np.take_along_axis(taken, np.maximum(parent, 0), axis=1) * N_LINKS + N_LINKS - np.arange(N_LINKS)
-    key[:, 0] = -1
-    return np.argsort(key, axis=1)
+    order, stack = [0], [0]
+    while stack:
+        link = stack.pop()
+        for child in reversed(range(link + 1, N_LINKS)):  # a body lists its joints with the latest first
+            if parents[child] == link:
+                order.append(child)
+                stack.append(child)
+    return order
+
+
+TREES = list(itertools.product((-1,), *(range(link) for link in range(1, N_LINKS))))
+"""Every tree that a robot can be: 120 of them, in lexical order of the parents."""
+_ORDER_OF_TREE = np.array([discovery_order(parents) for parents in TREES])
+_PLACE_OF_TREE = np.argsort(_ORDER_OF_TREE, axis=1)
+_TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in range(1, N_LINKS))])
+"""parents · weights is a tree's place in that list."""
 
 
 def inverse_mass_and_inertia(half_width: Float32, half_height: Float32, density: float) -> tuple[Float32, Float32]:
@@ -67,8 +66,7 @@ def inverse_mass_and_inertia(half_width: Float32, half_height: Float32, density:
     third = np.float32(1) / np.float32(3)
     x, y = half_width, half_height
     corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
-    area: Float32 = np.zeros_like(x)
-    inertia: Float32 = np.zeros_like(x)
+    area = inertia = np.float32(0) * x
     for (ex1, ey1), (ex2, ey2) in zip(corners, corners[1:] + corners[:1], strict=True):
         D = ex1 * ey2 - ey1 * ex2
         area = area + half * D
@@ -114,55 +112,59 @@ class Groups:
         self._block = Block(self.n_groups * rows.N_ROWS, n_lanes)
         self.blocks = self._block.rows.reshape(self.n_groups, rows.N_ROWS, n_lanes)
         # Lanes left over at the end hold copies, so that every lane holds a robot.
-        self._design = np.minimum(np.arange(self.n_groups * n_lanes), self.n_robots - 1) % len(designs)
-        self._order = discovery_order(designs.parent)
-        self._place = np.argsort(self._order, axis=1)
-        self._fill(designs, kinematic_trees(designs, density=physics.link_density), physics)
+        robot = np.minimum(np.arange(self.n_groups * n_lanes), self.n_robots - 1)
+        self._robot, self._design = robot, robot % len(designs)
+        tree = designs.parent @ _TREE_WEIGHTS
+        self._order, self._place = _ORDER_OF_TREE[tree], _PLACE_OF_TREE[tree]
+        self._scatter(0, self._records(designs, kinematic_trees(designs, density=physics.link_density), physics))
 
-    def _fill(self, designs: Designs, trees: KinematicTrees, physics: Physics) -> None:
-        order, single = self._order, np.float32
+    def _records(self, designs: Designs, trees: KinematicTrees, physics: Physics) -> Float32:
+        """Fill (n_designs, N_ROWS) columns of a block with what does not change and with the state at the spawn."""
+        single = np.float32
         drive = Drive.of(designs)
         inverse_mass, inverse_inertia = inverse_mass_and_inertia(
             trees.half_width, trees.half_height, physics.link_density
         )
         length = designs.length_scale.astype(single)
-        for row, of_link in (
-            (rows.X, trees.x),
-            (rows.Y, trees.y),
-            (rows.ANGLE, trees.angle),
-            (rows.HALF_WIDTH, trees.half_width),
-            (rows.HALF_HEIGHT, trees.half_height),
-            (rows.INVERSE_MASS, inverse_mass),
-            (rows.INVERSE_INERTIA, inverse_inertia),
-            (rows.LENGTH, length),
-            (rows.WIDTH, 1 / length),
-            (rows.MASS, trees.mass),
-            (rows.INERTIA, trees.inertia),
-        ):
-            self._put(row, np.take_along_axis(of_link, order, axis=1))
-        child = order[:, 1:]
-        above = np.take_along_axis(designs.parent, child, axis=1)
         max_motor_impulse = single(physics.time_step) * single(physics.max_motor_torque)
-        for row, of_joint in (
-            (rows.PARENT, np.take_along_axis(self._place, above, axis=1)),
-            (rows.PARENT_INVERSE_MASS, np.take_along_axis(inverse_mass, above, axis=1)),
-            (rows.PARENT_INVERSE_INERTIA, np.take_along_axis(inverse_inertia, above, axis=1)),
-            (rows.PARENT_ANCHOR, np.take_along_axis(trees.parent_anchor, child, axis=1)),
-            (rows.CHILD_ANCHOR, np.take_along_axis(trees.child_anchor, child, axis=1)),
-            (rows.MAX_MOTOR_IMPULSE, np.take_along_axis(drive.motor_on, child, axis=1) * max_motor_impulse),
-            (rows.PHASE, np.take_along_axis(drive.phase_turns, child, axis=1)),
-            (rows.MOTION_RANGE, np.take_along_axis(drive.motion_range, child, axis=1)),
-            (rows.REST_ANGLE, np.take_along_axis(drive.rest_angle, child, axis=1)),
-            (rows.FREQUENCY, drive.frequency),
+        design = np.arange(len(designs))[:, None]
+        in_order = design * N_LINKS + self._order
+        child = in_order[:, 1:]
+        parent = np.take(designs.parent, child)
+        above = design * N_LINKS + parent
+        records = np.zeros((len(designs), rows.N_ROWS), single)
+        for row, quantity, where in (
+            (rows.X, trees.x, in_order),
+            (rows.Y, trees.y, in_order),
+            (rows.ANGLE, trees.angle, in_order),
+            (rows.HALF_WIDTH, trees.half_width, in_order),
+            (rows.HALF_HEIGHT, trees.half_height, in_order),
+            (rows.INVERSE_MASS, inverse_mass, in_order),
+            (rows.INVERSE_INERTIA, inverse_inertia, in_order),
+            (rows.LENGTH, length, in_order),
+            (rows.WIDTH, 1 / length, in_order),
+            (rows.MASS, trees.mass, in_order),
+            (rows.INERTIA, trees.inertia, in_order),
+            (rows.PARENT, self._place, above),
+            (rows.PARENT_INVERSE_MASS, inverse_mass, above),
+            (rows.PARENT_INVERSE_INERTIA, inverse_inertia, above),
+            (rows.PARENT_ANCHOR, trees.parent_anchor, child),
+            (rows.CHILD_ANCHOR, trees.child_anchor, child),
+            (rows.MAX_MOTOR_IMPULSE, drive.motor_on * max_motor_impulse, child),
+            (rows.PHASE, drive.phase_turns, child),
+            (rows.MOTION_RANGE, drive.motion_range, child),
+            (rows.REST_ANGLE, drive.rest_angle, child),
+            (rows.FREQUENCY, drive.frequency, design),
         ):
-            self._put(row, of_joint)
-        self.blocks[:, rows.VERTEX_1 : rows.VERTEX_2 + N_LINKS] = NO_VERTEX
+            records[:, row : row + where.shape[1]] = quantity.ravel()[where]
+        records[:, rows.VERTEX_1 : rows.VERTEX_2 + N_LINKS] = NO_VERTEX
+        chosen: Float32 = records[self._design]
+        return chosen
 
-    def _put(self, row: int, of_design: npt.NDArray[np.generic]) -> None:
-        """Write (n_designs, n) numbers to n rows from one on."""
-        n = of_design.shape[1]
-        lanes = of_design[self._design].reshape(self.n_groups, self.n_lanes, n)
-        self.blocks[:, row : row + n] = lanes.transpose(0, 2, 1)
+    def _scatter(self, row: int, numbers: Float32) -> None:
+        """Write (n_groups · n_lanes, n) numbers to n rows from one on."""
+        n = numbers.shape[1]
+        self.blocks[:, row : row + n] = numbers.reshape(self.n_groups, self.n_lanes, n).transpose(0, 2, 1)
 
     def states(self, columns: tuple[int, ...]) -> Float32:
         """Read quantities of the links, numbered as the kernels do.
@@ -178,10 +180,8 @@ class Groups:
 
     def set_velocities(self, vx: Float32, vy: Float32, omega: Float32) -> None:
         """Write (n_robots, n_links) velocities, links numbered as the kernels do."""
-        robot = np.minimum(np.arange(self.n_groups * self.n_lanes), self.n_robots - 1)
-        for row, values in ((rows.VX, vx), (rows.VY, vy), (rows.OMEGA, omega)):
-            lanes_last = values[robot].reshape(self.n_groups, self.n_lanes, N_LINKS)
-            self.blocks[:, row : row + N_LINKS] = lanes_last.transpose(0, 2, 1)
+        for row, velocity in ((rows.VX, vx), (rows.VY, vy), (rows.OMEGA, omega)):
+            self._scatter(row, velocity[self._robot])
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states, links in the designs' own order; NaN where diverged."""
