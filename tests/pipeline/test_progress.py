@@ -1,0 +1,145 @@
+"""The time left is honest, and both kinds of terminal are told of it."""
+
+import io
+import os
+import pty
+import subprocess
+import sys
+import time
+
+import pytest
+from rich.console import Console
+
+import pipeline.progress
+from pipeline.progress import Pace, progress
+
+
+class Clock:
+    """A clock that the test moves."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def pace(total: float, found: float = 0.0) -> tuple[Pace, Clock]:
+    clock = Clock()
+    return Pace("evolve", "generations", total, found, clock=clock), clock
+
+
+def test_rate_and_time_left_by_hand():
+    evolve, clock = pace(total=1000)
+    clock.now += 20
+    evolve.done += 200
+    assert evolve.rate == 10.0
+    assert evolve.seconds_left == 80.0
+    assert str(evolve) == "200/1,000 generations (20%), 10/s, 0:01:20 left"
+
+
+def test_what_was_found_done_is_not_work_done_now():
+    evolve, clock = pace(total=1000, found=800)
+    clock.now += 10
+    assert (evolve.rate, evolve.seconds_left, evolve.fraction) == (0.0, None, 0.8)
+    assert str(evolve) == "800/1,000 generations (80%), 0:00:10 so far"
+    evolve.done += 50
+    assert evolve.rate == 5.0
+    assert evolve.seconds_left == 30.0
+
+
+def test_a_finished_stage_says_how_long_it_took():
+    evolve, clock = pace(total=50)
+    clock.now += 100
+    evolve.done = 50
+    assert str(evolve) == "50/50 generations (100%), 0.5/s, took 0:01:40"
+
+
+def test_a_stage_without_work_is_done():
+    empty, clock = pace(total=0)
+    clock.now += 1
+    assert empty.fraction == 1.0
+    assert "took" in str(empty)
+
+
+def test_lines_come_now_and_then(monkeypatch):
+    monkeypatch.setattr(pipeline.progress, "SECONDS_BETWEEN_LINES", 0.3)
+    out = io.StringIO()
+    with progress(Console(file=out)) as show, show.stage("evolve", unit="generations", total=100) as bar:
+        for _ in range(10):
+            time.sleep(0.05)
+            bar.advance(10)
+        show.say("a word [in brackets] " + "that is long " * 20)
+    lines = out.getvalue().splitlines()
+    progressing = [line for line in lines if line.startswith("evolve: ")]
+    assert 3 <= len(progressing) <= 4  # at the start, once or twice in 0.5 s, at the end
+    assert progressing[0].startswith("evolve: 0/100 generations (0%)")
+    assert " left" in progressing[1]
+    assert progressing[-1].startswith("evolve: 100/100 generations (100%)")
+    assert "a word [in brackets] " + "that is long " * 20 in lines  # neither interpreted nor wrapped
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_a_stage_that_stops_short_says_where_and_lets_the_error_pass(error):
+    out = io.StringIO()
+    with pytest.raises(error), progress(Console(file=out)) as show:  # noqa: SIM117
+        with show.stage("evolve", unit="generations", total=100, done=20) as bar:
+            bar.advance(30)
+            raise error
+    assert out.getvalue().splitlines()[-1].startswith("evolve: 50/100 generations (50%)")
+
+
+SCRIPT = """
+import time
+from pipeline.progress import progress
+with progress() as show:
+    with show.stage("evolve", unit="generations", total=8) as bar:
+        for k in range(8):
+            if k == 4:
+                show.say("half way")
+            time.sleep(0.2)
+            bar.advance(1)
+print("result")
+"""
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm-256color", "COLUMNS": "120"}
+
+
+def test_without_a_terminal_plain_lines_on_stderr():
+    ran = subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment(), capture_output=True, text=True, timeout=60, check=True
+    )
+    assert ran.stdout == "result\n"
+    assert "\x1b" not in ran.stderr and "\r" not in ran.stderr
+    first, said, last = ran.stderr.splitlines()
+    assert first.startswith("evolve: 0/8 generations (0%)")
+    assert said == "half way"
+    assert last.startswith("evolve: 8/8 generations (100%), ") and "took 0:00:0" in last
+
+
+def test_on_a_terminal_a_bar_that_is_redrawn():
+    terminal, inner = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT], env=environment(), stdin=inner, stdout=subprocess.PIPE, stderr=inner
+    )
+    os.close(inner)
+    shown = b""
+    while True:
+        try:
+            piece = os.read(terminal, 4096)
+        except OSError:  # the other end is closed
+            break
+        if not piece:
+            break
+        shown += piece
+    out, _ = process.communicate(timeout=60)
+    os.close(terminal)
+    text = shown.decode()
+    assert process.returncode == 0
+    assert out == b"result\n"
+    assert text.count("━") > 30 and "─" in text
+    assert text.count(" left") >= 3  # drawn again and again
+    assert "half way" in text
+    assert "\x1b[?25l" in text and text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")  # the cursor is given back
+    assert "8/8 generations (100%)" in text.splitlines()[-1] + text.splitlines()[-2]
