@@ -1,0 +1,289 @@
+"""MLflow: a mirror of what the store holds. The only ``import mlflow``.
+
+Every run carries our own keys as tags and is found by them, and only what is missing or different is sent. So mirroring
+twice changes nothing, a mirror that fell behind catches up, and one that was deleted is rebuilt by running the same
+command again. If MLflow fails, the study goes on: one warning, and the next call sends what is owed.
+
+Only the driver tracks. MLflow takes two seconds to import, so that happens with the first stage there is to mirror.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import logging
+import math
+import os
+import socket
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NoReturn
+
+from pipeline.errors import PuddleError
+
+EXPERIMENT = "puddle"
+
+MAX_METRICS = 1000
+"""In one of MLflow's batches."""
+
+MAX_PARAMS = 100
+"""In one of MLflow's batches; tags too."""
+
+DATASET_DIGEST_LENGTH = 36
+"""Characters of a data set's digest that MLflow keeps; the whole digest is in the data set's source."""
+
+ENVIRONMENT = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",  # its job workers outlive a SIGTERM
+    "MLFLOW_LOGGING_LEVEL": "WARNING",
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",  # a server that is away costs a stage seconds, not the default's minutes
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "10",
+}
+"""For MLflow in this process and for its server, where the user has not said otherwise."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What MLflow shows as a run: a study, a stage of it, or a trial of a stage.
+
+    Attributes:
+        name: for people.
+        key: the run's identity, unique among its siblings.
+        params: settings that it used; nested mappings become dotted names.
+        metrics: single numbers. What is not finite is left out, here and in the curves: MLflow stumbles over it later.
+        curves: metrics by generation, from generation 0.
+        tags: further words to search by.
+        inputs: digests of what it read, by name.
+        outputs: digests of what it made, by name.
+        artifacts: contents of files to open from the UI, by path.
+        status: how it ended; None leaves it as it is, which for a new run is running.
+    """
+
+    name: str
+    key: str
+    params: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    curves: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    tags: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    outputs: Mapping[str, str] = field(default_factory=dict)
+    artifacts: Mapping[str, bytes] = field(default_factory=dict)
+    status: Literal["FINISHED", "FAILED"] | None = None
+
+
+def open_tracker(store: Path, uri: str | None = None, *, say: Callable[[str], None]) -> Tracker:
+    """Give the tracker of a store; nothing is opened until there is something to mirror.
+
+    Args:
+        store: its folder, which holds the database and the artifacts unless a URI says otherwise.
+        uri: of an MLflow server or database; MLFLOW_TRACKING_URI counts without it.
+        say: shows a line to the user.
+    """
+    return Tracker(store, uri or os.environ.get("MLFLOW_TRACKING_URI") or None, say)
+
+
+class Tracker:
+    """Mirrors studies to MLflow."""
+
+    def __init__(self, store: Path, uri: str | None, say: Callable[[str], None]) -> None:
+        self._store = store
+        self._uri = uri
+        self._say = say
+        self._warned = False
+        self._owed: dict[tuple[str, str], tuple[Run, Run, Sequence[Run]]] = {}
+        self._experiment: _Experiment | None = None
+
+    def mirror(self, study: Run, stage: Run, trials: Sequence[Run] = ()) -> None:
+        """Bring a stage of a study, and its trials, up to date in MLflow; never raises because MLflow did."""
+        self._owed[study.key, stage.key] = (study, stage, trials)
+        try:
+            with _alone(self._store) if self._uri is None else contextlib.nullcontext():
+                if self._experiment is None:
+                    self._experiment = _open_experiment(self._store, self._uri)
+                for key, owed in list(self._owed.items()):
+                    self._experiment.mirror(*owed)
+                    del self._owed[key]
+        except Exception as error:
+            if not self._warned:
+                self._warned = True
+                reason = (str(error) or "no reason given").splitlines()[0]
+                self._say(
+                    f"MLflow at {self._uri or database_uri(self._store)} failed: {type(error).__name__}: {reason}\n"
+                    f"The study goes on without it. What MLflow lacks is sent with the next stage, or by the same "
+                    f"command once MLflow is well."
+                )
+
+
+def database_uri(store: Path) -> str:
+    """Where a store's own MLflow database is."""
+    return f"sqlite:///{store.resolve() / 'mlflow.db'}"
+
+
+@contextlib.contextmanager
+def _alone(store: Path) -> Iterator[None]:
+    """Keep other drivers of a store out of its database: two that create it at once fail, two that write may."""
+    with (store / "mlflow.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # let go when the file is closed, however this process ends
+        yield
+
+
+def _open_experiment(store: Path, uri: str | None) -> _Experiment:
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+    from mlflow.tracking import MlflowClient
+
+    logging.getLogger("mlflow").setLevel(logging.WARNING)
+    client = MlflowClient(uri or database_uri(store))
+    found = client.get_experiment_by_name(EXPERIMENT)
+    if found is not None:
+        return _Experiment(client, found.experiment_id)
+    place = None if uri else (store.resolve() / "mlartifacts").as_uri()
+    return _Experiment(client, client.create_experiment(EXPERIMENT, artifact_location=place))
+
+
+@dataclass(frozen=True)
+class _Experiment:
+    client: Any
+    id: str
+
+    def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
+        held = self._runs(study.key)
+        parent = self._bring_up_to_date(study, ("study", study.key), study, None, held)
+        child = self._bring_up_to_date(stage, ("stage", stage.key), study, parent, held)
+        for trial in trials:
+            self._bring_up_to_date(trial, ("trial", f"{stage.key}/{trial.key}"), study, child, held)
+
+    def _runs(self, study_key: str) -> dict[tuple[str, str], Any]:
+        """Find a study's runs, by kind and key."""
+        runs: dict[tuple[str, str], Any] = {}
+        token = None
+        while True:
+            page = self.client.search_runs([self.id], f"tags.`puddle.study_key` = '{study_key}'", page_token=token)
+            for run in page:
+                runs[run.data.tags["puddle.kind"], run.data.tags["puddle.key"]] = run
+            token = page.token
+            if not token:
+                return runs
+
+    def _bring_up_to_date(
+        self, wanted: Run, slot: tuple[str, str], study: Run, parent: str | None, held: Mapping[tuple[str, str], Any]
+    ) -> str:
+        """Send what MLflow lacks of a run, its status last; return MLflow's name for it."""
+        kind, key = slot
+        tags = {f"puddle.output.{name}": digest for name, digest in wanted.outputs.items()} | dict(wanted.tags)
+        tags |= {"puddle.kind": kind, "puddle.key": key, "puddle.study": study.name, "puddle.study_key": study.key}
+        if parent is not None:
+            tags["mlflow.parentRunId"] = parent
+        run = held.get(slot)
+        if run is None:
+            run = self.client.create_run(self.id, run_name=wanted.name, tags=tags)
+        self._send_values(run, wanted, tags)
+        self._send_inputs(run, wanted)
+        self._send_files(run, wanted)
+        if wanted.status is not None and run.info.status != wanted.status:
+            self.client.set_terminated(run.info.run_id, wanted.status)
+        return str(run.info.run_id)
+
+    def _send_values(self, run: Any, wanted: Run, tags: Mapping[str, str]) -> None:
+        from mlflow.entities import Metric, Param, RunTag
+        from mlflow.utils.time import get_current_time_millis
+
+        params = [Param(name, str(value)) for name, value in _flat(wanted.params) if name not in run.data.params]
+        new_tags = [RunTag(name, value) for name, value in tags.items() if run.data.tags.get(name) != value]
+        now = get_current_time_millis()
+        metrics = [
+            Metric(name, float(value), now, 0)
+            for name, value in wanted.metrics.items()
+            if math.isfinite(value) and run.data.metrics.get(name) != value
+        ]
+        # A curve's points carry the time at which the run began: one that was sent before is the same row of the
+        # database, and is not kept twice.
+        digest = _digest({name: [float(y) for y in curve] for name, curve in wanted.curves.items()})
+        if wanted.curves and run.data.tags.get("puddle.curves") != digest:
+            metrics += [
+                Metric(name, float(y), run.info.start_time, generation)
+                for name, curve in wanted.curves.items()
+                for generation, y in enumerate(curve)
+                if math.isfinite(y)
+            ]
+            new_tags.append(RunTag("puddle.curves", digest))
+        for start in range(0, len(metrics), MAX_METRICS):
+            self.client.log_batch(run.info.run_id, metrics=metrics[start : start + MAX_METRICS])
+        for start in range(0, max(len(params), len(new_tags)), MAX_PARAMS):
+            batch = slice(start, start + MAX_PARAMS)
+            self.client.log_batch(run.info.run_id, params=params[batch], tags=new_tags[batch])
+
+    def _send_inputs(self, run: Any, wanted: Run) -> None:
+        from mlflow.entities import Dataset, DatasetInput, InputTag
+
+        held = {(one.dataset.name, one.dataset.digest) for one in run.inputs.dataset_inputs} if run.inputs else set()
+        inputs = [
+            DatasetInput(
+                Dataset(name, digest[:DATASET_DIGEST_LENGTH], "puddle", json.dumps({"sha256": digest})),
+                [InputTag("mlflow.data.context", "input")],
+            )
+            for name, digest in wanted.inputs.items()
+            if (name, digest[:DATASET_DIGEST_LENGTH]) not in held
+        ]
+        if inputs:
+            self.client.log_inputs(run.info.run_id, inputs)
+
+    def _send_files(self, run: Any, wanted: Run) -> None:
+        files = dict(wanted.artifacts)
+        if wanted.inputs or wanted.outputs:
+            lineage = {"inputs": dict(wanted.inputs), "outputs": dict(wanted.outputs)}
+            files["lineage.json"] = json.dumps(lineage, indent=2, sort_keys=True).encode()
+        digest = _digest({path: hashlib.sha256(content).hexdigest() for path, content in files.items()})
+        if not files or run.data.tags.get("puddle.files") == digest:
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            for path, content in files.items():
+                target = Path(folder, path)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(content)
+            self.client.log_artifacts(run.info.run_id, folder)
+        self.client.set_tag(run.info.run_id, "puddle.files", digest)
+
+
+def _digest(values: Any) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def _flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in params.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def ui_command(store: Path, port: int) -> tuple[list[str], dict[str, str]]:
+    """Give the command line and the environment of the MLflow UI on a store's database, for this machine alone."""
+    words = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", database_uri(store)]
+    words += ["--default-artifact-root", (store.resolve() / "mlartifacts").as_uri()]
+    words += ["--host", "127.0.0.1", "--port", str(port), "--workers", "1"]
+    return words, ENVIRONMENT | os.environ
+
+
+def serve_ui(store: Path, port: int) -> NoReturn:
+    """Become the MLflow UI: this process turns into its server, so that signals reach the server itself.
+
+    Raises:
+        PuddleError: there is no database yet, or the port is taken.
+    """
+    if not (store / "mlflow.db").is_file():
+        raise PuddleError(f"{store}: expected mlflow.db, and it is not there. `puddle study` makes it.")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise PuddleError(f"port {port} can't be had ({error.strerror}). Choose another: --port.") from error
+    words, environment = ui_command(store, port)
+    print(f"MLflow's UI: http://127.0.0.1:{port} (Ctrl-C stops it)", flush=True)
+    os.execve(words[0], words, environment)
