@@ -1,0 +1,211 @@
+"""Networks on a CPU: many small multilayer perceptrons, row by row, near the peak of the core.
+
+A tile of the product of rows and weights is held in the vector registers: TILE_ROWS rows by two vectors of outputs,
+summed over the inputs in their order by fused multiply-adds. So a row's result is the same whatever rows are beside it,
+however many there are, and on any machine. A block of rows goes through all layers before the next, and stays in the
+L1 cache.
+"""
+
+# mypy: disallow-untyped-decorators=False, warn-return-any=False
+# ruff: noqa: ARG001 (numba gives every intrinsic its context)
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+import numpy.typing as npt
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from tasks.simulation.compiled import compiled
+from tasks.simulation.lanes import aligned
+
+Float32 = npt.NDArray[np.float32]
+
+_FEATURES = llvm.get_host_cpu_features()
+N_LANES = 16 if _FEATURES.get("avx512f") else 8 if _FEATURES.get("avx") else 4
+TILE_ROWS = 12 if N_LANES == 16 else 6
+"""As many as leave two registers for weights and some for inputs, of 32 and of 16."""
+TILE_VECTORS = 2
+PANEL = TILE_VECTORS * N_LANES
+"""Outputs of a tile. Layers are padded to a multiple."""
+NUMBER = 4
+"""Bytes of a float32."""
+
+
+def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], relu: Any) -> None:
+    """Emit the instructions of out = relu(x @ weight + bias) for a tile."""
+    x, weight, bias, out = pointers
+    n_in, x_stride, out_stride = sizes
+    vector, size = ir.VectorType(ir.FloatType(), N_LANES), n_in.type
+
+    def at(pointer: ir.Value, index: ir.Value) -> ir.Value:
+        return builder.gep(pointer, [index])
+
+    def vector_at(pointer: ir.Value, index: ir.Value) -> ir.Value:
+        return builder.bitcast(at(pointer, index), vector.as_pointer())
+
+    def number(n: int) -> ir.Value:
+        return ir.Constant(size, n)
+
+    fma = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(vector, [vector] * 3), f"llvm.fma.v{N_LANES}f32"
+    )
+    biases = [builder.load(vector_at(bias, number(v * N_LANES)), align=4 * N_LANES) for v in range(TILE_VECTORS)]
+    starts = [builder.mul(number(row), x_stride) for row in range(TILE_ROWS)]
+    before = builder.block
+    loop, after = builder.append_basic_block("inputs"), builder.append_basic_block("tile")
+    builder.branch(loop)
+
+    builder.position_at_end(loop)
+    k = builder.phi(size)
+    k.add_incoming(number(0), before)
+    sums = [[builder.phi(vector) for _ in range(TILE_VECTORS)] for _ in range(TILE_ROWS)]
+    panel_row = builder.mul(k, number(PANEL))
+    weights = [
+        builder.load(vector_at(weight, builder.add(panel_row, number(v * N_LANES))), align=4 * N_LANES)
+        for v in range(TILE_VECTORS)
+    ]
+    undefined = ir.Constant(vector, ir.Undefined)
+    to_all = ir.Constant(ir.VectorType(ir.IntType(32), N_LANES), [0] * N_LANES)
+    totals = []
+    for row in range(TILE_ROWS):
+        one = builder.load(at(x, builder.add(starts[row], k)), align=4)
+        first = builder.insert_element(undefined, one, ir.Constant(ir.IntType(32), 0))
+        spread = builder.shuffle_vector(first, undefined, to_all)
+        totals.append([builder.call(fma, [spread, w, s]) for w, s in zip(weights, sums[row], strict=True)])
+    following = builder.add(k, number(1))
+    k.add_incoming(following, loop)
+    for row in range(TILE_ROWS):
+        for v in range(TILE_VECTORS):
+            sums[row][v].add_incoming(biases[v], before)
+            sums[row][v].add_incoming(totals[row][v], loop)
+    again = builder.cbranch(builder.icmp_signed("<", following, n_in), loop, after)
+    again.set_metadata("llvm.loop", _not_unrolled(builder.module))
+
+    builder.position_at_end(after)
+    zero = ir.Constant(vector, [0.0] * N_LANES)
+    for row in range(TILE_ROWS):
+        for v in range(TILE_VECTORS):
+            total = totals[row][v]
+            negative = builder.fcmp_ordered("<", total, zero)  # so that NaN stays
+            positive = builder.select(negative, zero, total)
+            value = builder.select(relu, positive, total)
+            where = builder.add(builder.mul(number(row), out_stride), number(v * N_LANES))
+            builder.store(value, vector_at(out, where), align=4 * N_LANES)
+
+
+def _not_unrolled(module: ir.Module) -> ir.MDValue:
+    """Forbid LLVM to unroll a loop, for want of registers: it spills the sums, and takes three times as long."""
+    disable = module.add_metadata([ir.MetaDataString(module, "llvm.loop.unroll.disable")])
+    loop = ir.MDValue(module, [disable], name=str(len(module.metadata)))
+    loop.operands = (loop, disable)  # a loop is named by metadata that begin with themselves
+    return loop
+
+
+@intrinsic
+def _multiply_tile(
+    typing: Any, x: Any, weight: Any, bias: Any, out: Any, n_in: Any, x_stride: Any, out_stride: Any, relu: Any
+) -> Any:
+    """Compute a tile; x, weight, bias and out are addresses, strides are in numbers."""
+
+    def emit(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+        pointer = ir.FloatType().as_pointer()
+        addresses = [builder.inttoptr(address, pointer) for address in args[:4]]
+        _tile(builder, addresses, args[4:7], args[7])
+        return context.get_dummy_value()
+
+    return types.void(*[types.intp] * 7, types.boolean), emit
+
+
+def _forward(
+    layers: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64], n_rows: int, x: int, out: int, between: int
+) -> None:
+    """Send the rows of each member through its layers; arrays are given by their addresses.
+
+    Args:
+        layers: (n_members, n_layers, 2) addresses of panels and biases.
+        sizes: (n_layers + 1,) inputs of each layer and outputs of the last, padded.
+        n_rows: of each member, a multiple of TILE_ROWS.
+        x: (n_members, n_rows, sizes[0]) inputs.
+        out: (n_members, n_rows, sizes[-1]) outputs.
+        between: (2, TILE_ROWS, widest layer) for what goes from one layer to the next.
+    """
+    n_members, n_layers, _ = layers.shape
+    for member in range(n_members):
+        for first in range(0, n_rows, TILE_ROWS):
+            rows = x + NUMBER * (member * n_rows + first) * sizes[0]
+            for layer in range(n_layers):
+                n_in, n_out = sizes[layer], sizes[layer + 1]
+                last = layer == n_layers - 1
+                if last:
+                    result = out + NUMBER * (member * n_rows + first) * n_out
+                else:
+                    result = between + NUMBER * (layer % 2) * TILE_ROWS * sizes.max()
+                for unit in range(0, n_out, PANEL):
+                    weight = layers[member, layer, 0] + NUMBER * unit * n_in
+                    bias = layers[member, layer, 1] + NUMBER * unit
+                    _multiply_tile(rows, weight, bias, result + NUMBER * unit, n_in, n_in, n_out, not last)
+                rows = result
+
+
+_run = compiled(_forward, [sys.modules[__name__]], seconds=2)
+
+
+def _padded(n: int) -> int:
+    """Round a number of outputs up to whole panels."""
+    return -(-n // PANEL) * PANEL
+
+
+class PackedNetworks:
+    """Networks of one shape, their weights laid out as the kernel reads them."""
+
+    def __init__(self, weights: Sequence[Float32], biases: Sequence[Float32]) -> None:
+        """Pack weights (n_members, n_in, n_out) and biases (n_members, n_out) of each layer; all but the last ReLU."""
+        self.n_members, self._n_in, _ = weights[0].shape
+        self._n_out = weights[-1].shape[2]
+        sizes = [self._n_in, *(_padded(weight.shape[2]) for weight in weights)]
+        self._sizes = np.array(sizes, np.int64)
+        self._panels = [
+            _panels(weight, n_in, n_out) for weight, n_in, n_out in zip(weights, sizes, sizes[1:], strict=False)
+        ]
+        self._biases = [aligned((self.n_members, n_out)) for n_out in sizes[1:]]
+        for packed, bias in zip(self._biases, biases, strict=True):
+            packed[:, : bias.shape[1]] = bias
+        self._layers = np.array(
+            [
+                [
+                    (panels[member].ctypes.data, bias[member].ctypes.data)
+                    for panels, bias in zip(self._panels, self._biases, strict=True)
+                ]
+                for member in range(self.n_members)
+            ],
+            np.int64,
+        )
+        self._between = aligned((2, TILE_ROWS, max(sizes)))
+
+    def forward(self, rows: Float32) -> Float32:
+        """Map (n_members, n_rows, n_in) to (n_members, n_rows, n_out)."""
+        n_rows = rows.shape[1]
+        n_filled = -(-n_rows // TILE_ROWS) * TILE_ROWS
+        x = aligned((self.n_members, n_filled, self._n_in))
+        x[:, :n_rows] = rows
+        out = aligned((self.n_members, n_filled, int(self._sizes[-1])))
+        _run(self._layers, self._sizes, n_filled, x.ctypes.data, out.ctypes.data, self._between.ctypes.data)
+        return out[:, :n_rows, : self._n_out]
+
+
+def _panels(weight: Float32, n_in: int, n_out: int) -> Float32:
+    """Cut (n_members, n_in, n_out) weights into (n_members, n_panels, n_in, PANEL), filled with zeros."""
+    n_members = len(weight)
+    filled = np.zeros((n_members, n_in, n_out), np.float32)
+    filled[:, : weight.shape[1], : weight.shape[2]] = weight
+    panels = aligned((n_members, n_out // PANEL, n_in, PANEL))
+    panels[:] = filled.reshape(n_members, n_in, n_out // PANEL, PANEL).transpose(0, 2, 1, 3)
+    return panels
