@@ -6,16 +6,16 @@ import contextlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
+from pipeline.artifacts import canonical_json, digest, encode_json
 from pipeline.cluster import Cluster
 from pipeline.errors import DamagedArtifact
-from pipeline.mirror import mirror_stage
 from pipeline.progress import Progress
 from pipeline.settings import Settings
-from pipeline.stage import Results, Stage, Upstream
+from pipeline.stage import Results, Stage, Summary, Upstream
 from pipeline.stages import STAGES
 from pipeline.store import Store, StudyItem
 from pipeline.study import follow, require, results_of, run_stage
-from pipeline.tracking import Tracker
+from pipeline.tracking import Run, Tracker
 
 
 def drive(
@@ -49,6 +49,7 @@ def drive(
 
         def the_cluster() -> Cluster:
             if not cluster:
+                progress.say("starting the cluster")
                 cluster.append(stack.enter_context(open_cluster()))
             return cluster[0]
 
@@ -89,7 +90,7 @@ def _drive(
             _keep_record(settings, upstream, store)
             summary = stage.summarise(settings, upstream[stage.name], store)
             progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
-            mirror_stage(tracker, settings, stage, upstream, summary)
+            tracker.mirror(*_runs(settings, stage, upstream, summary))
     return upstream
 
 
@@ -102,3 +103,44 @@ def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:
         for index, manifest in enumerate(manifests)
     ]
     store.write_study(settings.name, settings.model_dump(mode="json"), items)
+
+
+def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary) -> tuple[Run, Run, list[Run]]:
+    """Say what MLflow is to show: the study, the stage, and its trials."""
+    chosen = settings.model_dump(mode="json")
+    results = upstream[stage.name]
+    last = stage is STAGES[-1]
+    study = Run(
+        name=settings.name,
+        key=digest(canonical_json(chosen)),
+        params=chosen,
+        artifacts={"settings.json": encode_json(chosen), **(summary.artifacts if last else {})},
+        status="FINISHED" if last else None,
+    )
+    run = Run(
+        name=stage.name,
+        key=stage.name,
+        metrics={**summary.metrics, "core_seconds": results.seconds, "n_set_aside": len(results.set_aside)},
+        inputs={name: _digest_of(upstream[name]) for name in stage.reads(settings)},
+        outputs={stage.name: _digest_of(results)},
+        artifacts=summary.artifacts,
+        status="FAILED" if results.set_aside else "FINISHED",
+    )
+    trials = [
+        Run(
+            name=trial.name,
+            key=trial.name,
+            params=trial.params,
+            metrics=trial.metrics,
+            curves={name: curve.tolist() for name, curve in trial.curves.items()},
+            outputs={trial.name: results.done[trial.name][-1].digest},
+            status="FINISHED",
+        )
+        for trial in summary.trials
+    ]
+    return study, run, trials
+
+
+def _digest_of(results: Results) -> str:
+    """One SHA-256 for all that a stage made."""
+    return digest(canonical_json({label: [m.digest for m in chain] for label, chain in results.done.items()}))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
 from pipeline.errors import DamagedArtifact, PuddleError
@@ -67,7 +67,7 @@ def follow(
     A damaged item counts as missing, and ``say`` says so; its successor will take its place.
     """
     walks = []
-    for chain in stage.plan(settings):
+    for chain in _evenly_weighted(stage.plan(settings)):
         walk = Walk(chain)
         try:
             while not walk.finished:
@@ -80,6 +80,14 @@ def follow(
             walk.set_aside = f"not possible: {missing}"
         walks.append(walk)
     return walks
+
+
+def _evenly_weighted(chains: Sequence[Chain]) -> list[Chain]:
+    """Scale weights so that they average to one, and weighted units add up to the units that there are."""
+    units = [chain.n_items * chain.units_per_item for chain in chains]
+    weighted = sum(u * chain.weight for u, chain in zip(units, chains, strict=True))
+    scale = sum(units) / weighted if weighted > 0 else 1.0
+    return [replace(chain, weight=chain.weight * scale) for chain in chains]
 
 
 def _held(store: Store, item: Item, say: Callable[[str], None]) -> Manifest | None:

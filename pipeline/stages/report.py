@@ -12,10 +12,8 @@ from pipeline.artifacts import decode_json, decode_table
 from pipeline.design_file import design_from
 from pipeline.manifest import Manifest
 from pipeline.provenance import environment as provenance
-from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
-from pipeline.report.gif import render_gif
-from pipeline.report.page import render_page
-from pipeline.report.replay import Replay, replay_of
+from pipeline.report import Drawing, Replay, draw_all, render_gif, render_page, replay_of
+from pipeline.report.data import ENVIRONMENTS, Digest, ResidualError, StudyReport, TrialResult
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
 from pipeline.stages import segments
@@ -81,22 +79,24 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         digests=[Digest(*row) for row in job.spec["digests"]],
         set_aside=job.spec["set_aside"],
     )
-    files = {PAGE: render_page(report).encode()}
+    drawings = draw_all(report)
+    files = {PAGE: render_page(report, drawings).encode()}
+    for drawing in drawings.values():
+        if isinstance(drawing, Drawing):
+            files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
     if replays:
         files[REPLAY] = render_gif(_for_the_gif(replays))
     return files
 
 
 def _trial_result(row: tuple[Any, float, int], inputs: Mapping[str, Files]) -> TrialResult | None:
-    """Gather one trial's curve and scores; None where it was set aside or all of it diverged."""
+    """Gather one trial's curve and scores; None where it was set aside. A champion that diverged has NaN for scores."""
     environment, depth, trial = row
     label = segments.trial_label(environment, depth, trial)
     scored = inputs.get(f"transfer/{label}")
     if scored is None:
         return None
     scores = decode_json(scored[SCORE], label)
-    if scores["status"] != "ok":
-        return None
     prefix = f"evolve/{label}/"
     curves = [
         decode_table(inputs[name][segments.CURVE], schema="curve", version=1, source=name)["best_fitness"]
@@ -108,7 +108,8 @@ def _trial_result(row: tuple[Any, float, int], inputs: Mapping[str, Files]) -> T
         for name in ("zero_shot", "zero_shot_com", "adapted", "adapted_com")
         if name in scores
     }
-    return TrialResult(environment, depth, trial, scores["predicted"], **measured, curve=np.concatenate(curves))
+    predicted = scores.get("predicted", np.nan)
+    return TrialResult(environment, depth, trial, predicted, **measured, curve=np.concatenate(curves))
 
 
 def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:
@@ -167,7 +168,7 @@ def _replays(
             replay_of(
                 design,
                 rollouts.trace[0],
-                title=f"{environment.replace('_', ' ')}, {depth:g} m, trial {trial.trial}",
+                title=f"Evolved {ENVIRONMENTS[trial.environment].evolved}, trial {trial.trial}",
                 environment=environment,
                 world="True Slush",
                 depth=depth,

@@ -1,0 +1,5 @@
+"""``python -m pipeline`` is ``puddle``."""
+
+from pipeline.cli import main
+
+main()

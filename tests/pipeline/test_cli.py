@@ -1,0 +1,193 @@
+"""The command line as a person uses it: each mistake gives one clear message and exit code 2, never a traceback."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.cli import main
+from pipeline.design_file import design_document
+from tasks.design import random_designs
+
+SETTINGS = """name: tiny
+throws: {n_throws: 4, n_steps: 20}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 20, batch_size: 64}
+ensemble: {n_members: 2}
+grid:
+  depths: [1.0]
+  single_member_depths: []
+  n_trials: 1
+rollout: {n_settle: 5, n_measure: 20}
+work: {engine: reference}
+evolution: {n_generations: 2, afpo: {population_size: 4}}
+transfer: {n_generations: 2}
+"""
+
+
+@pytest.fixture
+def settings(tmp_path) -> Path:
+    path = tmp_path / "tiny.yaml"
+    path.write_text(SETTINGS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A finished study: its settings file and its store."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "tiny.yaml").write_text(SETTINGS)
+    options = ["--settings", str(folder / "tiny.yaml"), "--store", str(folder / "store")]
+    assert call("study", "--workers", "0", *options) == 0
+    return options
+
+
+@pytest.fixture
+def design(tmp_path) -> Path:
+    path = tmp_path / "design.json"
+    path.write_text(json.dumps(design_document(random_designs(1, np.random.default_rng(3)))))
+    return path
+
+
+def call(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as exit_info:
+        main(list(arguments))
+    return int(exit_info.value.code or 0)
+
+
+def refused(capsys, *arguments: str) -> str:
+    assert call(*arguments) == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    return said
+
+
+def test_a_study_from_the_command_line(study, capsys, tmp_path):
+    assert call("status", *study) == 0
+    said = capsys.readouterr().out
+    assert "no process is driving it" in said
+    for stage in ("collect", "train", "evolve", "transfer", "report"):
+        assert f"  {stage:<9} done" in said
+    assert call("study", "--workers", "0", *study) == 0
+    assert call("status", "--digests", *study) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum("history.parquet" in line for line in lines) == 6
+    page = Path(study[-1]) / "studies" / "tiny" / "report" / "index.html"
+    assert page.read_text().lower().startswith("<!doctype html>")
+
+
+def test_simulate_reports_every_world_and_films(study, design, capsys, tmp_path):
+    for world in ("dry_land", "true_slush", "residual_slush"):
+        out = tmp_path / f"{world}.gif"
+        arguments = (str(design), "--environment", world, "--depth", "1", "--out", str(out))
+        assert call("simulate", *arguments, *study) == 0
+        said = capsys.readouterr().out
+        assert "root" in said and "whole robot" in said and str(out) in said
+        assert out.read_bytes().startswith(b"GIF89a")
+    assert "members" in said  # of the last world
+
+
+def test_forecast_prices_what_is_left(study, settings, capsys, tmp_path):
+    arguments = ("--settings", str(settings), "--cores", "64")
+    assert call("forecast", *arguments, "--store", str(tmp_path / "none")) == 0
+    said = capsys.readouterr().out
+    assert "64 cores" in said and "evolve" in said and "6 generations" in said
+    assert call("forecast", *study) == 0
+    assert "0 generations" in capsys.readouterr().out
+
+
+def test_a_stage_whose_inputs_are_missing(settings, capsys, tmp_path):
+    options = ("--settings", str(settings), "--store", str(tmp_path / "store"), "--workers", "0")
+    said = refused(capsys, "train", *options)
+    assert "train needs the results of collect" in said
+    assert f"puddle collect --settings {settings} --store {tmp_path / 'store'}" in said
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("wobble: 3", "wobble"),
+        ("seed: many", "seed"),
+        ("grid: {depths: [-1.0]}", "depths"),
+        ("grid: {depths: [deep]}", "depths"),
+        ("grid: {depths: [.nan]}", "depths"),
+        ("grid: {environments: [true_mud]}", "true_slush"),
+        ("work: {engine: warp}", "batch"),
+        ("evolution: {afpo: {random_share: 0.9}}", "random_share"),
+    ],
+)
+def test_settings_mistakes_name_file_line_and_field(line, expected, capsys, tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"name: mine\n{line}\n")
+    said = refused(capsys, "study", "--settings", str(path), "--store", str(tmp_path / "store"))
+    assert f"{path}:2" in said and expected in said
+    assert not (tmp_path / "store").exists()
+
+
+def test_unknown_words(capsys, tmp_path, design):
+    assert "laptop, paper, pontoon, smoke" in refused(capsys, "study", "--preset", "desktop")
+    assert "No such command" in refused(capsys, "evolv")
+    said = refused(capsys, "study", "--set", "grid.depth=[1]", "--store", str(tmp_path / "store"))
+    assert "--set grid.depth" in said and "depths" in said
+    said = refused(capsys, "simulate", str(design), "--environment", "mud", "--depth", "1")
+    assert "dry_land, true_slush, residual_slush" in said
+
+
+@pytest.mark.parametrize("depth", ["-1", "nan", "inf", "deep"])
+def test_depths_that_are_none(depth, design, capsys):
+    said = refused(capsys, "simulate", str(design), "--environment", "dry_land", "--depth", depth)
+    assert "depth" in said
+
+
+def test_designs_that_are_none(capsys, tmp_path, design):
+    def refusal(text: str) -> str:
+        path = tmp_path / "bad.json"
+        path.write_text(text)
+        said = refused(capsys, "simulate", str(path), "--environment", "dry_land", "--depth", "1")
+        assert str(path) in said
+        return said
+
+    good = json.loads(design.read_text())
+    assert "JSON" in refusal("{")
+    assert "not a design" in refusal("[]")
+    assert "version" in refusal(json.dumps({**good, "version": 2}))
+    assert "unknown field wings" in refusal(json.dumps({**good, "wings": 2}))
+    assert "missing field phase" in refusal(json.dumps({k: v for k, v in good.items() if k != "phase"}))
+    assert "length_scale" in refusal(json.dumps({**good, "length_scale": [1, 2]}))
+    assert "parent of link 1" in refusal(json.dumps({**good, "parent": [-1, 4, 0, 0, 0, 0]}))
+    assert "frequency is 7.0" in refusal(json.dumps({**good, "frequency": 7.0}))
+    assert "motor_on" in refusal(json.dumps({**good, "motor_on": [0, 1, 1, 1, 1, 1]}))
+    said = refused(capsys, "simulate", str(tmp_path / "none.json"), "--environment", "dry_land", "--depth", "1")
+    assert "can't be read" in said
+    said = refused(
+        capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.mp5")
+    )
+    assert "--out" in said
+
+
+def test_a_store_that_is_none_or_too_new(study, capsys, tmp_path):
+    settings = study[:2]
+    assert "expected a store" in refused(capsys, "status", *settings, "--store", str(tmp_path / "nowhere"))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("mine")
+    assert "thesis.tex" in refused(capsys, "study", *settings, "--store", str(tmp_path / "full"))
+    newer = tmp_path / "newer"
+    shutil.copytree(study[-1], newer)
+    document = json.loads((newer / "store.json").read_text())
+    (newer / "store.json").write_text(json.dumps({**document, "version": 99}))
+    assert "99" in refused(capsys, "study", *settings, "--store", str(newer))
+
+
+def test_damaged_weights_are_made_again(study, capsys, tmp_path):
+    store = tmp_path / "store"
+    shutil.copytree(study[-1], store)
+    options = ("--workers", "0", *study[:2], "--store", str(store))
+    weights = sorted(store.glob("items/train/*/*/weights.safetensors"))[0]
+    intact = weights.read_bytes()
+    weights.write_bytes(intact[:100] + bytes([intact[100] ^ 1]) + intact[101:])
+    # Longer trials read the weights, find the damage, and have them made again.
+    assert call("study", *options, "--set", "evolution.n_generations=100") == 0
+    assert "weights.safetensors" in "".join(capsys.readouterr())
+    assert weights.read_bytes() == intact

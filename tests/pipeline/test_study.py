@@ -1,0 +1,188 @@
+"""The middleware, with real stages on tiny settings: the same bytes however it runs, and from wherever it stops."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pipeline.cluster import Cluster, serial_cluster
+from pipeline.configuration import parse
+from pipeline.errors import PuddleError
+from pipeline.settings import Settings
+from pipeline.stage import Files, Job, Stage
+from pipeline.stages import STAGES
+from pipeline.store import Store
+from pipeline.study import follow, require, results_of, run_stage, survey
+
+TINY = """
+name: tiny
+throws: {n_throws: 6, n_steps: 20}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 20, batch_size: 64}
+ensemble: {n_members: 2}
+grid: {depths: [1.0], single_member_depths: [1.0], n_trials: 1}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 4, afpo: {population_size: 4}}
+transfer: {n_generations: 3}
+work: {throws_per_item: 2, generations_per_item: 2, engine: reference}
+"""
+
+
+class NoBar:
+    def advance(self, work: float) -> None: ...
+
+
+def silent(line: str) -> None: ...
+
+
+def tiny(*overrides: str) -> Settings:
+    return parse(Settings, TINY, name="tiny", overrides=overrides)
+
+
+def run(settings: Settings, store: Store, cluster: Cluster, stages: tuple[Stage, ...] = STAGES, say=silent):
+    upstream = {}
+    for stage in stages:
+        walks = follow(stage, settings, store, upstream, say=say)
+        run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=say)
+        upstream[stage.name] = results_of(stage, walks)
+    return upstream
+
+
+def digests(upstream) -> dict[str, list[str]]:
+    return {
+        f"{stage}/{label}": [manifest.digest for manifest in manifests]
+        for stage, results in upstream.items()
+        for label, manifests in results.done.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def serial_run(tmp_path_factory):
+    store = Store.open(tmp_path_factory.mktemp("serial") / "store", create=True)
+    with serial_cluster() as cluster:
+        return store, run(tiny(), store, cluster)
+
+
+def test_every_chain_of_every_stage_is_done(serial_run):
+    _, upstream = serial_run
+    for stage in STAGES:
+        found = upstream[stage.name]
+        assert not found.unfinished and not found.set_aside
+        assert sorted(found.done) == sorted(chain.label for chain in stage.plan(tiny()))
+
+
+def test_nothing_is_computed_twice(serial_run):
+    store, upstream = serial_run
+
+    class Refusing:
+        n_cores = 1.0
+
+        def submit(self, *arguments, **options):
+            raise AssertionError("computed again")
+
+    again = run(tiny(), store, Refusing())
+    assert digests(again) == digests(upstream)
+
+
+def test_ray_gives_the_same_bytes_as_one_process(serial_run, local_ray, tmp_path):
+    _, upstream = serial_run
+    other = run(tiny(), Store.open(tmp_path / "store", create=True), local_ray)
+    assert digests(other) == digests(upstream)
+
+
+def test_batches_of_designs_on_ray_give_the_same_bytes(serial_run, local_ray, tmp_path):
+    _, upstream = serial_run
+    settings = tiny("work.designs_per_batch=3")
+    store = Store.open(tmp_path / "store", create=True)
+    batched = run(settings, store, local_ray, STAGES[:3])
+    assert digests(batched) == {k: v for k, v in digests(upstream).items() if k.split("/")[0] in batched}
+
+
+def test_an_edited_setting_redoes_what_depends_on_it_and_nothing_else(serial_run):
+    store, upstream = serial_run
+    found = survey(tiny("ensemble.disagreement_penalty=2.0"), STAGES, store, say=silent)
+    assert digests({"train": found["train"]}) == digests({"train": upstream["train"]})
+    assert set(found["evolve"].unfinished) == {"residual_slush/1m/trial-0", "single_member/1m/trial-0"}
+
+    more = survey(tiny("evolution.n_generations=8"), STAGES[:3], store, say=silent)
+    assert all(n == 2 for n in more["evolve"].n_done.values())  # the first four generations stand
+
+
+def test_a_stage_whose_inputs_are_missing_says_which_and_how_to_get_them(tmp_path):
+    store = Store.open(tmp_path / "store", create=True)
+    upstream = survey(tiny(), STAGES, store, say=silent)
+    by_name = {stage.name: stage for stage in STAGES}
+    with pytest.raises(PuddleError, match=r"train needs the results of collect.*throws-0.*\n.*`puddle collect`"):
+        require(tiny(), by_name["train"], upstream, how_to_run=lambda name: f"puddle {name}")
+
+
+def _failing(compute, bad: str):
+    def fail(job: Job, inputs: dict[str, Files]) -> Files:
+        if job.spec["identity"][2] == bad:
+            raise ArithmeticError("no such luck")
+        return compute(job, inputs)
+
+    return fail
+
+
+def test_a_piece_that_fails_twice_is_set_aside_and_the_rest_goes_on(serial_run, tmp_path):
+    _, upstream = serial_run
+    stages = list(STAGES)
+    stages[2] = dataclasses.replace(STAGES[2], compute=_failing(STAGES[2].compute, "dry_land"))
+    said: list[str] = []
+    store = Store.open(tmp_path / "store", create=True)
+    with serial_cluster() as cluster:
+        found = run(tiny(), store, cluster, tuple(stages), said.append)
+    assert "no such luck" in found["evolve"].set_aside["dry_land/1m/trial-0"]
+    assert any("dry_land/1m/trial-0" in line and "2 attempts" in line for line in said)
+    assert "set aside" in found["transfer"].set_aside["dry_land/1m/trial-0"]
+    rest = {label: d for label, d in digests(upstream).items() if "dry_land" not in label and "report" not in label}
+    assert {label: d for label, d in digests(found).items() if "report" not in label} == rest
+    page = store.read(found["report"].done["index.html"][0], "index.html").decode()
+    assert "no such luck" in page
+
+    with serial_cluster() as cluster:  # the cause is mended: the next run does what was set aside
+        assert digests(run(tiny(), store, cluster)) == digests(upstream)
+
+
+def test_a_damaged_item_is_computed_again(tmp_path):
+    store = Store.open(tmp_path / "store", create=True)
+    said: list[str] = []
+    with serial_cluster() as cluster:
+        before = run(tiny(), store, cluster, STAGES[:2])
+        (manifest,) = before["train"].done["member-01"]
+        (path,) = store.root.glob(f"items/train/*/{manifest.key}/weights.safetensors")
+        path.write_bytes(path.read_bytes()[:-1])
+        after = run(tiny(), store, cluster, STAGES[:2], said.append)
+    assert digests(after) == digests(before)
+    assert len(said) == 1 and "weights.safetensors" in said[0]
+
+
+def test_a_driver_killed_at_any_moment_leaves_a_store_that_resumes_to_the_same_bytes(serial_run, tmp_path):
+    _, upstream = serial_run
+    settings = tmp_path / "tiny.yaml"
+    settings.write_text(TINY)
+    store = tmp_path / "store"
+    options = ["--settings", str(settings), "--store", str(store), "--workers", "0"]
+    command = [sys.executable, "-m", "pipeline", "study", *options]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    n_kept = 0
+    for wanted in (2, 9):
+        driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
+        while driver.poll() is None and len(list(store.glob("items/*/*/*/manifest.json"))) < wanted:
+            time.sleep(0.005)
+        driver.send_signal(signal.SIGKILL)
+        assert driver.wait() == -signal.SIGKILL
+        manifests = list(store.glob("items/*/*/*/manifest.json"))
+        assert len(manifests) > n_kept
+        n_kept = len(manifests)
+    kept = {path: path.stat().st_mtime_ns for path in manifests}
+    with serial_cluster() as cluster:
+        resumed = run(tiny(), Store.open(store, create=False), cluster)
+    assert digests(resumed) == digests(upstream)
+    assert all(path.stat().st_mtime_ns == time_ns for path, time_ns in kept.items())
