@@ -3,10 +3,9 @@
 The standardisation is folded into the first and last layers, and only the three velocity residuals are kept, because
 only they are applied. What is left is rows @ weight + bias and ReLU, per member, in SI units.
 
-A row's result must not depend on the rows beside it, or a trial would depend on how its designs were batched. A matrix
-product picks its algorithm by shape and so changes in its last bits with the number of rows. On a CPU it is therefore
-always taken over blocks of ROWS_PER_BLOCK rows, the last one filled with zeros: a fixed shape has a fixed algorithm, in
-which rows do not meet. On CUDA a step is one batch, for speed, and the promise holds for batches of one size alone.
+A row's result must not depend on the rows beside it, or a trial would depend on how its designs were batched. On a CPU
+that is so by construction: see inference.py. torch's matrix product picks its algorithm by shape and so changes in its
+last bits with the number of rows; on CUDA the promise holds for batches of one size alone.
 """
 
 from __future__ import annotations
@@ -15,16 +14,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numba
 import numpy as np
 import torch
 from torch import Tensor
 
+from tasks.residual.inference import PackedNetworks
 from tasks.residual.observation import OBSERVATION, STATE, VELOCITIES, Float32, observe
 from tasks.world import LinkStates, Physics, VelocityChange
-
-ROWS_PER_BLOCK = 128
-"""A third of 64 designs of 6 links. Smaller blocks cost more in calls (32 rows: 2.5 times a whole batch for 2 × 32),
-larger ones more in padding."""
 
 N_OUT = len(STATE[VELOCITIES])
 
@@ -42,7 +39,7 @@ class Ensemble:
     biases: tuple[Float32, ...]
     """Of layer i: (n_members, n_out)."""
     device: str = "cpu"
-    """Where torch computes."""
+    """Where the networks run: "cpu" is our own kernel, any other is torch's name for a device."""
 
     def __post_init__(self) -> None:
         n_members = self.weights[0].shape[:1]
@@ -127,16 +124,15 @@ class Ensemble:
 
     def predict(self, observation: Float32) -> Float32:
         """Map (n_members, n_rows, 6) observations to (n_members, n_rows, 3) changes of vx, vy, ω a step, in SI."""
-        n_rows = observation.shape[1]
+        if self.device == "cpu" and not numba.config.DISABLE_JIT:
+            return self._packed.forward(observation)
+        return self.predict_with_torch(observation)
+
+    def predict_with_torch(self, observation: Float32) -> Float32:
+        """Map like :meth:`predict`, by torch on the device: for CUDA, and to compare."""
         with torch.inference_mode():
-            if self.device != "cpu":
-                return self._forward(torch.from_numpy(observation).to(self.device)).cpu().numpy()
             torch.set_num_threads(1)  # the number of threads changes the last bits
-            n_blocks = max(-(-n_rows // ROWS_PER_BLOCK), 1)
-            filled = torch.zeros(self.n_members, n_blocks * ROWS_PER_BLOCK, len(OBSERVATION))
-            filled[:, :n_rows] = torch.from_numpy(observation)
-            changes = [self._forward(block.contiguous()) for block in filled.tensor_split(n_blocks, dim=1)]
-            return torch.cat(changes, dim=1)[:, :n_rows].numpy()
+            return self._forward(torch.from_numpy(observation).to(self.device)).cpu().numpy()
 
     def _forward(self, rows: Tensor) -> Tensor:
         """(n_members, n_rows, 6) to (n_members, n_rows, 3)."""
@@ -144,6 +140,10 @@ class Ensemble:
         for weight, bias in hidden_layers:
             rows = torch.baddbmm(bias, rows, weight).relu_()
         return torch.baddbmm(last_bias, rows, last_weight)
+
+    @cached_property
+    def _packed(self) -> PackedNetworks:
+        return PackedNetworks(self.weights, self.biases)
 
     @cached_property
     def _tensors(self) -> tuple[tuple[Tensor, Tensor], ...]:

@@ -168,6 +168,7 @@ class PackedNetworks:
 
     def __init__(self, weights: Sequence[Float32], biases: Sequence[Float32]) -> None:
         """Pack weights (n_members, n_in, n_out) and biases (n_members, n_out) of each layer; all but the last ReLU."""
+        self._source = tuple(weights), tuple(biases)
         self.n_members, self._n_in, _ = weights[0].shape
         self._n_out = weights[-1].shape[2]
         sizes = [self._n_in, *(_padded(weight.shape[2]) for weight in weights)]
@@ -189,6 +190,10 @@ class PackedNetworks:
             np.int64,
         )
         self._between = aligned((2, TILE_ROWS, max(sizes)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pack anew in another process: addresses and alignment do not travel."""
+        return PackedNetworks, self._source
 
     def forward(self, rows: Float32) -> Float32:
         """Map (n_members, n_rows, n_in) to (n_members, n_rows, n_out)."""
