@@ -155,7 +155,7 @@ def test_an_exception_is_not_tried_again(local_ray, tmp_path):
 def test_cancelled_calls_stop_and_give_nothing(local_ray, tmp_path):
     def write_soon(path: Path) -> None:
         (path.parent / "started").touch()
-        time.sleep(3)
+        time.sleep(1.5)
         path.touch()
 
     local_ray.submit(write_soon, tmp_path / "done")
@@ -167,7 +167,7 @@ def test_cancelled_calls_stop_and_give_nothing(local_ray, tmp_path):
     local_ray.cancel_all()
     assert local_ray.n_running == 0
     assert local_ray.next_done(timeout=None) is None
-    time.sleep(4)
+    time.sleep(2.5)
     assert not (tmp_path / "done").exists()
     local_ray.submit(reciprocal, 4.0)
     assert only(local_ray) == Done(0.25)
@@ -193,7 +193,7 @@ def test_a_stranger_without_the_token_is_refused(local_ray, monkeypatch):
     assert token.stat().st_mode & 0o777 == 0o600
     assert token.parent.stat().st_mode & 0o777 == 0o700
     address = ray.get_runtime_context().gcs_address
-    monkeypatch.setattr(pipeline.cluster.on_ray, "CONNECT_SECONDS", 5.0)
+    monkeypatch.setattr(pipeline.cluster.on_ray, "CONNECT_SECONDS", 4.0)
     monkeypatch.delenv("RAY_AUTH_TOKEN_PATH")
     monkeypatch.setenv("RAY_AUTH_TOKEN", "0" * 64)
     with pytest.raises(PuddleError, match="InvalidAuthToken") as refused:
@@ -241,12 +241,12 @@ def test_an_address_where_nothing_answers_is_said_at_once(address: str):
 
 
 def test_a_port_that_is_not_rays_is_given_up_on(monkeypatch):
-    monkeypatch.setattr(pipeline.cluster.on_ray, "CONNECT_SECONDS", 3.0)
+    monkeypatch.setattr(pipeline.cluster.on_ray, "CONNECT_SECONDS", 1.0)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen()
         begin = time.monotonic()
-        with pytest.raises(PuddleError, match="did not let us in within 3 s"):
+        with pytest.raises(PuddleError, match="did not let us in within 1 s"):
             pipeline.cluster.on_ray._check_reachable(f"127.0.0.1:{listener.getsockname()[1]}")
         assert time.monotonic() - begin < 8
 
