@@ -16,7 +16,7 @@ from pydantic import Field
 
 from tasks.parameters import Parameters
 from tasks.residual.observation import STATE, Float32, observe
-from tasks.simulation.reference import FreeLinks
+from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
 
 Int64 = npt.NDArray[np.int64]

@@ -1,0 +1,92 @@
+"""Free links, with the bits of the reference engine's: Box2D's step of bodies that touch and tie nothing, in NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tasks.simulation import lanes, rotation, simd
+from tasks.simulation.compiled import compiled
+from tasks.simulation.kernels import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
+from tasks.simulation.lanes import Block
+from tasks.simulation.motion import ANGLE, OMEGA, VX, VY, Y
+from tasks.world import LinkStates, Medium, Physics
+
+Float32 = npt.NDArray[np.float32]
+
+N_LANES = 16
+
+
+def _rotate(block: Any, n_rows: int) -> None:
+    """Write sines and cosines of the first n_rows rows to those that follow."""
+    for row in range(n_rows):
+        block[n_rows + row], block[2 * n_rows + row] = rotation.sincos(block[row])
+
+
+_run = compiled(_rotate, [lanes, simd, rotation], seconds=2)
+
+
+def sines_and_cosines(angle: Float32) -> tuple[Float32, Float32]:
+    """Sines and cosines of (n,) angles as Box2D has them, each (n,)."""
+    n_rows = -(-len(angle) // N_LANES)
+    block = Block(3 * n_rows, N_LANES)
+    flat = block.rows.reshape(3, -1)
+    flat[0, : len(angle)] = angle
+    _run(block, n_rows)
+    return flat[1, : len(angle)], flat[2, : len(angle)]
+
+
+class FreeLinks:
+    """Single links without ground or joints: what is thrown. Paper, "Dataset Collection"."""
+
+    def __init__(self, length_scale: npt.NDArray[np.floating], physics: Physics) -> None:
+        """Make (n_links,) links of given long axes [m]."""
+        width = 1.0 / length_scale
+        mass = physics.link_density * width * length_scale
+        self._physics = physics
+        self._length_scale = length_scale.astype(np.float32)
+        self._mass = mass.astype(np.float32)
+        self._inertia = (mass * (width**2 + length_scale**2) / 12).astype(np.float32)
+
+    def step(self, state: Float32, medium: Medium | None) -> Float32:
+        """Take one step from given states; what was before them is forgotten.
+
+        Args:
+            state: (n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s].
+            medium: what surrounds the links; None is dry land.
+
+        Returns:
+            (n_links, 6) the next states.
+        """
+        velocity = state[:, VX:]
+        if medium is not None:
+            sin, cos = sines_and_cosines(state[:, ANGLE])
+            links = LinkStates(
+                length_scale=self._length_scale,
+                mass=self._mass,
+                inertia=self._inertia,
+                y=state[:, Y],
+                cos=cos,
+                sin=sin,
+                vx=state[:, VX],
+                vy=state[:, VY],
+                omega=state[:, OMEGA],
+            )
+            change = medium.velocity_change(links, self._physics)
+            velocity = (velocity + np.stack((change.vx, change.vy, change.omega), axis=1)).astype(np.float32)
+        dt = np.float32(self._physics.time_step)
+        vx, vy, omega = velocity.T
+        vy = vy + dt * np.float32(-self._physics.gravity)
+
+        # b2Island::Solve: limit the velocities, then move.
+        squared, turned = (dt * vx) * (dt * vx) + (dt * vy) * (dt * vy), dt * omega
+        ratio = np.float32(MAX_TRANSLATION) / np.sqrt(np.maximum(squared, np.float32(MAX_TRANSLATION)))
+        too_far = squared > np.float32(MAX_TRANSLATION * MAX_TRANSLATION)
+        vx, vy = np.where(too_far, vx * ratio, vx), np.where(too_far, vy * ratio, vy)
+        too_much = turned * turned > np.float32(MAX_ROTATION_SQUARED)
+        turn = np.float32(MAX_ROTATION) / np.maximum(abs(turned), np.float32(1))
+        omega = np.where(too_much, omega * turn, omega)
+        velocity = np.stack((vx, vy, omega), axis=1)
+        return np.concatenate((state[:, : ANGLE + 1] + dt * velocity, velocity), axis=1)
