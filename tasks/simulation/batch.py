@@ -23,7 +23,7 @@ from tasks.simulation.drive import Drive
 from tasks.simulation.kernels import World
 from tasks.simulation.lanes import Block, widest
 from tasks.simulation.motion import GROUND_HALF_HEIGHT, Motion
-from tasks.world import Environment, LinkStates, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, Slush
 from tasks.world import slush as slush_source
 
 Float32 = npt.NDArray[np.float32]
@@ -81,7 +81,8 @@ def shared_world(environment: Environment, physics: Physics) -> World:
     """Round what all robots share to float32, as Box2D and NumPy do on the way in."""
     single = np.float32
     dt = single(physics.time_step)
-    slush = environment.slush if isinstance(environment, TrueSlush) else Slush()
+    medium = environment.medium
+    slush = medium if isinstance(medium, Slush) else Slush()
     top = single(GROUND_HALF_HEIGHT) + single(-environment.depth - GROUND_HALF_HEIGHT)
     friction = single(physics.friction)
     return World(
@@ -94,7 +95,7 @@ def shared_world(environment: Environment, physics: Physics) -> World:
         motor_gain=single(physics.motor_gain),
         velocity_iterations=physics.velocity_iterations,
         position_iterations=physics.position_iterations,
-        slush=isinstance(environment, TrueSlush),
+        slush=slush is medium,
         drag=single(0.5 * slush.density * slush.linear_drag * physics.time_step),
         angular_drag=single(slush.density * slush.angular_drag * physics.time_step),
         lift=single(slush.density * physics.gravity * physics.time_step),
@@ -230,7 +231,12 @@ def roll_out_on(
     trace: bool,
     n_lanes: int,
 ) -> Motion:
-    """Simulate designs on a given number of lanes, on which nothing depends but the time it takes."""
+    """Simulate designs on a given number of lanes, on which nothing depends but the time it takes.
+
+    The kernel has the slush built in and takes all steps at once. Any other medium is asked step by step, for all links
+    of all robots together.
+    """
+    medium = environment.medium
     n_members = environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1
     groups = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes)
     world = shared_world(environment, physics)
@@ -240,9 +246,9 @@ def roll_out_on(
     groups.advance(world, 0, 0, None)
     settled = groups.poses()
     for first, last in ((0, n_settle), (n_settle, n_steps)):
-        if isinstance(environment, ResidualSlush):
+        if medium is not None and not isinstance(medium, Slush):
             for step in range(first, last):
-                _push(groups, environment, physics)
+                _push(groups, medium, n_members, physics)
                 groups.advance(world, step, 1, None if kept is None else kept[:, step : step + 1])
         else:
             groups.advance(world, first, last - first, None if kept is None else kept[:, first:last])
@@ -255,15 +261,10 @@ def roll_out_on(
     )
 
 
-def _push(groups: Groups, environment: ResidualSlush, physics: Physics) -> None:
-    """Add the ensemble's velocity change to every link, as the reference engine does."""
-    shape = (environment.ensemble.n_members, -1, N_LINKS)
-    links = LinkStates(
-        *groups.states(
-            (rows.LENGTH, rows.MASS, rows.INERTIA, rows.Y, rows.COS, rows.SIN, rows.VX, rows.VY, rows.OMEGA)
-        ).reshape(9, *shape)
-    )
-    change = environment.ensemble.velocity_change(links, physics)
+def _push(groups: Groups, medium: Medium, n_members: int, physics: Physics) -> None:
+    """Add a medium's velocity change to every link, as the reference engine does."""
+    quantities = (rows.LENGTH, rows.MASS, rows.INERTIA, rows.Y, rows.COS, rows.SIN, rows.VX, rows.VY, rows.OMEGA)
+    links = LinkStates(*groups.states(quantities).reshape(len(quantities), n_members, -1, N_LINKS))
+    change = medium.velocity_change(links, physics)
     velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
-    vx, vy, omega = (v.astype(np.float32).reshape(groups.n_robots, N_LINKS) for v in velocities)
-    groups.set_velocities(vx, vy, omega)
+    groups.set_velocities(*(v.astype(np.float32).reshape(groups.n_robots, N_LINKS) for v in velocities))

@@ -1,0 +1,191 @@
+"""Lanes under the compiler against NumPy's float32, lane by lane and bit by bit, for several numbers of lanes."""
+
+import os
+import subprocess
+import sys
+from fractions import Fraction
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numba.core.errors import TypingError
+
+from tasks.simulation import simd  # noqa: F401 (teaches numba what lanes are)
+from tasks.simulation.lanes import (
+    ALIGNMENT,
+    Block,
+    aligned,
+    any_lane,
+    count_lanes,
+    floor,
+    fma,
+    from_row,
+    inline,
+    lane,
+    select,
+    sqrt,
+    to_double,
+    to_single,
+    truncate,
+    with_lane,
+)
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="these are the compiled lanes")
+
+WIDTHS = (1, 2, 4, 8, 16, 32)
+N_RESULTS = 16
+
+
+@inline
+def calculate(x, y):
+    low = select(x < y, x, y)
+    wide = to_double(x)
+    whole = truncate(to_double(select(abs(x) < 1e6, x, 0.0)))
+    return (
+        x + y,
+        x - y,
+        x * y,
+        x / y,
+        x * y + 0.1,
+        1 - x,
+        -x,
+        abs(x),
+        sqrt(abs(y)),
+        floor(x),
+        low,
+        select((x <= y) & ~(y == 0.0) | (x != x), 1.0, -1.0),
+        select((x > 0.5) | (y >= 3), x, 2),
+        to_single(wide * wide + 0.1),
+        to_single(to_double((whole + 5) >> 1)),
+        to_single(to_double(whole & 3)),
+    )
+
+
+def kernel(block, out):
+    results = calculate(block[0], block[1])
+    for row in range(N_RESULTS):
+        out[row] = results[row]
+
+
+compiled_kernel = numba.njit(error_model="numpy")(kernel)
+
+numbers = st.floats(width=32, allow_nan=True, allow_infinity=True, allow_subnormal=True)
+
+
+@settings(max_examples=60, deadline=None)
+@given(arrays(np.float32, (2, 32), elements=numbers))
+def test_every_operation_equals_numpy_s_in_every_lane(numbers):
+    with np.errstate(all="ignore"):
+        expected = np.stack([np.broadcast_to(r, 32) for r in calculate.py_func(*numbers)]).astype(np.float32)
+    for width in WIDTHS:
+        block, out = Block(2, width), Block(N_RESULTS, width)
+        block.rows[:] = numbers[:, :width]
+        compiled_kernel(block, out)
+        np.testing.assert_array_equal(out.rows, expected[:, :width])
+
+
+@inline
+def square_and_add(x, y):
+    return x * x + y
+
+
+@numba.njit
+def nothing_contracted(block):
+    block[2] = square_and_add(block[0], block[1])
+
+
+def test_a_product_is_rounded_before_it_is_added():
+    # (1 + 2^-12)² = 1 + 2^-11 + 2^-24: rounded to even on its own it loses the last term, fused it would not.
+    block = Block(3, 16)
+    block.rows[0], block.rows[1] = 1 + 2.0**-12, -(1 + 2.0**-11)
+    nothing_contracted(block)
+    assert (block.rows[2] == 0).all()
+
+
+@numba.njit
+def fused(block, out):
+    a, b, c = to_double(block[0]) / 3.0, to_double(block[1]) / 7.0, to_double(block[2]) / 11.0
+    excess = fma(a, b, c) - (a * b + c)
+    out[0] = to_single(excess * 2.0**60)
+
+
+@settings(max_examples=50, deadline=None)
+@given(arrays(np.float32, (3, 16), elements=st.floats(-8, 8, width=32)))
+def test_fma_rounds_once(numbers):
+    block, out = Block(3, 16), Block(1, 16)
+    block.rows[:] = numbers
+    fused(block, out)
+    for i, (a, b, c) in enumerate(zip(*(numbers.astype(np.float64) / [[3], [7], [11]]), strict=True)):
+        exact = float(Fraction(a) * Fraction(b) + Fraction(c))
+        assert out.rows[0, i] == np.float32((exact - (a * b + c)) * 2.0**60)
+        assert fma(np.array([a]), b, c)[0] == exact
+
+
+@numba.njit
+def one_by_one(block):
+    x = block[0]
+    for i in range(count_lanes(x)):
+        x = with_lane(x, i, lane(x, i) + i)
+    block[1] = x
+    tail = from_row(block, 2)
+    tail[0] = 7.0
+    return any_lane(block[0] > 2.5), any_lane(block[0] > 3.5)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_single_lanes_and_views(width):
+    block = Block(3, width)
+    block.rows[0] = 3.0
+    assert one_by_one(block) == (True, False)
+    assert (block.rows[1] == 3 + np.arange(width)).all()
+    assert (block.rows[2] == 7).all()
+
+
+def test_in_place_operators_are_refused_because_an_array_would_change_under_all_its_names():
+    @numba.njit
+    def add(block):
+        x = block[0]
+        x += 1.0
+        block[0] = x
+
+    with pytest.raises(TypingError, match="iadd"):
+        add(Block(1, 4))
+
+
+@pytest.mark.parametrize("shape", [(1,), (3, 5), (7, 16)])
+def test_memory_begins_on_a_cache_line(shape):
+    for _ in range(5):
+        array = aligned(shape)
+        assert array.ctypes.data % ALIGNMENT == 0 and array.shape == shape and not array.any()
+
+
+def test_an_edit_of_a_module_that_a_kernel_calls_is_not_served_from_the_cache(tmp_path):
+    (tmp_path / "outer.py").write_text(
+        "import sys, inner\n"
+        "from tasks.simulation.compiled import compiled\n"
+        "def kernel(x):\n    return inner.piece(x)\n"
+        "if __name__ == '__main__':\n    import outer\n"
+        "    print(compiled(outer.kernel, [outer, inner], seconds=1)(2.0))\n"
+    )
+    inner = "from tasks.simulation.lanes import inline\n@inline\ndef piece(x):\n    return x * {}\n"
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+
+    def run(factor):
+        (tmp_path / "inner.py").write_text(inner.format(factor))
+        done = subprocess.run(
+            [sys.executable, str(tmp_path / "outer.py")], env=environment, capture_output=True, text=True, check=True
+        )
+        return float(done.stdout), "compiling outer (once, about 1 s)" in done.stderr
+
+    assert run(10) == (20.0, True)
+    assert run(10) == (20.0, False)
+    assert run(30) == (60.0, True)
+    assert run(10) == (20.0, False)
