@@ -15,6 +15,7 @@ def generator(seed: int, *identity: str | int | float) -> Generator:
     Args:
         seed: of the whole study, 0 or more.
         identity: what tells this piece of work from every other, such as stage, depth, environment, trial, generation.
+            Each part keeps its type: 1 and 1.0 are different identities.
     """
     digest = hashlib.sha256(json.dumps(identity, allow_nan=False).encode()).digest()
     words = np.frombuffer(digest, dtype="<u4").tolist()

@@ -108,7 +108,11 @@ class Designs:
 
     def __post_init__(self) -> None:
         for name, dtype in DTYPES.items():
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=dtype))
+            came = np.asarray(getattr(self, name))
+            array = came.astype(dtype, copy=False)
+            if dtype is not np.float64 and not np.array_equal(array, came):
+                raise DesignError(f"designs: {name} has values that are no {np.dtype(dtype).name}: {came.tolist()}")
+            object.__setattr__(self, name, array)
         n_designs = self.frequency.size
         for name in ("frequency", *DTYPES):  # the one that says how many, first
             expected = (n_designs,) if name == "frequency" else (n_designs, N_LINKS)
@@ -165,7 +169,7 @@ def check(designs: Designs) -> None:
     """Refuse designs whose tree is broken or whose genes are non-finite or out of bounds.
 
     Raises:
-        DesignError: names the first offending design by index, the gene and the link, what was expected and what came.
+        DesignError: names the first fault: the design by its index, the gene and the link, what was expected and came.
     """
     links = np.arange(N_LINKS)
     broken = np.where(links == 0, designs.parent != ROOT_PARENT, (designs.parent < 0) | (designs.parent >= links))

@@ -53,7 +53,12 @@ def evolve(
 
     Returns:
         The trial as it is afterwards, and the history of these generations.
+
+    Raises:
+        ValueError: there is no generation to run.
     """
+    if n_generations < 1:
+        raise ValueError(f"n_generations is {n_generations}, expected 1 or more")
     records = []
     for generation in range(first_generation, first_generation + n_generations):
         rng = generator_of(generation)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from numbers import Real
 
 from tasks.world.medium import EnsembleMedium, Medium
 from tasks.world.slush import Slush
 
 
 def _check_depth(depth: float) -> None:
-    if isinstance(depth, bool) or not isinstance(depth, int | float) or not math.isfinite(depth) or depth < 0:
+    if isinstance(depth, bool) or not isinstance(depth, Real) or not math.isfinite(depth) or depth < 0:
         raise ValueError(f"depth is {depth!r}, expected a finite number of metres, 0 or more")
 
 

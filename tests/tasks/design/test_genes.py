@@ -153,3 +153,12 @@ def test_the_first_of_several_bad_designs_is_named(designs: Designs) -> None:
     bad = with_value(with_value(designs, "phase", (4, 1), np.nan), "phase", (1, 5), 7.0)
     with pytest.raises(DesignError, match=r"design 1: phase of link 5 is 7\.0"):
         check(bad)
+
+
+@pytest.mark.parametrize(("name", "value"), [("parent", 1.5), ("motor_on", 0.5)])
+def test_a_value_that_its_type_would_change_is_refused_by_name(name, value):
+    arrays = dict(random_designs(2, np.random.default_rng(0)).arrays())
+    arrays[name] = arrays[name].astype(float)
+    arrays[name][1, 3] = value
+    with pytest.raises(DesignError, match=f"{name} has values that are no"):
+        Designs(**arrays)
