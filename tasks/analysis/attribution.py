@@ -1,0 +1,181 @@
+"""Whose fault is a transfer gap? Paper, "Evolution" and Fig. 4, made into figures.
+
+A champion goes to True Slush as it is (zero-shot), and with a controller that was evolved there (adapted). What designs
+reach that evolved in True Slush is the best possible. So the gap splits in two:
+
+    best - zero_shot  =  (adapted - zero_shot)  +  (best - adapted)
+      the gap             lost to the controller     lost to the body
+
+A part can be negative: an adaptation from scratch may find a worse controller than the design came with, and then the
+body's part is that much too large. A share needs a gap to be a share of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator
+
+from tasks.analysis.comparison import ratio
+from tasks.analysis.scores import EvolvedIn, Scores
+from tasks.analysis.uncertainty import Estimate, Float64, Floats, bootstrap, finite, mean
+
+NO_GAP = "there is no gap to take shares of"
+
+
+@dataclass(frozen=True)
+class Attribution:
+    """The transfer gap of one arm at one depth. Lengths in m, over trials."""
+
+    evolved_in: EvolvedIn
+    depth: float
+    """[m]"""
+    n: int
+    """Trials with a finite zero-shot and adapted displacement: those that the split is computed from."""
+    n_best: int
+    """Trials in True Slush."""
+    predicted: Estimate
+    """[m]"""
+    zero_shot: Estimate
+    """[m]"""
+    adapted: Estimate
+    """[m]"""
+    best: Estimate
+    """[m]"""
+    imagined: Estimate
+    """predicted - zero_shot: promised where it evolved, and not there in True Slush [m]."""
+    gap: Estimate
+    """best - zero_shot [m]."""
+    lost_to_controller: Estimate
+    """[m]"""
+    lost_to_body: Estimate
+    """[m]"""
+    controller_share: Estimate
+    """Of the gap."""
+    body_share: Estimate
+    """Of the gap."""
+    recovered_zero_shot: Estimate
+    """zero_shot / best: the paper's 67 %."""
+    recovered_adapted: Estimate
+    """adapted / best: the paper's 87 %."""
+    recovered_of_dry_land: Estimate
+    """(zero_shot - Dry Land's) / (best - Dry Land's): how much of the damage done by the missing dynamics is undone."""
+
+
+def attribute(scores: Scores, *, rng: Generator) -> tuple[Attribution, ...]:
+    """Split the transfer gap of every arm but True Slush's own, depth by depth."""
+    arms: tuple[EvolvedIn, ...] = ("dry_land", "residual_slush", "single_member")
+    return tuple(
+        _attribution(scores, arm, depth, rng)
+        for arm in arms
+        for depth in scores.depths()
+        if len(scores.rows(arm, depth))
+    )
+
+
+def _attribution(scores: Scores, arm: EvolvedIn, depth: float, rng: Generator) -> Attribution:
+    predicted, zero_shot, adapted = (
+        scores.values(arm, quantity, depth) for quantity in ("predicted", "zero_shot", "adapted")
+    )
+    best = finite(scores.values("true_slush", "zero_shot", depth))
+    dry_land = finite(scores.values("dry_land", "zero_shot", depth))
+    both = np.isfinite(zero_shot) & np.isfinite(adapted)
+    imagined = mean(predicted - zero_shot)
+    gap, controller, body, controller_share, body_share = _split(zero_shot[both], adapted[both], best, rng)
+    return Attribution(
+        evolved_in=arm,
+        depth=depth,
+        n=int(both.sum()),
+        n_best=len(best),
+        predicted=mean(predicted),
+        zero_shot=mean(zero_shot),
+        adapted=mean(adapted),
+        best=mean(best),
+        imagined=imagined,
+        gap=gap,
+        lost_to_controller=controller,
+        lost_to_body=body,
+        controller_share=controller_share,
+        body_share=body_share,
+        recovered_zero_shot=ratio(zero_shot, best, rng=rng),
+        recovered_adapted=ratio(adapted, best, rng=rng),
+        recovered_of_dry_land=_undone(arm, finite(zero_shot), best, dry_land, rng),
+    )
+
+
+def _split(zero_shot: Float64, adapted: Float64, best: Float64, rng: Generator) -> tuple[Estimate, ...]:
+    """Estimate the gap, its two parts and their shares; trials keep their pairs when resampled."""
+    if len(zero_shot) == 0 or len(best) == 0:
+        reason = (
+            f"{len(zero_shot)} trials scored zero-shot and adapted and {len(best)} in True Slush, expected 1 or more"
+        )
+        return (Estimate.missing(reason),) * 5
+
+    def split(arm: Float64, E: Float64) -> Float64:
+        Z, A = np.moveaxis(arm, -1, 0)
+        B = E[..., 0] + 0 * Z
+        gap = np.where(B > Z, B - Z, np.nan)
+        return np.stack((B - Z, A - Z, B - A, (A - Z) / gap, (B - A) / gap), axis=-1)
+
+    return bootstrap(split, np.stack((zero_shot, adapted), axis=-1), best[:, None], rng=rng, undefined=NO_GAP)
+
+
+def _undone(arm: EvolvedIn, zero_shot: Float64, best: Float64, dry_land: Float64, rng: Generator) -> Estimate:
+    """Share of Dry Land's gap that this arm closes."""
+    if arm == "dry_land":
+        return Estimate.missing("it is the reference")
+    n = {"zero-shot": len(zero_shot), "True Slush": len(best), "Dry Land zero-shot": len(dry_land)}
+    if min(n.values()) == 0:
+        return Estimate.missing("no finite score of: " + ", ".join(name for name, count in n.items() if count == 0))
+
+    def share(arm: Float64, E: Float64, dry: Float64) -> Float64:
+        return np.where(dry < E, (arm - dry) / np.where(dry < E, E - dry, 1), np.nan)
+
+    columns = (values[:, None] for values in (zero_shot, best, dry_land))
+    return bootstrap(share, *columns, rng=rng, undefined=NO_GAP)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class TransferMatrix:
+    """Champions of one depth, tested at another; rows are where they evolved, columns where they were tested."""
+
+    trained: Float64
+    """(n_trained,) depths [m]."""
+    tested: Float64
+    """(n_tested,) depths [m]."""
+    mean: Float64
+    """(n_trained, n_tested) displacement [m]; NaN where n is 0."""
+    sd: Float64
+    """(n_trained, n_tested) sample deviation [m]; NaN where n is below 2."""
+    n: npt.NDArray[np.int64]
+    """(n_trained, n_tested) champions with a finite displacement."""
+    relative: Float64
+    """(n_trained, n_tested) mean over that of the champions that evolved at the tested depth; NaN where there are none,
+    or where they go nowhere."""
+
+
+def transfer_matrix(trained: npt.ArrayLike, tested: npt.ArrayLike, displacement: Floats) -> TransferMatrix:
+    """Shape a table of tests into a matrix.
+
+    Args:
+        trained: (n_tests,) depth at which the champion evolved [m].
+        tested: (n_tests,) depth at which it was tested [m].
+        displacement: (n_tests,) [m]; NaN where diverged.
+    """
+    rows, row = np.unique(np.asarray(trained, dtype=np.float64), return_inverse=True)
+    columns, column = np.unique(np.asarray(tested, dtype=np.float64), return_inverse=True)
+    shape = (len(rows), len(columns))
+    average, sd, relative = (np.full(shape, np.nan) for _ in range(3))
+    n = np.zeros(shape, np.int64)
+    for i, j in np.ndindex(shape):
+        known = finite(np.asarray(displacement)[(row == i) & (column == j)])
+        n[i, j] = len(known)
+        average[i, j] = known.mean() if len(known) else np.nan
+        sd[i, j] = known.std(ddof=1) if len(known) > 1 else np.nan
+    for j, depth in enumerate(columns):
+        native = average[rows == depth, j]
+        if len(native) and native[0] > 0:
+            relative[:, j] = average[:, j] / native[0]
+    return TransferMatrix(rows, columns, average, sd, n, relative)

@@ -1,0 +1,219 @@
+"""Do two groups of champions differ? The paper's Student's t test, and beside it what it leaves open.
+
+Student's t assumes equal variances, which champions of different worlds do not have; Welch's test does not, and
+Mann-Whitney assumes no normality either. The size of an effect is Hedges' g, and what people ask for is the ratio of
+the means. Over a sweep of depths, the smallest of ten p-values is small by chance: hence Holm's correction.
+All tests are two-sided.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from scipy import special, stats
+
+from tasks.analysis.scores import EvolvedIn, Quantity, Scores
+from tasks.analysis.uncertainty import LEVEL, Estimate, Float64, Floats, bootstrap, finite, is_constant, mean
+
+EXACT = 20
+"""Values in both groups up to which Mann-Whitney's p is exact, unless values are tied."""
+
+
+@dataclass(frozen=True)
+class SignificanceTest:
+    """A two-sided test. What there is not is None, and the reason says why."""
+
+    statistic: float | None
+    p: float | None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class Group:
+    """A group of values, of which those that are not finite were left out."""
+
+    n: int
+    n_left_out: int
+    mean: Estimate
+    """[m], with Student's t interval."""
+    sd: float | None
+    """Sample deviation [m]; None below two values."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Group a against group b."""
+
+    a: Group
+    b: Group
+    student: SignificanceTest
+    welch: SignificanceTest
+    mann_whitney: SignificanceTest
+    hedges_g: Estimate
+    """(mean a - mean b) / pooled deviation, corrected for small samples."""
+    ratio: Estimate
+    """mean a / mean b."""
+
+
+def group(values: Floats) -> Group:
+    """Describe a group."""
+    known = finite(values)
+    sd = float(known.std(ddof=1)) if len(known) > 1 else None
+    return Group(len(known), len(values) - len(known), mean(known), sd)
+
+
+def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
+    """Compare two groups of independent values.
+
+    Args:
+        a: (n_a,) values; those that are not finite are left out and counted.
+        b: (n_b,) the reference.
+        rng: source of randomness of the ratio's interval.
+    """
+    x, y = finite(a), finite(b)
+    tied = "all values of both groups are equal" if is_constant(np.concatenate((x, y))) else None
+    return Comparison(
+        a=group(a),
+        b=group(b),
+        student=student(x, y),
+        welch=_test(_no_spread(x, y), lambda: stats.ttest_ind(x, y, equal_var=False)),
+        mann_whitney=_test(_too_few(x, y) or tied, lambda: stats.mannwhitneyu(x, y, method=_method(x, y))),
+        hedges_g=hedges_g(x, y),
+        ratio=ratio(x, y, rng=rng),
+    )
+
+
+def student(x: Float64, y: Float64) -> SignificanceTest:
+    """Test whether the means of two groups of finite values differ, assuming equal variances: the paper's test."""
+    return _test(_no_spread(x, y), lambda: stats.ttest_ind(x, y))
+
+
+def _too_few(x: Float64, y: Float64) -> str | None:
+    if min(len(x), len(y)) >= 2:
+        return None
+    return f"{len(x)} and {len(y)} values, expected 2 or more in both groups"
+
+
+def _no_spread(x: Float64, y: Float64) -> str | None:
+    """Say why two groups have no variance to compare means by, if so."""
+    return _too_few(x, y) or ("both groups are constant" if is_constant(x) and is_constant(y) else None)
+
+
+def _method(x: Float64, y: Float64) -> str:
+    tied = len(np.unique(np.concatenate((x, y)))) < len(x) + len(y)
+    return "exact" if len(x) + len(y) <= EXACT and not tied else "asymptotic"
+
+
+def _test(reason: str | None, run: Callable[[], Any]) -> SignificanceTest:
+    if reason is not None:
+        return SignificanceTest(None, None, reason)
+    done = run()
+    return SignificanceTest(float(done.statistic), float(done.pvalue))
+
+
+def hedges_g(x: Float64, y: Float64) -> Estimate:
+    """Standardised difference of two means, with its large-sample interval.
+
+    Hedges & Olkin 1985, Statistical Methods for Meta-Analysis, ch. 5: J = Γ(m/2) / (√(m/2) Γ((m - 1)/2)) with
+    m = n_x + n_y - 2, and var g = (n_x + n_y) / (n_x n_y) + g² / (2 (n_x + n_y)).
+
+    Args:
+        x: (n_x,) finite values.
+        y: (n_y,) finite values, the reference.
+    """
+    reason = _no_spread(x, y)
+    if reason is not None:
+        return Estimate.missing(reason)
+    n_x, n_y = len(x), len(y)
+    m = n_x + n_y - 2
+    pooled = math.sqrt(((n_x - 1) * x.var(ddof=1) + (n_y - 1) * y.var(ddof=1)) / m)
+    J = math.exp(special.gammaln(m / 2) - special.gammaln((m - 1) / 2)) / math.sqrt(m / 2)
+    g = J * float(x.mean() - y.mean()) / pooled
+    half = float(stats.norm.ppf((1 + LEVEL) / 2)) * math.sqrt((n_x + n_y) / (n_x * n_y) + g * g / (2 * (n_x + n_y)))
+    return Estimate(g, g - half, g + half)
+
+
+def ratio(part: Floats, whole: Floats, *, rng: Generator) -> Estimate:
+    """Say what share of one mean another is, such as champions of Dry Land of those of True Slush.
+
+    Args:
+        part: (n_part,) values.
+        whole: (n_whole,) the reference, independent of the part.
+        rng: source of randomness.
+    """
+    x, y = finite(part), finite(whole)
+    if len(x) == 0 or len(y) == 0:
+        return Estimate.missing(f"{len(x)} and {len(y)} finite values, expected 1 or more in both groups")
+    return bootstrap(_ratio, x[:, None], y[:, None], rng=rng, undefined="the reference goes nowhere, or backwards")[0]
+
+
+def _ratio(part: Float64, whole: Float64) -> Float64:
+    return np.where(whole > 0, part / whole, np.nan)
+
+
+def holm(p: Sequence[float | None]) -> list[float | None]:
+    """Correct p-values for being several (Holm 1979); None stays None and does not count."""
+    known = [i for i, value in enumerate(p) if value is not None]
+    corrected: list[float | None] = [None] * len(p)
+    largest = 0.0
+    for rank, i in enumerate(sorted(known, key=lambda i: (p[i], i))):
+        largest = max(largest, min((len(known) - rank) * (p[i] or 0.0), 1.0))
+        corrected[i] = largest
+    return corrected
+
+
+Arm = tuple[EvolvedIn, Quantity]
+"""Champions of one environment, zero-shot or adapted."""
+
+BEST: Arm = ("true_slush", "zero_shot")
+"""E: the upper bound of the paper."""
+
+CONTRASTS: tuple[tuple[Arm, Arm], ...] = (
+    (("dry_land", "zero_shot"), BEST),
+    (("dry_land", "adapted"), BEST),
+    (("residual_slush", "zero_shot"), BEST),
+    (("residual_slush", "adapted"), BEST),
+    (("single_member", "zero_shot"), BEST),
+    (("single_member", "adapted"), BEST),
+    (("residual_slush", "zero_shot"), ("dry_land", "zero_shot")),
+    (("residual_slush", "zero_shot"), ("dry_land", "adapted")),
+    (("residual_slush", "adapted"), ("dry_land", "adapted")),
+    (("residual_slush", "zero_shot"), ("single_member", "zero_shot")),
+    (("residual_slush", "adapted"), ("single_member", "adapted")),
+)
+"""What is compared at every depth: each arm with the best possible, and the arms that the paper contrasts."""
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """One comparison of a sweep."""
+
+    a: Arm
+    b: Arm
+    depth: float
+    """[m]"""
+    comparison: Comparison
+    student_holm: float | None
+    """p of Student's t corrected over the depths of this contrast; the same of the other two tests."""
+    welch_holm: float | None
+    mann_whitney_holm: float | None
+
+
+def sweep(scores: Scores, *, rng: Generator) -> tuple[Contrast, ...]:
+    """Make every comparison that both sides have trials for, at every depth; Holm's family is one contrast's depths."""
+    contrasts = []
+    for a, b in CONTRASTS:
+        depths = [d for d in scores.depths() if all(np.isfinite(scores.values(*arm, d)).any() for arm in (a, b))]
+        compared = [compare(scores.values(*a, d), scores.values(*b, d), rng=rng) for d in depths]
+        student = holm([c.student.p for c in compared])
+        welch = holm([c.welch.p for c in compared])
+        mann_whitney = holm([c.mann_whitney.p for c in compared])
+        contrasts += [
+            Contrast(a, b, *row) for row in zip(depths, compared, student, welch, mann_whitney, strict=True)
+        ]
+    return tuple(contrasts)

@@ -1,0 +1,273 @@
+"""What the paper found, as data, and how a run compares with it.
+
+When does a number agree? The paper's number comes from a sample as this run's does, so neither is the truth. It agrees
+where it lies within this run's 95 % prediction interval, the range into which a repeat of this run with the paper's
+number of trials would fall: the 95 % interval of this run's figure, with both arms widened by √(1 + n / n_paper), since
+variances add and go as 1/n. What the paper gives as a range over members agrees where this run's median member is in
+it.
+
+When does a statement of a t test agree? With "p < 0.0001": where this run's p is as small, in the same direction. With
+"insignificant (p > 0.01)": where this run's p is above 0.01. Fewer trials than the paper's make large p-values easy and
+small ones hard, so what fewer trials fail to show is not comparable; what they do show counts.
+
+Not comparable, too, is what this run did not measure, and what has too few values for an interval.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.random import Generator
+
+from tasks.analysis.comparison import BEST, Arm, ratio, student
+from tasks.analysis.prediction import Regression, mean_less_deviations
+from tasks.analysis.scores import Scores
+from tasks.analysis.uncertainty import Estimate, finite, mean
+
+Verdict = Literal["agrees", "differs", "not comparable"]
+Claim = Literal["less", "greater", "no difference"]
+
+DEPTH = 9.0
+"""Depth of the paper's prediction accuracy and of Fig. 4A [m]."""
+N_TRIALS = 10
+"""Trials of each environment at each depth. "Evolution"."""
+N_DESIGNS = 2376
+"""Designs of the prediction accuracy. "Prediction Accuracy"."""
+SIGNIFICANT, INSIGNIFICANT = 1e-4, 0.01
+"""The paper's two thresholds: p below the first, p above the second."""
+
+MEANS: Mapping[Arm, tuple[float, str]] = {
+    ("true_slush", "zero_shot"): (13.6, '"mean displacement 13.6 m", Evolution'),
+    ("dry_land", "zero_shot"): (-0.8, '"mean -0.8 m", Evolution'),
+    ("dry_land", "adapted"): (4.8, '"increases from -0.8 to 4.8 m", Evolution'),
+}
+"""Mean displacement in True Slush at 9 m [m]."""
+
+RATIOS: Mapping[Arm, tuple[float, str]] = {
+    ("dry_land", "adapted"): (0.35, '"still only achieves 35% of mean fitness", Evolution'),
+    ("residual_slush", "zero_shot"): (0.67, '"recover 67% … with their evolved controllers", Evolution'),
+    ("residual_slush", "adapted"): (0.87, '"and 87% with controller adaptation", Evolution'),
+}
+"""The same over that of the designs that evolved in True Slush."""
+
+AGGREGATES: Mapping[tuple[str, Literal["r", "slope"]], tuple[float, str]] = {
+    (mean_less_deviations(0), "r"): (0.77, '"a correlation coefficient of 0.77", Fig. 3'),
+    (mean_less_deviations(0), "slope"): (1.26, '"and a slope of 1.26", Fig. 3'),
+    (mean_less_deviations(1), "r"): (0.60, '"a slightly reduced correlation coefficient of 0.6", Fig. 3'),
+    (mean_less_deviations(1), "slope"): (0.99, '"a nearly ideal regression slope of 0.99", Fig. 3'),
+}
+"""Of what the eight members say together."""
+
+RANGES: Mapping[Literal["r", "slope"], tuple[float, float, str]] = {
+    "r": (0.24, 0.68, '"ranging from 0.24 and 0.68", Fig. 3'),
+    "slope": (0.25, 0.76, '"ranging from 0.25 to 0.76", Fig. 3'),
+}
+"""Over the eight members."""
+
+
+@dataclass(frozen=True)
+class Statement:
+    """What the paper says of a t test."""
+
+    a: Arm
+    b: Arm
+    claim: Claim
+    """a than b."""
+    depths: tuple[float, ...]
+    """[m]"""
+    source: str
+
+
+STATEMENTS = (
+    Statement(
+        ("dry_land", "adapted"), BEST, "no difference", (0.5,),
+        '"insignificant (p > 0.01) difference between Dry Land designs and True Slush for 0.5m", Evolution',
+    ),
+    Statement(
+        ("dry_land", "adapted"), BEST, "less", (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0),
+        '"p < 0.0001 for all slush depths > 0.5m", Evolution',
+    ),
+    Statement(
+        ("dry_land", "adapted"), ("residual_slush", "adapted"), "less", (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0),
+        '"significantly under-performed both those evolved in Residual Slush and …", Evolution',
+    ),
+    Statement(
+        ("residual_slush", "adapted"), BEST, "no difference", (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0),
+        '"insignificantly different … up until 3m of slush (p > 0.01)", Evolution',
+    ),
+    Statement(
+        ("residual_slush", "zero_shot"), ("dry_land", "adapted"), "greater", (DEPTH,),
+        '"significantly more performant … (Student\'s t-test, p < 0.0001; n=10)", Evolution',
+    ),
+)  # fmt: skip
+"""Of the sweep over depths the paper does not say which controllers it tests; its Fig. 4B draws the adapted ones."""
+
+PHYSICAL = (
+    ("crosses the tank of slush", "8 of 8 trials", "Fig. 5"),
+    ("moves on dry land", "a few centimetres in 150 s, in 6 of 6 trials", "Fig. 5"),
+)
+"""Of the robot that was built."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table."""
+
+    what: str
+    paper: str
+    source: str
+    """Where the paper says so."""
+    this_run: str
+    verdict: Verdict
+    why: str
+    value: float | None = None
+    """This run's, in the unit of ``what``; a p-value for a statement."""
+
+
+def against_paper(scores: Scores, accuracy: Sequence[Regression], *, rng: Generator) -> tuple[Row, ...]:
+    """Compare a run with every number and statement of the paper's results.
+
+    Args:
+        scores: the champions; whatever environments and depths there are.
+        accuracy: of predictions at 9 m, as :func:`tasks.analysis.prediction.accuracy` gives it; empty if not assessed.
+        rng: source of randomness.
+    """
+    rows = [_mean_row(scores, arm, *stated) for arm, stated in MEANS.items()]
+    rows += [_ratio_row(scores, arm, *stated, rng) for arm, stated in RATIOS.items()]
+    rows += [_variation_row(scores)]
+    rows += [_range_row(accuracy, figure, *stated) for figure, stated in RANGES.items()]
+    rows += [_aggregate_row(accuracy, *key, *stated) for key, stated in AGGREGATES.items()]
+    rows += [_statement_row(scores, statement, depth) for statement in STATEMENTS for depth in statement.depths]
+    rows += [
+        Row(f"the built robot {what}", paper, source, "-", "not comparable", "it takes a robot")
+        for what, paper, source in PHYSICAL
+    ]
+    return tuple(rows)
+
+
+NAMES: Mapping[str, str] = {
+    "true_slush": "True Slush",
+    "dry_land": "Dry Land",
+    "residual_slush": "Residual Slush",
+    "single_member": "Single member",
+    "zero_shot": "zero-shot",
+    "adapted": "adapted",
+}
+
+
+def name_of(arm: Arm) -> str:
+    """Name an arm in words; designs of True Slush are at home there, whatever they are called elsewhere."""
+    evolved_in, quantity = arm
+    return NAMES[evolved_in] if arm == BEST else f"{NAMES[evolved_in]} {NAMES[quantity]}"
+
+
+def _mean_row(scores: Scores, arm: Arm, stated: float, source: str) -> Row:
+    values = finite(scores.values(*arm, DEPTH))
+    what = f"{name_of(arm)} at {DEPTH:g} m [m]"
+    return _number_row(what, stated, "{:.1f}", source, mean(values), len(values), N_TRIALS, "trials")
+
+
+def _ratio_row(scores: Scores, arm: Arm, stated: float, source: str, rng: Generator) -> Row:
+    part, whole = finite(scores.values(*arm, DEPTH)), finite(scores.values(*BEST, DEPTH))
+    what = f"{name_of(arm)} / {name_of(BEST)} at {DEPTH:g} m"
+    n = min(len(part), len(whole))
+    return _number_row(what, stated, "{:.0%}", source, ratio(part, whole, rng=rng), n, N_TRIALS, "trials")
+
+
+def _aggregate_row(
+    accuracy: Sequence[Regression], predictor: str, figure: Literal["r", "slope"], stated: float, source: str
+) -> Row:
+    what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
+    of = next((row for row in accuracy if row.name == predictor), None)
+    if of is None:
+        return Row(what, f"{stated:.2f}", source, "-", "not comparable", "accuracy was not assessed")
+    return _number_row(what, stated, "{:.2f}", source, getattr(of, figure), of.n, N_DESIGNS, "designs")
+
+
+_FIGURE = {"r": "Pearson's R", "slope": "slope"}
+
+
+def _number_row(
+    what: str, stated: float, form: str, source: str, found: Estimate, n: int, n_paper: int, unit: str
+) -> Row:
+    """Compare a number with the prediction interval of this run."""
+    paper = form.format(stated)
+    if found.value is None:
+        return Row(what, paper, source, "-", "not comparable", found.reason or "")
+    if found.low is None or found.high is None:
+        return Row(what, paper, source, form.format(found.value), "not comparable", found.reason or "", found.value)
+    wider = math.sqrt(1 + n / n_paper)
+    low, high = (found.value + wider * (end - found.value) for end in (found.low, found.high))
+    agrees = low <= stated <= high
+    why = (
+        f"a repeat with {n_paper} {unit} would give {form.format(low)} to {form.format(high)}, "
+        f"judged by the spread of this run's {n}"
+    )
+    return Row(what, paper, source, form.format(found.value), "agrees" if agrees else "differs", why, found.value)
+
+
+def _range_row(
+    accuracy: Sequence[Regression], figure: Literal["r", "slope"], low: float, high: float, source: str
+) -> Row:
+    what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
+    paper = f"{low:.2f} to {high:.2f}"
+    each = [getattr(row, figure).value for row in accuracy if row.name.startswith("member ")]
+    known = [value for value in each if value is not None]
+    if not known:
+        why = "no member's could be computed" if each else "accuracy was not assessed"
+        return Row(what, paper, source, "-", "not comparable", why)
+    median = float(np.median(known))
+    inside = low <= median <= high
+    why = f"the median of {len(known)} members is {median:.2f}"
+    this_run = f"{min(known):.2f} to {max(known):.2f}"
+    return Row(what, paper, source, this_run, "agrees" if inside else "differs", why, median)
+
+
+def _variation_row(scores: Scores) -> Row:
+    """Say whether champions of single members differ more from each other than those of the ensemble."""
+    what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
+    paper, source = "above 1", '"very high variation in fitness across independent trials", Evolution'
+    single, ensemble = (
+        finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush")
+    )
+    if min(len(single), len(ensemble)) < 2 or ensemble.std() == 0:
+        why = f"{len(single)} and {len(ensemble)} trials, expected 2 or more of both, not all equal"
+        return Row(what, paper, source, "-", "not comparable", why)
+    found = float(single.std(ddof=1) / ensemble.std(ddof=1))
+    why = f"{len(single)} and {len(ensemble)} trials; the paper gives no number"
+    return Row(what, paper, source, f"{found:.2f}", "agrees" if found > 1 else "differs", why, found)
+
+
+def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:
+    what = f"Student's t at {depth:g} m: {name_of(statement.a)} against {name_of(statement.b)}"
+    bound = f"p > {INSIGNIFICANT:g}" if statement.claim == "no difference" else f"p < {SIGNIFICANT:g}"
+    paper = f"{statement.claim} ({bound})"
+    a, b = (finite(scores.values(*arm, depth)) for arm in (statement.a, statement.b))
+    test = student(a, b)
+    if test.p is None:
+        return Row(what, paper, statement.source, "-", "not comparable", test.reason or "")
+    direction: Literal["less", "greater"] = "greater" if a.mean() > b.mean() else "less"
+    verdict, why = _judge(statement.claim, direction, test.p, min(len(a), len(b)))
+    this_run = f"{direction}, p = {test.p:.2g}, n = {len(a)} and {len(b)}"
+    return Row(what, paper, statement.source, this_run, verdict, why, test.p)
+
+
+def _judge(claim: Claim, direction: Claim, p: float, n: int) -> tuple[Verdict, str]:
+    """Hold what the paper says of a t test against this run's direction and p, from n trials or more."""
+    if claim == "no difference":
+        if p <= INSIGNIFICANT:
+            return "differs", f"p is not above {INSIGNIFICANT:g}"
+        shown: tuple[Verdict, str] = ("agrees", f"p is above {INSIGNIFICANT:g}")
+    elif direction == claim:
+        if p < SIGNIFICANT:
+            return "agrees", f"p is below {SIGNIFICANT:g}, in the same direction"
+        shown = ("differs", f"p is not below {SIGNIFICANT:g}")
+    else:
+        if p <= INSIGNIFICANT:
+            return "differs", "the difference is significant in the other direction"
+        shown = ("differs", "the difference is in the other direction")
+    return ("not comparable", f"{n} trials have not the power of the paper's {N_TRIALS}") if n < N_TRIALS else shown

@@ -1,0 +1,223 @@
+"""How well simulated designs predict true ones. Paper, "Prediction Accuracy" and Fig. 3.
+
+Displacement in True Slush is regressed on the displacement that each member predicts, and on what the members say
+together. A slope below 1 is a promise not kept, a low R a bad guide; evolution needs a good guide that does not promise
+too much where it searches.
+
+Designs of one evolutionary trial descend from each other and are no independent samples. Where the trial of each is
+given, the intervals come from drawing trials whole; drawing designs one by one gives intervals that are too narrow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator
+
+from tasks.analysis.uncertainty import Estimate, Float64, Floats, bootstrap, is_constant
+from tasks.evolution.objective import penalised_mean
+
+PENALTIES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
+"""k of μ - kσ; the paper's are 0 and 1."""
+TAIL = 0.25
+"""Share of the members, the most pessimistic, that the lower quantile and CVaR look at: two of eight."""
+MIN_DESIGNS = 3
+"""Any two points lie on a line."""
+
+
+@dataclass(frozen=True)
+class Regression:
+    """True displacement = intercept + slope · predicted displacement, over designs that diverged in neither."""
+
+    name: str
+    """Of the predictor: "member 0", "mean", "mean - 1 sd", "min"."""
+    n: int
+    """Designs in the regression."""
+    n_left_out: int
+    """Designs whose predicted or true displacement is not finite."""
+    slope: Estimate
+    intercept: Estimate
+    """[m]"""
+    r: Estimate
+    """Pearson's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Histograms:
+    """2-D histograms of predicted and true displacement on the same square, one per predictor."""
+
+    names: tuple[str, ...]
+    edges: Float64
+    """(n_bins + 1,) of both axes [m]."""
+    counts: npt.NDArray[np.int64]
+    """(n_predictors, n_bins, n_bins): predicted by true."""
+    n_outside: npt.NDArray[np.int64]
+    """(n_predictors,) designs beyond the edges or not finite, so that none is lost in silence."""
+    reason: str | None
+    """Why there are none, if so; counts then have no bins."""
+
+
+def mean_less_deviations(k: float) -> str:
+    """Name the predictor μ - kσ."""
+    return f"mean - {k:g} sd" if k else "mean"
+
+
+def members(predicted: Floats) -> dict[str, Float64]:
+    """Name each member's predictions, given (n_members, n_designs)."""
+    return {f"member {k}": np.asarray(row, dtype=np.float64) for k, row in enumerate(predicted)}
+
+
+def aggregates(predicted: Floats) -> dict[str, Float64]:
+    """Say in several ways what the members predict together.
+
+    Args:
+        predicted: (n_members, n_designs) displacement [m], NaN where diverged.
+
+    Returns:
+        (n_designs,) by name; not finite where any member diverged. A single member makes them all the same. CVaR is
+        the mean of the lowest TAIL of the members, of which the last one counts in part where TAIL · n_members is no
+        whole number.
+    """
+    known = np.asarray(predicted, dtype=np.float64)
+    ranked = np.sort(known, axis=0)  # NaN last, and so into every weighted sum below
+    weight = np.clip(TAIL * len(known) - np.arange(len(known)), 0, 1)
+    return {
+        **{mean_less_deviations(k): penalised_mean(known.T, disagreement_penalty=k) for k in PENALTIES},
+        "min": known.min(axis=0),
+        "median": np.median(known, axis=0),
+        f"quantile {TAIL:g}": np.quantile(known, TAIL, axis=0),
+        f"CVaR {TAIL:g}": (weight @ ranked) / weight.sum(),
+    }
+
+
+def regress(
+    predictors: Mapping[str, Floats], true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
+) -> tuple[Regression, ...]:
+    """Regress true on predicted displacement, for every predictor, with intervals of the same resamples.
+
+    Args:
+        predictors: (n_designs,) predicted displacement [m] by name; not finite where diverged.
+        true: (n_designs,) displacement in True Slush [m].
+        rng: source of randomness.
+        trial: (n_designs,) which trial each design comes from; each its own unless given.
+    """
+    if not predictors:
+        return ()
+    x = np.stack([np.asarray(row, dtype=np.float64) for row in predictors.values()])
+    y = np.asarray(true, dtype=np.float64)
+    if y.shape != x.shape[1:]:
+        raise ValueError(f"true has shape {y.shape}, expected that of each predictor, {x.shape[1:]}")
+    used = np.isfinite(x) & np.isfinite(y)
+    # Centred and scaled, so that sums of squares lose no digits and a resample without spread is recognised.
+    x0, sx = zip(*(_centre_and_scale(row[mask]) for row, mask in zip(x, used, strict=True)), strict=True)
+    y0, sy = zip(*(_centre_and_scale(y[mask]) for mask in used), strict=True)
+    centre = np.array((x0, y0, sx, sy))
+    u = np.where(used, (np.where(used, x, 0.0) - centre[0, :, None]) / centre[2, :, None], 0.0)
+    w = np.where(used, (np.where(used, y, 0.0) - centre[1, :, None]) / centre[3, :, None], 0.0)
+    sums = np.stack((used, u, w, u * u, w * w, u * w), axis=-1)  # (n_predictors, n_designs, 6)
+    rows = sums.transpose(1, 0, 2).reshape(len(y), -1)
+    if trial is not None:
+        labels, group = np.unique(np.asarray(trial), return_inverse=True)
+        grouped = np.zeros((len(labels), rows.shape[1]))
+        np.add.at(grouped, group, rows)
+        rows = grouped
+    shape = (len(x), 6)
+    figures: tuple[Estimate, ...] = (Estimate.missing("no designs"),) * (3 * len(x))
+    if len(y):
+        figures = bootstrap(
+            lambda means: _line(means.reshape(*means.shape[:-1], *shape), centre).reshape(*means.shape[:-1], -1),
+            rows,
+            rng=rng,
+            undefined="there is no spread",
+        )
+    return tuple(
+        _regression(name, x[i][used[i]], y[used[i]], len(y), figures[3 * i : 3 * i + 3])
+        for i, name in enumerate(predictors)
+    )
+
+
+def _centre_and_scale(values: Float64) -> tuple[float, float]:
+    """Mean and deviation; a scale of 1 where there is no deviation."""
+    if len(values) == 0:
+        return 0.0, 1.0
+    return float(values.mean()), 1.0 if is_constant(values) else float(values.std())
+
+
+def _line(moments: Float64, centre: Float64) -> Float64:
+    """Least squares from (..., 6) means of 1, u, w, u², w², uw: (..., 3) slope, intercept, Pearson's R."""
+    x0, y0, sx, sy = centre
+    share, u, w, uu, ww, uw = np.moveaxis(moments, -1, 0)
+    u, w, uu, ww, uw = (m / share for m in (u, w, uu, ww, uw))
+    spread = 1e-20  # of variances that are near 1 unless a resample repeats one point
+    var_u = np.where(uu - u * u > spread, uu - u * u, np.nan)
+    var_w = np.where(ww - w * w > spread, ww - w * w, np.nan)
+    cov = uw - u * w
+    slope = cov / var_u * sy / sx
+    r = np.clip(cov / np.sqrt(var_u * var_w), -1, 1)
+    intercept = (y0 + sy * w) - slope * (x0 + sx * u)
+    return np.stack((slope, intercept, r), axis=-1)
+
+
+def _regression(name: str, x: Float64, y: Float64, n_designs: int, figures: tuple[Estimate, ...]) -> Regression:
+    """Put the figures together, or say why there are none."""
+    slope, intercept, r = figures
+    n = len(x)
+    reason = None
+    if n < MIN_DESIGNS:
+        reason = f"{n} designs with a finite predicted and true displacement, expected {MIN_DESIGNS} or more"
+    elif is_constant(x):
+        reason = "every design is predicted to go equally far"
+    if reason is not None:
+        slope = intercept = r = Estimate.missing(reason)
+    elif is_constant(y):
+        r = Estimate.missing("every design truly goes equally far")
+    return Regression(name, n, n_designs - n, slope, intercept, r)
+
+
+def accuracy(
+    predicted: Floats, true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
+) -> tuple[Regression, ...]:
+    """Regress true displacement on each member's prediction and on every aggregate: the paper's Fig. 3 and beyond.
+
+    Args:
+        predicted: (n_members, n_designs) displacement [m]; NaN where diverged.
+        true: (n_designs,) displacement in True Slush [m]; NaN where diverged.
+        rng: source of randomness.
+        trial: (n_designs,) which trial each design comes from; see :func:`regress`.
+    """
+    together = aggregates(predicted) if len(predicted) else {}
+    return regress(members(predicted) | together, true, rng=rng, trial=trial)
+
+
+def histograms(predictors: Mapping[str, Floats], true: Floats, *, n_bins: int = 48) -> Histograms:
+    """Count designs by predicted and true displacement, every predictor on the same square.
+
+    The square spans 99.8 % of all displacements, so that one wild prediction does not empty the picture.
+
+    Args:
+        predictors: (n_designs,) predicted displacement [m] by name.
+        true: (n_designs,) [m].
+        n_bins: along each side.
+    """
+    names = tuple(predictors)
+    x = np.array([*predictors.values()], dtype=np.float64).reshape(len(names), len(true))
+    y = np.broadcast_to(np.asarray(true, dtype=np.float64), x.shape)
+    used = np.isfinite(x) & np.isfinite(y)
+    everything = np.concatenate((x[used], y[used]))
+    if len(everything) == 0:
+        none = np.zeros((len(names), 0, 0), np.int64)
+        reason = "no design with a finite predicted and true displacement"
+        return Histograms(names, np.zeros(0), none, np.full(len(names), len(true), np.int64), reason)
+    low, high = np.quantile(everything, (0.001, 0.999))
+    margin = 0.02 * (high - low) or 0.5  # a single value gets a metre around it
+    edges = np.linspace(low - margin, high + margin, n_bins + 1)
+    counts = np.stack(
+        [
+            np.histogram2d(a[mask], b[mask], bins=(edges, edges))[0].astype(np.int64)
+            for a, b, mask in zip(x, y, used, strict=True)
+        ]
+    )
+    return Histograms(names, edges, counts, len(true) - counts.sum(axis=(1, 2)), None)

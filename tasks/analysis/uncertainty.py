@@ -1,0 +1,150 @@
+"""Figures with their uncertainty, or with the reason why there is none.
+
+Every figure of the analysis is a smooth function of means: a ratio of two means, a share of a gap, a regression (of the
+means of x, y, x², y², xy). So one bootstrap serves them all: it resamples means. Its intervals are BCa (Efron &
+Tibshirani 1993, An Introduction to the Bootstrap, ch. 14), with the acceleration of several samples as in scipy.
+
+Limit: a bootstrap knows no more than its sample. Of a mean of normal values, 95 % intervals hold the truth 79 % of the
+time with 3 values, 90 % with 10, 94 % with 50 (measured in the tests). Means alone therefore get Student's t.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator
+from scipy import stats
+
+Floats = npt.NDArray[np.floating]
+Float64 = npt.NDArray[np.float64]
+
+LEVEL = 0.95
+"""Probability with which an interval is to hold the truth."""
+N_RESAMPLES = 2000
+"""A 2.5 % tail is then 50 resamples: its place is known to about 14 % of that tail."""
+MIN_VALUES = 3
+"""Values in a sample below which no bootstrap interval is given."""
+NUMBERS_AT_ONCE = 4_000_000
+"""Of the matrix of resamples by values: 32 MB."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure with its 95 % interval. What there is not is None, and the reason says why; it is never NaN."""
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    reason: str | None = None
+    """Why the value, or its interval, is missing; None where both are there."""
+
+    @staticmethod
+    def missing(reason: str) -> Estimate:
+        """Say why there is no figure."""
+        return Estimate(None, reason=reason)
+
+
+def finite(values: Floats) -> Float64:
+    """Take the finite values, as float64: what diverged is no number."""
+    wide = np.asarray(values, dtype=np.float64)
+    return wide[np.isfinite(wide)]
+
+
+def is_constant(values: Floats) -> bool:
+    """Tell whether values differ by no more than rounding."""
+    return len(values) == 0 or bool(np.ptp(values) <= 1e-12 * np.abs(values).max())
+
+
+def mean(values: Floats) -> Estimate:
+    """Estimate the mean of the finite values with Student's t interval."""
+    known = finite(values)
+    n = len(known)
+    if n == 0:
+        return Estimate.missing("no finite value")
+    value = float(known.mean())
+    if n == 1:
+        return Estimate(value, reason="1 value, an interval needs 2 or more")
+    half = float(stats.t.ppf((1 + LEVEL) / 2, n - 1)) * float(known.std(ddof=1)) / math.sqrt(n)
+    return Estimate(value, value - half, value + half)
+
+
+def bootstrap(
+    statistic: Callable[..., Float64], *samples: Float64, rng: Generator, undefined: str
+) -> tuple[Estimate, ...]:
+    """Estimate functions of means, with BCa intervals.
+
+    Args:
+        statistic: of each sample's means, (..., n_columns) each, to (..., n_figures); NaN where a figure is undefined.
+        samples: (n_values, n_columns) each; rows are drawn whole, samples independently of each other.
+        rng: source of randomness.
+        undefined: what it means that a figure is NaN; becomes its reason.
+
+    Returns:
+        n_figures estimates, all of the same resamples.
+    """
+    with np.errstate(all="ignore"):
+        means = [sample.mean(axis=0) for sample in samples]
+        values = statistic(*means)
+        n_fewest = min(len(sample) for sample in samples)
+        if n_fewest < MIN_VALUES:
+            few = f"{n_fewest} values, an interval needs {MIN_VALUES} or more"
+            return tuple(
+                Estimate(float(v), reason=few) if np.isfinite(v) else Estimate.missing(undefined) for v in values
+            )
+        resampled = statistic(*(_resampled_means(sample, rng) for sample in samples))
+        acceleration = _acceleration(statistic, samples, means)
+    return tuple(
+        _bca(float(v), resampled[:, i], float(acceleration[i]), undefined)
+        if np.isfinite(v)
+        else Estimate.missing(undefined)
+        for i, v in enumerate(values)
+    )
+
+
+def _resampled_means(sample: Float64, rng: Generator) -> Float64:
+    """Draw n_values rows with replacement, N_RESAMPLES times, and take (N_RESAMPLES, n_columns) means."""
+    n = len(sample)
+    at_once = max(NUMBERS_AT_ONCE // n, 1)
+    means = []
+    for first in range(0, N_RESAMPLES, at_once):
+        n_drawn = min(at_once, N_RESAMPLES - first)
+        drawn = rng.integers(0, n, (n_drawn, n)) + n * np.arange(n_drawn)[:, None]
+        counts = np.bincount(drawn.ravel(), minlength=n_drawn * n).reshape(n_drawn, n)
+        means.append(counts @ sample / n)
+    return np.concatenate(means)
+
+
+def _acceleration(
+    statistic: Callable[..., Float64], samples: tuple[Float64, ...], means: list[Float64]
+) -> Float64:
+    """Estimate the skewness of each figure from what it does when one value is left out."""
+    cubes = squares = np.float64(0)
+    for i, sample in enumerate(samples):
+        n = len(sample)
+        without = (n * means[i] - sample) / (n - 1)
+        left_out = statistic(*(without if j == i else mean[None] for j, mean in enumerate(means)))
+        influence = (n - 1) * (np.nanmean(left_out, axis=0) - left_out) / n
+        cubes = cubes + np.nansum(influence**3, axis=0)
+        squares = squares + np.nansum(influence**2, axis=0)
+    return np.asarray(np.where(squares > 0, cubes / (6 * squares**1.5), 0.0), dtype=np.float64)
+
+
+def _bca(value: float, resampled: Float64, acceleration: float, undefined: str) -> Estimate:
+    """Correct the percentiles of the resamples for bias and skewness."""
+    known = np.sort(resampled[np.isfinite(resampled)])
+    lost = 1 - len(known) / len(resampled)
+    if lost > (1 - LEVEL) / 2:
+        return Estimate(value, reason=f"no interval, since in {lost:.0%} of the resamples: {undefined}")
+    if is_constant(known):
+        return Estimate(value, reason="no interval, since the values have no spread")
+    below = (np.searchsorted(known, value, "left") + np.searchsorted(known, value, "right")) / 2 / len(known)
+    if not 0 < below < 1:
+        return Estimate(value, reason="no interval, since every resample lies on one side of the value")
+    z0 = stats.norm.ppf(below)
+    z = z0 + stats.norm.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    low, high = np.quantile(known, stats.norm.cdf(z0 + z / (1 - acceleration * z)))
+    return Estimate(value, float(low), float(high))
