@@ -4,8 +4,8 @@ The standardisation is folded into the first and last layers, and only the three
 only they are applied. What is left is rows @ weight + bias and ReLU, per member, in SI units.
 
 A row's result must not depend on the rows beside it, or a trial would depend on how its designs were batched. On a CPU
-that is so by construction: see inference.py. torch's matrix product picks its algorithm by shape and so changes in its
-last bits with the number of rows; on CUDA the promise holds for batches of one size alone.
+that is so by construction: see tasks/simulation/networks.py. torch's matrix product picks its algorithm by shape and so
+changes in its last bits with the number of rows; on CUDA the promise holds for batches of one size alone.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tasks.residual.inference import PackedNetworks
-from tasks.residual.observation import OBSERVATION, STATE, VELOCITIES, Float32, observe
+from tasks.residual.observation import OBSERVATION, OBSERVED, STATE, VELOCITIES, Float32, observe
+from tasks.simulation.networks import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
 N_OUT = len(STATE[VELOCITIES])
@@ -115,17 +115,15 @@ class Ensemble:
         shape = links.y.shape
         if not shape or shape[0] != self.n_members:
             raise ValueError(f"links of shape {shape}, expected ({self.n_members} members, ...)")
-        observation = observe(
-            length_scale=links.length_scale, y=links.y, cos=links.cos, vx=links.vx, vy=links.vy, omega=links.omega
-        )
+        observation = observe(**{name: getattr(links, name) for name in OBSERVED})
         change = self.predict(observation.reshape(self.n_members, -1, len(OBSERVATION)))
         vx, vy, omega = np.moveaxis(change.astype(links.y.dtype, copy=False), -1, 0)
         return VelocityChange(vx=vx.reshape(shape), vy=vy.reshape(shape), omega=omega.reshape(shape))
 
     def predict(self, observation: Float32) -> Float32:
         """Map (n_members, n_rows, 6) observations to (n_members, n_rows, 3) changes of vx, vy, ω a step, in SI."""
-        if self.device == "cpu" and not numba.config.DISABLE_JIT:
-            return self._packed.forward(observation)
+        if self.networks is not None:
+            return self.networks.forward(observation)
         return self.predict_with_torch(observation)
 
     def predict_with_torch(self, observation: Float32) -> Float32:
@@ -142,8 +140,11 @@ class Ensemble:
         return torch.baddbmm(last_bias, rows, last_weight)
 
     @cached_property
-    def _packed(self) -> PackedNetworks:
-        return PackedNetworks(self.weights, self.biases)
+    def networks(self) -> PackedNetworks | None:
+        """What the batch engine's own kernel runs; None where torch does the work."""
+        if self.device != "cpu" or numba.config.DISABLE_JIT:
+            return None
+        return PackedNetworks(self.weights, self.biases, OBSERVED)
 
     @cached_property
     def _tensors(self) -> tuple[tuple[Tensor, Tensor], ...]:

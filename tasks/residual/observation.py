@@ -16,6 +16,9 @@ STATE = ("x", "y", "angle", "vx", "vy", "omega")
 OBSERVATION = ("a", "y", "cos_angle", "vx", "vy", "omega")
 """What a network reads [m, m, 1, m/s, m/s, rad/s]."""
 
+OBSERVED = ("length_scale", "y", "cos", "vx", "vy", "omega")
+"""The same, by the names of :class:`tasks.world.LinkStates`."""
+
 VELOCITIES = slice(3, 6)
 """The components of a residual that are applied; positions follow by integration."""
 

@@ -16,24 +16,39 @@ import numpy.typing as npt
 from tasks.design import genes
 from tasks.design.body import KinematicTrees, kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation import contact, drive, joint, kernels, lanes, rotation, rows, simd
+from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, rotation, rows, simd
 from tasks.simulation.compiled import compiled
 from tasks.simulation.contact import NO_VERTEX
 from tasks.simulation.drive import Drive
 from tasks.simulation.kernels import World
 from tasks.simulation.lanes import Block, widest
 from tasks.simulation.motion import GROUND_HALF_HEIGHT, Motion
+from tasks.simulation.networks import PackedNetworks
 from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, Slush
 from tasks.world import slush as slush_source
 
 Float32 = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
-_advance = compiled(
-    kernels.advance,
-    [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels],
-    seconds=20,
+_SOURCES = [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels]
+_advance = compiled(kernels.advance, _SOURCES, seconds=20)
+_advance_in_learned_medium = compiled(
+    learned.advancing(_advance.inner, networks.run_networks.inner), [*_SOURCES, networks, learned], seconds=20
 )
+
+
+QUANTITIES = {
+    "length_scale": rows.LENGTH,
+    "mass": rows.MASS,
+    "inertia": rows.INERTIA,
+    "y": rows.Y,
+    "cos": rows.COS,
+    "sin": rows.SIN,
+    "vx": rows.VX,
+    "vy": rows.VY,
+    "omega": rows.OMEGA,
+}
+"""First row of each quantity of LinkStates."""
 
 
 def discovery_order(parents: Sequence[int]) -> list[int]:
@@ -111,6 +126,7 @@ class Groups:
         self.n_lanes = n_lanes
         self.n_groups = -(-self.n_robots // n_lanes)
         self._block = Block(self.n_groups * rows.N_ROWS, n_lanes)
+        self._no_trace = Block(1, n_lanes)
         self.blocks = self._block.rows.reshape(self.n_groups, rows.N_ROWS, n_lanes)
         # Lanes left over at the end hold copies, so that every lane holds a robot.
         robot = np.minimum(np.arange(self.n_groups * n_lanes), self.n_robots - 1)
@@ -201,7 +217,7 @@ class Groups:
         """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""
         for group in range(self.n_groups if kept is not None else 1):
             n_groups = 1 if kept is not None else self.n_groups
-            trace = Block(n_steps * rows.N_TRACED if kept is not None else 1, self.n_lanes)
+            trace = self._no_trace if kept is None else Block(n_steps * rows.N_TRACED, self.n_lanes)
             block = lanes.from_row(self._block, group * rows.N_ROWS)
             with np.errstate(all="ignore"):  # without the compiler the lanes are NumPy's, and it would warn
                 _advance(block, n_groups, world, first_step, n_steps, trace, kept is not None)
@@ -210,6 +226,18 @@ class Groups:
                 states = trace.rows.reshape(n_steps, 6, N_LINKS, self.n_lanes).transpose(3, 0, 2, 1)
                 place = self._place_of_robot()[mine, None, :, None]
                 kept[mine] = np.take_along_axis(states[: mine.stop - mine.start], place, axis=2)
+
+
+    def advance_among(self, learned_medium: PackedNetworks, world: World, first_step: int, n_steps: int) -> None:
+        """Take steps in a medium that is one network for each member: all of it in one kernel, and without a trace."""
+        n_designs = self.n_robots // learned_medium.n_members
+        x, out = learned_medium.room(n_designs * N_LINKS)
+        observed = np.array([QUANTITIES[name] for name in learned_medium.inputs], np.int64)
+        with np.errstate(all="ignore"):
+            _advance_in_learned_medium(
+                self._block, self.blocks, world, first_step, n_steps, self._robot, n_designs, observed,
+                learned_medium.layers, learned_medium.sizes, x, out, learned_medium.between, self._no_trace,
+            )  # fmt: skip
 
 
 def roll_out(
@@ -233,11 +261,12 @@ def roll_out_on(
 ) -> Motion:
     """Simulate designs on a given number of lanes, on which nothing depends but the time it takes.
 
-    The kernel has the slush built in and takes all steps at once. Any other medium is asked step by step, for all links
-    of all robots together.
+    The kernel has the slush built in, and networks that a medium offers as its attribute ``networks``, and takes all
+    steps at once. Any other medium is asked step by step, for all links of all robots together.
     """
     medium = environment.medium
     n_members = environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1
+    learned_medium: PackedNetworks | None = getattr(medium, "networks", None)
     groups = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes)
     world = shared_world(environment, physics)
     n_steps = n_settle + n_measure
@@ -246,7 +275,9 @@ def roll_out_on(
     groups.advance(world, 0, 0, None)
     settled = groups.poses()
     for first, last in ((0, n_settle), (n_settle, n_steps)):
-        if medium is not None and not isinstance(medium, Slush):
+        if learned_medium is not None and not trace:
+            groups.advance_among(learned_medium, world, first, last - first)
+        elif medium is not None and not isinstance(medium, Slush):
             for step in range(first, last):
                 _push(groups, medium, n_members, physics)
                 groups.advance(world, step, 1, None if kept is None else kept[:, step : step + 1])
@@ -263,8 +294,8 @@ def roll_out_on(
 
 def _push(groups: Groups, medium: Medium, n_members: int, physics: Physics) -> None:
     """Add a medium's velocity change to every link, as the reference engine does."""
-    quantities = (rows.LENGTH, rows.MASS, rows.INERTIA, rows.Y, rows.COS, rows.SIN, rows.VX, rows.VY, rows.OMEGA)
-    links = LinkStates(*groups.states(quantities).reshape(len(quantities), n_members, -1, N_LINKS))
+    states = groups.states(tuple(QUANTITIES.values())).reshape(len(QUANTITIES), n_members, -1, N_LINKS)
+    links = LinkStates(**dict(zip(QUANTITIES, states, strict=True)))
     change = medium.velocity_change(links, physics)
     velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
     groups.set_velocities(*(v.astype(np.float32).reshape(groups.n_robots, N_LINKS) for v in velocities))

@@ -18,6 +18,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
@@ -26,7 +27,21 @@ import numba
 from tasks.simulation import simd  # noqa: F401 (importing it teaches numba what lanes are)
 
 
-def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:
+@dataclass(frozen=True)
+class Kernel:
+    """A compiled kernel: to be called, or to be given to another kernel as its ``inner``."""
+
+    inner: Callable[..., Any]
+    announce: Callable[[], None]
+    """Says that it compiles, if it has to."""
+
+    def __call__(self, *args: Any) -> Any:
+        """Run it."""
+        self.announce()
+        return self.inner(*args)
+
+
+def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Kernel:
     """Compile a kernel on its first call, or take it from the cache.
 
     Args:
@@ -35,7 +50,7 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
         seconds: about how long compilation takes, for a word to whoever waits.
     """
     if numba.config.DISABLE_JIT:
-        return function
+        return Kernel(function, lambda: None)
     digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in sources).encode()).hexdigest()
     folder = os.path.join(_cache_folder(), digest[:16])
     before = numba.config.CACHE_DIR
@@ -45,12 +60,11 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
     finally:
         numba.config.CACHE_DIR = before
 
-    def call(*args: Any) -> Any:
+    def announce() -> None:
         if not kernel.overloads and not glob.glob(os.path.join(folder, "*", f"*.{function.__name__}-*.nbc")):
             print(f"compiling {function.__module__} (once, about {seconds} s)", file=sys.stderr, flush=True)
-        return kernel(*args)
 
-    return call
+    return Kernel(kernel, announce)
 
 
 def _cache_folder() -> str:

@@ -155,7 +155,7 @@ def _forward(
                 rows = result
 
 
-_run = compiled(_forward, [sys.modules[__name__]], seconds=2)
+run_networks = compiled(_forward, [sys.modules[__name__]], seconds=2)
 
 
 def _padded(n: int) -> int:
@@ -166,20 +166,27 @@ def _padded(n: int) -> int:
 class PackedNetworks:
     """Networks of one shape, their weights laid out as the kernel reads them."""
 
-    def __init__(self, weights: Sequence[Float32], biases: Sequence[Float32]) -> None:
-        """Pack weights (n_members, n_in, n_out) and biases (n_members, n_out) of each layer; all but the last ReLU."""
-        self._source = tuple(weights), tuple(biases)
+    def __init__(self, weights: Sequence[Float32], biases: Sequence[Float32], inputs: tuple[str, ...]) -> None:
+        """Pack the weights of networks whose layers, all but the last, end in ReLU.
+
+        Args:
+            weights: of each layer, (n_members, n_in, n_out).
+            biases: of each layer, (n_members, n_out).
+            inputs: what the first layer reads, in order, by the names of :class:`tasks.world.LinkStates`.
+        """
+        self._source = tuple(weights), tuple(biases), inputs
+        self.inputs = inputs
         self.n_members, self._n_in, _ = weights[0].shape
         self._n_out = weights[-1].shape[2]
         sizes = [self._n_in, *(_padded(weight.shape[2]) for weight in weights)]
-        self._sizes = np.array(sizes, np.int64)
+        self.sizes = np.array(sizes, np.int64)
         self._panels = [
             _panels(weight, n_in, n_out) for weight, n_in, n_out in zip(weights, sizes, sizes[1:], strict=False)
         ]
         self._biases = [aligned((self.n_members, n_out)) for n_out in sizes[1:]]
         for packed, bias in zip(self._biases, biases, strict=True):
             packed[:, : bias.shape[1]] = bias
-        self._layers = np.array(
+        self.layers = np.array(
             [
                 [
                     (panels[member].ctypes.data, bias[member].ctypes.data)
@@ -189,7 +196,7 @@ class PackedNetworks:
             ],
             np.int64,
         )
-        self._between = aligned((2, TILE_ROWS, max(sizes)))
+        self.between = aligned((2, TILE_ROWS, max(sizes)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pack anew in another process: addresses and alignment do not travel."""
@@ -197,13 +204,15 @@ class PackedNetworks:
 
     def forward(self, rows: Float32) -> Float32:
         """Map (n_members, n_rows, n_in) to (n_members, n_rows, n_out)."""
-        n_rows = rows.shape[1]
+        x, out = self.room(rows.shape[1])
+        x[:, : rows.shape[1]] = rows
+        run_networks(self.layers, self.sizes, x.shape[1], x.ctypes.data, out.ctypes.data, self.between.ctypes.data)
+        return out[:, : rows.shape[1], : self._n_out]
+
+    def room(self, n_rows: int) -> tuple[Float32, Float32]:
+        """Make arrays for (n_members, at least n_rows, inputs) and (n_members, as many, padded outputs)."""
         n_filled = -(-n_rows // TILE_ROWS) * TILE_ROWS
-        x = aligned((self.n_members, n_filled, self._n_in))
-        x[:, :n_rows] = rows
-        out = aligned((self.n_members, n_filled, int(self._sizes[-1])))
-        _run(self._layers, self._sizes, n_filled, x.ctypes.data, out.ctypes.data, self._between.ctypes.data)
-        return out[:, :n_rows, : self._n_out]
+        return aligned((self.n_members, n_filled, self._n_in)), aligned((self.n_members, n_filled, int(self.sizes[-1])))
 
 
 def _panels(weight: Float32, n_in: int, n_out: int) -> Float32:
