@@ -1,0 +1,197 @@
+"""The batch engine by itself: nothing but the clock depends on lanes, batches or neighbours. See also tests/parity."""
+
+import os
+import subprocess
+import sys
+import tracemalloc
+
+import numba
+import numpy as np
+import pytest
+
+from tasks.design import Designs, concatenate, random_designs
+from tasks.simulation import DIVERGED, OK, batch, contact, simulate
+from tasks.simulation.lanes import widest
+from tasks.simulation.motion import Motion
+from tasks.simulation.rows import N_ROWS, OMEGA, VERTEX_1, VX
+from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
+
+compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python")
+PHYSICS = Physics()
+N_DESIGNS = 45  # no multiple of any number of lanes but 1
+
+
+@pytest.fixture(scope="module")
+def designs() -> Designs:
+    return random_designs(N_DESIGNS, np.random.default_rng(8))
+
+
+class Members:
+    """Three media that are not built in: slushes of three densities."""
+
+    n_members = 3
+
+    def velocity_change(self, links, physics):
+        each = []
+        for k, density in enumerate((0.6, 1.25, 2.0)):
+            member = type(links)(**{name: array[k] for name, array in vars(links).items()})
+            each.append(vars(Slush(density=density).velocity_change(member, physics)))
+        return VelocityChange(**{name: np.stack([change[name] for change in each]) for name in each[0]})
+
+
+ENVIRONMENTS = [DryLand(0.0), TrueSlush(1.0), ResidualSlush(1.0, Members())]
+
+
+def roll_out(designs: Designs, environment: Environment, n_lanes: int) -> Motion:
+    return batch.roll_out_on(designs, environment, PHYSICS, n_settle=20, n_measure=130, trace=True, n_lanes=n_lanes)
+
+
+@pytest.fixture(scope="module", params=ENVIRONMENTS, ids=lambda e: type(e).__name__)
+def environment(request: pytest.FixtureRequest) -> Environment:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def whole(designs: Designs, environment: Environment) -> np.ndarray:
+    trace = roll_out(designs, environment, widest()).trace
+    assert trace is not None and np.isfinite(trace).all()
+    return trace
+
+
+@compiled_only
+@pytest.mark.parametrize("n_lanes", [1, 4, 16])
+def test_every_number_of_lanes_gives_the_same_bits(designs, environment, whole, n_lanes):
+    np.testing.assert_array_equal(roll_out(designs, environment, n_lanes).trace, whole)
+
+
+@compiled_only
+@pytest.mark.parametrize("n_designs", [1, 2, 31, 32, 33])
+def test_every_size_of_batch_gives_the_same_bits(designs, environment, whole, n_designs):
+    np.testing.assert_array_equal(roll_out(designs[-n_designs:], environment, widest()).trace, whole[:, -n_designs:])
+
+
+@compiled_only
+def test_every_order_of_designs_gives_the_same_bits(designs, environment, whole):
+    order = np.random.default_rng().permutation(N_DESIGNS)
+    np.testing.assert_array_equal(roll_out(designs[order], environment, widest()).trace, whole[:, order])
+
+
+@compiled_only
+def test_without_a_trace_the_ends_are_the_same(designs, environment, whole):
+    motion = batch.roll_out(designs, environment, PHYSICS, n_settle=20, n_measure=130, trace=False)
+    assert motion.trace is None
+    np.testing.assert_array_equal(motion.settled, whole[:, :, 19])
+    np.testing.assert_array_equal(motion.final, whole[:, :, -1])
+
+
+@compiled_only
+def test_it_does_not_settle_if_not_asked_to(designs):
+    motion = batch.roll_out(designs, DryLand(0.0), PHYSICS, n_settle=0, n_measure=1, trace=True)
+    spawned = batch.Groups(designs, PHYSICS, n_members=1, n_lanes=4).poses()
+    np.testing.assert_array_equal(motion.settled[0], spawned)
+    assert (spawned[:, 0, 0] == 0).all() and (spawned[..., 3:] == 0).all()
+
+
+@compiled_only
+@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 3e38])
+@pytest.mark.parametrize("row", [VX, OMEGA + 3])
+def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, row):
+    world = batch.shared_world(TrueSlush(0.5), PHYSICS)
+    clean, spoiled = (batch.Groups(designs, PHYSICS, n_members=1, n_lanes=16) for _ in range(2))
+    for groups in (clean, spoiled):
+        groups.advance(world, 0, 60, None)
+    victim = 21  # lane 5 of group 1
+    spoiled.blocks[1, row, 5] = poison
+    for groups in (clean, spoiled):
+        groups.advance(world, 60, 90, None)
+    others = np.arange(N_DESIGNS) != victim
+    assert np.isfinite(clean.poses()).all()
+    assert np.isnan(spoiled.poses()[victim]).all() or np.isfinite(poison)
+    np.testing.assert_array_equal(spoiled.poses()[others], clean.poses()[others])
+
+
+class Poisonous:
+    """An ensemble of one: slush that gives links of some lengths a speed that is no number, once they whirl."""
+
+    n_members = 1
+
+    def velocity_change(self, links, physics):
+        change = vars(Slush().velocity_change(links, physics))
+        hit = (links.length_scale > 2.7) & (abs(links.omega) > 1.5)
+        return VelocityChange(**{**change, "omega": np.where(hit, np.float32(np.inf), change["omega"])})
+
+
+@compiled_only
+def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_engine(designs):
+    environment = ResidualSlush(0.5, Poisonous())
+    ours, theirs = (
+        simulate(designs, environment, n_settle=30, n_measure=90, engine=engine, trace=True)
+        for engine in ("batch", "reference")
+    )
+    for name in ("status", "displacement", "com_displacement", "trace"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    assert set(ours.status.flat) == {OK, DIVERGED}
+    assert np.isnan(ours.displacement[ours.status == DIVERGED]).all()
+
+
+@compiled_only
+def test_ten_thousand_designs_in_one_call_and_no_memory_that_grows_with_steps():
+    designs = random_designs(10_000, np.random.default_rng(4))
+    peaks = []
+    for n_measure in (1, 12):
+        tracemalloc.start()
+        simulate(designs, TrueSlush(1.0), n_settle=0, n_measure=n_measure)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[0] < 200e6  # bytes; the promise is 1 GB
+    assert peaks[1] < 1.01 * peaks[0]
+
+
+def test_the_joints_order_is_a_search_with_a_stack():
+    # A star: the root's joints, latest first. A chain: one after the other.
+    assert batch.discovery_order([-1, 0, 0, 0, 0, 0]) == [0, 5, 4, 3, 2, 1]
+    assert batch.discovery_order([-1, 0, 1, 2, 3, 4]) == [0, 1, 2, 3, 4, 5]
+    # Joints of the root: 3, 1. Then off the stack: link 1 (pushed last) with joint 2, link 2 with 5 and 4; link 3.
+    assert batch.discovery_order([-1, 0, 1, 0, 2, 2]) == [0, 3, 1, 2, 5, 4]
+    for parents in batch.TREES:
+        order = batch.discovery_order(parents)
+        assert sorted(order) == list(range(6))
+        assert all(order.index(parents[link]) < order.index(link) for link in range(1, 6))
+
+
+def test_mass_and_inertia_of_a_box():
+    half_height = np.linspace(0.5, 1.5, 9, dtype=np.float32)[None]
+    inverse_mass, inverse_inertia = batch.inverse_mass_and_inertia(np.float32(0.25) / half_height, half_height, 2.0)
+    a = 2 * half_height.astype(float)
+    np.testing.assert_allclose(1 / inverse_mass, 2.0, rtol=1e-6)  # a few roundings of 6e-8
+    np.testing.assert_allclose(1 / inverse_inertia, 2.0 * (a**2 + a**-2) / 12, rtol=1e-6)
+
+
+@compiled_only
+def test_packing_keeps_what_was_put_in(designs):
+    groups = batch.Groups(designs, PHYSICS, n_members=2, n_lanes=16)
+    assert groups.blocks.shape == (6, N_ROWS, 16)  # 90 robots
+    again = batch.Groups(concatenate([designs, designs]), PHYSICS, n_members=1, n_lanes=16)
+    np.testing.assert_array_equal(groups.blocks, again.blocks)
+    assert (groups.blocks[:, VERTEX_1] == contact.NO_VERTEX).all()
+
+
+PLAIN_PYTHON = """
+import numba, numpy as np
+from tasks.design import random_designs
+from tasks.simulation import batch, reference
+from tasks.world import DryLand, Physics, TrueSlush
+assert numba.config.DISABLE_JIT
+designs = random_designs(3, np.random.default_rng(5))
+for environment, n_steps in ((TrueSlush(0.2), 6), (DryLand(0.0), 3)):
+    ours = batch.roll_out_on(designs, environment, Physics(), n_settle=1, n_measure=n_steps, trace=True, n_lanes=3)
+    theirs = reference.roll_out(designs, environment, Physics(), n_settle=1, n_measure=n_steps, trace=True)
+    assert np.array_equal(ours.trace, theirs.trace)
+print("equal")
+"""
+
+
+def test_the_kernels_are_plain_python_too():
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run([sys.executable, "-c", PLAIN_PYTHON], env=environment, capture_output=True, text=True)
+    assert done.stdout == "equal\n", done.stderr
