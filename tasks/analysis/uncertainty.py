@@ -2,10 +2,12 @@
 
 Every figure of the analysis is a smooth function of means: a ratio of two means, a share of a gap, a regression (of the
 means of x, y, x², y², xy). So one bootstrap serves them all: it resamples means. Its intervals are BCa (Efron &
-Tibshirani 1993, An Introduction to the Bootstrap, ch. 14), with the acceleration of several samples as in scipy.
+Tibshirani 1993, An Introduction to the Bootstrap, ch. 14; the acceleration of several samples as in scipy), widened for
+small samples to the quantiles of Student's t (Hesterberg 2015, "What Teachers Should Know About the Bootstrap").
 
-Limit: a bootstrap knows no more than its sample. Of a mean of normal values, 95 % intervals hold the truth 79 % of the
-time with 3 values, 90 % with 10, 94 % with 50 (measured in the tests). Means alone therefore get Student's t.
+Limit: a bootstrap knows no more than its sample. Intervals for the mean of normal values hold the truth 75 % of the time
+with 3 values, 92 % with 5, 94 % with 10, 95 % with 20; of exponential ones 87 % with 5 and 92 % with 10. A mean by
+itself gets Student's t.
 """
 
 from __future__ import annotations
@@ -97,8 +99,10 @@ def bootstrap(
             )
         resampled = statistic(*(_resampled_means(sample, rng) for sample in samples))
         acceleration = _acceleration(statistic, samples, means)
+    # The resamples' deviation is √((n - 1) / n) of the sample's, and is itself uncertain as Student knew.
+    z = math.sqrt(n_fewest / (n_fewest - 1)) * float(stats.t.ppf((1 + LEVEL) / 2, n_fewest - 1))
     return tuple(
-        _bca(float(v), resampled[:, i], float(acceleration[i]), undefined)
+        _bca(float(v), resampled[:, i], float(acceleration[i]), z, undefined)
         if np.isfinite(v)
         else Estimate.missing(undefined)
         for i, v in enumerate(values)
@@ -114,7 +118,7 @@ def _resampled_means(sample: Float64, rng: Generator) -> Float64:
         n_drawn = min(at_once, N_RESAMPLES - first)
         drawn = rng.integers(0, n, (n_drawn, n)) + n * np.arange(n_drawn)[:, None]
         counts = np.bincount(drawn.ravel(), minlength=n_drawn * n).reshape(n_drawn, n)
-        means.append(counts @ sample / n)
+        means.append(counts.astype(np.float64) @ sample / n)
     return np.concatenate(means)
 
 
@@ -133,8 +137,8 @@ def _acceleration(
     return np.asarray(np.where(squares > 0, cubes / (6 * squares**1.5), 0.0), dtype=np.float64)
 
 
-def _bca(value: float, resampled: Float64, acceleration: float, undefined: str) -> Estimate:
-    """Correct the percentiles of the resamples for bias and skewness."""
+def _bca(value: float, resampled: Float64, acceleration: float, z: float, undefined: str) -> Estimate:
+    """Correct the percentiles of the resamples at ± z deviations for bias and skewness."""
     known = np.sort(resampled[np.isfinite(resampled)])
     lost = 1 - len(known) / len(resampled)
     if lost > (1 - LEVEL) / 2:
@@ -145,6 +149,6 @@ def _bca(value: float, resampled: Float64, acceleration: float, undefined: str) 
     if not 0 < below < 1:
         return Estimate(value, reason="no interval, since every resample lies on one side of the value")
     z0 = stats.norm.ppf(below)
-    z = z0 + stats.norm.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    low, high = np.quantile(known, stats.norm.cdf(z0 + z / (1 - acceleration * z)))
+    ends = z0 + np.array((-z, z))
+    low, high = np.quantile(known, stats.norm.cdf(z0 + ends / (1 - acceleration * ends)))
     return Estimate(value, float(low), float(high))
