@@ -3,12 +3,14 @@
 import ctypes
 import hashlib
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numba
 import numpy as np
 import pytest
 
 from tasks.design import Designs, random_designs
+from tasks.residual.ensemble import Ensemble
 from tasks.simulation import batch, free_links, reference, rotation
 from tasks.simulation.motion import ANGLE, Motion
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
@@ -168,6 +170,30 @@ def test_residual_slush(depth: float, same_libm: None, seed: int) -> None:
     # Its first member is the slush that the kernel has built in.
     built_in = batch.roll_out(designs, TrueSlush(depth), Physics(), n_settle=50, n_measure=350, trace=True)
     np.testing.assert_array_equal(built_in.trace[0], ours.trace[0])
+
+
+def ensemble(rng: np.random.Generator) -> Ensemble:
+    """Three untrained networks whose changes are of the size of the slush's."""
+    sizes = (6, 40, 40, 3)
+    weights = [(rng.normal(size=(3, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
+    weights[-1] *= np.float32(0.05)
+    biases = [(0.01 * rng.normal(size=(3, b))).astype(np.float32) for b in sizes[1:]]
+    return Ensemble(weights=tuple(weights), biases=tuple(biases))
+
+
+@pytest.mark.parametrize("trace", [True, False])
+def test_residual_slush_of_networks(trace: bool, same_libm: None, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    designs, environment = random_designs(13, rng), ResidualSlush(0.7, ensemble(rng))
+    ours, theirs = (
+        engine.roll_out(designs, environment, Physics(), n_settle=30, n_measure=270, trace=trace)
+        for engine in (batch, reference)
+    )
+    assert (ours.trace is not None) == trace
+    if ours.trace is not None and theirs.trace is not None:
+        np.testing.assert_array_equal(ours.trace, theirs.trace)
+    np.testing.assert_array_equal(ours.settled, theirs.settled)
+    np.testing.assert_array_equal(ours.final, theirs.final)
 
 
 @pytest.mark.parametrize("speed", [20.0, 200.0])
