@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,8 +27,10 @@ from tasks.world import DryLand, Environment, ResidualSlush, TrueSlush
 if TYPE_CHECKING:
     from tasks.residual.ensemble import Ensemble
 
-N_CALIBRATION_STEPS = 60
-"""Steps of a rollout that is timed; its cost is proportional to its steps."""
+FEWEST_STEPS = 20
+"""Steps of the shortest rollout that is timed."""
+ENOUGH_SECONDS = 0.3
+"""Rollouts are timed over more and more steps until they take so long, or are whole."""
 N_CALIBRATION_ITERATIONS = 4
 """Iterations of training that are timed, after as many that are not."""
 N_CALIBRATION_THROWS = 8
@@ -166,19 +169,21 @@ def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
     rng = np.random.default_rng(0)
     designs = random_designs(afpo.population_size, rng)
 
-    def rollouts() -> object:
+    def rollouts(n_steps: int) -> object:
         return simulate(
-            designs, environment, n_settle=0, n_measure=N_CALIBRATION_STEPS, engine=settings.work.engine,
-            physics=settings.physics,
-        )  # fmt: skip
+            designs, environment, n_settle=0, n_measure=n_steps, engine=settings.work.engine, physics=settings.physics
+        )
 
     def selection() -> object:
         children = ask(NOBODY_YET, rng, afpo)
         population = tell(NOBODY_YET, children, rng.normal(size=afpo.population_size), rng, afpo)
         return tell(population, ask(population, rng, afpo), rng.normal(size=afpo.population_size), rng, afpo)
 
-    n_steps = settings.rollout.n_settle + settings.rollout.n_measure
-    return _seconds(rollouts) * n_steps / N_CALIBRATION_STEPS + _seconds(selection)
+    n_all = settings.rollout.n_settle + settings.rollout.n_measure
+    n_steps = min(FEWEST_STEPS, n_all)
+    while (seconds := _seconds(partial(rollouts, n_steps))) < ENOUGH_SECONDS and n_steps < n_all:
+        n_steps = min(4 * n_steps, n_all)
+    return seconds * n_all / n_steps + _seconds(selection)
 
 
 def _bytes_per_design(settings: Settings) -> float:
