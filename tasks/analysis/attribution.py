@@ -114,8 +114,7 @@ def _split(zero_shot: Float64, adapted: Float64, best: Float64, rng: Generator) 
         return (Estimate.missing(reason),) * 5
 
     def split(arm: Float64, E: Float64) -> Float64:
-        Z, A = np.moveaxis(arm, -1, 0)
-        B = E[..., 0] + 0 * Z
+        Z, A, B = np.broadcast_arrays(arm[..., 0], arm[..., 1], E[..., 0])
         gap = np.where(B > Z, B - Z, np.nan)
         return np.stack((B - Z, A - Z, B - A, (A - Z) / gap, (B - A) / gap), axis=-1)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,7 @@ def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
         a=group(a),
         b=group(b),
         student=student(x, y),
-        welch=_test(_no_spread(x, y), lambda: stats.ttest_ind(x, y, equal_var=False)),
+        welch=_test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=False)),
         mann_whitney=_test(_too_few(x, y) or tied, lambda: stats.mannwhitneyu(x, y, method=_method(x, y))),
         hedges_g=hedges_g(x, y),
         ratio=ratio(x, y, rng=rng),
@@ -90,7 +91,13 @@ def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
 
 def student(x: Float64, y: Float64) -> SignificanceTest:
     """Test whether the means of two groups of finite values differ, assuming equal variances: the paper's test."""
-    return _test(_no_spread(x, y), lambda: stats.ttest_ind(x, y))
+    return _test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=True))
+
+
+def _t_test(x: Float64, y: Float64, *, equal_variances: bool) -> Any:
+    """Compare means by deviations that are exactly 0 for constant groups, over which scipy would worry."""
+    described = ((v.mean(), 0.0 if is_constant(v) else v.std(ddof=1), len(v)) for v in (x, y))
+    return stats.ttest_ind_from_stats(*chain.from_iterable(described), equal_var=equal_variances)
 
 
 def _too_few(x: Float64, y: Float64) -> str | None:

@@ -118,7 +118,7 @@ def regress(
     u = np.where(used, (np.where(used, x, 0.0) - centre[0, :, None]) / centre[2, :, None], 0.0)
     w = np.where(used, (np.where(used, y, 0.0) - centre[1, :, None]) / centre[3, :, None], 0.0)
     sums = np.stack((used, u, w, u * u, w * w, u * w), axis=-1)  # (n_predictors, n_designs, 6)
-    rows = sums.transpose(1, 0, 2).reshape(len(y), -1)
+    rows = sums.transpose(1, 0, 2).reshape(len(y), 6 * len(x))
     if trial is not None:
         labels, group = np.unique(np.asarray(trial), return_inverse=True)
         grouped = np.zeros((len(labels), rows.shape[1]))

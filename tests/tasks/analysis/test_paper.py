@@ -1,0 +1,183 @@
+import math
+
+import numpy as np
+import pytest
+
+from tasks.analysis import Estimate, Regression, Scores, against_paper
+from tasks.analysis.paper import AGGREGATES, MEANS, PHYSICAL, RANGES, RATIOS, STATEMENTS
+
+NAN = float("nan")
+DEPTHS = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0)
+
+
+def rng(seed=0):
+    return np.random.default_rng(seed)
+
+
+def spread(mean, sd, n):
+    """n values with exactly this mean and sample deviation."""
+    values = np.arange(n) - (n - 1) / 2
+    return mean + sd * values / values.std(ddof=1) if n > 1 else np.array([mean])
+
+
+def like_the_paper(n=10, best=13.6):
+    """A run whose means are the paper's, at every depth."""
+    rows = []
+    for depth in DEPTHS:
+        shallow = depth <= 0.5
+        for arm, sd, zero_shot, adapted in (
+            ("true_slush", 1.0, best, NAN),
+            ("dry_land", 1.0, best - 0.1 if shallow else -0.8, best - 0.1 if shallow else 4.8),
+            ("residual_slush", 1.0, 0.67 * 13.6, 0.87 * 13.6 if depth > 3 else best - 0.3),
+            ("single_member", 4.0, 4.0, 6.0),
+        ):
+            for trial, (z, a) in enumerate(zip(spread(zero_shot, sd, n), spread(adapted, sd, n), strict=True)):
+                rows.append((arm, depth, trial, z, a))
+    evolved_in, depth, trial, z, a = (np.array(column) for column in zip(*rows, strict=True))
+    return Scores(evolved_in, depth, trial, np.full(len(z), NAN), z, a)
+
+
+def accuracy(mean_r=0.77, members_r=np.linspace(0.24, 0.68, 8), n=2376):
+    def regression(name, r, slope):
+        width = 0.02
+        return Regression(
+            name, n, 0,
+            slope=Estimate(slope, slope - width, slope + width),
+            intercept=Estimate(0.0, -width, width),
+            r=Estimate(r, r - width, r + width),
+        )  # fmt: skip
+
+    members = [regression(f"member {k}", r, r + 0.05) for k, r in enumerate(members_r)]
+    return (*members, regression("mean", mean_r, 1.26), regression("mean - 1 sd", 0.6, 0.99))
+
+
+def rows_of(scores, predictions=()):
+    return {row.what: row for row in against_paper(scores, predictions, rng=rng())}
+
+
+def nothing():
+    none = np.empty(0)
+    return Scores(none.astype(str), none, none.astype(int), none, none, none)
+
+
+def test_every_number_and_statement_of_the_paper_has_a_row():
+    rows = against_paper(like_the_paper(), accuracy(), rng=rng())
+    n_statements = sum(len(statement.depths) for statement in STATEMENTS)
+    assert len(rows) == len(MEANS) + len(RATIOS) + 1 + len(RANGES) + len(AGGREGATES) + n_statements + len(PHYSICAL)
+    assert len({row.what for row in rows}) == len(rows)
+    assert all(row.source and row.why and row.paper for row in rows)
+
+
+def test_a_run_like_the_paper_s_agrees():
+    for row in against_paper(like_the_paper(), accuracy(), rng=rng()):
+        expected = "not comparable" if "built robot" in row.what else "agrees"
+        assert row.verdict == expected, row
+
+
+def test_a_number_is_held_against_a_repeat_of_this_run():
+    """n = 10, deviation 1: Student's half width 2.262 / √10, times √2 for the paper's own ten trials, is 1.01."""
+    assert 2.262 / math.sqrt(10) * math.sqrt(2) == pytest.approx(1.01, abs=0.01)
+    for best, verdict in ((13.6 + 1.0, "agrees"), (13.6 + 1.03, "differs"), (13.6 - 1.03, "differs")):
+        row = rows_of(like_the_paper(best=best))["True Slush at 9 m [m]"]
+        assert (row.verdict, row.paper) == (verdict, "13.6") and row.value == pytest.approx(best)
+    assert "a repeat with 10 trials would give" in row.why
+
+
+def test_a_ratio_far_from_the_paper_s_differs():
+    row = rows_of(like_the_paper(best=30.0))["Residual Slush zero-shot / True Slush at 9 m"]
+    assert (row.verdict, row.paper, row.this_run) == ("differs", "67%", "30%")
+
+
+def test_too_few_trials_are_not_comparable():
+    rows = rows_of(like_the_paper(n=1), accuracy())
+    assert rows["True Slush at 9 m [m]"].verdict == "not comparable"
+    assert rows["True Slush at 9 m [m]"].why == "1 value, an interval needs 2 or more"
+    assert rows["True Slush at 9 m [m]"].this_run == "13.6"
+    statement = rows["Student's t at 0.5 m: Dry Land adapted against True Slush"]
+    assert (statement.verdict, statement.why) == ("not comparable", "1 and 1 values, expected 2 or more in both groups")
+
+
+def test_nothing_measured_is_not_comparable_and_says_why():
+    for row in against_paper(nothing(), (), rng=rng()):
+        assert row.verdict == "not comparable" and row.why and row.this_run == "-", row
+
+
+STATED = {
+    "same": "Student's t at 0.5 m: Dry Land adapted against True Slush",
+    "less": "Student's t at 4 m: Dry Land adapted against True Slush",
+    "greater": "Student's t at 9 m: Residual Slush zero-shot against Dry Land adapted",
+}
+
+
+def with_arm(scores, arm, depth, **values):
+    """Replace an arm's scores at a depth."""
+    rows = scores.rows(arm, depth)
+    columns = {name: getattr(scores, name).copy() for name in ("zero_shot", "adapted")}
+    for name, new in values.items():
+        columns[name][rows] = spread(*new, len(rows))
+    return Scores(scores.evolved_in, scores.depth, scores.trial, scores.predicted, **columns)
+
+
+@pytest.mark.parametrize(
+    ("n", "dry_land", "verdict"),
+    [
+        (10, (13.5, 1.0), "agrees"),
+        (10, (8.0, 1.0), "differs"),
+        (4, (13.5, 1.0), "not comparable"),  # four trials rarely show anything
+        (4, (3.0, 1.0), "differs"),  # but these do
+    ],
+)
+def test_a_statement_of_no_difference(n, dry_land, verdict):
+    row = rows_of(with_arm(like_the_paper(n), "dry_land", 0.5, adapted=dry_land))[STATED["same"]]
+    assert row.verdict == verdict and row.paper == "no difference (p > 0.01)"
+
+
+@pytest.mark.parametrize(
+    ("n", "dry_land", "verdict"),
+    [
+        (10, (4.8, 1.0), "agrees"),
+        (4, (4.8, 1.0), "agrees"),  # fewer trials, and yet p < 0.0001
+        (10, (12.0, 1.0), "differs"),  # p = 0.002: no such difference as the paper's
+        (10, (14.0, 1.0), "differs"),
+        (4, (12.0, 1.0), "not comparable"),
+        (4, (14.0, 1.0), "not comparable"),
+        (4, (20.0, 1.0), "differs"),
+    ],
+)
+def test_a_statement_of_a_difference(n, dry_land, verdict):
+    row = rows_of(with_arm(like_the_paper(n), "dry_land", 4.0, adapted=dry_land))[STATED["less"]]
+    assert row.verdict == verdict and row.paper == "less (p < 0.0001)"
+
+
+def test_a_statement_in_the_other_direction():
+    assert rows_of(like_the_paper())[STATED["greater"]].this_run.startswith("greater, p = ")
+    row = rows_of(with_arm(like_the_paper(), "residual_slush", 9.0, zero_shot=(-5.0, 1.0)))[STATED["greater"]]
+    assert (row.verdict, row.why) == ("differs", "the difference is significant in the other direction")
+
+
+def test_members_agree_by_their_median():
+    rows = rows_of(nothing(), accuracy(members_r=[0.1, 0.5, 0.9]))
+    assert rows["Pearson's R of the members, at 9 m"].verdict == "agrees"
+    assert rows["Pearson's R of the members, at 9 m"].this_run == "0.10 to 0.90"
+    assert rows_of(nothing(), accuracy(members_r=[0.7, 0.8, 0.1]))["Pearson's R of the members, at 9 m"].verdict == "differs"
+
+
+def test_an_aggregate_is_held_against_its_interval():
+    """Half width 0.02, times √2 for the paper's own 2376 designs: 0.028."""
+    name = "Pearson's R of the members' mean, at 9 m"
+    assert rows_of(nothing(), accuracy(mean_r=0.797))[name].verdict == "agrees"
+    assert rows_of(nothing(), accuracy(mean_r=0.80))[name].verdict == "differs"
+
+
+def test_what_could_not_be_regressed_passes_its_reason_on():
+    missing = Estimate.missing("every design is predicted to go equally far")
+    rows = rows_of(nothing(), [Regression(name, 9, 0, missing, missing, missing) for name in ("member 0", "mean")])
+    assert rows["slope of the members' mean, at 9 m"].why == missing.reason
+    assert rows["slope of the members, at 9 m"].why == "no member's could be computed"
+
+
+def test_single_members_that_vary_less_differ():
+    name = "deviation over trials, single member / ensemble, zero-shot at 9 m"
+    assert rows_of(like_the_paper())[name].value == pytest.approx(4.0)
+    calm = with_arm(like_the_paper(), "single_member", 9.0, zero_shot=(4.0, 0.5))
+    assert rows_of(calm)[name].verdict == "differs"
