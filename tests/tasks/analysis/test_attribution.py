@@ -25,7 +25,8 @@ E = ([9.0, 10.0, 11.0], [9.0, 10.0, 11.0], [NAN] * 3)  # best 10
 
 def test_a_worked_example():
     """Of a gap of 10 - 2 = 8, a new controller brings 5 back, and 3 are the body's."""
-    (found,) = attribute(table(true_slush=E, dry_land=([60.0, 50.0, 70.0], [1.0, 2.0, 3.0], [6.0, 8.0, 7.0])), rng=rng())
+    dry_land = ([60.0, 50.0, 70.0], [1.0, 2.0, 3.0], [6.0, 8.0, 7.0])
+    (found,) = attribute(table(true_slush=E, dry_land=dry_land), rng=rng())
     assert (found.evolved_in, found.depth, found.n, found.n_best) == ("dry_land", 9.0, 3, 3)
     figures = {name: value.value for name, value in vars(found).items() if hasattr(value, "value")}
     assert figures == pytest.approx(
@@ -92,7 +93,9 @@ def test_where_there_is_no_gap_there_are_no_shares():
 
 def test_a_transfer_matrix():
     found = transfer_matrix(
-        trained=[9, 9, 0.5, 0.5, 9, 9], tested=[0.5, 0.5, 0.5, 0.5, 9, 4], displacement=np.array([10, 14, 24, NAN, 8, 5])
+        trained=[9, 9, 0.5, 0.5, 9, 9],
+        tested=[0.5, 0.5, 0.5, 0.5, 9, 4],
+        displacement=np.array([10, 14, 24, NAN, 8, 5]),
     )
     assert found.trained.tolist() == [0.5, 9] and found.tested.tolist() == [0.5, 4, 9]
     assert found.n.tolist() == [[1, 0, 0], [2, 1, 1]]

@@ -167,7 +167,6 @@ def test_columns_of_different_lengths_are_refused():
 
 
 def test_trials_come_in_the_order_of_their_numbers():
-    table = Scores(
-        np.array(["dry_land"] * 3), np.full(3, 9.0), np.array([2, 0, 1]), np.zeros(3), np.array([2.0, 0.0, 1.0]), np.zeros(3)
-    )
+    trial, zeros = np.array([2, 0, 1]), np.zeros(3)
+    table = Scores(np.array(["dry_land"] * 3), np.full(3, 9.0), trial, zeros, trial.astype(float), zeros)
     assert table.values("dry_land", "zero_shot", 9.0).tolist() == [0.0, 1.0, 2.0]

@@ -84,7 +84,7 @@ def test_states_of_a_trace_are_those_that_the_engine_shows_a_medium():
 
 def test_traces_of_other_designs_are_refused():
     designs = random_designs(2, rng())
-    with pytest.raises(ValueError, match=r"trace has shape \(3, 5, 6, 6\), expected \(..., 2 designs, n_steps, 6 links"):
+    with pytest.raises(ValueError, match=r"trace has shape \(3, 5, 6, 6\), expected \(..., 2 designs, n_steps, "):
         link_states(designs, np.zeros((3, 5, 6, 6), np.float32), PHYSICS)
     with pytest.raises(ValueError, match="of one world"):
         disagreement(designs, np.zeros((8, 2, 5, 6, 6), np.float32), None, PHYSICS)
@@ -140,7 +140,8 @@ def test_a_rollout_that_diverged_is_mapped_as_far_as_it_went(study):
 
 def test_ties_share_a_rank_and_keep_their_order():
     ranked = rank_exploiters(np.array([5.0, 9.0, 5.0, 1.0]), true=np.array([1.0, 2.0, 1.0, 1.0]))
-    assert [(row.rank, row.design, row.excess) for row in ranked] == [(1, 1, 7.0), (2, 0, 4.0), (2, 2, 4.0), (4, 3, 0.0)]
+    found = [(row.rank, row.design, row.excess) for row in ranked]
+    assert found == [(1, 1, 7.0), (2, 0, 4.0), (2, 2, 4.0), (4, 3, 0.0)]
 
 
 def test_equal_excess_is_ranked_by_disagreement():
@@ -150,7 +151,8 @@ def test_equal_excess_is_ranked_by_disagreement():
 
 def test_what_cannot_be_ranked_says_why():
     predicted = np.array([5.0, -np.inf, 5.0, 5.0])
-    ranked = rank_exploiters(predicted, true=np.array([1.0, 1.0, np.nan, np.nan]), disagreement=np.array([0, np.nan, 2, 3]))
+    true, disagreement = np.array([[1.0, 1.0, np.nan, np.nan], [0.0, np.nan, 2.0, 3.0]])
+    ranked = rank_exploiters(predicted, true=true, disagreement=disagreement)
     assert [row.design for row in ranked] == [0, 3, 2, 1]
     assert [row.ranked_by for row in ranked] == ["excess", "disagreement", "disagreement", "nothing"]
     assert [row.reason for row in ranked] == [None, *["diverged in True Slush"] * 2, "diverged where it evolved"]

@@ -51,7 +51,10 @@ def test_one_is_the_distance_of_fresh_throws(known):
     assert np.mean(novelty(thrown_links(fresh, PHYSICS), known).novelty <= 1) == pytest.approx(0.95, abs=0.05)
 
 
-@pytest.mark.parametrize(("component", "value"), [("a", 9.0), ("y", -80.0), ("vx", 90.0), ("vy", -90.0), ("omega", 90.0)])
+FAR = [("a", 9.0), ("y", -80.0), ("vx", 90.0), ("vy", -90.0), ("omega", 90.0)]
+
+
+@pytest.mark.parametrize(("component", "value"), FAR)
 def test_far_from_the_throws_says_how(known, component, value):
     found = novelty(one_link(**{component: value}), known)
     assert found.novelty[0] > 3 and OBSERVATION[found.component[0]] == component
