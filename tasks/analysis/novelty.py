@@ -1,11 +1,16 @@
 """How far a state is from every state that was thrown: where members may agree and still know nothing.
 
-Distances are taken in the networks' own space: the observation (a, y, cos θ, vx, vy, ω), each component divided by its
-deviation over the throws, as the networks read it. No mirror images are added: slush is the same to the left and to
-the right, but the networks are not told so, and know of ω < 0 only what was thrown with ω < 0.
+The space is that of what a network reads of a link's motion: y, cos θ, vx, vy, ω. Velocities are taken as
+asinh(v / v₀), linear below v₀ and logarithmic above, because drag is: half a metre per second is everything to a
+floating link and nothing to a falling one. Then each component is divided by its deviation over the throws.
 
-A distance becomes a figure by what is usual: 1 is the distance within which 95 % of the states of fresh throws have a
-state of other throws. Above 1, a link is where the throws have not been.
+- No mirror images are added: slush is the same to the left and to the right, but the networks are not told so, and
+  know of ω < 0 only what was thrown with ω < 0.
+- A link's length is left out. Throws have three lengths and robots any between; the same gap in every step made up 80 %
+  of the distance of most links, and hid what changes.
+
+A distance becomes a figure by what is usual: 1 is the median over the states of fresh throws of the distance to the
+other throws. A link at 5 is five times as far from what the members were trained on as what they were tested on.
 """
 
 from __future__ import annotations
@@ -20,10 +25,14 @@ from tasks.analysis.uncertainty import Float64, Floats
 from tasks.residual import OBSERVATION, observe
 from tasks.world import LinkStates
 
+SPACE = ("y", "cos_angle", "vx", "vy", "omega")
+"""Components of OBSERVATION that make up the space."""
+_COLUMNS = [OBSERVATION.index(name) for name in SPACE]
+_VELOCITIES = slice(SPACE.index("vx"), None)
+LOW_VELOCITY = 0.5
+"""v₀ [m/s, rad/s]: the lowest band of speeds of the error report, in which swimmers mostly live."""
 FRESH_ONE_IN = 10
 """One throw in this many is taken out to see how far fresh throws are from the others."""
-USUAL = 0.95
-"""Share of the states of fresh throws that lie within one usual distance."""
 MIN_SCALE = 1e-6
 """Stands in for the deviation of a component that never varies: any change of it is far away."""
 
@@ -33,11 +42,11 @@ class Thrown:
     """The states of the throws, to look for the nearest of."""
 
     tree: cKDTree
-    """Of the standardised observations."""
+    """Of their places in the space."""
     scale: Float64
-    """(6,) deviation of each component."""
+    """(5,) deviation of each component."""
     usual: float | None
-    """Standardised distance that counts as 1; None where the reason says why."""
+    """Distance that counts as 1; None where the reason says why."""
     reason: str | None
 
 
@@ -50,7 +59,14 @@ class Novelty:
     novelty: Float64
     """(...) the same over the usual distance; NaN where that is unknown (see Thrown.reason)."""
     component: npt.NDArray[np.int64]
-    """(...) of OBSERVATION, the one that contributes most to the distance; -1 where there is none."""
+    """(...) of SPACE, the one that contributes most to the distance; -1 where there is none."""
+
+
+def _places(observation: Floats) -> Float64:
+    """Map (n_rows, 6) observations to the (n_rows, 5) space, before it is scaled."""
+    rows = np.asarray(observation, dtype=np.float64)[:, _COLUMNS]
+    rows[:, _VELOCITIES] = np.arcsinh(rows[:, _VELOCITIES] / LOW_VELOCITY)
+    return rows
 
 
 def thrown(observation: Floats, throw: npt.ArrayLike) -> Thrown:
@@ -60,36 +76,36 @@ def thrown(observation: Floats, throw: npt.ArrayLike) -> Thrown:
         observation: (n_transitions, 6) in the order of OBSERVATION; finite.
         throw: (n_transitions,) which throw each comes from.
     """
-    rows = np.asarray(observation, dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] != len(OBSERVATION) or len(rows) == 0:
-        raise ValueError(f"observation has shape {rows.shape}, expected (1 or more, {len(OBSERVATION)})")
-    scale = np.maximum(rows.std(axis=0), MIN_SCALE)
-    standard = rows / scale
+    if observation.ndim != 2 or observation.shape[1] != len(OBSERVATION) or len(observation) == 0:
+        raise ValueError(f"observation has shape {observation.shape}, expected (1 or more, {len(OBSERVATION)})")
+    places = _places(observation)
+    scale = np.maximum(places.std(axis=0), MIN_SCALE)
+    places = places / scale
     which = np.asarray(throw)
     fresh = np.isin(which, np.unique(which)[::FRESH_ONE_IN])
     usual, reason = None, None
     if fresh.all():
         reason = "all states are of one throw: there is no telling how far fresh throws are"
     else:
-        distance, _ = cKDTree(standard[~fresh]).query(standard[fresh])
-        usual = float(np.quantile(distance, USUAL))
+        distance, _ = cKDTree(places[~fresh]).query(places[fresh])
+        usual = float(np.median(distance))
         if usual == 0:
             usual, reason = None, "throws repeat each other exactly: there is no telling how far fresh throws are"
-    return Thrown(cKDTree(standard), scale, usual, reason)
+    return Thrown(cKDTree(places), scale, usual, reason)
 
 
 def novelty(links: LinkStates, throws: Thrown) -> Novelty:
-    """Measure how far links of any one shape are from the throws."""
+    """Measure how far links of any one shape are from the throws; some 10,000 states a second."""
     rows = observe(
         length_scale=links.length_scale, y=links.y, cos=links.cos, vx=links.vx, vy=links.vy, omega=links.omega
     )
     shape = rows.shape[:-1]
-    flat = rows.reshape(-1, len(OBSERVATION)).astype(np.float64) / throws.scale
-    known = np.isfinite(flat).all(axis=1)
-    distance = np.full(len(flat), np.nan)
-    component = np.full(len(flat), -1)
+    places = _places(rows.reshape(-1, len(OBSERVATION))) / throws.scale
+    known = np.isfinite(places).all(axis=1)
+    distance = np.full(len(places), np.nan)
+    component = np.full(len(places), -1)
     if known.any():
-        distance[known], nearest = throws.tree.query(flat[known])
-        component[known] = np.abs(flat[known] - throws.tree.data[nearest]).argmax(axis=1)
+        distance[known], nearest = throws.tree.query(places[known])
+        component[known] = np.abs(places[known] - throws.tree.data[nearest]).argmax(axis=1)
     usual = np.nan if throws.usual is None else throws.usual
     return Novelty(distance.reshape(shape), (distance / usual).reshape(shape), component.reshape(shape))
