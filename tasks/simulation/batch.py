@@ -110,6 +110,7 @@ def shared_world(environment: Environment, physics: Physics) -> World:
         motor_gain=single(physics.motor_gain),
         velocity_iterations=physics.velocity_iterations,
         position_iterations=physics.position_iterations,
+        n_links=N_LINKS,
         slush=slush is medium,
         drag=single(0.5 * slush.density * slush.linear_drag * physics.time_step),
         angular_drag=single(slush.density * slush.angular_drag * physics.time_step),

@@ -21,15 +21,12 @@ from tasks.simulation.rows import (
     COS,
     HALF_HEIGHT,
     HALF_WIDTH,
-    IN_BLOCK,
-    INVERSE_11,
-    INVERSE_12,
-    INVERSE_22,
     INVERSE_INERTIA,
     INVERSE_MASS,
     K_11,
     K_12,
     K_22,
+    K_INVERSE_DETERMINANT,
     LOCAL_X_1,
     LOCAL_X_2,
     LOCAL_Y_1,
@@ -44,10 +41,6 @@ from tasks.simulation.rows import (
     R_Y_1,
     R_Y_2,
     SIN,
-    SOLVED_NORMAL_1,
-    SOLVED_NORMAL_2,
-    SOLVED_TANGENT_1,
-    SOLVED_TANGENT_2,
     TANGENT_1,
     TANGENT_2,
     TANGENT_MASS_1,
@@ -164,10 +157,8 @@ def init_velocity_constraint(block: Any, link: int, ground: Any, restitution: An
     k12 = mB + iB * r1_x * r2_x
     in_block = both & (k11 * k11 < MAX_CONDITION_NUMBER * (k11 * k22 - k12 * k12))
     det = k11 * k22 - k12 * k12
-    det = select(det != 0.0, 1.0 / det, det)
-    block[IN_BLOCK + link] = select(in_block, 1.0, 0.0)
     block[K_11 + link], block[K_12 + link], block[K_22 + link] = k11, k12, k22
-    block[INVERSE_11 + link], block[INVERSE_12 + link], block[INVERSE_22 + link] = det * k22, -det * k12, det * k11
+    block[K_INVERSE_DETERMINANT + link] = select(det != 0.0, 1.0 / det, det)
 
     block[R_X_1 + link], block[R_Y_1 + link] = r1_x, r1_y
     block[R_X_2 + link], block[R_Y_2 + link] = r2_x, r2_y
@@ -180,11 +171,13 @@ def init_velocity_constraint(block: Any, link: int, ground: Any, restitution: An
     block[BIAS_2 + link] = select(v_rel_2 < -VELOCITY_THRESHOLD, -(restitution * v_rel_2), 0.0)
 
     normal_1, tangent_1 = dt_ratio * block[NORMAL_1 + link], dt_ratio * block[TANGENT_1 + link]
+    block[NORMAL_1 + link], block[TANGENT_1 + link] = normal_1, tangent_1
     # Where the block is ill-conditioned the second point is left out, and keeps its impulses for the next step.
-    normal_2 = select(in_block, dt_ratio * block[NORMAL_2 + link], 0.0)
-    tangent_2 = select(in_block, dt_ratio * block[TANGENT_2 + link], 0.0)
-    block[SOLVED_NORMAL_1 + link], block[SOLVED_TANGENT_1 + link] = normal_1, tangent_1
-    block[SOLVED_NORMAL_2 + link], block[SOLVED_TANGENT_2 + link] = normal_2, tangent_2
+    normal_2, tangent_2 = block[NORMAL_2 + link], block[TANGENT_2 + link]
+    block[NORMAL_2 + link] = select(in_block, dt_ratio * normal_2, normal_2)
+    block[TANGENT_2 + link] = select(in_block, dt_ratio * tangent_2, tangent_2)
+    normal_2 = select(in_block, dt_ratio * normal_2, 0.0)
+    tangent_2 = select(in_block, dt_ratio * tangent_2, 0.0)
     w = w + iB * (r1_x * normal_1 - r1_y * tangent_1)
     w = w + iB * (r2_x * normal_2 - r2_y * tangent_2)
     block[OMEGA + link] = w
@@ -194,24 +187,29 @@ def init_velocity_constraint(block: Any, link: int, ground: Any, restitution: An
 
 @inline
 def solve_velocity_constraint(block: Any, link: int, friction: Any) -> None:
-    """b2ContactSolver::SolveVelocityConstraints: friction at each point, then the normal impulses of both together."""
+    """b2ContactSolver::SolveVelocityConstraints: friction at each point, then the normal impulses of both together.
+
+    The impulses stay where they are for the next step, so there is nothing left for StoreImpulses.
+    """
     mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
     vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
     r1_x, r1_y = block[R_X_1 + link], block[R_Y_1 + link]
     r2_x, r2_y = block[R_X_2 + link], block[R_Y_2 + link]
-    a1, a2 = block[SOLVED_NORMAL_1 + link], block[SOLVED_NORMAL_2 + link]
+    a1, a2 = block[NORMAL_1 + link], block[NORMAL_2 + link]
+    in_block = block[NORMAL_MASS_2 + link] != 0.0
 
     max_friction = friction * a1
-    old = block[SOLVED_TANGENT_1 + link]
+    old = block[TANGENT_1 + link]
     new = clamp(old - block[TANGENT_MASS_1 + link] * (vx - w * r1_y), -max_friction, max_friction)
-    block[SOLVED_TANGENT_1 + link] = new
+    block[TANGENT_1 + link] = new
     vx = vx + mB * (new - old)
     w = w - iB * (r1_y * (new - old))
 
     max_friction = friction * a2
-    old = block[SOLVED_TANGENT_2 + link]
+    old = block[TANGENT_2 + link]
     new = clamp(old - block[TANGENT_MASS_2 + link] * (vx - w * r2_y), -max_friction, max_friction)
-    block[SOLVED_TANGENT_2 + link] = new
+    new = select(in_block, new, old)
+    block[TANGENT_2 + link] = new
     vx = vx + mB * (new - old)
     w = w - iB * (r2_y * (new - old))
 
@@ -221,11 +219,12 @@ def solve_velocity_constraint(block: Any, link: int, friction: Any) -> None:
     alone = select(alone > 0.0, alone, 0.0)
 
     # The linear complementarity problem b = K x + b', x ≥ 0, b ≥ 0, x · b = 0: the first of the cases that holds.
-    k12 = block[K_12 + link]
-    b1 = b1 - (block[K_11 + link] * a1 + k12 * a2)
-    b2 = b2 - (k12 * a1 + block[K_22 + link] * a2)
-    x1 = -(block[INVERSE_11 + link] * b1 + block[INVERSE_12 + link] * b2)
-    x2 = -(block[INVERSE_12 + link] * b1 + block[INVERSE_22 + link] * b2)
+    k11, k12, k22 = block[K_11 + link], block[K_12 + link], block[K_22 + link]
+    inverse_det = block[K_INVERSE_DETERMINANT + link]
+    b1 = b1 - (k11 * a1 + k12 * a2)
+    b2 = b2 - (k12 * a1 + k22 * a2)
+    x1 = -(inverse_det * k22 * b1 - inverse_det * k12 * b2)
+    x2 = -(inverse_det * k11 * b2 - inverse_det * k12 * b1)
     case_1 = (x1 >= 0.0) & (x2 >= 0.0)
     only_1 = -(block[NORMAL_MASS_1 + link] * b1)
     case_2 = (only_1 >= 0.0) & (k12 * only_1 + b2 >= 0.0)
@@ -235,23 +234,13 @@ def solve_velocity_constraint(block: Any, link: int, friction: Any) -> None:
     x1 = select(case_1, x1, select(case_2, only_1, select(case_3 | case_4, 0.0, a1)))
     x2 = select(case_1, x2, select(case_2, 0.0, select(case_3, only_2, select(case_4, 0.0, a2))))
 
-    in_block = block[IN_BLOCK + link] != 0.0
     x1 = select(in_block, x1, alone)
     x2 = select(in_block, x2, a2)
-    block[SOLVED_NORMAL_1 + link], block[SOLVED_NORMAL_2 + link] = x1, x2
+    block[NORMAL_1 + link], block[NORMAL_2 + link] = x1, x2
     d1, d2 = x1 - a1, x2 - a2
     block[VX + link] = vx
     block[VY + link] = vy + mB * (d1 + d2)
     block[OMEGA + link] = w + iB * (r1_x * d1 + r2_x * d2)
-
-
-@inline
-def store_impulses(block: Any, link: int) -> None:
-    """b2ContactSolver::StoreImpulses: keep them for the next step."""
-    in_block = block[IN_BLOCK + link] != 0.0
-    block[NORMAL_1 + link], block[TANGENT_1 + link] = block[SOLVED_NORMAL_1 + link], block[SOLVED_TANGENT_1 + link]
-    block[NORMAL_2 + link] = select(in_block, block[SOLVED_NORMAL_2 + link], block[NORMAL_2 + link])
-    block[TANGENT_2 + link] = select(in_block, block[SOLVED_TANGENT_2 + link], block[TANGENT_2 + link])
 
 
 @inline

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tasks.design.genes import N_LINKS
 from tasks.simulation import contact, joint
 from tasks.simulation.drive import SINE_OF_TURNS
 from tasks.simulation.joint import of_parent
@@ -23,8 +22,8 @@ from tasks.simulation.rows import (
     COS,
     DIVERGENCE,
     FREQUENCY,
+    HALF_HEIGHT,
     INERTIA,
-    LENGTH,
     MASS,
     MOTION_RANGE,
     MOTOR_SPEED,
@@ -68,6 +67,8 @@ class World(NamedTuple):
     """[1/s]"""
     velocity_iterations: int
     position_iterations: int
+    n_links: int
+    """Always 6, but told at run time: the compiler would unroll loops, and outgrow the cache of instructions."""
     slush: bool
     """Whether the built-in slush fills the world below y = 0; its factors follow."""
     drag: np.float32
@@ -102,7 +103,7 @@ def _share(lanes: Any) -> Any:
 @inline
 def submerge(block: Any, link: int, world: Any) -> None:
     """Drag and buoyancy of the slush on a link over one step; see tasks/world/slush.py."""
-    length, width = block[LENGTH + link], block[WIDTH + link]
+    length, width = 2.0 * block[HALF_HEIGHT + link], block[WIDTH + link]  # halving was exact
     rise_short, rise_long = abs(block[SIN + link]) * width / 2.0, abs(block[COS + link]) * length / 2.0
     depth = rise_short + rise_long - block[Y + link]
     if not any_lane(depth > 0.0):
@@ -157,7 +158,7 @@ def solve_velocities(block: Any, world: Any) -> None:
         joint.solve_velocity_constraint(block, 2)
         joint.solve_velocity_constraint(block, 3)
         joint.solve_velocity_constraint(block, 4)
-        for link in range(N_LINKS):
+        for link in range(world.n_links):
             if contact.touching(block, link):
                 contact.solve_velocity_constraint(block, link, world.friction)
 
@@ -168,7 +169,7 @@ def solve_positions(block: Any, world: Any) -> None:
     unsolved = block[DIVERGENCE] == 0.0
     for _ in range(world.position_iterations):
         solved = unsolved
-        for link in range(N_LINKS):
+        for link in range(world.n_links):
             if contact.touching(block, link):
                 solved = solved & contact.solve_position_constraint(block, link, world.ground, unsolved)
         solved = solved & joint.solve_position_constraint(block, 0, unsolved)
@@ -190,7 +191,7 @@ def take_step(block: Any, world: Any, step: int) -> None:
     command_motor(block, 2, time, world.motor_gain)
     command_motor(block, 3, time, world.motor_gain)
     command_motor(block, 4, time, world.motor_gain)
-    for link in range(N_LINKS):
+    for link in range(world.n_links):
         if world.slush:
             submerge(block, link, world)
         block[VY + link] = block[VY + link] + world.fall
@@ -203,9 +204,7 @@ def take_step(block: Any, world: Any, step: int) -> None:
     joint.init_velocity_constraint(block, 3, world.dt_ratio)
     joint.init_velocity_constraint(block, 4, world.dt_ratio)
     solve_velocities(block, world)
-    for link in range(N_LINKS):
-        if contact.touching(block, link):
-            contact.store_impulses(block, link)
+    for link in range(world.n_links):
         integrate_position(block, link, world.dt)
     solve_positions(block, world)
     divergence = block[DIVERGENCE]
@@ -215,9 +214,9 @@ def take_step(block: Any, world: Any, step: int) -> None:
 
 
 @inline
-def orient(block: Any) -> None:
+def orient(block: Any, world: Any) -> None:
     """Sine and cosine of the angles at the spawn; from then on they follow the angles."""
-    for link in range(N_LINKS):
+    for link in range(world.n_links):
         block[SIN + link], block[COS + link] = sincos(block[ANGLE + link])
 
 
@@ -236,7 +235,7 @@ def advance(blocks: Any, n_groups: int, world: Any, first_step: int, n_steps: in
     for group in range(n_groups):
         block = from_row(blocks, group * N_ROWS)
         if first_step == 0:
-            orient(block)
+            orient(block, world)
         for step in range(n_steps):
             take_step(block, world, first_step + step)
             if traced:
