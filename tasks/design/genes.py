@@ -110,7 +110,7 @@ class Designs:
         for name, dtype in DTYPES.items():
             came = np.asarray(getattr(self, name))
             array = came.astype(dtype, copy=False)
-            if dtype is not np.float64 and not np.array_equal(array, came):
+            if dtype is not np.float64 and came.dtype != dtype and not np.array_equal(array, came):
                 raise DesignError(f"designs: {name} has values that are no {np.dtype(dtype).name}: {came.tolist()}")
             object.__setattr__(self, name, array)
         n_designs = self.frequency.size

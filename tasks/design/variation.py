@@ -7,7 +7,8 @@ are and the controllers alone vary: that is the paper's controller adaptation.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -85,7 +86,7 @@ def mutate(
     changes = rng.random(table.shape) < mutation.genes_changed / N_GENES
     while True:
         steps = rng.standard_normal(table.shape) * mutation.step
-        varied = np.where(changes, _stepped(genes, table, steps), varied)
+        varied = np.where(changes, _stepped(_limits(parts), table, steps), varied)
         same = (varied == table).all(axis=1)
         if not same.any():
             break
@@ -109,18 +110,36 @@ def _columns(gene: Gene, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return array[:, gene.first_link :] if gene.per_link else array[:, None]
 
 
+class _Limits(NamedTuple):
+    """Of every number in a table of genes."""
+
+    low: npt.NDArray[np.float64]
+    high: npt.NDArray[np.float64]
+    is_angle: npt.NDArray[np.bool_]
+    is_flag: npt.NDArray[np.bool_]
+
+
+@cache
+def _limits(parts: tuple[Part, ...]) -> _Limits:
+    numbers = [gene for gene in GENES if gene.part in parts for _ in range(gene.n_numbers)]
+    return _Limits(
+        low=np.array([gene.low for gene in numbers]),
+        high=np.array([gene.high for gene in numbers]),
+        is_angle=np.array([gene.kind == "angle" for gene in numbers]),
+        is_flag=np.array([gene.kind == "flag" for gene in numbers]),
+    )
+
+
 def _stepped(
-    genes: list[Gene], table: npt.NDArray[np.float64], steps: npt.NDArray[np.float64]
+    limits: _Limits, table: npt.NDArray[np.float64], steps: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
     """Move every number of a table of genes by a share of its gene's range, and back within its bounds."""
-    counts = [gene.n_numbers for gene in genes]
-    low, high = np.repeat([gene.low for gene in genes], counts), np.repeat([gene.high for gene in genes], counts)
-    kind = np.repeat([gene.kind for gene in genes], counts)
+    low, high, is_angle, is_flag = limits
     moved = table + steps * (high - low)
     wrapped = low + np.mod(moved - low, high - low)
     # The clip also catches the rounding of a remainder just below an angle's end.
-    within = np.clip(np.where(kind == "angle", wrapped, moved), low, high)
-    return np.where(kind == "flag", 1.0 - table, within)
+    within = np.clip(np.where(is_angle, wrapped, moved), low, high)
+    return np.where(is_flag, 1.0 - table, within)
 
 
 def _rewire(parent: npt.NDArray[np.int64], rng: Generator, probability: float) -> None:

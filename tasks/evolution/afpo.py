@@ -143,7 +143,7 @@ def ask(population: Population, rng: Generator, afpo: Afpo, *, body: Designs | N
     operator = rng.choice(len(OPERATORS), size=n_children, p=afpo.shares)
     if n_parents == 0:
         operator[:] = RANDOM
-    designs = random_designs(n_children, rng, body=body)
+    arrays = {name: array.copy() for name, array in random_designs(n_children, rng, body=body).arrays()}
     age = np.zeros(n_children, dtype=np.int64)
     parents = np.full((n_children, 2), NOBODY, dtype=np.int64)
 
@@ -155,26 +155,25 @@ def ask(population: Population, rng: Generator, afpo: Afpo, *, body: Designs | N
         chosen = one[mutants]
         parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
         mutated = mutate(population.designs[chosen], rng, mutation=afpo.mutation, parts=parts)
-        designs = _put(designs, mutants, mutated)
+        _put(arrays, mutants, mutated)
         age[mutants] = population.age[chosen]
         parents[mutants, 0] = population.identity[chosen]
     recombined = np.flatnonzero(operator == CROSSOVER)
     if recombined.size:
         left, right = one[recombined], other[recombined]
-        designs = _put(designs, recombined, crossover(population.designs[left], population.designs[right], rng))
+        _put(arrays, recombined, crossover(population.designs[left], population.designs[right], rng))
         age[recombined] = np.maximum(population.age[left], population.age[right])
         parents[recombined] = np.stack([population.identity[left], population.identity[right]], axis=1)
 
     identity = population.n_evaluated + np.arange(n_children)
+    designs = Designs.from_arrays(arrays)
     return Children(designs=designs, age=age, identity=identity, operator=operator.astype(np.int64), parents=parents)
 
 
-def _put(designs: Designs, where: Ints, replacements: Designs) -> Designs:
-    """Replace some designs by others."""
-    arrays = {name: array.copy() for name, array in designs.arrays()}
+def _put(arrays: Mapping[str, npt.NDArray[Any]], where: Ints, replacements: Designs) -> None:
+    """Put designs in the place of others."""
     for name, array in replacements.arrays():
         arrays[name][where] = array
-    return Designs(**arrays)
 
 
 def tell(
