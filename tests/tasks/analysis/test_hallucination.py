@@ -111,8 +111,8 @@ def test_trained_members_are_asked_about_the_same_links(study):
 
 
 def test_the_size_of_an_acceleration_is_that_of_the_link_s_points():
-    """The mean square over a 2 m × 0.5 m link of a = (3, 4) and α = 2, point by point."""
-    links = LinkStates(*np.array([[2.0], [1.0], [(4 + 0.25) / 12], *[[0.0]] * 6]))
+    """The mean square over a 2 m × 0.5 m link of 3 kg, of a = (3, 4) and α = 2, point by point."""
+    links = LinkStates(*np.array([[2.0], [3.0], [3 * (4 + 0.25) / 12], *[[0.0]] * 6]))
     x, y = np.meshgrid((np.arange(400) + 0.5) / 800 - 0.25, (np.arange(400) + 0.5) / 200 - 1)
     mean_square = np.mean((3 - 2 * y) ** 2 + (4 + 2 * x) ** 2)
     assert size(np.array([[3.0, 4.0, 2.0]]), links)[0] == pytest.approx(np.sqrt(mean_square), rel=1e-5)

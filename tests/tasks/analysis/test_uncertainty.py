@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from tasks.analysis import Estimate, bootstrap, mean
-from tasks.analysis.uncertainty import is_constant
+from tasks.analysis.uncertainty import _acceleration, _bca, is_constant
 
 
 def rng(seed=0):
@@ -42,6 +42,22 @@ def test_large_samples_have_scipy_s_bca_interval():
     assert found.low == pytest.approx(expected.low, abs=0.2 * deviation)
     assert found.high == pytest.approx(expected.high, abs=0.2 * deviation)
     assert found.high - found.value > 1.03 * (found.value - found.low)  # as the data are skewed
+
+
+def test_the_acceleration_of_a_mean_is_its_skewness():
+    """Efron & Tibshirani's (14.15): Σ (x - x̄)³ / (6 (Σ (x - x̄)²)^1.5), for a mean."""
+    x = rng(9).exponential(1.0, (12, 1))
+    d = x - x.mean()
+    (found,) = _acceleration(itself, (x,), [x.mean(axis=0)])
+    assert found == pytest.approx(np.sum(d**3) / (6 * np.sum(d**2) ** 1.5))
+    assert found > 0.05
+
+
+def test_ends_move_with_the_acceleration():
+    """Normal resamples around the value have no bias; (14.10) then puts the ends at ± z / (1 ∓ a z)."""
+    normal = stats.norm.ppf((np.arange(200_000) + 0.5) / 200_000)
+    found = _bca(0.0, normal, 0.1, 1.96, "it is undefined")
+    assert (found.low, found.high) == pytest.approx((-1.96 / (1 + 0.196), 1.96 / (1 - 0.196)), abs=1e-3)
 
 
 def test_two_samples_have_scipy_s_acceleration():
