@@ -1,0 +1,57 @@
+"""`make bench`: measure the engines and the networks on one core, print a table, write bench.json.
+
+Every figure is the median of several rounds. A round measures all peers once, one after the other, so that a ratio
+compares what ran at the same time on the same machine.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"})
+
+import json
+import platform
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import engines, networks
+from benchmarks.measure import Figure
+
+OUT = Path("bench.json")
+
+
+def machine() -> dict[str, str | int | None]:
+    """Describe what was measured on."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        cpu = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        cpu = platform.processor()
+    return {"cpu": cpu, "cores": os.cpu_count(), "python": platform.python_version(), "lanes": engines.N_LANES}
+
+
+def main() -> None:
+    """Measure, print, write."""
+    console = Console(width=118)
+    figures: list[Figure] = []
+    for measure in (engines.first_call, engines.steps, engines.packing, engines.two_processes, networks.inference,
+                    networks.generation):  # fmt: skip
+        console.print(f"[dim]{measure.__doc__}[/dim]")
+        figures += measure()
+    table = Table(title=f"One core of {machine()['cpu']}")
+    for heading in ("what", "median", "spread", "unit", "promised"):
+        table.add_column(heading, justify="left" if heading in ("what", "unit") else "right")
+    for figure in figures:
+        low, high = min(figure.rounds), max(figure.rounds)
+        kept = "" if figure.promise is None else f"{figure.promise_text} {'✓' if figure.kept else '✗'}"
+        table.add_row(figure.name, f"{figure.median:.3g}", f"{low:.3g} to {high:.3g}", figure.unit, kept)
+    console.print(table)
+    OUT.write_text(json.dumps({"machine": machine(), "figures": [figure.as_dict() for figure in figures]}, indent=1))
+    console.print(f"written to {OUT}")
+
+
+if __name__ == "__main__":
+    main()

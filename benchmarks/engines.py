@@ -1,0 +1,168 @@
+"""Steps of robots: the batch engine, pybox2d and the obvious script."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks import obvious
+from benchmarks.measure import Figure, seconds
+from tasks.design import Designs, random_designs
+from tasks.design.body import kinematic_trees
+from tasks.simulation import batch, reference, simulate
+from tasks.simulation.drive import Drive
+from tasks.simulation.lanes import widest
+from tasks.world import DryLand, Environment, Physics, Slush, TrueSlush
+
+N_LANES = widest()
+N_DESIGNS = 64
+N_STEPS = 1400
+N_ROUNDS = 7
+PHYSICS = Physics()
+
+
+def designs() -> Designs:
+    """Draw a generation of designs, always the same."""
+    return random_designs(N_DESIGNS, np.random.default_rng(64))
+
+
+def first_call() -> list[Figure]:
+    """Make the first call of the batch engine: compiled, then from the cache."""
+    program = (
+        "import time, numpy as np\n"
+        "from tasks.design import random_designs\n"
+        "from tasks.simulation import batch\n"
+        "from tasks.world import Physics, TrueSlush\n"
+        "designs = random_designs(64, np.random.default_rng(0))\n"
+        "start = time.perf_counter()\n"
+        "batch.roll_out(designs, TrueSlush(1.0), Physics(), n_settle=1, n_measure=1, trace=False)\n"
+        "print(time.perf_counter() - start)\n"
+    )
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        cold, *warm = (
+            float(subprocess.check_output([sys.executable, "-c", program], env=environment, stderr=subprocess.DEVNULL))
+            for _ in range(4)
+        )
+    return [
+        Figure("first call, compiling", [cold], "s", 40.0),
+        Figure("first call, from the cache", warm, "s", 1.0),
+    ]
+
+
+def _batch(designs: Designs, environment: Environment) -> float:
+    groups = batch.Groups(designs, PHYSICS, n_members=1, n_lanes=N_LANES)
+    world = batch.shared_world(environment, PHYSICS)
+    return seconds(lambda: groups.advance(world, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
+
+
+def _bare_steps(designs: Designs, environment: Environment, n_steps: int) -> float:
+    """pybox2d's own Step of 64 worlds and nothing else."""
+    trees, drive = kinematic_trees(designs, density=PHYSICS.link_density), Drive.of(designs)
+    worlds = [
+        reference._Robot(trees, design, drive, environment.depth, PHYSICS).world for design in range(len(designs))
+    ]
+
+    def run() -> None:
+        for _ in range(n_steps):
+            for world in worlds:
+                world.Step(PHYSICS.time_step, PHYSICS.velocity_iterations, PHYSICS.position_iterations)
+
+    return seconds(run) / len(designs) / n_steps * 1e6
+
+
+def _reference(designs: Designs, environment: Environment, n_steps: int) -> float:
+    run = partial(simulate, designs, environment, n_settle=0, n_measure=n_steps, engine="reference")
+    return seconds(run) / len(designs) / n_steps * 1e6
+
+
+def _obvious(designs: Designs, environment: Environment, n_steps: int) -> float:
+    robots = [obvious.Robot(designs, i, environment.depth, PHYSICS, Slush()) for i in range(len(designs))]
+
+    def run() -> None:
+        for robot in robots:
+            for _ in range(n_steps):
+                robot.step()
+
+    return seconds(run) / len(designs) / n_steps * 1e6
+
+
+def steps() -> list[Figure]:
+    """Step 64 robots in true slush: the batch engine and its peers."""
+    figures = []
+    population = designs()
+    _batch(population, DryLand(0.0))
+    for depth, promise in ((0.0, 0.5), (1.0, None), (9.0, 0.35)):
+        environment = TrueSlush(depth)
+        ours, bare, whole, script = [], [], [], []
+        for _ in range(N_ROUNDS):
+            ours.append(_batch(population, environment))
+            bare.append(_bare_steps(population, environment, 200))
+            whole.append(_reference(population, environment, 100))
+            script.append(_obvious(population[:8], environment, 100))
+        unit = "µs per robot and step"
+        figures += [
+            Figure(f"batch engine, d = {depth:g}", ours, unit, promise),
+            Figure(f"pybox2d's Step alone, d = {depth:g}", bare, unit),
+            Figure(f"reference engine, d = {depth:g}", whole, unit),
+            Figure(f"the obvious script, d = {depth:g}", script, unit),
+            Figure(f"Step alone over batch, d = {depth:g}", _over(bare, ours), "times", 20.0, at_least=True),
+            Figure(f"obvious script over batch, d = {depth:g}", _over(script, ours), "times", 400.0, at_least=True),
+        ]
+    return figures
+
+
+def _over(theirs: list[float], ours: list[float]) -> list[float]:
+    return [a / b for a, b in zip(theirs, ours, strict=True)]
+
+
+def packing() -> list[Figure]:
+    """Pack 64 designs into lanes, over their rollouts."""
+    population, environment = designs(), TrueSlush(9.0)
+    world = batch.shared_world(environment, PHYSICS)
+    shares = []
+    for _ in range(N_ROUNDS):
+        pack = partial(batch.Groups, population, PHYSICS, n_members=1, n_lanes=N_LANES)
+        packed = min(seconds(pack) for _ in range(20))
+        groups = pack()
+        shares.append(100 * packed / seconds(lambda groups=groups: groups.advance(world, 0, N_STEPS, None)))
+    return [Figure("packing 64 designs over their rollouts, d = 9", shares, "%", 5.0)]
+
+
+def _work(barrier: Any, results: Any, n_rollouts: int) -> None:
+    population = designs()
+    _batch(population, TrueSlush(1.0))
+    barrier.wait()
+    start = time.process_time()
+    for _ in range(n_rollouts):
+        _batch(population, TrueSlush(1.0))
+    results.put(time.process_time() - start)
+
+
+def _rate(n_processes: int, n_rollouts: int) -> float:
+    """Rollouts of some processes at once, per second of their own cores."""
+    context = multiprocessing.get_context("spawn")
+    barrier, results = context.Barrier(n_processes), context.Queue()
+    workers = [context.Process(target=_work, args=(barrier, results, n_rollouts)) for _ in range(n_processes)]
+    for worker in workers:
+        worker.start()
+    rate = sum(n_rollouts / results.get() for _ in workers)
+    for worker in workers:
+        worker.join()
+    return rate
+
+
+def two_processes() -> list[Figure]:
+    """Run two processes on two cores, and one: by the time that each got its core, whoever else wanted it."""
+    if (os.cpu_count() or 1) < 2:
+        return []
+    ratios = [_rate(2, 150) / _rate(1, 150) for _ in range(3)]
+    return [Figure("two processes over one", ratios, "times", 1.8, at_least=True)]

@@ -1,0 +1,126 @@
+"""Networks on one core: our kernel against torch and against the core's own peak."""
+
+# ruff: noqa: ARG001 (numba gives every intrinsic its context)
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from benchmarks.engines import N_ROUNDS, N_STEPS, designs
+from benchmarks.measure import Figure, seconds
+from tasks.residual.ensemble import Ensemble
+from tasks.simulation import simulate
+from tasks.simulation.networks import N_LANES
+from tasks.world import ResidualSlush
+
+N_MEMBERS = 8
+N_TIMED = 140
+"""Steps that are timed, of the N_STEPS of a generation: every step costs the same."""
+SHAPES = ((2, 32), (2, 64), (3, 128), (4, 256))
+N_CHAINS = 24 if N_LANES == 16 else 12
+
+
+@intrinsic
+def _multiply_add(typing: Any, n: Any) -> Any:
+    """Chains of multiply-adds, independent of each other and all in registers: the most that the core can do."""
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        vector = ir.VectorType(ir.FloatType(), N_LANES)
+        fma = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(vector, [vector] * 3), f"llvm.fma.v{N_LANES}f32"
+        )
+        before, loop, after = builder.block, builder.append_basic_block(), builder.append_basic_block()
+        builder.branch(loop)
+        builder.position_at_end(loop)
+        i, chains = builder.phi(args[0].type), [builder.phi(vector) for _ in range(N_CHAINS)]
+        factor, term = (ir.Constant(vector, [x] * N_LANES) for x in (0.999, 1e-3))
+        grown = [builder.call(fma, [chain, factor, term]) for chain in chains]
+        following = builder.add(i, ir.Constant(i.type, 1))
+        i.add_incoming(ir.Constant(i.type, 0), before)
+        i.add_incoming(following, loop)
+        for k, (chain, value) in enumerate(zip(chains, grown, strict=True)):
+            chain.add_incoming(ir.Constant(vector, [float(k)] * N_LANES), before)
+            chain.add_incoming(value, loop)
+        builder.cbranch(builder.icmp_signed("<", following, args[0]), loop, after)
+        builder.position_at_end(after)
+        total = grown[0]
+        for value in grown[1:]:
+            total = builder.fadd(total, value)
+        return builder.extract_element(total, ir.Constant(ir.IntType(32), 0))
+
+    return types.float32(types.intp), emit
+
+
+@numba.njit
+def _peak(n: int) -> float:
+    return _multiply_add(n)
+
+
+def peak_gflops() -> float:
+    """Measure the core's peak in float32 [GFLOP/s]."""
+    n = 300_000
+    return 2 * N_CHAINS * N_LANES * n / seconds(lambda: _peak(n)) / 1e9
+
+
+def ensemble(hidden_layers: int, width: int) -> Ensemble:
+    """Untrained networks of a shape."""
+    rng = np.random.default_rng(1)
+    sizes = (6, *[width] * hidden_layers, 3)
+    weights = [(rng.normal(size=(N_MEMBERS, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
+    weights[-1] *= np.float32(0.01)
+    return Ensemble(tuple(weights), tuple(np.zeros((N_MEMBERS, b), np.float32) for b in sizes[1:]))
+
+
+def inference() -> list[Figure]:
+    """Infer with 8 members on 384 rows each: our kernel, torch's bmm, the core's peak."""
+    _peak(10)
+    figures = []
+    torch.set_num_threads(1)
+    rows = np.random.default_rng(2).normal(size=(N_MEMBERS, 384, 6)).astype(np.float32)
+    for hidden_layers, width in SHAPES:
+        nets = ensemble(hidden_layers, width)
+        flop = 2 * rows.shape[0] * rows.shape[1] * sum(a * b for a, b in pairwise((6, *[width] * hidden_layers, 3)))
+        error = abs(nets.predict(rows) - nets.predict_with_torch(rows)).max() / abs(nets.predict(rows)).max()
+        rates, shares, ratios = [], [], []
+        for _ in range(N_ROUNDS):
+            peak = max(peak_gflops() for _ in range(5))
+            ours, theirs = (
+                min(seconds(lambda run=run: run(rows)) for _ in range(8))
+                for run in (nets.predict, nets.predict_with_torch)
+            )
+            rates.append(rows.shape[0] * rows.shape[1] / ours / 1e6)
+            shares.append(100 * flop / ours / 1e9 / peak)
+            ratios.append(theirs / ours)
+        shape = f"{hidden_layers} × {width}"
+        figures += [
+            Figure(f"networks {shape}", rates, "million rows/s"),
+            Figure(f"networks {shape} of the fp32 peak", shares, "%", 70.0 if width == 256 else None, at_least=True),
+            Figure(f"networks {shape} over torch", ratios, "times", 1.3 if width in (64, 128) else None, at_least=True),
+            Figure(f"networks {shape} from torch, relative", [float(error)], "1", 1e-5),
+        ]
+    return [Figure("fp32 peak of the core", [peak_gflops() for _ in range(N_ROUNDS)], "GFLOP/s"), *figures]
+
+
+def generation() -> list[Figure]:
+    """Evaluate a generation in Residual Slush: 64 designs, 8 members."""
+    figures = []
+    for hidden_layers, width in SHAPES:
+        environment = ResidualSlush(2.0, ensemble(hidden_layers, width))
+        simulate(designs(), environment, n_settle=1, n_measure=1)
+        rounds = [
+            seconds(lambda e=environment: simulate(designs(), e, n_settle=N_TIMED // 7, n_measure=6 * N_TIMED // 7))
+            for _ in range(3)
+        ]
+        scaled = [r * N_STEPS / N_TIMED for r in rounds]
+        promise = 16.0 if width == 256 else None
+        figures.append(Figure(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", promise))
+    return figures
