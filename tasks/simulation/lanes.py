@@ -13,6 +13,7 @@ see simd.py.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, TypeVar, cast
@@ -128,6 +129,7 @@ def count_lanes(lanes: Any) -> int:
     return len(lanes)
 
 
+@functools.cache  # asking LLVM takes longer than packing designs
 def widest() -> int:
     """Count the lanes that this machine's vector registers favour; the bits do not depend on it."""
     features = llvm.get_host_cpu_features()
