@@ -1,4 +1,4 @@
-"""Put the README's performance section together from a run of `make bench`: `python -m benchmarks.readme [bench.json]`."""
+"""Make the README's performance section from a run of `make bench`: `python -m benchmarks.readme [bench.json]`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def section(results: dict[str, Any]) -> str:
     """Give the table of a run in Markdown."""
     machine = results["machine"]
     lines = [
-        f"One core of: {machine['cpu']}, {machine['lanes']} lanes, Python {machine['python']}. Medians of repeated rounds;",
-        "a ratio compares what ran in the same round.",
+        f"One core of: {machine['cpu']}, {machine['lanes']} lanes, Python {machine['python']}.",
+        "Medians of repeated rounds; a ratio compares what ran in the same round.",
         "",
         "| what | median | spread | unit | promised |",
         "|---|--:|--:|---|---|",
