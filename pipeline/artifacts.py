@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 import safetensors.numpy
 from safetensors import SafetensorError
 
-from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 Array: TypeAlias = npt.NDArray[Any]
@@ -135,11 +135,11 @@ def check_format(found: Any, *, schema: str, version: int, source: str) -> None:
     if found["schema"] != schema:
         raise PuddleError(f"{source}: {expected}, came {found['schema']!r}. Is it the right file?")
     if found["version"] > version:
-        raise PuddleError(
+        raise OtherVersion(
             f"{source}: {expected}, came version {found['version']}. A newer puddle wrote it: upgrade puddle."
         )
     if found["version"] < version:
-        raise PuddleError(
+        raise OtherVersion(
             f"{source}: {expected}, came version {found['version']}. "
             f"An older puddle wrote it: make it again, or use that version of puddle."
         )

@@ -105,7 +105,11 @@ def parse(model: type[M], text: str, *, name: str, overrides: Sequence[str] = ()
         # As JSON, because there pydantic can be strict about numbers and text and yet take a list for a tuple.
         return model.model_validate_json(json.dumps(_plain(root)), strict=True)
     except ValidationError as errors:
-        lines = [_explain(model, root, error) for error in errors.errors(include_url=False)]
+        found = errors.errors(include_url=False)
+        # Of a list whose elements were refused, pydantic says too that it is too short.
+        faulty = {error["loc"][:-1] for error in found}
+        found = [error for error in found if error["type"] != "too_short" or error["loc"] not in faulty]
+        lines = [_explain(model, root, error) for error in found]
         raise PuddleError("\n".join(lines)) from None
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.artifacts import decode_json
 from pipeline.errors import PuddleError
 from tasks.design import N_LINKS, DesignError, Designs, check
-from tasks.design.genes import DTYPES
+from tasks.design.genes import DTYPES, is_per_link
 
 SCHEMA, VERSION = "puddle.design", 1
 
@@ -51,17 +51,20 @@ def design_from(document: Any, source: str) -> Designs:
 def _field(name: str, value: Any, source: str) -> Any:
     """Check a field's type and length; its bounds are checked with the whole design."""
     kinds: tuple[type, ...] = {np.bool_: (bool,), np.int64: (int,)}.get(DTYPES[name], (int, float))
-    values = [value] if name == "frequency" else value
-    n_expected = 1 if name == "frequency" else N_LINKS
+    values = value if is_per_link(name) else [value]
+    n_expected = N_LINKS if is_per_link(name) else 1
     word = {np.bool_: "true or false", np.int64: "whole number"}.get(DTYPES[name], "number")
     if (
         not isinstance(values, list)
         or len(values) != n_expected
         or not all(isinstance(v, kinds) and (bool in kinds or not isinstance(v, bool)) for v in values)
     ):
-        expected = f"one {word}" if name == "frequency" else f"a list of {N_LINKS} values, each a {word}"
+        expected = f"a list of {N_LINKS} values, each a {word}" if is_per_link(name) else f"one {word}"
         raise PuddleError(f"{source}: {name}: expected {expected}, came {json.dumps(value)[:100]}")
-    return np.asarray(value, dtype=DTYPES[name])
+    try:
+        return np.asarray(value, dtype=DTYPES[name])
+    except OverflowError:
+        raise PuddleError(f"{source}: {name}: expected numbers of a design's size, came {str(value)[:100]}") from None
 
 
 def read_design(path: Path) -> Designs:

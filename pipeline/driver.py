@@ -53,14 +53,16 @@ def drive(
                 cluster.append(stack.enter_context(open_cluster()))
             return cluster[0]
 
+        discarded: set[tuple[str, str]] = set()
         while True:
             try:
                 return _drive(settings, wanted, store, the_cluster, tracker, progress, how_to_run)
             except DamagedArtifact as damage:
-                if damage.stage is None or damage.key is None:
-                    raise
+                if damage.stage is None or damage.key is None or (damage.stage, damage.key) in discarded:
+                    raise  # not an item's, or made anew and damaged again: the disk can't be trusted
                 progress.say(f"{damage}")
                 store.discard(damage.stage, damage.key)
+                discarded.add((damage.stage, damage.key))
 
 
 def _drive(
@@ -133,6 +135,7 @@ def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary
             params=trial.params,
             metrics=trial.metrics,
             curves={name: curve.tolist() for name, curve in trial.curves.items()},
+            steps=trial.steps,
             outputs={trial.name: results.done[trial.name][-1].digest},
             status="FINISHED",
         )

@@ -23,5 +23,9 @@ class DamagedArtifact(PuddleError):  # noqa: N818 (what it is, not that it went 
         self.key = key
 
 
+class OtherVersion(PuddleError):  # noqa: N818
+    """A document of our own, of a version that this puddle does not read."""
+
+
 class Irreproducible(PuddleError):  # noqa: N818
     """The same work gave other bytes than before: a defect, and reported as one."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.artifacts import Json, canonical_json, decode_sealed, digest, encode_sealed, key_of
-from pipeline.errors import DamagedArtifact, Irreproducible
+from pipeline.errors import DamagedArtifact, Irreproducible, OtherVersion, PuddleError
 
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
 
@@ -80,9 +80,14 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
 
     Raises:
         DamagedArtifact: where it is not what was written, or is another item's.
-        PuddleError: where it is of another version.
+        OtherVersion: where another puddle wrote it.
     """
-    body = decode_sealed(data, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION, source=source)
+    try:
+        body = decode_sealed(data, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION, source=source)
+    except (DamagedArtifact, OtherVersion):
+        raise
+    except PuddleError as error:  # a foreign document where ours was
+        raise DamagedArtifact(str(error)) from None
     try:  # the seal tells of damage, not of who wrote it: the document may have any content
         files = {name: FileEntry(entry["sha256"], entry["bytes"]) for name, entry in body["files"].items()}
         manifest = Manifest(body["stage"], body["key"], body["identity"], files, body["environment"], body["record"])

@@ -26,6 +26,9 @@ FRAMES_PER_SECOND = 4.0
 
 BAR_WIDTH = 30
 
+ROUNDING = 1e-9
+"""Share of the total by which a sum of weighted units may miss it."""
+
 
 class Bar(Protocol):
     """A stage's progress, as the work sees it."""
@@ -91,7 +94,7 @@ class Pace:
 
     def __str__(self) -> str:
         counts = f"{_count(self.done)}/{_count(self.total)} {self.unit} ({self.fraction:.0%})"
-        if self.done >= self.total:
+        if self.done >= self.total - ROUNDING * self.total:
             return f"{counts}, {_count(self.rate)}/s, took {_duration(self.seconds)}"
         if self.seconds_left is None:
             return f"{counts}, {_duration(self.seconds)} so far"
@@ -99,7 +102,7 @@ class Pace:
 
 
 def _count(work: float) -> str:
-    return f"{work:,.0f}" if work >= 100 else f"{work:.3g}"
+    return f"{work:,.0f}" if work >= 10 else f"{work:.2g}"
 
 
 def _duration(seconds: float) -> str:
@@ -164,7 +167,7 @@ class _Lines:
         pace = Pace(name, unit, total, done)
 
         def now_and_then() -> None:
-            if pace.done < pace.total and pace.clock() - self._last >= SECONDS_BETWEEN_LINES:
+            if pace.fraction < 1 - ROUNDING and pace.clock() - self._last >= SECONDS_BETWEEN_LINES:
                 self._last = pace.clock()
                 self.say(f"{name}: {pace}")
 

@@ -48,7 +48,7 @@ class Grid(Parameters):
     )
     """Where designs evolve, at every depth. [P]"""
     single_member_depths: tuple[Depth, ...] = (9.0,)
-    """Depths at which designs also evolve in one member: trial k in member k, counted around. [P]"""
+    """Those of the depths at which designs also evolve in one member: trial k in member k, counted around. [P]"""
     n_trials: int = Field(default=10, ge=1, le=10_000)
     """Independent trials of each depth and environment. [P]"""
 
@@ -64,7 +64,7 @@ class Grid(Parameters):
         """List environment, depth and number of every trial."""
         arms = [(environment, depth) for depth in self.depths for environment in self.environments]
         if "single_member" not in self.environments:
-            arms += [("single_member", depth) for depth in self.single_member_depths]
+            arms += [("single_member", depth) for depth in self.single_member_depths if depth in self.depths]
         return [(environment, depth, trial) for environment, depth in arms for trial in range(self.n_trials)]
 
 
@@ -96,7 +96,7 @@ class Transfer(Parameters):
 
 
 class Work(Parameters):
-    """How the work is cut into pieces. None of it changes a result."""
+    """How the work is cut into pieces. None of it changes a number; but other pieces are computed anew."""
 
     engine: Literal["batch", "reference"] = "batch"
     """What simulates: "reference" is pybox2d; "batch" gives the same bits sooner."""

@@ -54,8 +54,8 @@ def simulate_design(
     if environment not in WORLDS:
         raise PuddleError(f"--environment: expected one of {', '.join(WORLDS)}, came {environment!r}")
     world = cast(EnvironmentName, environment)
-    if out is not None and out.suffix.lower() != ".gif":
-        raise PuddleError(f"--out: expected a file name that ends in .gif, came {out}")
+    if out is not None and (out.suffix.lower() != ".gif" or not out.parent.is_dir()):
+        raise PuddleError(f"--out: expected a file name that ends in .gif, in a folder that exists, came {out}")
     spec = segment_spec(settings, stage="simulate", environment=world, world=world, depth=depth, trial=0)
     files = {}
     if world == "residual_slush":
@@ -64,7 +64,7 @@ def simulate_design(
         try:
             inputs = world_inputs(settings, world, 0, upstream)
         except MissingInputs as missing:
-            raise PuddleError(f"{missing}. Run `{how_to_run('train')}` first.") from None
+            raise PuddleError(f"{missing}. `{how_to_run('study')}` makes it.") from None
         files = {name: {WEIGHTS: store.read(source.manifest, WEIGHTS)} for name, source in inputs.items()}
     try:
         place = world_of(spec, files)

@@ -139,6 +139,8 @@ class TrialSummary:
     metrics: Mapping[str, float]
     curves: Mapping[str, npt.NDArray[np.float64]]
     """Metrics by generation."""
+    steps: Sequence[int] | None = None
+    """Of the curves' points, where they are not 0, 1, 2 …"""
 
 
 @dataclass(frozen=True)

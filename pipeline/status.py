@@ -17,6 +17,7 @@ def status_lines(settings: Settings, store: Store) -> Iterator[str]:
     driver = store.driver_of(settings.name)
     yield f"study {settings.name} in {store.root} ({store.size_bytes() / 1e6:.1f} MB)"
     yield f"driven by {driver}" if driver else "no process is driving it"
+    any_open = False  # a driver runs the stages in order: the first that is open is the one that runs
     for stage in STAGES:
         chains = stage.plan(settings)
         total = sum(chain.n_items * chain.units_per_item for chain in chains)
@@ -25,10 +26,11 @@ def status_lines(settings: Settings, store: Store) -> Iterator[str]:
         n_done, n_items = sum(found.n_done.values()), sum(chain.n_items for chain in chains)
         if not found.unfinished and not found.set_aside:
             state = "done" if chains else "not needed"
-        elif n_done:
-            state = "running" if driver else "begun"
+        elif driver and not any_open:
+            state = "running"
         else:
-            state = "missing"
+            state = "begun" if n_done else "missing"
+        any_open = any_open or bool(found.unfinished)
         yield (
             f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} pieces, {done:g} of {total:g} {stage.unit}, "
             f"{found.seconds:.0f} core-seconds"

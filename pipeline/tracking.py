@@ -17,6 +17,7 @@ import logging
 import math
 import os
 import socket
+import sqlite3
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -57,6 +58,7 @@ class Run:
         params: settings that it used; nested mappings become dotted names.
         metrics: single numbers. What is not finite is left out, here and in the curves: MLflow stumbles over it later.
         curves: metrics by generation, from generation 0.
+        steps: of the curves' points, where they are not 0, 1, 2 …
         tags: further words to search by.
         inputs: digests of what it read, by name.
         outputs: digests of what it made, by name.
@@ -69,6 +71,7 @@ class Run:
     params: Mapping[str, Any] = field(default_factory=dict)
     metrics: Mapping[str, float] = field(default_factory=dict)
     curves: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    steps: Sequence[int] | None = None
     tags: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
     outputs: Mapping[str, str] = field(default_factory=dict)
@@ -115,7 +118,7 @@ class Tracker:
                 self._say(
                     f"MLflow at {self._uri or database_uri(self._store)} failed: {type(error).__name__}: {reason}\n"
                     f"The study goes on without it. What MLflow lacks is sent with the next stage, or by the same "
-                    f"command once MLflow is well."
+                    f"command once MLflow is well; a damaged mlflow.db may be deleted."
                 )
 
 
@@ -208,7 +211,7 @@ class _Experiment:
             metrics += [
                 Metric(name, float(y), run.info.start_time, generation)
                 for name, curve in wanted.curves.items()
-                for generation, y in enumerate(curve)
+                for generation, y in zip(wanted.steps or range(len(curve)), curve, strict=True)
                 if math.isfinite(y)
             ]
             new_tags.append(RunTag("puddle.curves", digest))
@@ -276,8 +279,20 @@ def serve_ui(store: Path, port: int) -> NoReturn:
     Raises:
         PuddleError: there is no database yet, or the port is taken.
     """
-    if not (store / "mlflow.db").is_file():
+    database = store / "mlflow.db"
+    if not database.is_file():
         raise PuddleError(f"{store}: expected mlflow.db, and it is not there. `puddle study` makes it.")
+    try:
+        with contextlib.closing(sqlite3.connect(database)) as connection:
+            connection.execute("BEGIN IMMEDIATE")  # MLflow writes even where one only looks
+            sound = connection.execute("PRAGMA quick_check(1)").fetchone() == ("ok",)
+    except sqlite3.Error as error:
+        raise PuddleError(
+            f"{database}: MLflow can't use it: {error}. Make it writable; or, if it is damaged, delete it and give "
+            f"`puddle study` again, which makes it anew from the store."
+        ) from error
+    if not sound:
+        raise PuddleError(f"{database}: it is damaged. Delete it and give `puddle study` again, which makes it anew.")
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

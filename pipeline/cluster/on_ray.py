@@ -27,7 +27,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
-from pipeline.cluster.process import PINNED_THREADS, signals_unwind
+from pipeline.cluster.process import PINNED_THREADS, signals_held, signals_unwind
 from pipeline.errors import PuddleError
 
 N_INFRASTRUCTURE_RETRIES = 1
@@ -137,9 +137,9 @@ def _local(n_workers: int | None) -> Iterator[None]:
             except Exception as error:
                 raise PuddleError(
                     f"Ray did not start on this machine: {error}\nExpected room in {root.parent} and /dev/shm, and "
-                    f"memory for {n_workers or 'as many workers as there are cores'}; `puddle doctor` looks at these."
+                    f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` does without Ray."
                 ) from error
-            try:
+            else:
                 yield
             finally:
                 ray.shutdown()
@@ -159,7 +159,7 @@ def _existing(address: str) -> Iterator[None]:
             _connect(address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages})
         except Exception as error:
             raise _unusable(address, str(error)) from error
-        try:
+        else:
             yield
         finally:
             ray.shutdown()
@@ -175,7 +175,8 @@ def _connect(**where: Any) -> None:
     AuthenticationTokenLoader.instance().reset_cache()
     # A dead worker is told by its outcome; Ray would also print a paragraph on stdout, whatever log_to_driver says.
     ray._private.worker._worker_logs_enabled = False
-    ray.init(log_to_driver=False, logging_level=logging.ERROR, **where)
+    with signals_held():  # Ray that is interrupted while it starts may crash, and leave its files
+        ray.init(log_to_driver=False, logging_level=logging.ERROR, **where)
 
 
 def _check_reachable(address: str) -> None:

@@ -73,6 +73,11 @@ N_GENES = sum(gene.n_numbers for gene in GENES)
 """Numbers that describe a design, the tree apart: 37."""
 
 
+def is_per_link(name: str) -> bool:
+    """Tell whether a field of Designs has one number for each link; the parents do."""
+    return name not in GENE_BY_NAME or GENE_BY_NAME[name].per_link
+
+
 class DesignError(ValueError):
     """A design that is not one: names the design, the gene, what was expected and what came."""
 
@@ -115,11 +120,12 @@ class Designs:
             object.__setattr__(self, name, array)
         n_designs = self.frequency.size
         for name in ("frequency", *DTYPES):  # the one that says how many, first
-            expected = (n_designs,) if name == "frequency" else (n_designs, N_LINKS)
+            expected = (n_designs, N_LINKS) if is_per_link(name) else (n_designs,)
             shape = getattr(self, name).shape
             if shape != expected:
+                per_design = ", ".join(gene.name for gene in GENES if not gene.per_link)
                 raise DesignError(f"designs: {name} has shape {shape}, expected (n_designs, {N_LINKS}) "
-                                  f"and frequency (n_designs,), with the same n_designs throughout")
+                                  f"and {per_design} (n_designs,), with the same n_designs throughout")
 
     def __len__(self) -> int:
         return int(self.frequency.shape[0])
@@ -181,7 +187,8 @@ def check(designs: Designs) -> None:
     for gene in GENES:
         if gene.kind == "flag":
             continue
-        array = getattr(designs, gene.name)[:, gene.first_link :] if gene.per_link else designs.frequency[:, None]
+        field = getattr(designs, gene.name)
+        array = field[:, gene.first_link :] if gene.per_link else field[:, None]
         outside = ~((array >= gene.low) & (array <= gene.high))  # so that NaN is outside too
         if outside.any():
             design, column = np.argwhere(outside)[0]
