@@ -191,7 +191,7 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     (page,) = results.done[PAGE]
     files = {name: store.read(page, name) for name in page.files}
     folder = store.export(settings.name, files)
-    return Summary(lines=[f"{folder / PAGE}"], artifacts=files)
+    return Summary(lines=[f"{folder / PAGE}"], artifacts=files, of_study=True)
 
 
 STAGE = Stage(

@@ -28,6 +28,7 @@ grid: {depths: [1.0], single_member_depths: [1.0], n_trials: 2}
 rollout: {n_settle: 5, n_measure: 20}
 evolution: {n_generations: 4, afpo: {population_size: 4}}
 transfer: {n_generations: 3, adapted_environments: [dry_land]}
+assess: {n_designs: 21}
 work: {throws_per_item: 2, generations_per_item: 3}
 """
 
@@ -148,6 +149,7 @@ def test_paper_preset_is_the_paper():
     assert (training.learning_rate, training.min_learning_rate) == (1e-3, 1e-6)
     assert (training.loss, training.focal_alpha, training.focal_s, training.focal_gamma) == ("focal", 1, 100, 2)
     assert (paper.ensemble.n_members, paper.ensemble.disagreement_penalty) == (8, 1)
+    assert (paper.assessed_depth, paper.assess.n_designs) == (9, 2376)
     assert (paper.rollout.n_settle, paper.rollout.n_measure) == (200, 1200)
     assert (paper.physics.max_motor_torque, paper.physics.gravity) == (100, 9.8)
     assert (paper.slush.density, paper.slush.linear_drag, paper.slush.angular_drag) == (1.25, 10, 20)
