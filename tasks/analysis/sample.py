@@ -1,7 +1,7 @@
 """Which designs prediction accuracy is judged by. Paper, "Prediction Accuracy".
 
-The paper draws 2,376 designs uniformly over the generations of runs in True Slush and on Dry Land: early ones that hardly
-move and late ones that go far, so that a predictor has something to tell apart.
+The paper draws 2,376 designs uniformly over the generations of runs in True Slush and on Dry Land: early ones that
+hardly move and late ones that go far, so that a predictor has something to tell apart.
 """
 
 from __future__ import annotations

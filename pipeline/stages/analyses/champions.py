@@ -117,9 +117,9 @@ def compute_matrix(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reaso
             [row.trained for row in rows], [row.tested for row in rows], np.array([row.displacement for row in rows])
         )
         for i, j in np.ndindex(matrix.mean.shape):
-            figures = (float(matrix.mean[i, j]), float(matrix.sd[i, j]), int(matrix.n[i, j]))
+            mean, sd, relative = (float(of[i, j]) for of in (matrix.mean, matrix.sd, matrix.relative))
             depths = float(matrix.trained[i]), float(matrix.tested[j])
-            cells.append(CellRow(environment, *depths, *figures, float(matrix.relative[i, j])))
+            cells.append(CellRow(environment, *depths, mean, sd, int(matrix.n[i, j]), relative))
     reasons = {}
     if not entrants:
         reasons = dict.fromkeys(("tests", "matrix"), "no trial has a champion")
@@ -161,7 +161,7 @@ class ExploiterRow:
 
 def compute_exploiters(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     """Rank every champion and every assessed design by what the ensemble promises of it and does not come true."""
-    why = job.spec["no_networks"]
+    why = str(job.spec["no_networks"])
     suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(job.spec, inputs)]
     by_member = np.array([s.by_member for s in suspects]).reshape(len(suspects), -1 if suspects else 1)
     ranked = rank_exploiters(
@@ -180,7 +180,7 @@ def compute_exploiters(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, R
 
 
 def _promise(by_member: npt.NDArray[np.float64], penalty: float) -> npt.NDArray[np.float64]:
-    """What an ensemble promises of designs, NaN where a member's rollout diverged: (n_designs,) of (n_designs, n_members)."""
+    """Aggregate (n_designs, n_members) as fitness does: (n_designs,); NaN where a member's rollout diverged."""
     promised = penalised_mean(by_member, disagreement_penalty=penalty)
     return np.where(np.isfinite(promised), promised, np.nan)
 
@@ -209,10 +209,6 @@ def _assessed(spec: Spec, inputs: Mapping[str, Files]) -> list[Suspect]:
         return []
     table = read_predictions(shares)
     promised = _promise(table["predicted"], spec["disagreement_penalty"])
-    names = ("environment", "depth", "trial", "generation", "identity")
-    return [
-        Suspect("assessed", *row, float(promise), float(true), each)
-        for *row, promise, true, each in zip(
-            *(table[name].tolist() for name in names), promised, table["true"], table["predicted"], strict=True
-        )
-    ]
+    columns = (table[name].tolist() for name in ("environment", "depth", "trial", "generation", "identity"))
+    rows = zip(*columns, promised.tolist(), table["true"].tolist(), table["predicted"], strict=True)
+    return [Suspect("assessed", *row) for row in rows]

@@ -68,7 +68,7 @@ class ThrustRow:
 
 def compute_members(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     """Say how wrong each member is on the throws held out."""
-    why = job.spec["no_networks"]
+    why = str(job.spec["no_networks"])
     thrusts: list[ThrustRow] = []
     errors: Sequence[MemberError] = ()
     if not why:
@@ -90,19 +90,25 @@ def compute_members(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reas
 
 
 @dataclass(frozen=True)
+class Moved:
+    """How far a champion got [m]; NaN where diverged or unknown."""
+
+    displacement: float
+    com: float
+    reach: float
+
+
+@dataclass(frozen=True)
 class ChampionRow:
     """One champion of the arm; lengths in m."""
 
     trial: int
     best: bool
     """Whether it is the best zero-shot, whose links are shown."""
-    displacement: float
+    home: Moved
     """Where it evolved, mean over members."""
-    com_displacement: float
-    reach: float
-    displacement_in_slush: float
-    com_displacement_in_slush: float
-    reach_in_slush: float
+    slush: Moved
+    """In True Slush."""
     claimed: float
     """Fitness where it evolved."""
     again: float
@@ -132,42 +138,42 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
     spec = job.spec
     arm = champions(spec["trials"], inputs)
     if not arm:
-        why = "no trial of this arm has a champion"
-        tables = {**_link_tables([], 1), "champions": columns_of(ChampionRow, []), "member_errors": _errors([])}
-        return tables, dict.fromkeys(tables, why)
-    in_slush = roll_out(job, true_slush(spec, spec["depth"]), concatenate([of.design for of in arm]), trace=True)
+        tables = _arm_tables([], [], [], 1)
+        return tables, dict.fromkeys(tables, "no trial of this arm has a champion")
+    designs = concatenate([of.design for of in arm])
+    in_slush = roll_out(job, true_slush(spec, spec["depth"]), designs, trace=True)
+    assert in_slush.trace is not None
     scored = [of.zero_shot for of in arm]
     best = int(np.nanargmax(scored)) if np.isfinite(scored).any() else None
-    reached = reach(in_slush.displacement, in_slush.com_displacement)
-    slush = np.stack((reached.displacement, reached.com_displacement, reached.reach), axis=1)
-    rows = [_champion_row(job, inputs, of, slush[i], best=i == best) for i, of in enumerate(arm)]
-    tables: Tables = {"champions": columns_of(ChampionRow, rows)}
-    why = spec["no_networks"]
-    reasons = dict.fromkeys(("links", "worlds", "member_errors"), why) if why else {}
-    if why:
-        return {**tables, **_link_tables([], 1), "member_errors": _errors([])}, reasons
+    moved = _moved(in_slush.displacement, in_slush.com_displacement)
+    rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
+    if why := str(spec["no_networks"]):
+        return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "worlds", "member_errors"), why)
     ensemble, physics = ensemble_of(inputs), Physics.model_validate(spec["physics"])
-    assert in_slush.trace is not None
-    links = link_states(concatenate([of.design for of in arm]), in_slush.trace, physics)
+    links = link_states(designs, in_slush.trace, physics)
     errors = member_errors(ensemble, Slush.model_validate(spec["slush"]), links, physics)
-    seen: list[Seen] = []
     if best is None:
-        reasons |= dict.fromkeys(("links", "worlds"), "no champion of this arm stays finite in True Slush")
-    else:
-        learned, _ = _transitions(spec, inputs)
-        index = thrown(learned.observation, learned.throw)
-        films = [Filmed("true_slush", -1, scored[best], in_slush.trace[best : best + 1])]
-        if spec["environment"] != "true_slush":
-            films.append(_film_at_home(job, inputs, arm[best]))
-        seen = [_look(film, arm[best], ensemble, index, physics) for film in films]
-        missing = [seen[0].disagreement.reason, index.reason]
-        if any(missing):
-            reasons["links"] = "; ".join(reason for reason in missing if reason)
-    return {**tables, **_link_tables(seen, ensemble.n_members), "member_errors": _errors(errors)}, reasons
+        none = "no champion of this arm stays finite in True Slush"
+        return _arm_tables(rows, errors, [], ensemble.n_members), dict.fromkeys(("links", "worlds"), none)
+    learned, _ = _transitions(spec, inputs)
+    index = thrown(learned.observation, learned.throw)
+    films = [Filmed("true_slush", -1, scored[best], in_slush.trace[best : best + 1])]
+    if spec["environment"] != "true_slush":
+        films.append(_film_at_home(job, inputs, arm[best]))
+    seen = [_look(film, arm[best], ensemble, index, physics) for film in films]
+    lacking = [reason for reason in (seen[0].disagreement.reason, index.reason) if reason]
+    reasons = dict.fromkeys(("links", "worlds"), "; ".join(lacking)) if lacking else {}
+    return _arm_tables(rows, errors, seen, ensemble.n_members), reasons
 
 
-def _errors(rows: Sequence[MemberError]) -> Columns:
-    return columns_of(MemberError, rows)
+def _arm_tables(
+    rows: Sequence[ChampionRow], errors: Sequence[MemberError], seen: Sequence[Seen], n_members: int
+) -> Tables:
+    return {
+        "champions": columns_of(ChampionRow, rows),
+        "member_errors": columns_of(MemberError, errors),
+        **_link_tables(seen, n_members),
+    }
 
 
 def _member_names(inputs: Mapping[str, Files]) -> list[str]:
@@ -183,17 +189,21 @@ def _home(job: Job, inputs: Mapping[str, Files], champion: Champion) -> Environm
     return segments.world_of(world, {name: inputs[name] for name in members})
 
 
+def _moved(displacement: npt.NDArray[np.float64], com_displacement: npt.NDArray[np.float64]) -> list[Moved]:
+    of = reach(displacement, com_displacement)
+    rows = zip(of.displacement.tolist(), of.com_displacement.tolist(), of.reach.tolist(), strict=True)
+    return [Moved(*row) for row in rows]
+
+
 def _champion_row(
-    job: Job, inputs: Mapping[str, Files], champion: Champion, slush: npt.NDArray[np.float64], *, best: bool
+    job: Job, inputs: Mapping[str, Files], champion: Champion, slush: Moved, *, best: bool
 ) -> ChampionRow:
-    in_slush = [float(value) for value in slush]
     if champion.environment in RESIDUAL_ENVIRONMENTS and job.spec["no_networks"]:
-        nothing = (np.nan,) * 3
-        loss = Estimate.missing(job.spec["no_networks"])
-        return ChampionRow(champion.trial, best, *nothing, *in_slush, champion.predicted, np.nan, loss, np.nan, 0, 0)
+        nowhere, loss = Moved(np.nan, np.nan, np.nan), Estimate.missing(job.spec["no_networks"])
+        return ChampionRow(champion.trial, best, nowhere, slush, champion.predicted, np.nan, loss, np.nan, 0, 0)
     world = _home(job, inputs, champion)
     at_home = segments.score(job.spec, job.how, world, champion.design)
-    root, whole = float(at_home.displacement.mean()), float(at_home.com_displacement.mean())
+    (home,) = _moved(at_home.displacement.mean(axis=1), at_home.com_displacement.mean(axis=1))
 
     def fitness(designs: Designs) -> npt.NDArray[np.float64]:
         return segments.score(job.spec, job.how, world, designs).fitness
@@ -204,10 +214,8 @@ def _champion_row(
     return ChampionRow(
         champion.trial,
         best,
-        root,
-        whole,
-        root - whole,
-        *in_slush,
+        home,
+        slush,
         claimed=float(tried.claimed[0]),
         again=float(again.mean()) if len(again) else np.nan,
         loss=tried.loss[0],
@@ -296,7 +304,7 @@ def _links(of: Seen, n_members: int) -> Columns:
 
 
 def _no_links(n_members: int) -> Columns:
-    """The same columns without a row."""
+    """Give the same columns without a row."""
     numbers, several = np.zeros(0, np.float32), np.zeros((0, n_members), np.float32)
     return {
         "world": text([]),

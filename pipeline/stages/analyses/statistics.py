@@ -1,4 +1,4 @@
-"""What scores and predictions show, without simulating anything: the paper's figures 3 and 4 as tables, and its numbers.
+"""What scores and predictions show, without simulating anything: the paper's figures 3 and 4 as tables.
 
 Part of the stage analyse, whose page lists the tables.
 """
@@ -71,9 +71,11 @@ def score_rows(
         scored = inputs.get(f"transfer/{label}")
         scores = decode_json(scored[SCORE], label) if scored else {"status": set_aside.get(label, "not done")}
         names = ("predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
-        known = {name: np.nan if scores.get(name) is None else scores[name] for name in names}
-        reach = {f"{name}_reach": known[name] - known[f"{name}_com"] for name in ("zero_shot", "adapted")}
-        rows.append(ScoreRow(environment, depth, trial, **known, **reach, status=scores["status"]))
+        predicted, zero, zero_com, adapted, adapted_com = (
+            np.nan if scores.get(name) is None else float(scores[name]) for name in names
+        )
+        reached = (zero, zero_com, zero - zero_com, adapted, adapted_com, adapted - adapted_com)
+        rows.append(ScoreRow(environment, depth, trial, predicted, *reached, status=scores["status"]))
     return rows
 
 
@@ -85,7 +87,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
     shares = [inputs[name] for name in sorted(inputs) if name.startswith("assess/")]
     regressions, drawn = _of_predictions(shares, rng)
-    reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), spec["not_assessed"])
+    reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), str(spec["not_assessed"]))
     contrasts = sweep(scores, rng=rng)
     made = {(contrast.a, contrast.b) for contrast in contrasts}
     lacking = [f"{name_of(a)} against {name_of(b)}" for a, b in CONTRASTS if (a, b) not in made]
@@ -109,12 +111,11 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
 def _of_predictions(shares: Sequence[Files], rng: Generator) -> tuple[tuple[Regression, ...], Columns]:
     """Regress true on predicted displacement, and draw it: each member, their mean, and their mean less a deviation."""
     if not shares:
-        return (), {"name": text([]), "n_outside": np.zeros(0, np.int64), "edges": np.zeros((0, 1)),
-                    "counts": np.zeros((0, 1), np.int64)}  # fmt: skip
+        none = np.zeros((0, 1), np.int64)
+        return (), {"name": text([]), "n_outside": none[:, 0], "edges": none.astype(np.float64), "counts": none}
     table = read_predictions(shares)
     predicted, true = table["predicted"].T, table["true"]
-    _, trial = np.unique([f"{e}/{t}" for e, t in zip(table["environment"], table["trial"], strict=True)],
-                         return_inverse=True)  # fmt: skip
+    trial = [f"{environment}/{k}" for environment, k in zip(table["environment"], table["trial"], strict=True)]
     regressions = accuracy(predicted, true, rng=rng, trial=trial)
     together = aggregates(predicted)
     drawn = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1))}
