@@ -121,7 +121,11 @@ def _error_handles() -> list[Line2D]:
 
 def phantom_thrust(report: StudyReport) -> tuple[Figure, str]:
     """Draw a point with its interval for each member: the acceleration along x that it imagines at low speed."""
-    found = [(member, thrust) for member, thrust in enumerate(report.findings.phantom_thrust) if thrust.value is not None]
+    found = [
+        (member, thrust.value, thrust)
+        for member, thrust in enumerate(report.findings.phantom_thrust)
+        if thrust.value is not None
+    ]
     if not found:
         reasons = [thrust.reason for thrust in report.findings.phantom_thrust if thrust.reason]
         raise NothingToDraw(
@@ -130,11 +134,11 @@ def phantom_thrust(report: StudyReport) -> tuple[Figure, str]:
     figure = Figure(figsize=(WIDTH, 0.28 * len(found) + 1.1), layout="constrained")
     axes = figure.add_subplot()
     axes.axvline(0, color=INK, lw=0.8)
-    for row, (_, thrust) in enumerate(found):
+    for row, (_, value, thrust) in enumerate(found):
         if thrust.low is not None and thrust.high is not None:
             axes.plot([thrust.low, thrust.high], [row, row], color=_RESIDUAL, lw=2.4)
-        axes.plot(thrust.value, row, "o", color=_RESIDUAL, mec=INK, ms=5)
-    axes.set_yticks(range(len(found)), [f"member {member}" for member, _ in found])
+        axes.plot(value, row, "o", color=_RESIDUAL, mec=INK, ms=5)
+    axes.set_yticks(range(len(found)), [f"member {member}" for member, _, _ in found])
     axes.invert_yaxis()
     axes.grid(axis="x", color=FAINT)
     axes.set_axisbelow(True)

@@ -19,6 +19,10 @@ LOOKS = {
 """Marker, colour and name of each operator."""
 
 
+MOST_MARKERS = 400
+"""Ancestors up to which every one has a marker; of more, those on the main line alone."""
+
+
 def main_line(family: Family) -> list[Ancestor]:
     """Follow the champion back through the fitter parent of each, the youngest first."""
     by_identity = {ancestor.identity: ancestor for ancestor in family.ancestors}
@@ -39,16 +43,18 @@ def family_tree(report: StudyReport) -> tuple[Figure, str]:
     on_line = {ancestor.identity for ancestor in line}
     figure = Figure(figsize=(WIDTH, 4.2), layout="constrained")
     axes = figure.add_subplot()
-    for ancestor in shown:
-        for parent in ancestor.parents:
-            if parent in places:
-                main = ancestor.identity in on_line and parent in on_line
-                axes.plot(
-                    *zip(places[parent], places[ancestor.identity], strict=True),
-                    color=INK if main else FAINT,
-                    lw=1.3 if main else 0.7,
-                    zorder=2 if main else 1,
-                )
+    for on_it, color, width in ((False, FAINT, 0.7), (True, INK, 1.3)):
+        strokes = [
+            stroke
+            for ancestor in shown
+            for parent in ancestor.parents
+            if parent in places and ({ancestor.identity, parent} <= on_line) == on_it
+            for stroke in (places[parent], places[ancestor.identity], (np.nan, np.nan))  # the last lifts the pen
+        ]
+        if strokes:
+            axes.plot(*zip(*strokes, strict=True), zorder=1 + on_it, color=color, lw=width)
+    if len(shown) > MOST_MARKERS:
+        shown = [ancestor for ancestor in shown if ancestor.identity in on_line]
     for operator, (marker, color, _) in LOOKS.items():
         born = [places[ancestor.identity] for ancestor in shown if ancestor.operator == operator]
         if born:

@@ -235,7 +235,7 @@ def _encode_push(push: npt.NDArray[np.float64]) -> npt.NDArray[np.int8]:
     """Round to quanta; what is too long for them is shortened, its direction kept."""
     size = np.linalg.norm(push, axis=-1, keepdims=True)
     shortened = push * np.minimum(1.0, MOST_ACCELERATION / np.maximum(size, 1e-9))
-    return np.rint(shortened * 127 / MOST_ACCELERATION).astype(np.int8)
+    return np.asarray(np.rint(shortened * 127 / MOST_ACCELERATION), dtype=np.int8)
 
 
 def _base64(array: npt.NDArray[np.generic]) -> str:

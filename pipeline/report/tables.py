@@ -11,7 +11,7 @@ from pipeline.report.family import main_line
 from pipeline.report.findings import Findings
 from pipeline.report.words import NONE, absent, interval, number, p_value
 from tasks.analysis import Contrast, Row, SignificanceTest
-from tasks.analysis.paper import name_of
+from tasks.analysis.paper import Verdict, name_of
 
 MOST_SUSPECTS = 15
 """Designs of the ranking that the page lists; the table of the study has all."""
@@ -22,7 +22,11 @@ LINE_ENDS = 12
 def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], label: str, *, kind: str) -> str:
     """Put cells, which are HTML, into a table that scrolls sideways where the page is narrow."""
     head = "".join(f"<th>{column}</th>" for column in columns)
-    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    # The column's name stands with each cell, since where a page is narrow a wordy row becomes a card.
+    body = "".join(
+        "<tr>" + "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(columns, row, strict=True)) + "</tr>"
+        for row in rows
+    )
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}">'
         f'<table class="{kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
@@ -31,7 +35,7 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], label: str, *,
 
 # -- against the paper ------------------------------------------------------------------------------------------------
 
-MARKS = {"agrees": "✓", "differs": "≠", "not comparable": "?"}
+MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}
 """So that colour is never the only difference."""
 
 
@@ -43,9 +47,13 @@ def against_paper(findings: Findings) -> str:
         return absent(title, findings.why("against_paper", "the study has not been analysed yet"))
     counts = Counter(row.verdict for row in rows)
     verdicts = ", ".join(f"{counts[verdict]} {_PLURAL[verdict]}" for verdict in MARKS if counts[verdict])
-    table = _table(
-        ("What", "Paper", "This run", "Verdict", "Why"), (_paper_cells(row) for row in rows), title, kind="wordy"
-    )
+    columns = ("What", "Paper", "This run", "Verdict", "Why")
+    measured = [row for row in rows if row.this_run != "-"]
+    unmeasured = [row for row in rows if row.this_run == "-"]
+    table = _table(columns, (_paper_cells(row) for row in measured), title, kind="wordy") if measured else ""
+    if unmeasured:
+        rest = _table(columns, (_paper_cells(row) for row in unmeasured), "Not measured", kind="wordy")
+        table += f"<details><summary>{len(unmeasured)} that this run has nothing for</summary>{rest}</details>"
     return (
         f'<div id="against_paper"><h3>Against the paper: {verdicts}</h3>{table}'
         '<p class="small">A number agrees where the paper’s lies in the 95 % prediction interval of this run: the range '
@@ -54,7 +62,7 @@ def against_paper(findings: Findings) -> str:
     )
 
 
-_PLURAL = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}
+_PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}
 
 
 def _paper_cells(row: Row) -> list[str]:
@@ -82,7 +90,7 @@ def contrasts(findings: Findings) -> str:
         name = f"{name_of(a)} against {name_of(b)}"
         deepest = rows[-1]
         ratio = deepest.comparison.ratio.value
-        gist = f"{deepest.depth:g}\u00a0m: " + (f"{ratio:.0%} of it, " if ratio is not None else "")
+        gist = f"{deepest.depth:g}\u00a0m: " + (_times(ratio) if ratio is not None else "")
         gist += f"p\u00a0{_relation(deepest.comparison.student.p)}"
         table = _table(
             ("Depth", "Means [m]", "Ratio", "Student’s t", "Welch", "Mann–Whitney", "Hedges’ g"),
@@ -97,6 +105,10 @@ def contrasts(findings: Findings) -> str:
         "Mann–Whitney no normality either. Ratios of means with 95 % bootstrap intervals; Hedges’ g is the difference in "
         "standard deviations.</p></div>"
     )
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.0%} of it, ".replace("-", "−") if ratio < 2 else f"{ratio:.1f} times it, "
 
 
 def _relation(p: float | None) -> str:
