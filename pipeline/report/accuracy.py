@@ -13,7 +13,6 @@ from matplotlib.ticker import MaxNLocator
 
 from pipeline.report.data import ENVIRONMENTS, PAPER_DEPTH, StudyReport
 from pipeline.report.drawing import INK, PAPER_MARK, WIDTH, NothingToDraw, count
-from pipeline.report.findings import Accuracy
 from tasks.analysis import Estimate, Regression
 from tasks.analysis.paper import AGGREGATES, RANGES
 from tasks.analysis.prediction import mean_less_deviations
@@ -41,9 +40,7 @@ def prediction_accuracy(report: StudyReport, *, n_columns: int) -> tuple[Figure,
     low, high = float(histograms.edges[0]), float(histograms.edges[-1])
     for panel, name, counts in zip(panels, histograms.names, histograms.counts, strict=False):
         seen = np.ma.masked_equal(counts.T, 0)
-        panel.imshow(
-            seen, origin="lower", extent=(low, high, low, high), cmap=DENSITY, norm=norm, interpolation="none"
-        )
+        panel.imshow(seen, origin="lower", extent=(low, high, low, high), cmap=DENSITY, norm=norm, interpolation="none")
         panel.plot([low, high], [low, high], color=INK, lw=0.9, ls=(0, (4, 3)))
         lines = [(fits.get(name), "-")] + ([(fits.get(CAUTIOUS), (0, (1, 1.2)))] if name == MEAN else [])
         words = []
@@ -106,7 +103,9 @@ def aggregates(report: StudyReport) -> tuple[Figure, str]:
         raise NothingToDraw(report.findings.why("accuracy", reason))
     figure = Figure(figsize=(WIDTH, 0.24 * len(fits) + 1.3), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    for panel, (figure_name, label, ideal) in zip(panels, (("r", "Pearson’s R", 1.0), ("slope", "slope", 1.0)), strict=True):
+    for panel, (figure_name, label, ideal) in zip(
+        panels, (("r", "Pearson’s R", 1.0), ("slope", "slope", 1.0)), strict=True
+    ):
         panel.axvline(ideal, color=INK, lw=0.9, ls=(0, (4, 3)))
         _forest(panel, fits, figure_name)
         if accuracy.depth == PAPER_DEPTH:
@@ -125,10 +124,15 @@ def aggregates(report: StudyReport) -> tuple[Figure, str]:
     figure.legend(handles=handles, loc="outside lower center", ncols=3, handlelength=1.6, columnspacing=1.2)
     n_members = [fit for fit in fits if fit.name.startswith("member ")]
     return figure, (
-        f"Correlation and slope of true on predicted displacement with their 95 % intervals: of {count(n_members, 'member')}, "
+        f"Correlation and slope of true on predicted displacement with their 95 % intervals: of "
+        f"{count(n_members, 'member')}, "
         "and of what the members say together: the mean less k deviations, the lowest, the median, a low quantile, and "
         "CVaR, the mean of the lowest quarter. Both are best at the dashed line."
-        + (" Upright marks are the paper’s; the band is its range over members." if accuracy.depth == PAPER_DEPTH else "")
+        + (
+            " Upright marks are the paper’s; the band is its range over members."
+            if accuracy.depth == PAPER_DEPTH
+            else ""
+        )
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -37,9 +36,9 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
         panel.set_ylabel("y [m]")
     panels[-1].set_xlabel("x [m]")
     return figure, (
-        f"The {len(throws.length_scale)} throws that the networks learned from, {throws.seconds:.1f} s each: the way of "
-        "each link’s centre, by its size. The blue line is the surface of the slush. One throw of each size is drawn as "
-        "it turns."
+        f"The {len(throws.length_scale)} throws that the networks learned from, {throws.seconds:.1f} s each: the way "
+        "of each link’s centre, by its size. The blue line is the surface of the slush. One throw of each size is "
+        "drawn as it turns."
     )
 
 
@@ -49,16 +48,14 @@ def _paths(panel: Any, throws: ThrownPaths, chosen: Any, color: str) -> None:
     xy = paths[:, shown, :2]
     gap = np.full((len(xy), 1, 2), np.nan)  # lifts the pen between throws
     x, y = np.concatenate((xy, gap), axis=1).reshape(-1, 2).T
-    panel.plot(x, y, color=color, lw=0.5, alpha=0.4)
+    panel.plot(x, y, color=color, lw=0.6, alpha=0.5)
     # The one that goes furthest can be seen best.
     way = np.linalg.norm(np.diff(paths[:, :, :2], axis=1), axis=2).sum(axis=1)
     length = float(throws.length_scale[chosen][0])
     poses = paths[int(np.argmax(way)), :: max(1, paths.shape[1] // 10)]
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * (1 / length, length)
     cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    turned = np.stack(
-        (cos * corners[:, 0] - sin * corners[:, 1], sin * corners[:, 0] + cos * corners[:, 1]), axis=-1
-    )
+    turned = np.stack((cos * corners[:, 0] - sin * corners[:, 1], sin * corners[:, 0] + cos * corners[:, 1]), axis=-1)
     outlines = poses[:, None, :2] + turned
     panel.add_collection(PolyCollection(list(outlines), facecolors="none", edgecolors=INK, linewidths=0.9))
 
@@ -80,9 +77,7 @@ def member_error(report: StudyReport) -> tuple[Figure, str]:
     figure = Figure(figsize=(WIDTH, 1.75 * len(components) + 0.9), layout="constrained")
     grid = figure.subplots(len(components), len(immersions), sharex=True, sharey="row", squeeze=False)
     for (row_index, column), panel in np.ndenumerate(grid):
-        chosen = [
-            row for row in rows if (row.component, row.immersion) == (components[row_index], immersions[column])
-        ]
+        chosen = [row for row in rows if (row.component, row.immersion) == (components[row_index], immersions[column])]
         for member in members:
             line = sorted((place[row.band], row.rmse) for row in chosen if row.member == member)
             if line:
@@ -129,7 +124,9 @@ def phantom_thrust(report: StudyReport) -> tuple[Figure, str]:
     if not found:
         reasons = [thrust.reason for thrust in report.findings.phantom_thrust if thrust.reason]
         raise NothingToDraw(
-            report.findings.why("phantom_thrust", reasons[0] if reasons else "no member has been tried at low speed yet")
+            report.findings.why(
+                "phantom_thrust", reasons[0] if reasons else "no member has been tried at low speed yet"
+            )
         )
     figure = Figure(figsize=(WIDTH, 0.28 * len(found) + 1.1), layout="constrained")
     axes = figure.add_subplot()

@@ -73,5 +73,6 @@ def family_tree(report: StudyReport) -> tuple[Figure, str]:
     figure.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=1.2, columnspacing=1.2)
     return figure, (
         f"Everyone that a champion descends from ({family.label}): {len(family.ancestors)} designs, by when they were "
-        f"born and how fit they were. The dark line goes back through the fitter parent of each, over {len(line)} designs."
+        f"born and how fit they were. The dark line goes back through the fitter parent of each, over "
+        f"{len(line)} designs."
     )

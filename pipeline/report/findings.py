@@ -1,4 +1,4 @@
-"""What the analysis of a study found, as the page shows it. Plain frozen data of tasks.analysis, and what is missing."""
+"""What the analysis of a study found, as the page shows it: plain frozen data, and why some is missing."""
 
 from __future__ import annotations
 

@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 
 from pipeline.report.data import ENVIRONMENTS, StudyReport
 from pipeline.report.drawing import INK, WIDTH, NothingToDraw
+from pipeline.report.words import number
 from tasks.analysis import Attribution, TransferMatrix
 
 
@@ -88,8 +89,8 @@ def transfer_matrix(report: StudyReport) -> tuple[Figure, str]:
     for panel, (name, matrix) in zip(panels, ordered, strict=True):
         _heat(panel, matrix)
         panel.set_title(f"evolved {ENVIRONMENTS[name].evolved}", loc="left")
-        panel.set_ylabel("evolved at [m]")
     panels[-1].set_xlabel("tested at [m]")
+    figure.supylabel("evolved at [m]", fontsize=10.5)
     return figure, (
         "Mean displacement [m] in True Slush of champions that evolved at one depth (rows) and were tested at another "
         "(columns). The darker a cell, the closer they come to those that evolved at the depth of the test in the same "
@@ -108,7 +109,7 @@ def _heat(panel: Any, matrix: TransferMatrix) -> None:
         dark = np.isfinite(share) and share > 0.55
         # Not INK: these stand on a cell's colour, which is the same by day and by night.
         panel.text(
-            column, row, f"{value:.1f}".replace("-", "−"), ha="center", va="center", fontsize=7.5,
+            column, row, number(value), ha="center", va="center", fontsize=7.5,
             color="#fffffe" if dark else "#000001",
         )  # fmt: skip
     panel.set_xlim(-0.5, len(matrix.tested) - 0.5)

@@ -8,7 +8,7 @@ from html import escape
 from importlib.resources import files
 from itertools import groupby
 
-from pipeline.report.data import ENVIRONMENTS, EnvironmentName
+from pipeline.report.data import EnvironmentName
 from pipeline.report.replay import Replay, encode
 from pipeline.report.words import absent, number
 
@@ -69,7 +69,8 @@ def viewer(replays: Sequence[Replay]) -> str:
     pushes = any(replay.push is not None for replay in replays)
     return f"""<div class="viewer" id="viewer">
 <div class="bar"><label class="grow">Robot <select id="choice">{_groups(numbered, chosen)}</select></label>
-<label class="grow">Beside it <select id="beside"><option value="" selected>nothing</option>{_groups(numbered, None)}</select></label></div>
+<label class="grow">Beside it <select id="beside"><option value="" selected>nothing</option>
+{_groups(numbered, None)}</select></label></div>
 <canvas id="stage" role="img" aria-label="A robot moving in its world"></canvas>
 <div class="bar below"><button id="play" type="button">Play</button>
 <input id="scrub" type="range" min="0" max="1" step="0.01" value="0" aria-label="Time">
@@ -83,7 +84,8 @@ def viewer(replays: Sequence[Replay]) -> str:
 <label><input id="follow" type="checkbox" checked> Follow the robot</label></div>
 </div>
 <p class="small">The root link, whose way is measured, is darker and bears a black dot; joints are white dots. The
-number is how far the root has come since the clock started, once the robot had settled.{_overlay_words(overlays)}</p>"""
+number is how far the root has come since the clock started, once the robot had
+settled.{_overlay_words(overlays)}</p>"""
 
 
 def _overlay_words(overlays: Iterable[str]) -> str:
@@ -91,8 +93,8 @@ def _overlay_words(overlays: Iterable[str]) -> str:
         return " Where its networks disagree is not shown: the study has not been analysed, or has no networks."
     return (
         " Colour can show instead where the networks can’t be trusted: what their members disagree about at each link, "
-        "and how far its state is from every throw (1 is usual for a fresh throw). The line below the clock follows the "
-        "mean over the links; press on it to go there."
+        "and how far its state is from every throw (1 is usual for a fresh throw). The line below the clock follows "
+        "the mean over the links; press on it to go there."
     )
 
 

@@ -74,7 +74,8 @@ class Replay:
         for overlay in self.overlays:
             if overlay.values.shape != shape:
                 raise ValueError(
-                    f"replay {self.title!r}: overlay {overlay.label!r} has shape {overlay.values.shape}, expected {shape}"
+                    f"replay {self.title!r}: overlay {overlay.label!r} has shape {overlay.values.shape}, "
+                    f"expected {shape}"
                 )
         if self.push is not None and self.push.shape != (*shape, 2):
             raise ValueError(f"replay {self.title!r}: push has shape {self.push.shape}, expected {(*shape, 2)}")

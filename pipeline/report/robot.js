@@ -70,12 +70,12 @@ const robots = (() => {
     return { frame: Math.round(place), links, center: [0, 1].map((axis) => mix(replay.center[frame][axis], replay.center[frame + 1][axis])) };
   }
 
-  // What an overlay says of the links at a frame, as shares of its most; null where it says nothing.
-  function sharesAt(replay, label, frame) {
+  // What an overlay says of the links at a frame, as shares of the most that is shown; null where it says nothing.
+  function sharesAt(replay, label, frame, most) {
     const overlay = replay.overlays.find((candidate) => candidate.label === label);
     if (!overlay) return null;
     const levels = overlay.levels.subarray(frame * replay.nLinks, (frame + 1) * replay.nLinks);
-    return Array.from(levels, (level) => (level === 255 ? null : level / 254));
+    return Array.from(levels, (level) => (level === 255 ? null : level / 254 * overlay.most / most));
   }
 
   // -- colours --------------------------------------------------------------------------------------------------------
@@ -101,7 +101,7 @@ const robots = (() => {
 
   // -- drawing --------------------------------------------------------------------------------------------------------
 
-  // Draw a replay at a time into a box of a canvas. Options: follow, caption (and scale), overlay (a label), push.
+  // Draw a replay at a time into a box of a canvas. Options: follow, caption (and scale), overlay (a label) and most, push.
   function drawPane(context, replay, time, box, options) {
     const { links, center, frame } = poseAt(replay, time);
     const camera = cameraOf(replay, box, center, options);
@@ -118,7 +118,7 @@ const robots = (() => {
       context.fillRect(0, surface, box.width, Math.max(box.height - surface, 0));
     }
     drawDistances(context, replay, camera, box);
-    const shares = options.overlay ? sharesAt(replay, options.overlay, frame) : null;
+    const shares = options.overlay ? sharesAt(replay, options.overlay, frame, options.most) : null;
     drawRobot(context, replay, links, camera, shares);
     if (replay.hasMedium && surface < box.height) {
       context.globalAlpha = shares ? 0.12 : 0.45; // colours that mean something are not dimmed

@@ -24,7 +24,9 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], label: str, *,
     head = "".join(f"<th>{column}</th>" for column in columns)
     # The column's name stands with each cell, since where a page is narrow a wordy row becomes a card.
     body = "".join(
-        "<tr>" + "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(columns, row, strict=True)) + "</tr>"
+        "<tr>"
+        + "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(columns, row, strict=True))
+        + "</tr>"
         for row in rows
     )
     return (
@@ -56,9 +58,10 @@ def against_paper(findings: Findings) -> str:
         table += f"<details><summary>{len(unmeasured)} that this run has nothing for</summary>{rest}</details>"
     return (
         f'<div id="against_paper"><h3>Against the paper: {verdicts}</h3>{table}'
-        '<p class="small">A number agrees where the paper’s lies in the 95 % prediction interval of this run: the range '
-        "into which a repeat of this run with the paper’s number of trials would fall. Fewer trials than the paper’s make "
-        "large p-values easy and small ones hard, so what they fail to show is not comparable.</p></div>"
+        '<p class="small">A number agrees where the paper’s lies in the 95 % prediction interval of this run: the '
+        "range into which a repeat of this run with the paper’s number of trials would fall. Fewer "
+        "trials than the paper’s "
+        "make large p-values easy and small ones hard, so what they fail to show is not comparable.</p></div>"
     )
 
 
@@ -102,8 +105,8 @@ def contrasts(findings: Findings) -> str:
     return (
         f'<div id="contrasts"><h3>Tests</h3>{"".join(folded)}<p class="small">Two-sided p-values; under each the same '
         "after Holm’s correction over the depths. Student’s t is the paper’s; Welch’s does not assume equal variances, "
-        "Mann–Whitney no normality either. Ratios of means with 95 % bootstrap intervals; Hedges’ g is the difference in "
-        "standard deviations.</p></div>"
+        "Mann–Whitney no normality either. Ratios of means with 95 % bootstrap intervals; Hedges’ g is the difference "
+        "in standard deviations.</p></div>"
     )
 
 
@@ -165,7 +168,8 @@ def suspects(findings: Findings) -> str:
     return (
         f'<div id="suspects"><h3>Exploiters: the worst {len(listed)} of {len(findings.suspects)}</h3>'
         f'{_table(columns, rows, title, kind="named")}<p class="small">Ranked by how much further the members '
-        "together say a design gets than it does in True Slush; where that is not known, by how much they disagree.</p></div>"
+        "together say a design gets than it does in True Slush; where that is not known, by how much they disagree."
+        "</p></div>"
     )
 
 
@@ -184,9 +188,10 @@ def retried(findings: Findings) -> str:
     columns = ("Champion", "Claimed [m]", "Lost when tried again [m]", "Reach [m]")
     return (
         f'<details id="retried"><summary>Luck and reach of {len(rows)} champions</summary>'
-        f'{_table(columns, rows, title, kind="named")}<p class="small">Each champion was tried again where it evolved, with '
-        "its attachments moved by 1e-4 of half a link: what it loses on average was luck that no copy of it has. Reach is "
-        "the root’s displacement less the whole robot’s, in True Slush: gained by stretching out.</p></details>"
+        f'{_table(columns, rows, title, kind="named")}<p class="small">Each champion was tried again where it evolved, '
+        "with its attachments moved by 1e-4 of half a link: what it loses on average was luck that no copy of it has. "
+        "Reach is the root’s displacement less the whole robot’s, in True Slush: gained by "
+        "stretching out.</p></details>"
     )
 
 

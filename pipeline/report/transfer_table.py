@@ -23,6 +23,7 @@ from pipeline.report.words import NONE, absent, number, percent
 
 
 def transfer_table(trials: Sequence[TrialResult]) -> str:
+    """Tabulate champions by depth and environment."""
     if not trials:
         return absent("The transfer table", "no trial has finished yet")
     bodies = "".join(_depth_rows(trials, depth) for depth in depths(trials))

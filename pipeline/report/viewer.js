@@ -30,6 +30,7 @@
     const options = {
       follow: control("follow").checked, caption: true, overlay: control("overlay").value, push: control("push").checked,
     };
+    options.most = mostOf(options.overlay);
     state.panes.forEach((replay, index) => {
       const paneWidth = stacked ? width : width / state.panes.length;
       const box = { left: stacked ? 0 : index * paneWidth, top: stacked ? index * paneHeight : 0, width: paneWidth, height: paneHeight };
@@ -42,18 +43,23 @@
     control("scrub").max = duration();
     control("scrub").value = state.time;
     control("time").textContent = state.time.toFixed(1) + " / " + duration().toFixed(1) + " s";
-    drawTimeline(options.overlay);
+    drawTimeline(options.overlay, options.most);
+  }
+
+  // The value of the darkest colour: the same for every robot shown, so that they can be compared.
+  function mostOf(label) {
+    const shown = state.panes.flatMap((replay) => replay.overlays.filter((overlay) => overlay.label === label));
+    return Math.max(...shown.map((overlay) => overlay.most), 1e-9);
   }
 
   // The mean over links of what the colours show, a line for each robot, and where the clock stands.
-  function drawTimeline(label) {
+  function drawTimeline(label, darkest) {
     const shown = state.panes.filter((replay) => replay.overlays.some((overlay) => overlay.label === label));
     control("line").hidden = shown.length === 0;
     if (shown.length === 0) return;
     const context = prepare(timeline, 64), width = timeline.clientWidth, height = 64;
     context.clearRect(0, 0, width, height);
-    const overlays = shown.map((replay) => replay.overlays.find((overlay) => overlay.label === label));
-    const lines = shown.map((replay, index) => meanOverLinks(replay, label, overlays[index].most));
+    const lines = shown.map((replay) => meanOverLinks(replay, label, darkest));
     const most = Math.max(...lines.flat().filter((value) => value !== null), 1e-9);
     lines.forEach((line, index) => {
       context.beginPath();
@@ -73,17 +79,18 @@
     context.fillStyle = color("ink");
     context.fillRect(state.time / duration() * width - 1, 0, 2, height);
     const ramp = [0, 0.25, 0.5, 0.75, 1].map((share) => heat(share)).join(", ");
-    const legend = control("legend"), text = overlays.map((overlay) => overlay.most.toPrecision(2) + " " + overlay.unit).join(", ");
+    const unit = shown[0].overlays.find((overlay) => overlay.label === label).unit;
+    const legend = control("legend"), text = [darkest, most].map((value) => value.toPrecision(2) + " " + unit).join(" ");
     if (legend.dataset.text !== text) {
       legend.dataset.text = text;
-      legend.replaceChildren("0 ", Object.assign(document.createElement("span"), { className: "ramp" }), " " + text + " or more; line: mean over links, up to " + most.toPrecision(2));
+      legend.replaceChildren("0 ", Object.assign(document.createElement("span"), { className: "ramp" }), " " + darkest.toPrecision(2) + " " + unit + " or more. Line: mean over links, up to " + most.toPrecision(2) + " " + unit + ".");
       legend.querySelector(".ramp").style.background = "linear-gradient(to right, " + ramp + ")";
     }
   }
 
   function meanOverLinks(replay, label, most) {
     return Array.from({ length: replay.nFrames }, (_, frame) => {
-      const known = sharesAt(replay, label, frame).filter((share) => share !== null);
+      const known = sharesAt(replay, label, frame, most).filter((share) => share !== null);
       return known.length ? known.reduce((sum, share) => sum + share, 0) / known.length * most : null;
     });
   }

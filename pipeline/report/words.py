@@ -16,10 +16,12 @@ def number(value: float) -> str:
 
 
 def percent(share: float) -> str:
+    """Write a share as whole per cent."""
     return f"{round(100 * share)}\u00a0%".replace("-", "−")
 
 
 def absent(title: str, reason: str) -> str:
+    """Say in the place of a thing why it is not there."""
     return f'<p class="absent"><b>{escape(title)}</b> is not here: {escape(reason)}.</p>'
 
 
@@ -41,4 +43,6 @@ def interval(found: Estimate, form: str = "{:.1f}") -> str:
 
 
 def _signed(form: str, value: float) -> str:
-    return form.format(value).replace("-", "−")
+    """Write a number with a true minus, and no negative zero."""
+    text = form.format(value)
+    return text.replace("-", "−") if any(digit in text for digit in "123456789") else text.replace("-", "")

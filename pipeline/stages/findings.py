@@ -69,7 +69,7 @@ def arm_name(environment: str, depth: float, trial: int) -> str:
 
 
 def findings(inputs: Mapping[str, Files], *, assessed_depth: float) -> Findings:
-    """Gather what the page shows from an item's inputs: ``analyse/<label>``, ``throws-<n>``, ``history/<trial>/<n>``."""
+    """Gather what the page shows from inputs named ``analyse/<label>``, ``throws-<n>`` and ``history/<trial>/<n>``."""
     analysed = {name.removeprefix("analyse/"): files for name, files in inputs.items() if name.startswith("analyse/")}
     missing = {
         field: reason
@@ -180,7 +180,8 @@ def _suspects(files: Files) -> list[Suspect]:
     names = ("environment", "depth", "trial", "generation", "kind")
     return [
         Suspect(
-            f"{arm_name(environment, depth, trial)}, " + ("champion" if kind == "champion" else f"of generation {born}"),
+            f"{arm_name(environment, depth, trial)}, "
+            + ("champion" if kind == "champion" else f"of generation {born}"),
             exploiter,
         )
         for exploiter, environment, depth, trial, born, kind in zip(
@@ -215,9 +216,7 @@ def _family(inputs: Mapping[str, Files]) -> Family | None:
     names = sorted(name for name in inputs if name.startswith(HISTORIES))
     if not names:
         return None
-    tables = [
-        decode_table(inputs[name][segments.HISTORY], schema="history", version=1, source=name) for name in names
-    ]
+    tables = [decode_table(inputs[name][segments.HISTORY], schema="history", version=1, source=name) for name in names]
     history = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
     if not np.isfinite(history["fitness"]).any():
         return None

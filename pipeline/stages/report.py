@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -63,10 +64,8 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
     for label, (analysis,) in upstream["analyse"].done.items():
         inputs[f"analyse/{label}"] = Input(analysis, tuple(analysis.files))
     if settings.needs_ensemble:
-        try:
+        with suppress(MissingInputs):  # the figure of the data set says that there is none
             inputs |= data_set(upstream["collect"])
-        except MissingInputs:
-            pass  # the figure of the data set says that there is none
     inputs |= _family_inputs(settings, upstream)
     set_aside = [f"{name}: {label} {why}" for name in upstream for label, why in upstream[name].set_aside.items()]
     digests = [

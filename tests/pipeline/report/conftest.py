@@ -36,9 +36,7 @@ N_SETTLE, N_MEASURE = 60, 180
 def rollout():
     """One random design in True Slush of 2 m: design, trace (n_steps, n_links, 6), displacement [m]."""
     design = random_designs(1, np.random.default_rng(5))
-    rollouts = simulate(
-        design, TrueSlush(2.0), n_settle=N_SETTLE, n_measure=N_MEASURE, engine="reference", trace=True
-    )
+    rollouts = simulate(design, TrueSlush(2.0), n_settle=N_SETTLE, n_measure=N_MEASURE, engine="reference", trace=True)
     return design, rollouts.trace[0], float(rollouts.displacement[0])
 
 
@@ -119,7 +117,9 @@ def findings() -> Findings:
         retried=[Retried("Dry Land, 1 m, trial 0", 60.0, mean(np.array([1.0, 2.0, 3.0])), 4.0)],
         phantom_thrust=[mean(rng.normal(0.1 * n, 0.02, 9)) for n in range(3)] + [Estimate.missing("it is not finite")],
         member_errors=[
-            MemberError(member, component, band, immersion, 9, 0.1, 0.1 * (member + 1), 0.0 if immersion == "dry" else 2.0)
+            MemberError(
+                member, component, band, immersion, 9, 0.1, 0.1 * (member + 1), 0.0 if immersion == "dry" else 2.0
+            )
             for member in range(2)
             for component in ("vx", "vy", "omega")
             for band in ("< 0.5", "0.5-2")

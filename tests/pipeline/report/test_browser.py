@@ -35,7 +35,7 @@ PATIENCE = 30.0
 
 
 class Browser:
-    """A headless Chromium with one tab, spoken to in its DevTools protocol: JSON between zero bytes on descriptors 3 and 4."""
+    """A headless Chromium with one tab, spoken to in DevTools JSON, ended by zero bytes, on descriptors 3 and 4."""
 
     def __init__(self, profile: Path) -> None:
         (read_theirs, write_ours), (read_ours, write_theirs) = os.pipe(), os.pipe()
