@@ -151,6 +151,8 @@ for _name, _summary in {
     "train": "Train the ensemble of residual networks on the throws.",
     "evolve": "Evolve designs in every environment, at every depth.",
     "transfer": "Score champions in True Slush, zero-shot and with adapted controllers.",
+    "assess": "Put the networks' predictions of designs beside what truly happens.",
+    "analyse": "Compute statistics, the table against the paper, and where the networks hallucinate.",
     "report": "Make the page that shows what came of it.",
 }.items():
     _add_stage_command(_name, _summary, (_name,))

@@ -116,7 +116,8 @@ def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary
         name=settings.name,
         key=digest(canonical_json(chosen)),
         params=chosen,
-        artifacts={"settings.json": encode_json(chosen), **(summary.artifacts if last else {})},
+        metrics=summary.metrics if summary.of_study else {},
+        artifacts={"settings.json": encode_json(chosen), **(summary.artifacts if summary.of_study else {})},
         status="FINISHED" if last else None,
     )
     run = Run(

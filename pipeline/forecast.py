@@ -44,8 +44,13 @@ class Rates:
     iteration: float
     generation: Mapping[EnvironmentName, float]
     """By the world in which designs are simulated."""
+    population_size: int
     bytes_per_design: float
     """What a trial's history keeps of each evaluated design [bytes]."""
+
+    def rollout(self, world: EnvironmentName) -> float:
+        """Price one design in a world, as a share of a generation."""
+        return self.generation[world] / self.population_size
 
 
 @dataclass(frozen=True)
@@ -64,8 +69,9 @@ class StageForecast:
 def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
     """Time a small piece of each kind of work that these settings ask for."""
     worlds = dict.fromkeys(environment for environment, _, _ in settings.grid.trials())
-    if settings.transfer.adapted_environments:
-        worlds["true_slush"] = None
+    worlds["true_slush"] = None  # where champions are put to the test
+    if settings.needs_ensemble:
+        worlds["residual_slush"] = None  # what predictions are made by
     throw = iteration = 0.0
     if settings.needs_ensemble:
         say("timing throws and training")
@@ -74,7 +80,7 @@ def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
     for world in worlds:
         say(f"timing a generation in {world.replace('_', ' ')}")
         generation[world] = _time_of_generation(settings, world)
-    return Rates(throw, iteration, generation, _bytes_per_design(settings))
+    return Rates(throw, iteration, generation, settings.evolution.afpo.population_size, _bytes_per_design(settings))
 
 
 def forecast(
@@ -103,6 +109,10 @@ def _price(stage: Stage, chain: Chain, rates: Rates) -> float:
             return rates.iteration
         case "generations":
             return rates.generation[chain.spec["world"]]
+        case "designs":
+            return rates.rollout("true_slush") + rates.rollout("residual_slush")
+        case "analyses":
+            return float(chain.spec["n_rollouts"]) * rates.rollout(chain.spec["world"])
     return 0.0  # the report: seconds, whatever the study
 
 

@@ -3,8 +3,8 @@
 The defaults are the paper's study. A file in configs/ states what it changes. Each group of scientific parameters is
 declared beside the equation that uses it (see tasks/); what is declared here is the study around them.
 
-Settings name the things in the pipeline's order: data, networks, environments, evolution, transfer, and how the work is
-cut. How it is cut never changes a result.
+Settings name the things in the pipeline's order: data, networks, environments, evolution, transfer,
+assessment, and how the work is cut. How it is cut never changes a result.
 """
 
 from __future__ import annotations
@@ -95,6 +95,15 @@ class Transfer(Parameters):
     """Of each adaptation. [P]"""
 
 
+class Assess(Parameters):
+    """Which designs prediction accuracy is judged by: of trials in True Slush and on Dry Land, at one depth."""
+
+    depth: Depth = 9.0
+    """Of the ground below the surface [m]; where the grid lacks it, the deepest that it has. [P]"""
+    n_designs: int = Field(default=2376, ge=1, le=1_000_000)
+    """Drawn uniformly over the generations, in equal parts from every trial. [P]"""
+
+
 class Work(Parameters):
     """How the work is cut into pieces. None of it changes a number; but other pieces are computed anew."""
 
@@ -136,8 +145,16 @@ class Settings(Parameters):
     """How designs evolve."""
     transfer: Transfer = Transfer()
     """How champions are put to the test."""
+    assess: Assess = Assess()
+    """How predictions are put to the test."""
     work: Work = Work()
     """How the work is cut."""
+
+    @property
+    def assessed_depth(self) -> float:
+        """Depth at which prediction accuracy is judged [m]."""
+        depths = self.grid.depths
+        return self.assess.depth if self.assess.depth in depths else max(depths)
 
     @property
     def needs_ensemble(self) -> bool:

@@ -153,6 +153,8 @@ class Summary:
     trials: Sequence[TrialSummary] = ()
     artifacts: Mapping[str, bytes] = field(default_factory=dict)
     """Files that a person may want to open, by path."""
+    of_study: bool = False
+    """Whether the study as a whole shows these metrics and artifacts too, so that studies can be compared by them."""
 
 
 @dataclass(frozen=True)

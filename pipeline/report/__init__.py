@@ -1,10 +1,11 @@
 """What a study has to show: pictures, moving robots and one page. Plain data in, text and bytes out; no store here.
 
-To add a figure: draw it in figures.py, list it in ``draw_all``, and give it a place in page.html.
+To add a figure: draw it in the module of its subject, list it in figures.py, and give it a place in page.html.
 """
 
 from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
-from pipeline.report.figures import Drawing, Missing, draw_all
+from pipeline.report.drawing import Drawing, Missing
+from pipeline.report.figures import draw_all
 from pipeline.report.gif import render_gif, write_gif
 from pipeline.report.page import render_page
 from pipeline.report.replay import Replay, replay_of

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.report.findings import Findings
 from pipeline.report.replay import Replay
 
 EnvironmentName = Literal["true_slush", "dry_land", "residual_slush", "single_member"]
@@ -123,6 +124,7 @@ class StudyReport:
     trials: Sequence[TrialResult] = ()
     residual_errors: Sequence[ResidualError] = ()
     replays: Sequence[Replay] = ()
+    findings: Findings = field(default_factory=Findings)
     digests: Sequence[Digest] = ()
     set_aside: Sequence[str] = ()
     """Work items that failed, named."""

@@ -1,385 +1,40 @@
-"""The figures of a study, each as SVG and as PNG. The same report always gives the same bytes.
-
-Figures are as narrow as a phone (360 units), so that their text stays legible there; a page may show them larger. The
-SVG keeps text as text. Its colours are those of ``INK``, ``FAINT`` and the environments alone, so that the page can put
-its own in their place when it is dark.
-"""
+"""The figures of a study, by name. The same report always gives the same bytes."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from functools import partial
 
-import numpy as np
-from matplotlib import style as mpl_style
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.data import (
-    ENVIRONMENTS,
-    PAPER,
-    PAPER_DEPTH,
-    EnvironmentName,
-    Estimate,
-    Quantity,
-    StudyReport,
-    TrialResult,
-    arm,
-    deepest_scored,
-    depths,
-    environments,
-    estimate,
-)
-
-INK = "#1d2129"
-FAINT = "#c9ced6"
-PAPER_MARK = "#c2185b"
-
-WIDTH = 360 / 72
-"""Of a figure [inch]; 360 units of its SVG."""
-
-CURVE_POINTS = 120
-"""Generations drawn of a fitness curve, so that a page of a hundred curves stays small."""
-
-STYLE: dict[str, Any] = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "puddle",
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 10.5,
-    "axes.titlesize": 10.5,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.8,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "grid.color": FAINT,
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "hatch.linewidth": 1.0,
-    "lines.linewidth": 1.8,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "savefig.facecolor": "none",
-}
-NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A figure."""
-
-    name: str
-    title: str
-    description: str
-    """What it shows, for those who read it and for those who can't see it."""
-    svg: bytes
-    png: bytes
-    """On white, at three pixels a unit."""
-
-
-@dataclass(frozen=True)
-class Missing:
-    """A figure that this study cannot fill, and why."""
-
-    name: str
-    title: str
-    reason: str
-
-
-class NothingToDraw(Exception):  # noqa: N818 (what it is, not that it went wrong)
-    """Raised by a figure that has no data; its message is the reason, for a reader."""
+from pipeline.report.accuracy import aggregates, prediction_accuracy
+from pipeline.report.champions import fitness_curves, transfer_across_depths, transfer_at_depth
+from pipeline.report.data import StudyReport
+from pipeline.report.drawing import Drawing, Missing, finish
+from pipeline.report.ensemble import data_set, member_error, phantom_thrust, residual_error
+from pipeline.report.family import family_tree
+from pipeline.report.gaps import attribution, transfer_matrix
 
 
 def draw_all(report: StudyReport) -> dict[str, Drawing | Missing]:
     """Draw every figure of a study, by name; one that cannot be drawn says why."""
-    return {name: _draw(name, title, draw, report) for name, (title, draw) in FIGURES.items()}
-
-
-def _draw(
-    name: str, title: str, draw: Callable[[StudyReport], tuple[Figure, str]], report: StudyReport
-) -> Drawing | Missing:
-    with mpl_style.context(["default", STYLE]):  # whatever style the user has set
-        try:
-            figure, description = draw(report)
-        except NothingToDraw as nothing:
-            return Missing(name=name, title=title, reason=str(nothing))
-        svg, png = io.BytesIO(), io.BytesIO()
-        figure.savefig(svg, format="svg", metadata=NO_METADATA)
-        figure.savefig(png, format="png", dpi=216, facecolor="white", metadata={"Software": None})
-    return Drawing(name=name, title=title, description=description, svg=svg.getvalue(), png=png.getvalue())
-
-
-# -- transfer at one depth: paper, Fig. 4 A ---------------------------------------------------------------------------
-
-
-def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
-    """Bars for every arm at the deepest depth: mean ± 1 SD in True Slush, a point for each trial, the paper's mark."""
-    depth = deepest_scored(report.trials)
-    if depth is None:
-        raise NothingToDraw(_NOT_SCORED if report.trials else _NO_TRIALS)
-    trials = [trial for trial in report.trials if trial.depth == depth]
-    bars: list[tuple[EnvironmentName, Quantity, Estimate]] = [
-        (environment, quantity, found)
-        for environment in environments(trials)
-        for quantity in _TRANSFERS
-        if (found := estimate(arm(trials, environment, depth), quantity))
-    ]
-    figure = Figure(figsize=(WIDTH, 4.1), layout="constrained")
-    axes = figure.add_subplot()
-    centers, groups = _bar_places(bars)
-    for center, (environment, quantity, found) in zip(centers, bars, strict=True):
-        _bar(axes, center, environment, quantity, found)
-        if depth == PAPER_DEPTH and (environment, quantity) in PAPER:
-            axes.plot([center + 0.34, center + 0.56], [PAPER[environment, quantity]] * 2, color=PAPER_MARK, lw=2.5)
-    axes.axhline(0, color=INK, lw=0.8)
-    axes.set_xticks(
-        [float(np.mean(places)) for places in groups.values()],
-        [ENVIRONMENTS[environment].label.replace(" ", "\n") for environment in groups],
-    )
-    axes.tick_params(axis="x", length=0)
-    axes.set_xlim(centers[0] - 0.7, centers[-1] + 0.8)
-    axes.set_ylabel("displacement in True Slush [m]")
-    axes.set_title(f"depth {depth:g} m", loc="left")
-    axes.grid(axis="y")
-    axes.set_axisbelow(True)
-    handles: list[Any] = []
-    if any(quantity == "adapted" for _, quantity, _ in bars):
-        handles += [
-            Patch(facecolor=FAINT, edgecolor=INK, lw=0.8, label="zero-shot"),
-            Patch(facecolor="none", edgecolor=INK, lw=0.8, hatch="////", label="controller adapted"),
-        ]
-    if depth == PAPER_DEPTH:
-        handles.append(Line2D([], [], color=PAPER_MARK, lw=2.5, label="paper"))
-    if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=3, handlelength=1.4, columnspacing=1.2)
-    return figure, (
-        f"Displacement in True Slush at {depth:g} m of the champions evolved in each environment, as they are "
-        "(zero-shot) and with their controllers adapted to True Slush. Bars are means over trials, whiskers ± 1 SD, "
-        "points the trials." + (" Short marks are the paper’s means." if depth == PAPER_DEPTH else "")
-    )
-
-
-_TRANSFERS: tuple[Quantity, Quantity] = ("zero_shot", "adapted")
-
-
-def _bar_places(
-    bars: Sequence[tuple[EnvironmentName, Quantity, Estimate]],
-) -> tuple[list[float], dict[EnvironmentName, list[float]]]:
-    """Place bars along x, those of one environment side by side."""
-    centers: list[float] = []
-    groups: dict[EnvironmentName, list[float]] = {}
-    for environment, _, _ in bars:
-        gap = 1.0 if environment in groups else 1.45
-        centers.append(centers[-1] + gap if centers else 0.0)
-        groups.setdefault(environment, []).append(centers[-1])
-    return centers, groups
-
-
-def _bar(axes: Any, center: float, environment: EnvironmentName, quantity: Quantity, found: Estimate) -> None:
-    style = ENVIRONMENTS[environment]
-    if quantity == "adapted":
-        axes.bar(center, found.mean, 0.62, facecolor=style.adapted_color, edgecolor=style.color, hatch="////", lw=1.0)
-    else:
-        axes.bar(center, found.mean, 0.62, facecolor=style.color, edgecolor=style.color, lw=1.0)
-    if found.sd is not None:
-        axes.errorbar(center, found.mean, found.sd, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
-    offsets = np.linspace(-0.2, 0.2, found.n) if found.n > 1 else np.zeros(1)
-    axes.plot(center + offsets, found.values, style.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
-
-
-# -- transfer across depths: paper, Fig. 4 B --------------------------------------------------------------------------
-
-
-def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
-    """Lines over depth for every environment, zero-shot solid and adapted dashed, with bands of ± 1 SD."""
-    listed = depths(report.trials)
-    if len(listed) < 2:
-        raise NothingToDraw("it compares depths, and so far there are trials at one alone" if listed else _NO_TRIALS)
-    figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
-    axes = figure.add_subplot()
-    handles: list[Any] = []
-    anything_adapted = False
-    for environment in environments(report.trials):
-        style = ENVIRONMENTS[environment]
-        for quantity in _TRANSFERS:
-            points = [
-                (depth, found)
-                for depth in listed
-                if (found := estimate(arm(report.trials, environment, depth), quantity))
-            ]
-            if points:
-                adapted = quantity == "adapted"
-                anything_adapted |= adapted
-                _line_with_band(axes, points, style.color, style.marker, adapted=adapted)
-                if not any(handle.get_label() == style.label for handle in handles):
-                    handles.append(Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label))
-    if not handles:
-        raise NothingToDraw(_NOT_SCORED)
-    if anything_adapted:
-        handles += [
-            Line2D([], [], color=INK, label="zero-shot"),
-            Line2D([], [], color=INK, ls=(0, (3, 2)), label="adapted"),
-        ]
-    axes.axhline(0, color=INK, lw=0.8)
-    axes.set_xlabel("depth [m]")
-    axes.set_ylabel("displacement in True Slush [m]")
-    axes.grid()
-    axes.set_axisbelow(True)
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, handlelength=2.2, columnspacing=1.2)
-    return figure, (
-        "Displacement in True Slush over depth of the champions evolved in each environment: as they are (solid), "
-        "and with their controllers adapted to True Slush (dashed, hollow). Lines are means over trials, bands ± 1 SD."
-    )
-
-
-def _line_with_band(
-    axes: Any, points: Sequence[tuple[float, Estimate]], color: str, marker: str, *, adapted: bool
-) -> None:
-    x = np.array([depth for depth, _ in points])
-    mean = np.array([found.mean for _, found in points])
-    sd = np.array([found.sd or 0.0 for _, found in points])
-    axes.fill_between(x, mean - sd, mean + sd, color=color, alpha=0.14 if adapted else 0.22, lw=0)
-    axes.plot(
-        x,
-        mean,
-        color=color,
-        marker=marker,
-        ms=5,
-        mfc="#ffffff" if adapted else color,
-        mec=color,
-        ls=(0, (3, 2)) if adapted else "-",
-    )
-
-
-# -- fitness by generation --------------------------------------------------------------------------------------------
-
-
-def fitness_curves(report: StudyReport, *, n_columns: int = 2) -> tuple[Figure, str]:
-    """Panels, one for each depth: best fitness by generation where the robots evolve, mean ± 1 SD over trials."""
-    trials = [trial for trial in report.trials if np.isfinite(trial.curve).any()]
-    if not trials:
-        raise NothingToDraw("no trial has finished a generation yet")
-    listed = depths(trials)
-    n_columns = min(n_columns, len(listed))
-    n_rows = -(-len(listed) // n_columns)
-    width = WIDTH * max(1.0, n_columns / 2)
-    height = (2.9 if n_columns == 1 else 1.9) * n_rows + 0.75
-    figure = Figure(figsize=(width, height), layout="constrained")
-    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for panel, depth in zip(panels, listed, strict=False):
-        for environment in environments(trials):
-            _curve(panel, arm(trials, environment, depth), environment)
-        panel.set_title(f"depth {depth:g} m", loc="left")
-        panel.grid()
-        panel.set_axisbelow(True)
-    panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
-    for panel in panels[len(listed) :]:
-        panel.set_visible(False)
-    for panel in panels[max(0, len(listed) - n_columns) : len(listed)]:
-        panel.xaxis.set_tick_params(labelbottom=True)
-    figure.supxlabel("generation", fontsize=10.5)
-    figure.supylabel("best fitness [m]", fontsize=10.5)
-    handles = [
-        Line2D([], [], color=ENVIRONMENTS[environment].color, label=ENVIRONMENTS[environment].label)
-        for environment in environments(trials)
-    ]
-    columns = len(handles) if n_columns > 2 else 2
-    figure.legend(handles=handles, loc="outside upper center", ncols=columns, handlelength=1.8, columnspacing=1.2)
-    return figure, (
-        "Best fitness so far by generation, in the world where the robots evolve. Lines are means over trials, bands "
-        "± 1 SD."
-    )
-
-
-def _curve(panel: Any, trials: Sequence[TrialResult], environment: EnvironmentName) -> None:
-    if not trials:
-        return
-    # Trials that are still running are cut where the shortest ends, so that a mean is always over the same trials.
-    n_generations = min(len(trial.curve) for trial in trials)
-    shown = np.unique(np.linspace(0, n_generations - 1, CURVE_POINTS).round().astype(int))
-    curves = np.array([np.asarray(trial.curve)[shown] for trial in trials])
-    usable = np.isfinite(curves).all(axis=0)  # early generations may hold diverged robots alone
-    shown, curves = shown[usable], curves[:, usable]
-    mean, color = curves.mean(axis=0), ENVIRONMENTS[environment].color
-    if len(curves) > 1:
-        sd = curves.std(axis=0, ddof=1)
-        panel.fill_between(shown, mean - sd, mean + sd, color=color, alpha=0.22, lw=0)
-    panel.plot(shown, mean, color=color)
-
-
-# -- the residual ensemble --------------------------------------------------------------------------------------------
-
-
-def residual_error(report: StudyReport) -> tuple[Figure, str]:
-    """Panels, one for each velocity: error on held-out throws over bands of speed, a line for each member.
-
-    Only the velocities' residuals are applied to a robot, so positions are left out.
-    """
-    rows = [row for row in report.residual_errors if row.component in _VELOCITIES and row.rmse > 0]
-    if not rows:
-        raise NothingToDraw("no member of the residual ensemble has been validated yet, or the study needs none")
-    components = list(dict.fromkeys((row.component, row.unit) for row in rows))
-    bands = list(dict.fromkeys(row.speed_band for row in rows))
-    members = sorted({row.member for row in rows})
-    color = ENVIRONMENTS["residual_slush"].color
-    figure = Figure(figsize=(WIDTH, 1.75 * len(components) + 0.9), layout="constrained")
-    panels = figure.subplots(len(components), 1, sharex=True, squeeze=False).ravel()
-    place = {band: index for index, band in enumerate(bands)}
-    for panel, (component, unit) in zip(panels, components, strict=True):
-        chosen = [row for row in rows if row.component == component]
-        for member in members:
-            of_member = sorted((place[row.speed_band], row.rmse) for row in chosen if row.member == member)
-            panel.plot(*zip(*of_member, strict=True), color=color, marker="o", ms=4, lw=1.1, alpha=0.75)
-        for index, residual in sorted({(place[row.speed_band], row.rms_residual) for row in chosen}):
-            if residual > 0:
-                panel.plot([index - 0.3, index + 0.3], [residual] * 2, color=INK, lw=2.0)
-        panel.set_yscale("log")
-        panel.set_ylabel(f"{component} [{unit}]")
-        panel.grid(axis="y")
-        panel.set_axisbelow(True)
-    panels[-1].set_xticks(range(len(bands)), [band.removesuffix(" m/s").replace("-", "–") for band in bands])
-    panels[-1].set_xlim(-0.5, len(bands) - 0.5)
-    panels[-1].set_xlabel("speed of the thrown link [m/s]")
-    handles = [
-        Line2D([], [], color=color, marker="o", ms=4, lw=1.1, label="a member's error"),
-        Line2D([], [], color=INK, lw=2.0, label="error of predicting nothing"),
-    ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=1.6, columnspacing=1.2)
-    return figure, (
-        "Root mean square error of the change of velocity that a member predicts for a step, on throws that it never "
-        f"saw, by the speed of the thrown link; {_count(members, 'member')}. Dark bars are the changes themselves: "
-        "the error of a network that predicts nothing."
-    )
-
-
-_VELOCITIES = ("vx", "vy", "omega")
-
-
-def _count(things: Sequence[Any], name: str) -> str:
-    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
-
-
-_NO_TRIALS = "no trial has finished yet"
-_NOT_SCORED = "no champion has been scored in True Slush yet"
-
-
-def _wide_fitness_curves(report: StudyReport) -> tuple[Figure, str]:
-    return fitness_curves(report, n_columns=5)
+    return {name: finish(name, title, partial(draw, report)) for name, (title, draw) in FIGURES.items()}
 
 
 FIGURES: dict[str, tuple[str, Callable[[StudyReport], tuple[Figure, str]]]] = {
     "transfer_at_depth": ("Transfer at the deepest depth", transfer_at_depth),
     "transfer_across_depths": ("Transfer across depths", transfer_across_depths),
-    "fitness_curves": ("Fitness by generation", fitness_curves),
-    "fitness_curves_wide": ("Fitness by generation", _wide_fitness_curves),
-    "residual_error": ("Error of the residual ensemble", residual_error),
+    "attribution": ("Whose fault the gap is", attribution),
+    "transfer_matrix": ("Transfer between depths", transfer_matrix),
+    "data_set": ("The data set", data_set),
+    "prediction_accuracy": ("Prediction accuracy", partial(prediction_accuracy, n_columns=2)),
+    "prediction_accuracy_wide": ("Prediction accuracy", partial(prediction_accuracy, n_columns=5)),
+    "aggregates": ("What the members say together", aggregates),
+    "residual_error": ("Error of the residual ensemble on throws", residual_error),
+    "member_error": ("Error of the members where robots go", member_error),
+    "phantom_thrust": ("Phantom thrust", phantom_thrust),
+    "fitness_curves": ("Fitness by generation", partial(fitness_curves, n_columns=2)),
+    "fitness_curves_wide": ("Fitness by generation", partial(fitness_curves, n_columns=5)),
+    "family_tree": ("Family tree of a champion", family_tree),
 }
-"""Name -> title and how to draw it."""
+"""Name -> title and how to draw it. A figure with a ``_wide`` twin is drawn for a phone, the twin for a desk."""

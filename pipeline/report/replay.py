@@ -21,6 +21,22 @@ QUANTUM = 1e-3
 """Step of the encoded coordinates [m and rad]: what the page shows is within half of it of the trace."""
 
 
+MOST_ACCELERATION = 60.0
+"""Beyond which an arrow of the medium's push grows no longer [m/s²]; six times gravity."""
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """A number for every link at every frame, shown as its colour and along a time line."""
+
+    label: str
+    """What it is, for a reader."""
+    unit: str
+    """Such as "m/s²", or "× usual"."""
+    values: npt.NDArray[np.float64]
+    """(n_frames, n_links), not negative; NaN where there is none."""
+
+
 @dataclass(frozen=True, eq=False)
 class Replay:
     """One robot in one world.
@@ -36,6 +52,8 @@ class Replay:
         parent_attachment: (n_links,) joint's place on the parent's long axis [half heights].
         frames: (n_frames, n_links, 3) x, y [m], angle [rad].
         fps: frames a second.
+        overlays: what else is known of each link at each frame.
+        push: (n_frames, n_links, 2) acceleration that the medium gives each link [m/s²], where it is known.
     """
 
     title: str
@@ -48,6 +66,19 @@ class Replay:
     parent_attachment: npt.NDArray[np.float64]
     frames: npt.NDArray[np.float64]
     fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME
+    overlays: tuple[Overlay, ...] = ()
+    push: npt.NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        shape = self.frames.shape[:2]
+        for overlay in self.overlays:
+            if overlay.values.shape != shape:
+                raise ValueError(
+                    f"replay {self.title!r}: overlay {overlay.label!r} has shape {overlay.values.shape}, "
+                    f"expected {shape}"
+                )
+        if self.push is not None and self.push.shape != (*shape, 2):
+            raise ValueError(f"replay {self.title!r}: push has shape {self.push.shape}, expected {(*shape, 2)}")
 
     @property
     def duration(self) -> float:
@@ -63,6 +94,12 @@ class Replay:
         return pose
 
 
+def at_frames(by_step: npt.NDArray[np.floating], n_settle: int) -> npt.NDArray[np.float64]:
+    """Take from (n_steps, ...) values after each step those of a replay's frames: (n_frames, ...)."""
+    # A trace's first entry is the state after the first step, so the settled state is entry n_settle - 1.
+    return by_step[max(n_settle - 1, 0) :: STEPS_PER_FRAME].astype(np.float64)
+
+
 def replay_of(
     design: Designs,
     trace: npt.NDArray[np.floating],
@@ -73,6 +110,8 @@ def replay_of(
     depth: float,
     has_medium: bool,
     n_settle: int,
+    overlays: tuple[Overlay, ...] = (),
+    push: npt.NDArray[np.float64] | None = None,
 ) -> Replay:
     """Make a replay of one design from the trace of its rollout.
 
@@ -85,6 +124,8 @@ def replay_of(
         depth: of the ground [m].
         has_medium: whether something fills the world below y = 0.
         n_settle: steps at the start that are left out, as they are from the displacement; 0 shows them.
+        overlays: of the frames, see :func:`at_frames`.
+        push: of the frames.
 
     Raises:
         ValueError: the trace is not that of one design, too short, or of a rollout that diverged.
@@ -93,8 +134,7 @@ def replay_of(
         raise ValueError(f"replay {title!r}: {len(design)} designs, expected one")
     if trace.ndim != 3 or trace.shape[1:] != (N_LINKS, 6):
         raise ValueError(f"replay {title!r}: trace has shape {trace.shape}, expected (n_steps, {N_LINKS}, 6)")
-    # A trace's first entry is the state after the first step, so the settled state is entry n_settle - 1.
-    frames = trace[max(n_settle - 1, 0) :: STEPS_PER_FRAME, :, :3].astype(np.float64)
+    frames = at_frames(trace[..., :3], n_settle)
     if len(frames) < 2:
         raise ValueError(f"replay {title!r}: {len(trace)} steps, expected {n_settle + STEPS_PER_FRAME} or more")
     if not np.isfinite(trace).all():
@@ -109,7 +149,20 @@ def replay_of(
         parent=design.parent[0],
         parent_attachment=design.parent_attachment[0],
         frames=frames,
+        overlays=overlays,
+        push=push,
     )
+
+
+class EncodedOverlay(TypedDict):
+    """An overlay as the page's JSON has it."""
+
+    label: str
+    unit: str
+    most: float
+    """The value that 254 stands for: the 99th percentile, so that one spike does not pale the rest."""
+    levels: str
+    """base64 of uint8, (n_frames, n_links): shares of ``most`` in 254ths; 255 where there is no value."""
 
 
 class EncodedReplay(TypedDict):
@@ -129,6 +182,11 @@ class EncodedReplay(TypedDict):
     """n_links × (x, y, angle) of the first frame, in quanta."""
     steps: str
     """base64 of little-endian int16, (n_frames - 1, n_links, 3): from each frame to the next, in quanta."""
+    overlays: list[EncodedOverlay]
+    pushQuantum: float
+    """Step of the push [m/s²]."""
+    push: str
+    """base64 of int8, (n_frames, n_links, 2), in its quanta; empty where it is not known."""
 
 
 def encode(replay: Replay) -> EncodedReplay:
@@ -154,5 +212,32 @@ def encode(replay: Replay) -> EncodedReplay:
         parentAttachment=[round(float(place), 4) for place in replay.parent_attachment],
         quantum=quantum,
         first=[int(value) for value in quanta[0].ravel()],
-        steps=base64.b64encode(steps.tobytes()).decode("ascii"),
+        steps=_base64(steps),
+        overlays=[_encode_overlay(overlay) for overlay in replay.overlays],
+        pushQuantum=MOST_ACCELERATION / 127,
+        push="" if replay.push is None else _base64(_encode_push(replay.push)),
     )
+
+
+def _encode_overlay(overlay: Overlay) -> EncodedOverlay:
+    known = np.isfinite(overlay.values)
+    most = float(np.quantile(overlay.values[known], 0.99)) if known.any() else 0.0
+    most = max(most, 1e-9)
+    levels = np.rint(np.clip(np.where(known, overlay.values, 0.0) / most, 0, 1) * 254)
+    return EncodedOverlay(
+        label=overlay.label,
+        unit=overlay.unit,
+        most=float(f"{most:.4g}"),
+        levels=_base64(np.where(known, levels, 255).astype(np.uint8)),
+    )
+
+
+def _encode_push(push: npt.NDArray[np.float64]) -> npt.NDArray[np.int8]:
+    """Round to quanta; what is too long for them is shortened, its direction kept."""
+    size = np.linalg.norm(push, axis=-1, keepdims=True)
+    shortened = push * np.minimum(1.0, MOST_ACCELERATION / np.maximum(size, 1e-9))
+    return np.asarray(np.rint(shortened * 127 / MOST_ACCELERATION), dtype=np.int8)
+
+
+def _base64(array: npt.NDArray[np.generic]) -> str:
+    return base64.b64encode(array.tobytes()).decode("ascii")

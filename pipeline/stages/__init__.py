@@ -1,5 +1,13 @@
 """The stages of a study, in the order in which they run."""
 
-from pipeline.stages import collect, evolve, report, train, transfer
+from pipeline.stages import analyse, assess, collect, evolve, report, train, transfer
 
-STAGES = (collect.STAGE, train.STAGE, evolve.STAGE, transfer.STAGE, report.STAGE)
+STAGES = (
+    collect.STAGE,
+    train.STAGE,
+    evolve.STAGE,
+    transfer.STAGE,
+    assess.STAGE,
+    analyse.STAGE,
+    report.STAGE,
+)

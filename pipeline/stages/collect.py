@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.artifacts import decode_table, encode_table
 from pipeline.manifest import Manifest
 from pipeline.settings import Settings
-from pipeline.stage import Chain, Files, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
 from pipeline.store import Store
 from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
 from tasks.seeding import generator
@@ -68,6 +68,17 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     transitions = simulate_throws(starts, throws.n_steps, medium, Physics.model_validate(spec["physics"]))
     columns = {field.name: getattr(transitions, field.name) for field in fields(Transitions)}
     return {TRANSITIONS: encode_table(columns, schema=SCHEMA, version=SCHEMA_VERSION, producer=job.key, units=UNITS)}
+
+
+def data_set(collected: Results) -> dict[str, Input]:
+    """Give the chunks of the whole data set, as inputs.
+
+    Raises:
+        MissingInputs: a chunk is not there; says why.
+    """
+    labels = (*collected.done, *collected.unfinished, *collected.set_aside)
+    chunks = [collected.chain(label)[0] for label in labels]
+    return {f"throws-{index:06d}": Input(chunk, (TRANSITIONS,)) for index, chunk in enumerate(chunks)}
 
 
 def read_transitions(files: Sequence[Files]) -> Transitions:

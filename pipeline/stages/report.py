@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import yaml
 
 from pipeline.artifacts import decode_json, decode_table
@@ -14,16 +16,22 @@ from pipeline.manifest import Manifest
 from pipeline.provenance import environment as provenance
 from pipeline.report import Drawing, Replay, draw_all, render_gif, render_page, replay_of
 from pipeline.report.data import ENVIRONMENTS, Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.replay import Overlay, at_frames
 from pipeline.settings import Settings
-from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
 from pipeline.stages import segments
+from pipeline.stages.analyse import arm_label, read_table
+from pipeline.stages.collect import data_set
+from pipeline.stages.findings import HISTORIES, findings
 from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
 from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
+from tasks.analysis import acceleration, link_states
+from tasks.design import Designs
 from tasks.simulation import OK, simulate
 from tasks.world import TrueSlush
 
-NAME, VERSION = "report", 1
+NAME, VERSION = "report", 2
 
 PAGE, REPLAY = "index.html", "replay.gif"
 
@@ -33,7 +41,8 @@ N_REPLAYS_IN_GIF = 2
 
 def reads(settings: Settings) -> tuple[str, ...]:
     """Everything."""
-    return ("collect", "train", "evolve", "transfer") if settings.needs_ensemble else ("evolve", "transfer")
+    rest = ("evolve", "transfer", "assess", "analyse")
+    return ("collect", "train", *rest) if settings.needs_ensemble else rest
 
 
 def plan(settings: Settings) -> Sequence[Chain]:
@@ -52,6 +61,12 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
             inputs[f"evolve/{label}/{number:04d}"] = Input(segment, (segments.CURVE,))
     for label, trial in upstream["transfer"].done.items():
         inputs[f"transfer/{label}"] = Input(trial[-1], tuple(n for n in (SCORE, CHAMPION) if n in trial[-1].files))
+    for label, (analysis,) in upstream["analyse"].done.items():
+        inputs[f"analyse/{label}"] = Input(analysis, tuple(analysis.files))
+    if settings.needs_ensemble:
+        with suppress(MissingInputs):  # the figure of the data set says that there is none
+            inputs |= data_set(upstream["collect"])
+    inputs |= _family_inputs(settings, upstream)
     set_aside = [f"{name}: {label} {why}" for name in upstream for label, why in upstream[name].set_aside.items()]
     digests = [
         [name, label, manifests[-1].digest]
@@ -61,6 +76,17 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
     ]
     spec = {**chain.spec, "set_aside": set_aside, "digests": digests, "made_with": dict(provenance())}
     return Item(NAME, VERSION, chain.label, spec, inputs, how={"engine": settings.work.engine})
+
+
+def _family_inputs(settings: Settings, upstream: Upstream) -> dict[str, Input]:
+    """Give the history of one trial: the first that is done where residuals matter most."""
+    deepest = sorted(settings.grid.trials(), key=lambda row: (row[0] != "residual_slush", -row[1], row[2]))
+    for row in deepest:
+        label = segments.trial_label(*row)
+        if label in upstream["evolve"].done:
+            trial = upstream["evolve"].done[label]
+            return {f"{HISTORIES}{label}/{n:06d}": Input(part, (segments.HISTORY,)) for n, part in enumerate(trial)}
+    return {}
 
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
@@ -76,6 +102,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         trials=trials,
         residual_errors=_residual_errors(inputs),
         replays=replays,
+        findings=findings(inputs, assessed_depth=settings.assessed_depth),
         digests=[Digest(*row) for row in job.spec["digests"]],
         set_aside=job.spec["set_aside"],
     )
@@ -84,6 +111,8 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     for drawing in drawings.values():
         if isinstance(drawing, Drawing):
             files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
+    for replay in replays:
+        files[f"replay-{replay.environment}-{replay.depth:g}m.gif"] = render_gif([replay])
     if replays:
         files[REPLAY] = render_gif(_for_the_gif(replays))
     return files
@@ -174,9 +203,40 @@ def _replays(
                 depth=depth,
                 has_medium=True,
                 n_settle=settings.rollout.n_settle,
+                overlays=_overlays(settings, inputs.get(f"analyse/{arm_label(environment, depth)}", {}), trial.trial),
+                push=_push(settings, design, rollouts.trace),
             )
         )
     return replays
+
+
+LAID_OVER = (
+    ("disagreement", "what the members disagree about", "m/s²"),
+    ("novelty", "distance from the throws", "× usual"),
+)
+"""Column of the instruments' links, what the page calls it, and its unit."""
+
+
+def _overlays(settings: Settings, instruments: Files, trial: int) -> tuple[Overlay, ...]:
+    """Read what the instruments say of the champion's links in True Slush; nothing where they filmed no one."""
+    if not instruments:
+        return ()
+    worlds, links = read_table(instruments, "worlds"), read_table(instruments, "links")
+    if not ((worlds["world"] == "true_slush") & (worlds["trial"] == trial)).any():
+        return ()
+    here = links["world"] == "true_slush"
+    n_links = int(links["link"].max()) + 1
+    return tuple(
+        Overlay(label, unit, at_frames(links[column][here].reshape(-1, n_links), settings.rollout.n_settle))
+        for column, label, unit in LAID_OVER
+        if np.isfinite(links[column][here]).any()
+    )
+
+
+def _push(settings: Settings, design: Designs, trace: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+    """Compute how the slush speeds up each link at each frame: (n_frames, n_links, 2) [m/s²]."""
+    links = link_states(design, trace, settings.physics)
+    return at_frames(acceleration(settings.slush, links, settings.physics)[0, ..., :2], settings.rollout.n_settle)
 
 
 def _for_the_gif(replays: Sequence[Replay]) -> list[Replay]:
@@ -191,7 +251,7 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     (page,) = results.done[PAGE]
     files = {name: store.read(page, name) for name in page.files}
     folder = store.export(settings.name, files)
-    return Summary(lines=[f"{folder / PAGE}"], artifacts=files)
+    return Summary(lines=[f"{folder / PAGE}"], artifacts=files, of_study=True)
 
 
 STAGE = Stage(

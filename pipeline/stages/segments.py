@@ -126,13 +126,16 @@ def world_of(spec: Spec, inputs: Mapping[str, Files]) -> Environment:
     return ResidualSlush(depth=depth, ensemble=Ensemble.from_members(members))
 
 
-def roll_out(spec: Spec, how: Spec, environment: Environment, designs: Designs) -> Rollouts:
+def roll_out(
+    spec: Spec, how: Spec, environment: Environment, designs: Designs, *, trace: bool = False
+) -> Rollouts:
     """Simulate designs as a specification says."""
     return simulate(
         designs,
         environment,
         **spec["rollout"],
         engine=how["engine"],
+        trace=trace,
         physics=Physics.model_validate(spec["physics"]),
     )
 

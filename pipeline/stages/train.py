@@ -12,8 +12,8 @@ import numpy.typing as npt
 from pipeline.artifacts import decode_table, encode_arrays, encode_table
 from pipeline.manifest import Manifest
 from pipeline.settings import Settings
-from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
-from pipeline.stages.collect import TRANSITIONS, read_transitions
+from pipeline.stage import Chain, Files, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.stages.collect import data_set, read_transitions
 from pipeline.stages.segments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_label
 from pipeline.store import Store
 from tasks.residual import STATE, Architecture, ErrorRow, Training
@@ -63,10 +63,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
 
 def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
     """Specify a member's training: it reads every chunk of throws."""
-    collected = upstream["collect"]
-    chunks = [collected.chain(label)[0] for label in (*collected.done, *collected.unfinished, *collected.set_aside)]
-    inputs = {f"throws-{index:06d}": Input(chunk, (TRANSITIONS,)) for index, chunk in enumerate(chunks)}
-    return Item(stage=NAME, version=VERSION, label=chain.label, spec=chain.spec, inputs=inputs)
+    return Item(stage=NAME, version=VERSION, label=chain.label, spec=chain.spec, inputs=data_set(upstream["collect"]))
 
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> Files:

@@ -20,6 +20,7 @@ from tasks.analysis.member_error import MemberError, member_errors, phantom_thru
 from tasks.analysis.novelty import Novelty, Thrown, novelty, thrown
 from tasks.analysis.paper import Row, against_paper
 from tasks.analysis.prediction import Histograms, Regression, accuracy, aggregates, histograms, members, regress
+from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.analysis.scores import EvolvedIn, Quantity, Scores
 from tasks.analysis.uncertainty import Estimate, bootstrap, mean
 
@@ -51,6 +52,7 @@ __all__ = [
     "bootstrap",
     "compare",
     "disagreement",
+    "draw_over_generations",
     "histograms",
     "holm",
     "jittered",
@@ -66,6 +68,7 @@ __all__ = [
     "ratio",
     "reach",
     "regress",
+    "spread_evenly",
     "sweep",
     "thrown",
     "thrown_links",

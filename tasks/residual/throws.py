@@ -87,6 +87,10 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.throw)
 
+    def __getitem__(self, rows: npt.NDArray[np.bool_]) -> Transitions:
+        """Choose transitions by a mask."""
+        return Transitions(*(getattr(self, f.name)[rows] for f in fields(Transitions)))
+
     @staticmethod
     def concatenate(chunks: Sequence[Transitions]) -> Transitions:
         """Join chunks in the order given."""

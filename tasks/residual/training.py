@@ -80,6 +80,11 @@ def held_out_rows(throw: Int64, share: float, rng: np.random.Generator) -> npt.N
     return np.isin(throw, rng.permutation(throws)[:n_held_out])
 
 
+def validation_rows(throw: Int64, share: float, *, seed: int) -> npt.NDArray[np.bool_]:
+    """Mark the rows that a study holds out, the same for all its members: (n_transitions,)."""
+    return held_out_rows(throw, share, generator(seed, "held out"))
+
+
 def train_member(
     transitions: Transitions,
     architecture: Architecture,
@@ -105,7 +110,7 @@ def train_member(
         TrainingDiverged: the loss is no longer finite.
         ValueError: there are fewer than two throws.
     """
-    held_out = held_out_rows(transitions.throw, training.held_out, generator(seed, "held out"))
+    held_out = validation_rows(transitions.throw, training.held_out, seed=seed)
     to_learn, to_validate = np.flatnonzero(~held_out), np.flatnonzero(held_out)
     standardisation = Standardisation.of(
         transitions.observation[to_learn],

@@ -8,53 +8,12 @@ import polars
 import pytest
 
 from pipeline.artifacts import canonical_json
-from pipeline.cluster import serial_cluster
-from pipeline.configuration import load, parse, preset_names, preset_path
+from pipeline.configuration import load, preset_names, preset_path
 from pipeline.settings import Settings
 from pipeline.stage import Item
 from pipeline.stages import STAGES
-from pipeline.store import Store
-from pipeline.study import follow, results_of, run_stage
 from tasks.design import Designs, check
 from tasks.evolution import OPERATORS
-
-TINY = """
-name: tiny
-throws: {n_throws: 6, n_steps: 20}
-network: {hidden_layers: 1, width: 4}
-training: {n_iterations: 20, batch_size: 64}
-ensemble: {n_members: 2}
-grid: {depths: [1.0], single_member_depths: [1.0], n_trials: 2}
-rollout: {n_settle: 5, n_measure: 20}
-evolution: {n_generations: 4, afpo: {population_size: 4}}
-transfer: {n_generations: 3, adapted_environments: [dry_land]}
-work: {throws_per_item: 2, generations_per_item: 3}
-"""
-
-
-class NoBar:
-    def advance(self, work: float) -> None: ...
-
-
-def silent(line: str) -> None: ...
-
-
-@pytest.fixture(scope="module")
-def settings() -> Settings:
-    return parse(Settings, TINY, name="tiny")
-
-
-@pytest.fixture(scope="module")
-def study(settings, tmp_path_factory):
-    """A store with every stage done, and what came of each."""
-    store = Store.open(tmp_path_factory.mktemp("stages") / "store", create=True)
-    upstream = {}
-    with serial_cluster() as cluster:
-        for stage in STAGES:
-            walks = follow(stage, settings, store, upstream, say=silent)
-            run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=silent)
-            upstream[stage.name] = results_of(stage, walks)
-    return store, upstream
 
 
 def items_of(stage, settings, upstream) -> list[Item]:
@@ -148,6 +107,7 @@ def test_paper_preset_is_the_paper():
     assert (training.learning_rate, training.min_learning_rate) == (1e-3, 1e-6)
     assert (training.loss, training.focal_alpha, training.focal_s, training.focal_gamma) == ("focal", 1, 100, 2)
     assert (paper.ensemble.n_members, paper.ensemble.disagreement_penalty) == (8, 1)
+    assert (paper.assessed_depth, paper.assess.n_designs) == (9, 2376)
     assert (paper.rollout.n_settle, paper.rollout.n_measure) == (200, 1200)
     assert (paper.physics.max_motor_torque, paper.physics.gravity) == (100, 9.8)
     assert (paper.slush.density, paper.slush.linear_drag, paper.slush.angular_drag) == (1.25, 10, 20)

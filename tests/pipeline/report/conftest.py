@@ -8,7 +8,23 @@ import numpy as np
 import pytest
 
 from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.findings import Accuracy, Ancestor, Family, Findings, Retried, Suspect, ThrownPaths
 from pipeline.report.replay import Replay, replay_of
+from tasks.analysis import (
+    Estimate,
+    MemberError,
+    Scores,
+    accuracy,
+    against_paper,
+    aggregates,
+    attribute,
+    histograms,
+    mean,
+    members,
+    rank_exploiters,
+    sweep,
+    transfer_matrix,
+)
 from tasks.design import random_designs
 from tasks.simulation import simulate
 from tasks.world import DryLand, TrueSlush
@@ -20,9 +36,7 @@ N_SETTLE, N_MEASURE = 60, 180
 def rollout():
     """One random design in True Slush of 2 m: design, trace (n_steps, n_links, 6), displacement [m]."""
     design = random_designs(1, np.random.default_rng(5))
-    rollouts = simulate(
-        design, TrueSlush(2.0), n_settle=N_SETTLE, n_measure=N_MEASURE, engine="reference", trace=True
-    )
+    rollouts = simulate(design, TrueSlush(2.0), n_settle=N_SETTLE, n_measure=N_MEASURE, engine="reference", trace=True)
     return design, rollouts.trace[0], float(rollouts.displacement[0])
 
 
@@ -71,8 +85,60 @@ def trial(environment: str, depth: float, number: int, predicted: float, zero_sh
     )
 
 
+ARMS = ("true_slush", "dry_land", "residual_slush", "single_member")
+
+
 @pytest.fixture(scope="session")
-def study(slush_replay, dry_replay) -> StudyReport:
+def findings() -> Findings:
+    """What tasks.analysis says of drawn numbers: 4 members over 300 designs, 4 arms of 5 trials at 1 and 9 m."""
+    rng = np.random.default_rng(7)
+    true = rng.normal(3.0, 3.0, 300)
+    predicted = 0.6 * true + rng.normal(0.0, 2.0, (4, 300))
+    means = {"true_slush": 13.0, "dry_land": 1.0, "residual_slush": 9.0, "single_member": 2.0}
+    grid = [(arm, depth, n) for arm in ARMS for depth in (1.0, 9.0) for n in range(5)]
+    evolved_in, depth, number = (np.array(column) for column in zip(*grid, strict=True))
+    zero_shot = np.array([means[arm] for arm in evolved_in]) + rng.normal(0.0, 1.0, len(grid))
+    adapted = np.where(evolved_in == "true_slush", np.nan, zero_shot + 2.0)
+    scores = Scores(evolved_in, depth, number, zero_shot + 3.0, zero_shot, adapted)
+    fits = accuracy(predicted, true, rng=rng)
+    shown = members(predicted) | {"mean": aggregates(predicted)["mean"]}
+    ranked = rank_exploiters(predicted[:, :6].max(axis=0), true=true[:6], disagreement=predicted[:, :6].std(axis=0))
+    time = np.linspace(0.0, 3.3, 60)
+    start, speed = rng.uniform(-6, 6, (9, 1)), rng.uniform(-20, 20, (9, 1))
+    paths = np.stack((speed * (1 - np.exp(-time)), start - time, 5 * time + start), axis=-1)
+    return Findings(
+        throws=ThrownPaths(np.repeat([1.0, 2.0, 3.0], 3), paths, 3.3),
+        accuracy=Accuracy(9.0, fits, histograms(shown, true, n_bins=24)),
+        against_paper=against_paper(scores, fits, rng=rng),
+        contrasts=sweep(scores, rng=rng),
+        attributions=attribute(scores, rng=rng),
+        transfer_matrices={"residual_slush": transfer_matrix([1, 1, 9, 9], [1, 9, 1, 9], np.array([30.0, 2, 18, 9]))},
+        suspects=[Suspect(f"Residual Slush, 9 m, trial {row.design}", row) for row in ranked],
+        retried=[Retried("Dry Land, 1 m, trial 0", 60.0, mean(np.array([1.0, 2.0, 3.0])), 4.0)],
+        phantom_thrust=[mean(rng.normal(0.1 * n, 0.02, 9)) for n in range(3)] + [Estimate.missing("it is not finite")],
+        member_errors=[
+            MemberError(
+                member, component, band, immersion, 9, 0.1, 0.1 * (member + 1), 0.0 if immersion == "dry" else 2.0
+            )
+            for member in range(2)
+            for component in ("vx", "vy", "omega")
+            for band in ("< 0.5", "0.5-2")
+            for immersion in ("dry", "partly", "submerged")
+        ],
+        family=Family(
+            "Residual Slush, 9 m, trial 0",
+            [
+                Ancestor(3, 0, 0, "random", (), 1.0, None),
+                Ancestor(5, 0, 0, "random", (), 2.0, None),
+                Ancestor(9, 1, 1, "mutation", (3,), 2.5, 4),
+                Ancestor(21, 4, 4, "crossover", (9, 5), 4.0, 12),
+            ],
+        ),
+    )
+
+
+@pytest.fixture(scope="session")
+def study(slush_replay, dry_replay, findings) -> StudyReport:
     """Two depths; at 9 m True Slush has the mean 12, Dry Land −1, Residual Slush 9, a single member 3."""
     trials = [
         trial("true_slush", 9.0, 0, 11.0, 11.0),
@@ -99,6 +165,7 @@ def study(slush_replay, dry_replay) -> StudyReport:
         trials=trials,
         residual_errors=errors,
         replays=[dry_replay, slush_replay, replace(slush_replay, depth=9.0)],
+        findings=findings,
         digests=[Digest("evolve", "true_slush 9 m trial 0", "ab" * 32)],
         seconds={"evolve": 125.0},
     )

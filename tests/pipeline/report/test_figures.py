@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from pipeline.report.data import ENVIRONMENTS, TrialResult
-from pipeline.report.figures import FIGURES, PAPER_MARK, Drawing, Missing, draw_all
+from pipeline.report.drawing import PAPER_MARK, Drawing, Missing
+from pipeline.report.figures import FIGURES, draw_all
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,274 @@
+// A robot's replay: its decoding, and its drawing into a box of any canvas. The viewer and the gallery share it.
+"use strict";
+const robots = (() => {
+  // -- replays --------------------------------------------------------------------------------------------------------
+
+  function bytesOf(text) {
+    return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+  }
+
+  // Undo pipeline/report/replay.py's encode(): poses[frame * 3 * nLinks + 3 * link + (0 x, 1 y, 2 angle)].
+  function decode(encoded) {
+    const bytes = bytesOf(encoded.steps);
+    const view = new DataView(bytes.buffer);
+    const width = encoded.first.length;
+    const poses = new Float64Array(width + bytes.length / 2);
+    const quanta = encoded.first.slice();
+    for (let i = 0; i < poses.length; i++) {
+      if (i >= width) quanta[i % width] += view.getInt16(2 * (i - width), true);
+      poses[i] = quanta[i % width] * encoded.quantum;
+    }
+    const replay = { ...encoded, poses, nLinks: width / 3, nFrames: poses.length / width };
+    replay.duration = (replay.nFrames - 1) / replay.fps;
+    replay.start = poses[0];
+    replay.center = smoothCenter(replay);
+    replay.extent = verticalExtent(replay);
+    replay.overlays = encoded.overlays.map((overlay) => ({ ...overlay, levels: bytesOf(overlay.levels) }));
+    replay.push = encoded.push && new Int8Array(bytesOf(encoded.push).buffer);
+    return replay;
+  }
+
+  // The way of the whole robot's centre, evened out over a second either way, for the camera to follow.
+  function smoothCenter(replay) {
+    const window = Math.round(replay.fps);
+    const sums = [[0, 0]];
+    for (let frame = 0; frame < replay.nFrames; frame++) {
+      let x = 0, y = 0;
+      for (let link = 0; link < replay.nLinks; link++) {
+        x += replay.poses[3 * (frame * replay.nLinks + link)] / replay.nLinks;
+        y += replay.poses[3 * (frame * replay.nLinks + link) + 1] / replay.nLinks;
+      }
+      sums.push([sums[frame][0] + x, sums[frame][1] + y]);
+    }
+    return Array.from({ length: replay.nFrames }, (_, frame) => {
+      const reach = Math.min(window, frame, replay.nFrames - 1 - frame); // the same to either side, so it never lags
+      return [0, 1].map((axis) => (sums[frame + reach + 1][axis] - sums[frame - reach][axis]) / (2 * reach + 1));
+    });
+  }
+
+  // Lowest and highest y that the links reach, with the surface or the ground where they are near.
+  function verticalExtent(replay) {
+    let low = Infinity, high = -Infinity;
+    for (let i = 0; i < replay.poses.length; i += 3) {
+      const reach = Math.abs(Math.cos(replay.poses[i + 2])) * replay.lengthScale[(i / 3) % replay.nLinks] / 2;
+      low = Math.min(low, replay.poses[i + 1] - reach);
+      high = Math.max(high, replay.poses[i + 1] + reach);
+    }
+    if (replay.hasMedium) { low = Math.min(low, -1); high = Math.max(high, 0.5); }
+    if (low < -replay.depth + 2) low = Math.min(low, -replay.depth - 0.3);
+    return [low - 0.5, high + 0.5];
+  }
+
+  // Where the links are at a time, between frames: [[x, y, angle], ...], and the camera's centre.
+  function poseAt(replay, time) {
+    const place = Math.min(Math.max(time * replay.fps, 0), replay.nFrames - 1);
+    const frame = Math.min(Math.floor(place), replay.nFrames - 2), share = place - frame;
+    const mix = (a, b) => a + (b - a) * share;
+    const width = 3 * replay.nLinks;
+    const value = (i) => mix(replay.poses[frame * width + i], replay.poses[(frame + 1) * width + i]);
+    const links = Array.from({ length: replay.nLinks }, (_, i) => [value(3 * i), value(3 * i + 1), value(3 * i + 2)]);
+    return { frame: Math.round(place), links, center: [0, 1].map((axis) => mix(replay.center[frame][axis], replay.center[frame + 1][axis])) };
+  }
+
+  // What an overlay says of the links at a frame, as shares of the most that is shown; null where it says nothing.
+  function sharesAt(replay, label, frame, most) {
+    const overlay = replay.overlays.find((candidate) => candidate.label === label);
+    if (!overlay) return null;
+    const levels = overlay.levels.subarray(frame * replay.nLinks, (frame + 1) * replay.nLinks);
+    return Array.from(levels, (level) => (level === 255 ? null : level / 254 * overlay.most / most));
+  }
+
+  // -- colours --------------------------------------------------------------------------------------------------------
+
+  // Looked up once: a page that plays twenty robots asks thousands of times a second.
+  let palette = {};
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { palette = {}; });
+
+  function color(name) {
+    palette[name] ??= getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+    return palette[name];
+  }
+
+  // From pale to dark, which every eye tells apart; grey where nothing is known.
+  const HEAT = [[246, 243, 238], [243, 178, 99], [208, 72, 72], [60, 10, 74]];
+
+  function heat(share) {
+    if (share === null) return "#9aa2ad";
+    const place = Math.min(share, 1) * (HEAT.length - 1), below = Math.min(Math.floor(place), HEAT.length - 2);
+    const mixed = HEAT[below].map((part, i) => Math.round(part + (HEAT[below + 1][i] - part) * (place - below)));
+    return "rgb(" + mixed.join(", ") + ")";
+  }
+
+  // -- drawing --------------------------------------------------------------------------------------------------------
+
+  // Draw a replay at a time into a box of a canvas. Options: follow, caption (and scale), overlay (a label) and most, push.
+  function drawPane(context, replay, time, box, options) {
+    const { links, center, frame } = poseAt(replay, time);
+    const camera = cameraOf(replay, box, center, options);
+    const surface = camera.y(0), ground = camera.y(-replay.depth);
+    context.save();
+    context.translate(box.left, box.top);
+    context.beginPath();
+    context.rect(0, 0, box.width, box.height);
+    context.clip();
+    context.fillStyle = color("sky");
+    context.fillRect(0, 0, box.width, box.height);
+    if (replay.hasMedium) {
+      context.fillStyle = color("slush");
+      context.fillRect(0, surface, box.width, Math.max(box.height - surface, 0));
+    }
+    drawDistances(context, replay, camera, box);
+    const shares = options.overlay ? sharesAt(replay, options.overlay, frame, options.most) : null;
+    drawRobot(context, replay, links, camera, shares);
+    if (replay.hasMedium && surface < box.height) {
+      context.globalAlpha = shares ? 0.12 : 0.45; // colours that mean something are not dimmed
+      context.fillStyle = color("slush");
+      context.fillRect(0, surface, box.width, box.height - surface);
+      context.globalAlpha = 1;
+      context.fillStyle = color("surface");
+      context.fillRect(0, surface - 1, box.width, 2);
+    }
+    if (ground < box.height) {
+      context.fillStyle = color("ground");
+      context.fillRect(0, ground, box.width, box.height - ground);
+      context.fillStyle = color("ground-edge");
+      context.fillRect(0, ground - 1, box.width, 2);
+    }
+    if (options.push && replay.push) drawPush(context, replay, links, frame, camera);
+    if (options.caption) {
+      drawScale(context, replay, camera, box);
+      drawCaption(context, replay, links, box);
+    }
+    context.restore();
+  }
+
+  // World to canvas. Following, it keeps the robot in the middle; otherwise it shows the whole way from start to end.
+  function cameraOf(replay, box, center, options) {
+    const [low, high] = replay.extent;
+    const caption = options.caption ? 52 : 0;
+    let scale = Math.min((box.height - caption) / Math.max(high - low, 5), box.width / 9);
+    let middle = center[0];
+    if (!options.follow) {
+      const ways = replay.center.map((point) => point[0]);
+      const from = Math.min(...ways) - 4, to = Math.max(...ways) + 4;
+      scale = Math.min(scale, box.width / (to - from));
+      middle = (from + to) / 2;
+    }
+    const shown = (box.height - caption) / scale;
+    let bottom = (low + high - shown) / 2;
+    if (low < -replay.depth) bottom = low;
+    if (high - low > 15) {
+      scale = (box.height - caption) / 15;
+      bottom = Math.max(center[1] - 7.5, low);
+    }
+    return {
+      scale,
+      x: (x) => box.width / 2 + (x - middle) * scale,
+      y: (y) => box.height - (y - bottom) * scale,
+      left: middle - box.width / 2 / scale,
+      right: middle + box.width / 2 / scale,
+    };
+  }
+
+  function drawRobot(context, replay, links, camera, shares) {
+    const fill = color((replay.environment || "unknown").replace("_", "-"));
+    for (let link = replay.nLinks - 1; link >= 0; link--) {
+      const [x, y, angle] = links[link];
+      const height = replay.lengthScale[link] * camera.scale, width = camera.scale / replay.lengthScale[link];
+      context.save();
+      context.translate(camera.x(x), camera.y(y));
+      context.rotate(-angle);
+      context.beginPath();
+      context.roundRect(-width / 2, -height / 2, width, height, 0.22 * width);
+      context.fillStyle = shares ? heat(shares[link]) : fill;
+      context.fill();
+      if (link > 0 && !shares) { context.fillStyle = "rgba(255, 255, 255, 0.28)"; context.fill(); }
+      context.strokeStyle = "rgba(0, 0, 0, 0.6)";
+      context.lineWidth = 1.5;
+      context.stroke();
+      context.restore();
+    }
+    for (let link = 1; link < replay.nLinks; link++) {
+      const parent = replay.parent[link], [x, y, angle] = links[parent];
+      const along = replay.parentAttachment[link] * replay.lengthScale[parent] / 2;
+      dot(context, camera.x(x - Math.sin(angle) * along), camera.y(y + Math.cos(angle) * along), 3, "#ffffff", "rgba(0, 0, 0, 0.7)");
+    }
+    dot(context, camera.x(links[0][0]), camera.y(links[0][1]), 4.5, "#1d2129", "#ffffff");
+  }
+
+  // An arrow from each link's centre: how the medium speeds it up, 1 m for 15 m/s².
+  function drawPush(context, replay, links, frame, camera) {
+    context.strokeStyle = context.fillStyle = color("mark");
+    context.lineWidth = 2;
+    links.forEach(([x, y], link) => {
+      const at = 2 * (frame * replay.nLinks + link), metre = camera.scale / 15 * replay.pushQuantum;
+      const dx = replay.push[at] * metre, dy = -replay.push[at + 1] * metre, length = Math.hypot(dx, dy);
+      if (length < 4) return;
+      context.save();
+      context.translate(camera.x(x), camera.y(y));
+      context.rotate(Math.atan2(dy, dx));
+      context.beginPath();
+      context.moveTo(0, 0);
+      context.lineTo(length - 5, 0);
+      context.stroke();
+      context.beginPath();
+      context.moveTo(length, 0);
+      context.lineTo(length - 7, -4);
+      context.lineTo(length - 7, 4);
+      context.fill();
+      context.restore();
+    });
+  }
+
+  function dot(context, x, y, radius, fill, edge) {
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    context.fillStyle = fill;
+    context.fill();
+    context.strokeStyle = edge;
+    context.lineWidth = 1.5;
+    context.stroke();
+  }
+
+  function eachDistance(replay, camera, every, mark) {
+    const from = Math.ceil((camera.left - replay.start) / every), to = Math.floor((camera.right - replay.start) / every);
+    for (let number = from; number <= to; number++) mark(number * every, camera.x(replay.start + number * every));
+  }
+
+  function drawDistances(context, replay, camera, box) {
+    eachDistance(replay, camera, 5, (at, x) => {
+      context.fillStyle = color(at === 0 ? "unknown" : "line");
+      context.fillRect(x - 0.5, 40, 1, box.height - 40);
+    });
+  }
+
+  function drawScale(context, replay, camera, box) {
+    context.fillStyle = color("ink");
+    context.font = "12px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "bottom";
+    if (camera.scale > 8) eachDistance(replay, camera, 1, (at, x) => context.fillRect(x - 0.5, box.height - 4, 1, 4));
+    const every = camera.scale > 8 ? 5 : 20;
+    eachDistance(replay, camera, every, (at, x) => {
+      context.fillRect(x - 0.5, box.height - 8, 1, 8);
+      context.fillText(metres(at, 0), x, box.height - 9);
+    });
+  }
+
+  function drawCaption(context, replay, links, box) {
+    context.textBaseline = "top";
+    context.fillStyle = color("ink");
+    context.textAlign = "left";
+    context.font = "13px system-ui, sans-serif";
+    context.fillText("in " + replay.world + ", " + replay.depth + " m", 12, 12);
+    context.textAlign = "right";
+    context.font = "600 18px system-ui, sans-serif";
+    context.fillText(metres(links[0][0] - replay.start, 1), box.width - 12, 9);
+  }
+
+  function metres(value, digits) {
+    return value.toFixed(digits).replace(/^-(?=0\.?0*$)/, "").replace("-", "−") + " m";
+  }
+
+  return { replays: JSON.parse(document.getElementById("replays").textContent).map(decode), drawPane, sharesAt, color, heat };
+})();

@@ -1,0 +1,222 @@
+"""The tables of the analysis: against the paper, tests, exploiters, champions tried again, a champion's line."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from html import escape
+from itertools import groupby
+
+from pipeline.report.family import main_line
+from pipeline.report.findings import Findings
+from pipeline.report.words import NONE, absent, interval, number, p_value
+from tasks.analysis import Contrast, Row, SignificanceTest
+from tasks.analysis.paper import Verdict, name_of
+
+MOST_SUSPECTS = 15
+"""Designs of the ranking that the page lists; the table of the study has all."""
+LINE_ENDS = 12
+"""Ancestors listed from each end of a champion's line."""
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], label: str, *, kind: str) -> str:
+    """Put cells, which are HTML, into a table that scrolls sideways where the page is narrow."""
+    head = "".join(f"<th>{column}</th>" for column in columns)
+    # The column's name stands with each cell, since where a page is narrow a wordy row becomes a card.
+    body = "".join(
+        "<tr>"
+        + "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(columns, row, strict=True))
+        + "</tr>"
+        for row in rows
+    )
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}">'
+        f'<table class="{kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    )
+
+
+# -- against the paper ------------------------------------------------------------------------------------------------
+
+MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}
+"""So that colour is never the only difference."""
+
+
+def against_paper(findings: Findings) -> str:
+    """Tabulate every number and statement of the paper beside this run's."""
+    rows = findings.against_paper
+    title = "The table against the paper"
+    if not rows:
+        return absent(title, findings.why("against_paper", "the study has not been analysed yet"))
+    counts = Counter(row.verdict for row in rows)
+    verdicts = ", ".join(f"{counts[verdict]} {_PLURAL[verdict]}" for verdict in MARKS if counts[verdict])
+    columns = ("What", "Paper", "This run", "Verdict", "Why")
+    measured = [row for row in rows if row.this_run != "-"]
+    unmeasured = [row for row in rows if row.this_run == "-"]
+    table = _table(columns, (_paper_cells(row) for row in measured), title, kind="wordy") if measured else ""
+    if unmeasured:
+        rest = _table(columns, (_paper_cells(row) for row in unmeasured), "Not measured", kind="wordy")
+        table += f"<details><summary>{len(unmeasured)} that this run has nothing for</summary>{rest}</details>"
+    return (
+        f'<div id="against_paper"><h3>Against the paper: {verdicts}</h3>{table}'
+        '<p class="small">A number agrees where the paper’s lies in the 95 % prediction interval of this run: the '
+        "range into which a repeat of this run with the paper’s number of trials would fall. Fewer "
+        "trials than the paper’s "
+        "make large p-values easy and small ones hard, so what they fail to show is not comparable.</p></div>"
+    )
+
+
+_PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}
+
+
+def _paper_cells(row: Row) -> list[str]:
+    kind = row.verdict.replace(" ", "-")
+    return [
+        f"{escape(row.what)}<small>{escape(row.source)}</small>",
+        escape(row.paper),
+        escape(row.this_run),
+        f'<span class="verdict {kind}"><span aria-hidden="true">{MARKS[row.verdict]}</span> {row.verdict}</span>',
+        escape(row.why),
+    ]
+
+
+# -- tests ------------------------------------------------------------------------------------------------------------
+
+
+def contrasts(findings: Findings) -> str:
+    """Tabulate every contrast over depths, each folded under its name."""
+    title = "The tests"
+    if not findings.contrasts:
+        return absent(title, findings.why("contrasts", "no two arms have champions at one depth yet"))
+    folded = []
+    for (a, b), group in groupby(findings.contrasts, key=lambda contrast: (contrast.a, contrast.b)):
+        rows = list(group)
+        name = f"{name_of(a)} against {name_of(b)}"
+        deepest = rows[-1]
+        ratio = deepest.comparison.ratio.value
+        gist = f"{deepest.depth:g}\u00a0m: " + (_times(ratio) if ratio is not None else "")
+        gist += f"p\u00a0{_relation(deepest.comparison.student.p)}"
+        table = _table(
+            ("Depth", "Means [m]", "Ratio", "Student’s t", "Welch", "Mann–Whitney", "Hedges’ g"),
+            (_contrast_cells(row) for row in rows),
+            name,
+            kind="tests",
+        )
+        folded.append(f"<details><summary>{escape(name)} <small>{escape(gist)}</small></summary>{table}</details>")
+    return (
+        f'<div id="contrasts"><h3>Tests</h3>{"".join(folded)}<p class="small">Two-sided p-values; under each the same '
+        "after Holm’s correction over the depths. Student’s t is the paper’s; Welch’s does not assume equal variances, "
+        "Mann–Whitney no normality either. Ratios of means with 95 % bootstrap intervals; Hedges’ g is the difference "
+        "in standard deviations.</p></div>"
+    )
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.0%} of it, ".replace("-", "−") if ratio < 2 else f"{ratio:.1f} times it, "
+
+
+def _relation(p: float | None) -> str:
+    return p_value(p) if p is not None and p < 1e-4 else f"= {p_value(p)}"
+
+
+def _contrast_cells(row: Contrast) -> list[str]:
+    made = row.comparison
+    means = "<br>".join(
+        f"{NONE if side.mean.value is None else number(side.mean.value)}"
+        f"{f' ± {number(side.sd)}' if side.sd is not None else ''} (n\u00a0=\u00a0{side.n})"
+        for side in (made.a, made.b)
+    )
+    return [
+        f"{row.depth:g} m",
+        means,
+        interval(made.ratio, "{:.2f}"),
+        _test_cell(made.student, row.student_holm),
+        _test_cell(made.welch, row.welch_holm),
+        _test_cell(made.mann_whitney, row.mann_whitney_holm),
+        interval(made.hedges_g),
+    ]
+
+
+def _test_cell(test: SignificanceTest, holm: float | None) -> str:
+    if test.p is None:
+        return f"{NONE}<small>{escape(test.reason or '')}</small>"
+    return f"{escape(p_value(test.p))}<small>Holm {escape(p_value(holm))}</small>"
+
+
+# -- exploiters, and luck ---------------------------------------------------------------------------------------------
+
+
+def suspects(findings: Findings) -> str:
+    """Tabulate the designs that promise most and keep least."""
+    title = "The list of exploiters"
+    if not findings.suspects:
+        return absent(title, findings.why("suspects", "no design has been ranked yet"))
+    listed = findings.suspects[:MOST_SUSPECTS]
+    rows = []
+    for suspect in listed:
+        found = suspect.exploiter
+        excess = f"<small>{escape(found.reason)}</small>" if found.reason else ""
+        rows.append(
+            [
+                f"{found.rank}. {escape(suspect.label)}",
+                _metres(found.predicted),
+                _metres(found.true),
+                f"{_metres(found.excess)}{excess}",
+                _metres(found.disagreement),
+            ]
+        )
+    columns = ("Design", "Predicted [m]", "True [m]", "Imagined [m]", "σ of members [m]")
+    return (
+        f'<div id="suspects"><h3>Exploiters: the worst {len(listed)} of {len(findings.suspects)}</h3>'
+        f'{_table(columns, rows, title, kind="named")}<p class="small">Ranked by how much further the members '
+        "together say a design gets than it does in True Slush; where that is not known, by how much they disagree."
+        "</p></div>"
+    )
+
+
+def _metres(value: float | None) -> str:
+    return NONE if value is None else number(value)
+
+
+def retried(findings: Findings) -> str:
+    """Tabulate what champions lose when they are tried again, and how much of their way is reach."""
+    title = "The table of luck and reach"
+    if not findings.retried:
+        return absent(title, findings.why("retried", "no champion has been tried again yet"))
+    rows = [
+        [escape(row.label), _metres(row.claimed), interval(row.loss), _metres(row.reach)] for row in findings.retried
+    ]
+    columns = ("Champion", "Claimed [m]", "Lost when tried again [m]", "Reach [m]")
+    return (
+        f'<details id="retried"><summary>Luck and reach of {len(rows)} champions</summary>'
+        f'{_table(columns, rows, title, kind="named")}<p class="small">Each champion was tried again where it evolved, '
+        "with its attachments moved by 1e-4 of half a link: what it loses on average was luck that no copy of it has. "
+        "Reach is the root’s displacement less the whole robot’s, in True Slush: gained by "
+        "stretching out.</p></details>"
+    )
+
+
+# -- a champion's line ------------------------------------------------------------------------------------------------
+
+
+def lineage(findings: Findings) -> str:
+    """Tabulate a champion's line back through the fitter parent of each ancestor, its middle left out if long."""
+    if findings.family is None or not findings.family.ancestors:
+        return ""  # the figure beside it says why
+    line = main_line(findings.family)
+    rows = [
+        [
+            f"{ancestor.generation}",
+            escape(ancestor.operator),
+            f"{ancestor.age}",
+            NONE if ancestor.n_genes_changed is None else f"{ancestor.n_genes_changed}",
+            number(ancestor.fitness),
+        ]
+        for ancestor in line
+    ]
+    if len(rows) > 2 * LINE_ENDS:
+        left_out = f"… {len(rows) - 2 * LINE_ENDS} more"
+        rows = [*rows[:LINE_ENDS], [left_out, "", "", "", ""], *rows[-LINE_ENDS:]]
+    table = _table(
+        ("Generation", "Made by", "Age", "Genes changed", "Fitness [m]"), rows, "The champion’s line", kind="named"
+    )
+    return f"<details><summary>The champion’s line: {len(line)} designs</summary>{table}</details>"

@@ -1,0 +1,303 @@
+"""analyse: what the study shows, as tables. Paper, "Results", and what it leaves open: where the ensemble hallucinates.
+
+Each chain is one item. Its tables are Parquet (schema = the file's name without suffix; read them with
+:func:`read_table`). A number that is not there is NaN, a text is empty. An estimate X is four columns: X, X_low, X_high
+(95 %) and X_reason (why X or its interval is missing). Beside its tables each item has ``reasons.json``: by table, why
+it has no rows or lacks something; {} if all is there. Lengths in m unless said.
+
+``statistics``, from scores and predictions alone:
+    scores.parquet       a row per trial: environment, depth, trial, predicted, zero_shot, zero_shot_com,
+                         zero_shot_reach (root less centre of mass), adapted, adapted_com, adapted_reach, status ("ok",
+                         or why not)
+    regressions.parquet  a row per predictor ("member 0", "mean", "mean - 1 sd", "min", ...): name, n, n_left_out, and
+                         the estimates slope, intercept [m], r
+    histograms.parquet   a row per member, mean and mean - 1 sd: name, n_outside, edges (n_bins + 1 numbers, of both
+                         axes), counts (n_bins² numbers: reshape to predicted by true)
+    contrasts.parquet    a row per contrast and depth: a, b ("dry_land/adapted"), depth, then of each side X = a, b:
+                         X_n, X_n_left_out, the estimate X_mean, X_sd; of each test T = student, welch, mann_whitney:
+                         T_statistic, T_p, T_reason; the estimates hedges_g and ratio; T_holm (p over the depths)
+    attribution.parquet  a row per arm and depth: evolved_in, depth, n, n_best, and the estimates predicted, zero_shot,
+                         adapted, best, imagined, gap, lost_to_controller, lost_to_body, controller_share, body_share,
+                         recovered_zero_shot, recovered_adapted, recovered_of_dry_land
+    paper.parquet        a row per number of the paper: what, paper, source, this_run, verdict ("agrees", "differs",
+                         "not comparable"), why, value
+``members``, from networks and throws:
+    phantom_thrust.parquet  a row per member: member, the estimate thrust [m/s²] (needs no True Slush)
+    member_errors.parquet   on the throws held out, a row per member, component, band and immersion: member,
+                            component, band, immersion, n_rows, bias, rmse, rms_true [m/s², m/s², rad/s²]
+``transfer-matrix``, champions of every trial tested at every depth in True Slush:
+    tests.parquet        environment, trained, trial, tested, displacement, com_displacement
+    matrix.parquet       environment, trained, tested, mean, sd, n, relative (to the champions at home there)
+``exploiters``, every champion and every assessed design, the worst first:
+    exploiters.parquet   rank, kind ("champion", "assessed"), environment, depth, trial, generation and identity (-1
+                         of a champion), predicted (by the ensemble, or by the champion's own single member), true,
+                         excess, disagreement (σ over members), ranked_by, reason, by_member (n_members numbers)
+``instruments/<environment>/<depth>m``, the champions of one arm; links and worlds are of the best zero-shot champion,
+the one that the page films:
+    champions.parquet    a row per champion: trial, best; home_displacement, home_com, home_reach where it evolved
+                         (mean over members); slush_displacement, slush_com, slush_reach; winner's luck: claimed
+                         (fitness where it evolved), again (mean of its tries), the estimate loss, share_below,
+                         n_diverged, n_tries
+    links.parquet        a row per world, step and link, in that order: world ("true_slush"; then where it evolved, if
+                         that is elsewhere), step, link, disagreement [m/s²], novelty (1 is usual), distance
+                         [deviations], component (of OBSERVATION; "" unknown), departure and thrust (n_members numbers
+                         each, m/s²)
+    worlds.parquet       a row per world in links: world, member (whose world it is, -1 for nobody's: of an ensemble,
+                         the member that promises most), trial, displacement, disagreement (mean), share_novel
+                         (novelty above 1), thrust (n_members numbers: mean departure along x)
+    member_errors.parquet   as of ``members``, along the rollouts of all the arm's champions in True Slush
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from pipeline.artifacts import decode_json, decode_table, encode_json, encode_table
+from pipeline.manifest import Manifest
+from pipeline.settings import EnvironmentName, Settings
+from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
+from pipeline.stages import segments
+from pipeline.stages.analyses import champions, instruments, statistics
+from pipeline.stages.analyses.statistics import Reasons, Tables
+from pipeline.stages.assess import PREDICTIONS, SOURCES
+from pipeline.stages.collect import data_set
+from pipeline.stages.transfer import CHAMPION, SCORE
+from pipeline.store import Store
+from pipeline.tables import Columns, csv_of
+from tasks.analysis.prediction import mean_less_deviations
+
+NAME, VERSION = "analyse", 1
+
+STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS = (
+    "statistics", "members", "transfer-matrix", "exploiters", "instruments"
+)  # fmt: skip
+"""Kinds of items; the label of each, or its beginning."""
+
+REASONS = "reasons.json"
+
+COMPUTE: Mapping[str, Callable[[Job, Mapping[str, Files]], tuple[Tables, Reasons]]] = {
+    STATISTICS: statistics.compute,
+    MEMBERS: instruments.compute_members,
+    MATRIX: champions.compute_matrix,
+    EXPLOITERS: champions.compute_exploiters,
+    INSTRUMENTS: instruments.compute_arm,
+}
+
+TOO_LONG_FOR_CSV = ("links", "histograms")
+"""Tables that are not for reading."""
+
+
+def arm_label(environment: str, depth: float) -> str:
+    """Name the instruments of an arm."""
+    return f"{INSTRUMENTS}/{environment}/{depth:g}m"
+
+
+def reads(settings: Settings) -> tuple[str, ...]:
+    """Scores, predictions, and what the networks learned from."""
+    return ("collect", "train", "transfer", "assess")
+
+
+def plan(settings: Settings) -> Sequence[Chain]:
+    """Plan one piece of each kind of analysis, and one for each arm's instruments."""
+    trials = settings.grid.trials()
+    depths = list(settings.grid.depths)
+    simulated = {
+        "rollout": settings.rollout.model_dump(mode="json"),
+        "physics": settings.physics.model_dump(mode="json"),
+        "slush": settings.slush.model_dump(mode="json"),
+        "disagreement_penalty": settings.ensemble.disagreement_penalty,
+    }
+
+    def chain(
+        kind: str, label: str, of: Sequence[tuple[Any, float, int]], rollouts: int, world: EnvironmentName, **more: Any
+    ) -> Chain:
+        spec = {"kind": kind, "seed": settings.seed, "trials": [list(trial) for trial in of], **more}
+        spec |= {"n_rollouts": rollouts, "world": world}
+        weight = max(rollouts, 1) * segments.relative_cost(settings, world)
+        return Chain(label, 1, spec, units_per_item=1, weight=weight)
+
+    n = len(trials)
+    ensemble: EnvironmentName = "residual_slush" if settings.needs_ensemble else "true_slush"
+    held_out = settings.training.held_out
+    chains = [
+        chain(STATISTICS, STATISTICS, trials, 0, "true_slush", assessed_depth=settings.assessed_depth),
+        chain(MEMBERS, MEMBERS, [], 0, ensemble, held_out=held_out, **simulated),
+        chain(MATRIX, MATRIX, trials, n * len(depths), "true_slush", depths=depths, **simulated),
+        chain(EXPLOITERS, EXPLOITERS, trials, n, ensemble, **simulated),
+    ]
+    for environment, depth in dict.fromkeys((environment, depth) for environment, depth, _ in trials):
+        arm = [trial for trial in trials if trial[:2] == (environment, depth)]
+        rollouts = len(arm) * (1 + instruments.N_TRIES)
+        more = {"environment": environment, "depth": depth, "held_out": held_out, **simulated}
+        chains.append(chain(INSTRUMENTS, arm_label(environment, depth), arm, rollouts, environment, **more))
+    return chains
+
+
+def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
+    """Specify a piece: the results that it reads, and why others are not there."""
+    kind, spec = chain.spec["kind"], dict(chain.spec)
+    inputs: dict[str, Input] = {}
+    if kind != MEMBERS:
+        for environment, depth, trial in spec["trials"]:
+            label = segments.trial_label(environment, depth, trial)
+            if label in upstream["transfer"].done:
+                scored = upstream["transfer"].done[label][-1]
+                inputs[f"transfer/{label}"] = Input(scored, tuple(n for n in (SCORE, CHAMPION) if n in scored.files))
+    if kind in (STATISTICS, EXPLOITERS):
+        for label, (share,) in upstream["assess"].done.items():
+            inputs[f"assess/{label}"] = Input(share, (PREDICTIONS,))
+    if kind == STATISTICS:
+        spec["set_aside"] = dict(upstream["transfer"].set_aside)
+        spec["not_assessed"] = _why_not_assessed(settings, upstream)
+    elif kind != MATRIX:
+        networks, spec["no_networks"] = _networks(settings, upstream, throws=kind != EXPLOITERS)
+        inputs |= networks
+    how = {"engine": settings.work.engine, "designs_per_batch": None}
+    return Item(NAME, VERSION, chain.label, spec, inputs, how)
+
+
+def _networks(settings: Settings, upstream: Upstream, *, throws: bool) -> tuple[dict[str, Input], str]:
+    """Give every member and what they learned from, or say why not."""
+    if not settings.needs_ensemble:
+        return {}, "no trial of this study needs networks"
+    try:
+        members = segments.world_inputs(settings, "residual_slush", 0, upstream)
+        return {**members, **(data_set(upstream["collect"]) if throws else {})}, ""
+    except MissingInputs as missing:
+        return {}, str(missing)
+
+
+def _why_not_assessed(settings: Settings, upstream: Upstream) -> str:
+    """Say why there are no predictions; "" if there are."""
+    if upstream["assess"].done:
+        return ""
+    if not settings.needs_ensemble:
+        return "no trial of this study needs networks, so there are no predictions"
+    lost = upstream["assess"].set_aside
+    if lost:
+        return "; ".join(f"{label}: {why}" for label, why in lost.items())
+    return f"no trial evolved in {' or '.join(SOURCES)} at {settings.assessed_depth:g} m"
+
+
+def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
+    """Make the tables of one kind of analysis."""
+    tables, reasons = COMPUTE[job.spec["kind"]](job, inputs)
+    files = {
+        f"{name}.parquet": encode_table(columns, schema=name, version=VERSION, producer=job.key)
+        for name, columns in tables.items()
+    }
+    return {**files, REASONS: encode_json(reasons)}
+
+
+def read_table(files: Files, name: str) -> Columns:
+    """Read a table of an item by its name, such as "regressions"."""
+    return decode_table(files[f"{name}.parquet"], schema=name, version=VERSION, source=f"{name}.parquet")
+
+
+def read_reasons(files: Files) -> Reasons:
+    """Read what an item's tables lack, by table."""
+    return dict(decode_json(files[REASONS], REASONS))
+
+
+# -- what came of it -------------------------------------------------------------------------------------------------
+
+
+def summarise(settings: Settings, results: Results, store: Store) -> Summary:
+    """Say how the study compares with the paper and what was imagined; give every table that a person may open."""
+    found = {
+        label: {name: store.read(done, name) for name in done.files if PurePosixPath(name).stem not in TOO_LONG_FOR_CSV}
+        for label, (done,) in results.done.items()
+    }
+    lines: list[str] = []
+    metrics: dict[str, float] = {}
+    for label, report_on in (
+        (STATISTICS, _report_statistics), (MEMBERS, _report_members), (EXPLOITERS, _report_exploiters)
+    ):  # fmt: skip
+        if label in found:
+            more_lines, more_metrics = report_on(found[label])
+            lines += more_lines
+            metrics |= more_metrics
+    for label, files in found.items():
+        lines += [f"{label}: {table}: {why}" for table, why in read_reasons(files).items()]
+    artifacts = {
+        f"{label}/{name.removesuffix('.parquet')}.csv": csv_of(read_table(files, name.removesuffix(".parquet")))
+        for label, files in found.items()
+        for name in files
+        if name.endswith(".parquet")
+    }
+    return Summary(lines=lines, metrics=metrics, artifacts=artifacts, of_study=True)
+
+
+Report = tuple[list[str], dict[str, float]]
+"""Lines for the terminal, and metrics."""
+
+
+def _report_statistics(files: Files) -> Report:
+    """Set the paper's numbers beside this run's; ratios and regressions are what studies are compared by."""
+    paper = read_table(files, "paper")
+    rows = list(zip(*(paper[name].tolist() for name in ("what", "paper", "this_run", "verdict")), strict=True))
+    lines = [f"{'':<58} {'paper':>14} {'this run':>16}"]
+    lines += [
+        f"{what:<58} {said:>14} {here:>16}  {verdict}"
+        for what, said, here, verdict in rows
+        if not what.startswith(("Student", "the built robot"))
+    ]
+    tests = [verdict for what, _, _, verdict in rows if what.startswith("Student")]
+    counts = ", ".join(f"{tests.count(verdict)} {verdict}" for verdict in ("agrees", "differs", "not comparable"))
+    lines.append(f"of the paper's {len(tests)} t tests: {counts}")
+    metrics = {f"paper.n_{verdict}": float((paper["verdict"] == verdict).sum()) for verdict in ("agrees", "differs")}
+    gaps = read_table(files, "attribution")
+    names = ("evolved_in", "depth", "recovered_zero_shot", "recovered_adapted")
+    for arm, depth, *ratios in zip(*(gaps[name].tolist() for name in names), strict=True):
+        for name, ratio in zip(("zero_shot", "adapted"), ratios, strict=True):
+            metrics[f"ratio_to_true_slush.{name}.{arm}.{depth:g}m"] = ratio
+    accuracy = read_table(files, "regressions")
+    together = {mean_less_deviations(0): "mean", mean_less_deviations(1): "mean_less_1_sd"}
+    for predictor, r, slope in zip(*(accuracy[name].tolist() for name in ("name", "r", "slope")), strict=True):
+        if predictor in together or predictor.startswith("member"):
+            name = together.get(predictor, predictor.replace(" ", "-"))
+            metrics |= {f"accuracy.r.{name}": r, f"accuracy.slope.{name}": slope}
+    return lines, _finite(metrics)
+
+
+def _report_members(files: Files) -> Report:
+    thrust = read_table(files, "phantom_thrust")
+    metrics = _finite({f"phantom_thrust.member-{k}": float(value) for k, value in enumerate(thrust["thrust"])})
+    said = ", ".join(f"{value:+.4f}" for value in metrics.values())
+    if metrics:
+        metrics["phantom_thrust.rms"] = float(np.sqrt(np.mean(np.square(list(metrics.values())))))
+    return ([f"phantom thrust of the members: {said} m/s²"] if metrics else []), metrics
+
+
+def _report_exploiters(files: Files) -> Report:
+    """Name the champion that lives most off the ensemble."""
+    table = read_table(files, "exploiters")
+    known = np.flatnonzero((table["kind"] == "champion") & np.isfinite(table["excess"]))
+    if not len(known):
+        return [], {}
+    i = known[0]
+    label = segments.trial_label(table["environment"][i], table["depth"][i], table["trial"][i])
+    worst = float(table["excess"][i])
+    predicted, true = table["predicted"][i], table["true"][i]
+    line = f"the champion with most imagined: {label}, predicted {predicted:.1f} m, truly {true:.1f} m"
+    return [line], {"imagined.worst_champion": worst}
+
+
+def _finite(metrics: Mapping[str, float]) -> dict[str, float]:
+    return {name: value for name, value in metrics.items() if np.isfinite(value)}
+
+
+STAGE = Stage(
+    name=NAME,
+    version=VERSION,
+    unit="analyses",
+    reads=reads,
+    plan=plan,
+    item=item,
+    compute=compute,
+    summarise=summarise,
+)

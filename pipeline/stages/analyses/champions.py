@@ -1,0 +1,214 @@
+"""Champions, and the tables that set them side by side: the transfer matrix, and who lives off the ensemble.
+
+Part of the stage analyse, whose page lists the tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.artifacts import decode_json
+from pipeline.design_file import design_from
+from pipeline.stage import Files, Job, Spec
+from pipeline.stages import segments
+from pipeline.stages.analyses.statistics import Reasons, Tables
+from pipeline.stages.assess import read_predictions
+from pipeline.stages.transfer import CHAMPION, SCORE
+from pipeline.tables import columns_of
+from tasks.analysis import Exploiter, rank_exploiters, transfer_matrix
+from tasks.design import Designs
+from tasks.design.genes import concatenate
+from tasks.evolution import penalised_mean
+from tasks.simulation import Rollouts
+from tasks.world import EnsembleMedium, Environment, ResidualSlush
+
+
+@dataclass(frozen=True)
+class Champion:
+    """The champion of a trial, and what transfer says of it."""
+
+    environment: str
+    depth: float
+    trial: int
+    design: Designs
+    predicted: float
+    """Fitness where it evolved [m]."""
+    zero_shot: float
+    """Displacement in True Slush [m]; NaN where diverged."""
+
+
+def champions(trials: Sequence[tuple[str, float, int]], inputs: Mapping[str, Files]) -> list[Champion]:
+    """Take up the champions of trials; those that were set aside or have none are left out."""
+    found = []
+    for environment, depth, trial in trials:
+        label = segments.trial_label(environment, depth, trial)
+        files = inputs.get(f"transfer/{label}", {})
+        if CHAMPION in files:
+            scores = decode_json(files[SCORE], label)
+            design = design_from(decode_json(files[CHAMPION], label), label)
+            zero_shot = np.nan if scores["zero_shot"] is None else scores["zero_shot"]
+            found.append(Champion(environment, depth, trial, design, scores["predicted"], zero_shot))
+    return found
+
+
+def ensemble_of(inputs: Mapping[str, Files]) -> EnsembleMedium:
+    """Load every member."""
+    world = segments.world_of({"world": "residual_slush", "depth": 0.0}, inputs)
+    assert isinstance(world, ResidualSlush)
+    return world.ensemble
+
+
+def roll_out(job: Job, world: Environment, designs: Designs, *, trace: bool = False) -> Rollouts:
+    """Simulate designs as a job says."""
+    return segments.roll_out(job.spec, job.how, world, designs, trace=trace)
+
+
+def true_slush(spec: Spec, depth: float) -> Environment:
+    """Give the world that designs are made for."""
+    return segments.world_of({**spec, "world": "true_slush", "depth": depth}, {})
+
+
+# -- transfer matrix -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TestRow:
+    """A champion of one depth at another, in True Slush; lengths in m."""
+
+    environment: str
+    trained: float
+    trial: int
+    tested: float
+    displacement: float
+    com_displacement: float
+
+
+@dataclass(frozen=True)
+class CellRow:
+    """A cell of an environment's transfer matrix; see TransferMatrix."""
+
+    environment: str
+    trained: float
+    tested: float
+    mean: float
+    sd: float
+    n: int
+    relative: float
+
+
+def compute_matrix(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+    """Test every champion at every depth of the grid, in True Slush."""
+    entrants = champions(job.spec["trials"], inputs)
+    tests: list[TestRow] = []
+    for depth in job.spec["depths"] if entrants else ():
+        rollouts = roll_out(job, true_slush(job.spec, depth), concatenate([of.design for of in entrants]))
+        tests += [
+            TestRow(of.environment, of.depth, of.trial, depth, float(root), float(whole))
+            for of, root, whole in zip(entrants, rollouts.displacement, rollouts.com_displacement, strict=True)
+        ]
+    cells: list[CellRow] = []
+    for environment in dict.fromkeys(of.environment for of in entrants):
+        rows = [test for test in tests if test.environment == environment]
+        matrix = transfer_matrix(
+            [row.trained for row in rows], [row.tested for row in rows], np.array([row.displacement for row in rows])
+        )
+        for i, j in np.ndindex(matrix.mean.shape):
+            mean, sd, relative = (float(of[i, j]) for of in (matrix.mean, matrix.sd, matrix.relative))
+            depths = float(matrix.trained[i]), float(matrix.tested[j])
+            cells.append(CellRow(environment, *depths, mean, sd, int(matrix.n[i, j]), relative))
+    reasons = {}
+    if not entrants:
+        reasons = dict.fromkeys(("tests", "matrix"), "no trial has a champion")
+    elif len(job.spec["depths"]) == 1:
+        reasons["matrix"] = "a single depth: the matrix has one column"
+    return {"tests": columns_of(TestRow, tests), "matrix": columns_of(CellRow, cells)}, reasons
+
+
+# -- exploiters ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A design, its ensemble's promise and the truth [m]; NaN where diverged."""
+
+    kind: str
+    environment: str
+    depth: float
+    trial: int
+    generation: int
+    identity: int
+    predicted: float
+    true: float
+    by_member: npt.NDArray[np.float64]
+    """(n_members,)"""
+
+
+@dataclass(frozen=True)
+class ExploiterRow:
+    """Who a ranked design is."""
+
+    kind: str
+    environment: str
+    depth: float
+    trial: int
+    generation: int
+    identity: int
+
+
+def compute_exploiters(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+    """Rank every champion and every assessed design by what the ensemble promises of it and does not come true."""
+    why = str(job.spec["no_networks"])
+    suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(job.spec, inputs)]
+    by_member = np.array([s.by_member for s in suspects]).reshape(len(suspects), -1 if suspects else 1)
+    ranked = rank_exploiters(
+        np.array([s.predicted for s in suspects]),
+        true=np.array([s.true for s in suspects]),
+        disagreement=by_member.std(axis=1),
+    )
+    who = [suspects[row.design] for row in ranked]
+    order = [row.design for row in ranked]
+    rows = columns_of(Exploiter, ranked)
+    rows.pop("design")
+    names = [ExploiterRow(s.kind, s.environment, s.depth, s.trial, s.generation, s.identity) for s in who]
+    table = {"rank": rows.pop("rank"), **columns_of(ExploiterRow, names), **rows, "by_member": by_member[order]}
+    reason = why or ("" if suspects else "no trial has a champion and no design was assessed")
+    return {"exploiters": table}, {"exploiters": reason} if reason else {}
+
+
+def _promise(by_member: npt.NDArray[np.float64], penalty: float) -> npt.NDArray[np.float64]:
+    """Aggregate (n_designs, n_members) as fitness does: (n_designs,); NaN where a member's rollout diverged."""
+    promised = penalised_mean(by_member, disagreement_penalty=penalty)
+    return np.where(np.isfinite(promised), promised, np.nan)
+
+
+def _champions_under_members(job: Job, inputs: Mapping[str, Files]) -> list[Suspect]:
+    """Simulate champions of all environments under every member, at the depth where they evolved."""
+    spec, ensemble = job.spec, ensemble_of(inputs)
+    entrants = champions(spec["trials"], inputs)
+    suspects = []
+    for depth in dict.fromkeys(of.depth for of in entrants):
+        here = [of for of in entrants if of.depth == depth]
+        world = ResidualSlush(depth=depth, ensemble=ensemble)
+        by_member = roll_out(job, world, concatenate([of.design for of in here])).displacement.T
+        promised = _promise(by_member, spec["disagreement_penalty"])
+        for of, each, promise in zip(here, by_member, promised, strict=True):
+            own = each[of.trial % len(each)] if of.environment == "single_member" else promise
+            suspects.append(
+                Suspect("champion", of.environment, depth, of.trial, -1, -1, float(own), of.zero_shot, each)
+            )
+    return suspects
+
+
+def _assessed(spec: Spec, inputs: Mapping[str, Files]) -> list[Suspect]:
+    shares = [inputs[name] for name in sorted(inputs) if name.startswith("assess/")]
+    if not shares:
+        return []
+    table = read_predictions(shares)
+    promised = _promise(table["predicted"], spec["disagreement_penalty"])
+    columns = (table[name].tolist() for name in ("environment", "depth", "trial", "generation", "identity"))
+    rows = zip(*columns, promised.tolist(), table["true"].tolist(), table["predicted"], strict=True)
+    return [Suspect("assessed", *row) for row in rows]

@@ -1,0 +1,319 @@
+"""Instruments: what the members are wrong about, where, and what champions gain by it.
+
+Part of the stage analyse, whose page lists the tables. What needs no True Slush is computed from networks and throws
+alone: phantom thrust; where champions evolved, disagreement, novelty, luck and reach.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.settings import RESIDUAL_ENVIRONMENTS
+from pipeline.stage import Files, Job, Spec
+from pipeline.stages import segments
+from pipeline.stages.analyses.champions import Champion, champions, ensemble_of, roll_out, true_slush
+from pipeline.stages.analyses.statistics import Reasons, Tables
+from pipeline.stages.collect import TRANSITIONS, read_transitions
+from pipeline.tables import Columns, columns_of, text
+from tasks.analysis import (
+    Disagreement,
+    Estimate,
+    MemberError,
+    Novelty,
+    Thrown,
+    disagreement,
+    link_states,
+    luck,
+    member_errors,
+    novelty,
+    phantom_thrust,
+    reach,
+    thrown,
+    thrown_links,
+)
+from tasks.design import Designs
+from tasks.design.genes import concatenate
+from tasks.residual import OBSERVATION, Transitions
+from tasks.seeding import generator
+from tasks.world import EnsembleMedium, Environment, Physics, Slush
+
+N_TRIES = 32
+"""Times that each champion is tried again: its loss is then known to a fifth of the tries' deviation."""
+
+
+def _transitions(spec: Spec, inputs: Mapping[str, Files]) -> tuple[Transitions, Transitions]:
+    """Load the throws that the members learned from, and those held out."""
+    from tasks.residual.training import validation_rows  # torch takes a second to import; only workers need it
+
+    transitions = read_transitions([inputs[name] for name in sorted(inputs) if TRANSITIONS in inputs[name]])
+    held_out = validation_rows(transitions.throw, spec["held_out"], seed=spec["seed"])
+    return transitions[~held_out], transitions[held_out]
+
+
+# -- members ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ThrustRow:
+    """One member's phantom thrust."""
+
+    member: int
+    thrust: Estimate
+    """[m/s²]"""
+
+
+def compute_members(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+    """Say how wrong each member is on the throws held out."""
+    why = str(job.spec["no_networks"])
+    thrusts: list[ThrustRow] = []
+    errors: Sequence[MemberError] = ()
+    if not why:
+        physics = Physics.model_validate(job.spec["physics"])
+        medium = Slush.model_validate(job.spec["slush"])
+        ensemble, (_, held_out) = ensemble_of(inputs), _transitions(job.spec, inputs)
+        rng = generator(job.spec["seed"], "analyse", "phantom thrust")
+        found = phantom_thrust(ensemble, held_out, physics, rng=rng)
+        thrusts = [ThrustRow(member, thrust) for member, thrust in enumerate(found)]
+        errors = member_errors(ensemble, medium, thrown_links(held_out, physics), physics)
+    tables = {
+        "phantom_thrust": columns_of(ThrustRow, thrusts),
+        "member_errors": columns_of(MemberError, errors),
+    }
+    return tables, dict.fromkeys(tables, why) if why else {}
+
+
+# -- instruments of one arm ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How far a champion got [m]; NaN where diverged or unknown."""
+
+    displacement: float
+    com: float
+    reach: float
+
+
+@dataclass(frozen=True)
+class ChampionRow:
+    """One champion of the arm; lengths in m."""
+
+    trial: int
+    best: bool
+    """Whether it is the best zero-shot, whose links are shown."""
+    home: Moved
+    """Where it evolved, mean over members."""
+    slush: Moved
+    """In True Slush."""
+    claimed: float
+    """Fitness where it evolved."""
+    again: float
+    """Mean fitness of its tries with attachments moved by 1e-4; NaN where all diverged."""
+    loss: Estimate
+    share_below: float
+    n_diverged: int
+    n_tries: int
+
+
+@dataclass(frozen=True)
+class WorldRow:
+    """A rollout of the best champion whose links are shown."""
+
+    world: str
+    member: int
+    trial: int
+    displacement: float
+    disagreement: float
+    """Mean over steps and links [m/s²]."""
+    share_novel: float
+    """Of the steps and links, with a novelty above 1."""
+
+
+def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+    """Put the champions of one arm under every instrument."""
+    spec = job.spec
+    arm = champions(spec["trials"], inputs)
+    if not arm:
+        tables = _arm_tables([], [], [], 1)
+        return tables, dict.fromkeys(tables, "no trial of this arm has a champion")
+    designs = concatenate([of.design for of in arm])
+    in_slush = roll_out(job, true_slush(spec, spec["depth"]), designs, trace=True)
+    assert in_slush.trace is not None
+    scored = [of.zero_shot for of in arm]
+    best = int(np.nanargmax(scored)) if np.isfinite(scored).any() else None
+    moved = _moved(in_slush.displacement, in_slush.com_displacement)
+    rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
+    if why := str(spec["no_networks"]):
+        return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "worlds", "member_errors"), why)
+    ensemble, physics = ensemble_of(inputs), Physics.model_validate(spec["physics"])
+    links = link_states(designs, in_slush.trace, physics)
+    errors = member_errors(ensemble, Slush.model_validate(spec["slush"]), links, physics)
+    if best is None:
+        none = "no champion of this arm stays finite in True Slush"
+        return _arm_tables(rows, errors, [], ensemble.n_members), dict.fromkeys(("links", "worlds"), none)
+    learned, _ = _transitions(spec, inputs)
+    index = thrown(learned.observation, learned.throw)
+    films = [Filmed("true_slush", -1, scored[best], in_slush.trace[best : best + 1])]
+    if spec["environment"] != "true_slush":
+        films.append(_film_at_home(job, inputs, arm[best]))
+    seen = [_look(film, arm[best], ensemble, index, physics) for film in films]
+    lacking = [reason for reason in (seen[0].disagreement.reason, index.reason) if reason]
+    reasons = dict.fromkeys(("links", "worlds"), "; ".join(lacking)) if lacking else {}
+    return _arm_tables(rows, errors, seen, ensemble.n_members), reasons
+
+
+def _arm_tables(
+    rows: Sequence[ChampionRow], errors: Sequence[MemberError], seen: Sequence[Seen], n_members: int
+) -> Tables:
+    return {
+        "champions": columns_of(ChampionRow, rows),
+        "member_errors": columns_of(MemberError, errors),
+        **_link_tables(seen, n_members),
+    }
+
+
+def _member_names(inputs: Mapping[str, Files]) -> list[str]:
+    return sorted(name for name in inputs if name.startswith("member-"))
+
+
+def _home(job: Job, inputs: Mapping[str, Files], champion: Champion) -> Environment:
+    """Give the world that a champion evolved in: of single_member, its own member's."""
+    members = _member_names(inputs)
+    if champion.environment == "single_member":
+        members = [members[champion.trial % len(members)]]
+    world = {**job.spec, "world": champion.environment}
+    return segments.world_of(world, {name: inputs[name] for name in members})
+
+
+def _moved(displacement: npt.NDArray[np.float64], com_displacement: npt.NDArray[np.float64]) -> list[Moved]:
+    of = reach(displacement, com_displacement)
+    rows = zip(of.displacement.tolist(), of.com_displacement.tolist(), of.reach.tolist(), strict=True)
+    return [Moved(*row) for row in rows]
+
+
+def _champion_row(
+    job: Job, inputs: Mapping[str, Files], champion: Champion, slush: Moved, *, best: bool
+) -> ChampionRow:
+    if champion.environment in RESIDUAL_ENVIRONMENTS and job.spec["no_networks"]:
+        nowhere, loss = Moved(np.nan, np.nan, np.nan), Estimate.missing(job.spec["no_networks"])
+        return ChampionRow(champion.trial, best, nowhere, slush, champion.predicted, np.nan, loss, np.nan, 0, 0)
+    world = _home(job, inputs, champion)
+    at_home = segments.score(job.spec, job.how, world, champion.design)
+    (home,) = _moved(at_home.displacement.mean(axis=1), at_home.com_displacement.mean(axis=1))
+
+    def fitness(designs: Designs) -> npt.NDArray[np.float64]:
+        return segments.score(job.spec, job.how, world, designs).fitness
+
+    rng = generator(job.spec["seed"], "analyse", "luck", champion.environment, champion.depth, champion.trial)
+    tried = luck(champion.design, fitness, rng=rng, n_tries=N_TRIES)
+    again = tried.again[0][np.isfinite(tried.again[0])]
+    return ChampionRow(
+        champion.trial,
+        best,
+        home,
+        slush,
+        claimed=float(tried.claimed[0]),
+        again=float(again.mean()) if len(again) else np.nan,
+        loss=tried.loss[0],
+        share_below=float(tried.share_below[0]),
+        n_diverged=int(tried.n_diverged[0]),
+        n_tries=N_TRIES,
+    )
+
+
+# -- links of the best champion --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Filmed:
+    """A rollout of the best champion."""
+
+    world: str
+    member: int
+    """Whose world it is; -1 where it is nobody's."""
+    displacement: float
+    """[m]"""
+    trace: npt.NDArray[np.float32]
+    """(1, n_steps, n_links, 6)"""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the instruments say of a rollout."""
+
+    row: WorldRow
+    disagreement: Disagreement
+    novelty: Novelty
+
+
+def _film_at_home(job: Job, inputs: Mapping[str, Files], champion: Champion) -> Filmed:
+    """Film a champion where it evolved; of an ensemble, in the world of the member that promises most."""
+    rollouts = roll_out(job, _home(job, inputs, champion), champion.design, trace=True)
+    assert rollouts.trace is not None
+    if champion.environment not in RESIDUAL_ENVIRONMENTS:
+        return Filmed(champion.environment, -1, float(rollouts.displacement[0]), rollouts.trace)
+    promised = rollouts.displacement[:, 0]
+    k = int(np.nanargmax(promised)) if np.isfinite(promised).any() else 0
+    n_members = len(_member_names(inputs))
+    member = champion.trial % n_members if champion.environment == "single_member" else k
+    return Filmed(champion.environment, member, float(promised[k]), rollouts.trace[k])
+
+
+def _look(
+    film: Filmed, champion: Champion, ensemble: EnsembleMedium, throws: Thrown, physics: Physics
+) -> Seen:
+    """Map disagreement and novelty along a rollout."""
+    said = disagreement(champion.design, film.trace, ensemble, physics)
+    new = novelty(link_states(champion.design, film.trace, physics), throws)
+    known = new.novelty[np.isfinite(new.novelty)]
+    share_novel = float((known > 1).mean()) if len(known) else np.nan
+    mean = float(said.by_design()[0])
+    return Seen(WorldRow(film.world, film.member, champion.trial, film.displacement, mean, share_novel), said, new)
+
+
+def _link_tables(seen: Sequence[Seen], n_members: int) -> Tables:
+    """Lay out what was seen: a row per world, step and link."""
+    parts = [_links(of, n_members) for of in seen] or [_no_links(n_members)]
+    thrust = np.array([of.disagreement.member_thrust()[:, 0] for of in seen]).reshape(len(seen), n_members)
+    return {
+        "links": {name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
+        "worlds": {**columns_of(WorldRow, [of.row for of in seen]), "thrust": thrust},
+    }
+
+
+def _links(of: Seen, n_members: int) -> Columns:
+    magnitude, new = of.disagreement.magnitude[0], of.novelty
+    n_steps, n_links = magnitude.shape
+    n = magnitude.size
+    names = np.array([*OBSERVATION, ""])  # the last by index -1: unknown
+    return {
+        "world": np.full(n, of.row.world),
+        "step": np.repeat(np.arange(n_steps), n_links),
+        "link": np.tile(np.arange(n_links), n_steps),
+        "disagreement": magnitude.ravel(),
+        "novelty": new.novelty.ravel().astype(np.float32),
+        "distance": new.distance.ravel().astype(np.float32),
+        "component": names[new.component.ravel()],
+        "departure": of.disagreement.departure.reshape(n_members, n).T,
+        "thrust": of.disagreement.thrust.reshape(n_members, n).T,
+    }
+
+
+def _no_links(n_members: int) -> Columns:
+    """Give the same columns without a row."""
+    numbers, several = np.zeros(0, np.float32), np.zeros((0, n_members), np.float32)
+    return {
+        "world": text([]),
+        "step": np.zeros(0, np.int64),
+        "link": np.zeros(0, np.int64),
+        "disagreement": numbers,
+        "novelty": numbers,
+        "distance": numbers,
+        "component": text([]),
+        "departure": several,
+        "thrust": several,
+    }

@@ -1,0 +1,131 @@
+"""What scores and predictions show, without simulating anything: the paper's figures 3 and 4 as tables.
+
+Part of the stage analyse, whose page lists the tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+
+from pipeline.artifacts import decode_json
+from pipeline.stage import Files, Job
+from pipeline.stages import segments
+from pipeline.stages.assess import read_predictions
+from pipeline.stages.transfer import SCORE
+from pipeline.tables import Columns, columns_of, text
+from tasks.analysis import (
+    Attribution,
+    Contrast,
+    Regression,
+    Row,
+    Scores,
+    accuracy,
+    against_paper,
+    aggregates,
+    attribute,
+    histograms,
+    members,
+    sweep,
+)
+from tasks.analysis.comparison import CONTRASTS
+from tasks.analysis.paper import DEPTH, name_of
+from tasks.analysis.prediction import mean_less_deviations
+from tasks.seeding import generator
+
+Tables = dict[str, Columns]
+Reasons = dict[str, str]
+
+
+@dataclass(frozen=True)
+class ScoreRow:
+    """One trial's champion; lengths in m, NaN where there is none."""
+
+    environment: str
+    depth: float
+    trial: int
+    predicted: float
+    """Fitness where it evolved."""
+    zero_shot: float
+    """Displacement of the root in True Slush."""
+    zero_shot_com: float
+    """Of the centre of mass."""
+    zero_shot_reach: float
+    """The difference."""
+    adapted: float
+    adapted_com: float
+    adapted_reach: float
+    status: str
+
+
+def score_rows(
+    trials: Sequence[tuple[str, float, int]], inputs: Mapping[str, Files], set_aside: Mapping[str, str]
+) -> list[ScoreRow]:
+    """Gather every trial's scores, or say why it has none."""
+    rows = []
+    for environment, depth, trial in trials:
+        label = segments.trial_label(environment, depth, trial)
+        scored = inputs.get(f"transfer/{label}")
+        scores = decode_json(scored[SCORE], label) if scored else {"status": set_aside.get(label, "not done")}
+        names = ("predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
+        predicted, zero, zero_com, adapted, adapted_com = (
+            np.nan if scores.get(name) is None else float(scores[name]) for name in names
+        )
+        reached = (zero, zero_com, zero - zero_com, adapted, adapted_com, adapted - adapted_com)
+        rows.append(ScoreRow(environment, depth, trial, predicted, *reached, status=scores["status"]))
+    return rows
+
+
+def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+    """Make every table that needs no rollout, and say what is missing of each."""
+    spec = job.spec
+    rng = generator(spec["seed"], "analyse", "statistics")
+    table = columns_of(ScoreRow, score_rows(spec["trials"], inputs, spec["set_aside"]))
+    scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
+    shares = [inputs[name] for name in sorted(inputs) if name.startswith("assess/")]
+    regressions, drawn = _of_predictions(shares, rng)
+    reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), str(spec["not_assessed"]))
+    contrasts = sweep(scores, rng=rng)
+    made = {(contrast.a, contrast.b) for contrast in contrasts}
+    lacking = [f"{name_of(a)} against {name_of(b)}" for a, b in CONTRASTS if (a, b) not in made]
+    if lacking:
+        reasons["contrasts"] = f"no depth has scores of both sides: {'; '.join(lacking)}"
+    attributions = attribute(scores, rng=rng)
+    if not attributions:
+        reasons["attribution"] = "every trial evolved in True Slush: there is no gap"
+    at_papers_depth = regressions if spec["assessed_depth"] == DEPTH else ()
+    compared = columns_of(Contrast, contrasts)
+    return {
+        "scores": table,
+        "regressions": columns_of(Regression, regressions),
+        "histograms": drawn,
+        "contrasts": {name.removeprefix("comparison_"): column for name, column in compared.items()},
+        "attribution": columns_of(Attribution, attributions),
+        "paper": columns_of(Row, against_paper(scores, at_papers_depth, rng=rng)),
+    }, reasons
+
+
+def _of_predictions(shares: Sequence[Files], rng: Generator) -> tuple[tuple[Regression, ...], Columns]:
+    """Regress true on predicted displacement, and draw it: each member, their mean, and their mean less a deviation."""
+    if not shares:
+        none = np.zeros((0, 1), np.int64)
+        return (), {"name": text([]), "n_outside": none[:, 0], "edges": none.astype(np.float64), "counts": none}
+    table = read_predictions(shares)
+    predicted, true = table["predicted"].T, table["true"]
+    trial = [f"{environment}/{k}" for environment, k in zip(table["environment"], table["trial"], strict=True)]
+    regressions = accuracy(predicted, true, rng=rng, trial=trial)
+    together = aggregates(predicted)
+    drawn = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1))}
+    found = histograms(members(predicted) | drawn, true)
+    if found.reason is not None:  # no bins: every design diverged, which the regressions say too
+        return regressions, _of_predictions([], rng)[1]
+    n = len(found.names)
+    return regressions, {
+        "name": text(found.names),
+        "n_outside": found.n_outside,
+        "edges": np.tile(found.edges, (n, 1)),
+        "counts": found.counts.reshape(n, -1),
+    }

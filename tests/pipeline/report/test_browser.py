@@ -1,0 +1,257 @@
+"""The page in a real browser: Chromium, driven through its debugging pipe."""
+
+from __future__ import annotations
+
+import base64
+import fcntl
+import io
+import json
+import os
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.report.figures import FIGURES
+from pipeline.report.page import render_page
+from pipeline.report.replay import Overlay, Replay
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync",
+    "--disable-background-networking", "--disable-component-update", "--remote-debugging-pipe", "--hide-scrollbars",
+)  # fmt: skip
+PATIENCE = 30.0
+"""Longest wait for an answer of the browser [s]."""
+
+
+class Browser:
+    """A headless Chromium with one tab, spoken to in DevTools JSON, ended by zero bytes, on descriptors 3 and 4."""
+
+    def __init__(self, profile: Path) -> None:
+        (read_theirs, write_ours), (read_ours, write_theirs) = os.pipe(), os.pipe()
+        # Copies above 4, so that putting one at 3 cannot close the other.
+        theirs = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (read_theirs, write_theirs)]
+        silent = os.open(os.devnull, os.O_RDWR)
+        self._pid = os.posix_spawn(
+            CHROMIUM,
+            [CHROMIUM, *FLAGS, f"--user-data-dir={profile}"],
+            os.environ,
+            file_actions=[
+                *((os.POSIX_SPAWN_DUP2, end, place) for end, place in zip(theirs, (3, 4), strict=True)),
+                *((os.POSIX_SPAWN_DUP2, silent, place) for place in (0, 1, 2)),
+            ],
+            setpgroup=0,
+        )
+        for end in (*theirs, read_theirs, write_theirs, silent):
+            os.close(end)
+        self._write, self._read, self._rest, self._sent = write_ours, read_ours, b"", 0
+        os.set_blocking(self._read, False)
+        self.events: list[dict[str, Any]] = []
+        self._session: dict[str, str] = {}
+        target = self("Target.createTarget", url="about:blank")["targetId"]
+        self._session = {"sessionId": self("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]}
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self(f"{domain}.enable")
+
+    def __call__(self, method: str, **params: Any) -> dict[str, Any]:
+        self._sent += 1
+        message = {"id": self._sent, "method": method, "params": params, **self._session}
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        while (answer := self._next()).get("id") != self._sent:
+            self.events.append(answer)
+        assert "error" not in answer, (method, answer["error"])
+        return answer["result"]
+
+    def _next(self) -> dict[str, Any]:
+        end = time.monotonic() + PATIENCE
+        while b"\0" not in self._rest:
+            assert time.monotonic() < end, "Chromium does not answer"
+            try:
+                self._rest += os.read(self._read, 1 << 20)
+            except BlockingIOError:
+                time.sleep(0.005)
+        message, self._rest = self._rest.split(b"\0", 1)
+        return json.loads(message)
+
+    def open(self, page: Path, *, width: int, height: int = 800) -> None:
+        self("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
+        self.events.clear()
+        self("Page.navigate", url=page.as_uri())
+        self.until("document.readyState === 'complete'")
+
+    def evaluate(self, script: str) -> Any:
+        answer = self("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def until(self, condition: str) -> None:
+        end = time.monotonic() + PATIENCE
+        while not self.evaluate(condition):
+            assert time.monotonic() < end, f"never came true: {condition}"
+            time.sleep(0.02)
+
+    def named(self, method: str) -> list[dict[str, Any]]:
+        self.evaluate("0")  # what happened before has then arrived
+        return [event["params"] for event in self.events if event["method"] == method]
+
+    def picture(self, selector: str) -> np.ndarray:
+        """Pixels of an element, (height, width, 3)."""
+        box = self.evaluate(
+            f"(() => {{ const b = document.querySelector('{selector}').getBoundingClientRect();"
+            " return {x: b.x + scrollX, y: b.y + scrollY, width: b.width, height: b.height, scale: 1}; })()"
+        )
+        png = self("Page.captureScreenshot", clip=box, captureBeyondViewport=True)["data"]
+        return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB"))
+
+    def close(self) -> None:
+        os.killpg(self._pid, signal.SIGKILL)  # its own group: it and the processes that it started
+        os.waitpid(self._pid, 0)
+        os.close(self._write)
+        os.close(self._read)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory) -> Iterator[Browser]:
+    started = Browser(tmp_path_factory.mktemp("profile"))
+    yield started
+    started.close()
+
+
+@pytest.fixture(scope="module")
+def page(study, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "index.html"
+    path.write_text(render_page(replace(study, replays=[annotated(replay) for replay in study.replays])))
+    return path
+
+
+def annotated(replay: Replay) -> Replay:
+    """Disagreement that grows over time, and differs between links; a push upward."""
+    n_frames, n_links = replay.frames.shape[:2]
+    values = np.linspace(0.0, 1.0, n_frames)[:, None] * np.linspace(1.0, 3.0, n_links)
+    push = np.stack((np.zeros_like(values), np.full_like(values, 20.0)), axis=-1)
+    return replace(replay, overlays=(Overlay("disagreement", "m/s²", values),), push=push)
+
+
+@pytest.fixture(params=[1200, 390], ids=["desk", "phone"])
+def opened(request, browser, page) -> Browser:
+    browser.open(page, width=request.param)
+    return browser
+
+
+def seen(browser: Browser) -> None:
+    """Scroll through the whole page, so that whatever starts when it is seen has started."""
+    browser.evaluate(
+        "(async () => { for (let y = 0; y < document.body.scrollHeight; y += 400) {"
+        " scrollTo(0, y); await new Promise(requestAnimationFrame); } scrollTo(0, 0); })()"
+    )
+
+
+def test_every_figure_is_there_and_fits(opened):
+    seen(opened)
+    for name in FIGURES:
+        if not name.endswith("_wide"):
+            size = opened.evaluate(
+                f"(() => {{ const svg = [...document.querySelectorAll('#{name} svg')].find((s) => s.clientWidth);"
+                " return svg ? [svg.clientWidth, svg.clientHeight] : null; })()"
+            )
+            assert size and min(size) > 60, name
+    for name in ("gallery", "viewer", "against_paper", "contrasts", "suspects", "retried"):
+        assert opened.evaluate(f"document.getElementById('{name}').getBoundingClientRect().height") > 30, name
+    assert opened.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
+    assert opened.evaluate("document.querySelectorAll('.absent').length") == 0
+
+
+def test_no_request_leaves_the_file_and_the_console_is_clean(opened, page):
+    seen(opened)
+    requested = {event["request"]["url"] for event in opened.named("Network.requestWillBeSent")}
+    assert {url for url in requested if not url.startswith("data:")} == {page.as_uri()}
+    assert opened.named("Runtime.exceptionThrown") == []
+    assert opened.named("Runtime.consoleAPICalled") == []
+    assert opened.named("Log.entryAdded") == []
+
+
+def click(browser: Browser, identity: str) -> None:
+    browser.evaluate(f"document.getElementById('{identity}').click()")
+
+
+def choose(browser: Browser, identity: str, value: str) -> None:
+    browser.evaluate(
+        f"(() => {{ const e = document.getElementById('{identity}'); e.value = '{value}';"
+        " e.dispatchEvent(new Event('change')); e.dispatchEvent(new Event('input')); })()"
+    )
+
+
+def test_the_viewer_plays_to_the_end_and_starts_again(opened):
+    first = opened.picture("#stage")
+    choose(opened, "speed", "4")
+    click(opened, "play")
+    assert opened.evaluate("document.getElementById('play').textContent") == "Pause"
+    opened.until("document.getElementById('play').textContent === 'Play'")
+    assert opened.evaluate("document.getElementById('time').textContent") == "3.0 / 3.0 s"
+    assert (opened.picture("#stage") != first).any()
+    click(opened, "play")
+    opened.until("parseFloat(document.getElementById('scrub').value) < 2.5")
+
+
+def test_the_viewer_scrubs(opened):
+    choose(opened, "scrub", "1.5")
+    assert opened.evaluate("document.getElementById('time').textContent") == "1.5 / 3.0 s"
+    halfway = opened.picture("#stage")
+    choose(opened, "scrub", "0")
+    assert (opened.picture("#stage") != halfway).any()
+    choose(opened, "scrub", "1.5")
+    np.testing.assert_array_equal(opened.picture("#stage"), halfway)
+
+
+def test_two_robots_stand_side_by_side_or_above_one_another(opened):
+    alone = opened.picture("#stage").shape
+    choose(opened, "beside", "0")
+    together = opened.picture("#stage")
+    wide = opened.evaluate("innerWidth") > 600
+    assert (together.shape[0] > alone[0]) != wide
+    assert together.shape[1] == alone[1]
+    halves = np.array_split(together, 2, axis=1 if wide else 0)
+    assert all(len(np.unique(half.reshape(-1, 3), axis=0)) > 20 for half in halves)  # a robot in each, not a blank
+
+
+def test_overlays_colour_links_and_the_line_below_follows(opened):
+    choose(opened, "scrub", "3")
+    plain = opened.picture("#stage")
+    assert opened.evaluate("document.getElementById('line').hidden")
+    choose(opened, "overlay", "disagreement")
+    assert not opened.evaluate("document.getElementById('line').hidden")
+    assert (opened.picture("#stage") != plain).any()
+    assert "m/s²" in opened.evaluate("document.getElementById('legend').textContent")
+    opened.evaluate(
+        "(() => { const line = document.getElementById('timeline'), box = line.getBoundingClientRect();"
+        " line.dispatchEvent(new PointerEvent('pointerdown',"
+        " {buttons: 1, clientX: box.x + box.width / 2, clientY: box.y + 5})); })()"
+    )
+    assert opened.evaluate("parseFloat(document.getElementById('scrub').value)") == pytest.approx(1.5, abs=0.05)
+
+
+def test_the_push_is_drawn_where_it_is_asked_for(opened):
+    plain = opened.picture("#stage")
+    click(opened, "push")
+    assert (opened.picture("#stage") != plain).sum() > 100
+
+
+def test_the_gallery_moves_where_it_is_seen_and_opens_the_viewer(opened):
+    opened.evaluate("document.querySelector('.film').scrollIntoView({block: 'center'})")
+    first = opened.picture(".film canvas")
+    opened.until("performance.now() > 0")
+    time.sleep(0.3)
+    assert (opened.picture(".film canvas") != first).any()
+    opened.evaluate("document.querySelector('.film').click()")
+    assert opened.evaluate("document.getElementById('choice').value === document.querySelector('.film').dataset.replay")
+    assert opened.evaluate("document.getElementById('play').textContent") == "Pause"
