@@ -81,7 +81,7 @@ def _drive(
             require(settings, stage, upstream, how_to_run=how_to_run)
             if any(walk.open for walk in walks):
                 left = sum(walk.work_left for walk in walks if walk.open)
-                done = sum(walk.chain.weight * walk.chain.units_per_item * len(walk.manifests) for walk in walks)
+                done = sum(walk.work_done for walk in walks)
                 cluster = the_cluster()
                 with progress.stage(stage.name, unit=stage.unit, total=left + done, done=done) as bar:
                     run_stage(

@@ -15,14 +15,14 @@ from pipeline.artifacts import encode_table
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Chain, Results, Stage
 from pipeline.stages import STAGES
-from pipeline.stages.segments import history_units
+from pipeline.stages.segments import history_units, segment_spec, world_of
 from pipeline.store import Store
 from pipeline.study import survey
 from tasks.design import random_designs
 from tasks.evolution import NOBODY_YET, Evaluation, ask, evolve, tell
 from tasks.residual import OBSERVATION, initial_states, simulate_throws
 from tasks.simulation import simulate
-from tasks.world import DryLand, Environment, ResidualSlush, TrueSlush
+from tasks.world import Environment, ResidualSlush
 
 if TYPE_CHECKING:
     from tasks.residual.ensemble import Ensemble
@@ -92,7 +92,7 @@ def forecast(
         n_units = core_seconds = longest = n_bytes = 0.0
         for chain in stage.plan(settings):
             n_done = upstream[stage.name].n_done.get(chain.label, 0) if stage.name in upstream else 0
-            n_left = chain.units_per_item * (chain.n_items - n_done)
+            n_left = sum(chain.units[n_done:])
             seconds = n_left * _price(stage, chain, rates)
             n_units, core_seconds, longest = n_units + n_left, core_seconds + seconds, max(longest, seconds)
             if stage.unit == "generations":
@@ -152,7 +152,7 @@ def _world(settings: Settings, world: EnvironmentName, depth: float) -> Environm
     if world in RESIDUAL_ENVIRONMENTS:
         n_members = settings.ensemble.n_members if world == "residual_slush" else 1
         return ResidualSlush(depth=depth, ensemble=_untrained_ensemble(settings, n_members))
-    return DryLand(depth=depth) if world == "dry_land" else TrueSlush(depth=depth, slush=settings.slush)
+    return world_of(segment_spec(settings, stage="forecast", environment=world, world=world, depth=depth, trial=0), {})
 
 
 def _untrained_ensemble(settings: Settings, n_members: int) -> Ensemble:
@@ -226,7 +226,7 @@ def forecast_lines(
     """
     upstream = survey(settings, STAGES, store, say=say) if store is not None else {}
     stages = forecast(settings, STAGES, measure(settings, say), upstream)
-    own = os.cpu_count() or 1
+    own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     columns = dict.fromkeys([own, *cores])
     lines = [f"study {settings.name}: what is left, from rates measured on this machine just now", ""]
     header = "".join(f"{f'{n} cores':>14}" for n in columns)

@@ -42,13 +42,17 @@ class Chain:
 
     label: str
     """What a person calls it; unique in its stage."""
-    n_items: int
+    units: tuple[float, ...]
+    """Size of each piece, in the stage's unit."""
     spec: Spec
     """What tells this chain from the others of its stage."""
-    units_per_item: float
-    """Size of a piece, in the stage's unit."""
     weight: float = 1.0
     """Cost of a unit relative to the stage's other chains, for the order of work and the time left."""
+
+    @property
+    def n_items(self) -> int:
+        """How many pieces there are."""
+        return len(self.units)
 
 
 @dataclass(frozen=True)

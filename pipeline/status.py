@@ -20,9 +20,9 @@ def status_lines(settings: Settings, store: Store) -> Iterator[str]:
     any_open = False  # a driver runs the stages in order: the first that is open is the one that runs
     for stage in STAGES:
         chains = stage.plan(settings)
-        total = sum(chain.n_items * chain.units_per_item for chain in chains)
+        total = sum(sum(chain.units) for chain in chains)
         found = upstream[stage.name]
-        done = sum(chain.units_per_item * found.n_done.get(chain.label, 0) for chain in chains)
+        done = sum(sum(chain.units[: found.n_done.get(chain.label, 0)]) for chain in chains)
         n_done, n_items = sum(found.n_done.values()), sum(chain.n_items for chain in chains)
         if not found.unfinished and not found.set_aside:
             state = "done" if chains else "not needed"
@@ -32,7 +32,7 @@ def status_lines(settings: Settings, store: Store) -> Iterator[str]:
             state = "begun" if n_done else "missing"
         any_open = any_open or bool(found.unfinished)
         yield (
-            f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} pieces, {done:g} of {total:g} {stage.unit}, "
+            f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} pieces, {done:,.0f} of {total:,.0f} {stage.unit}, "
             f"{found.seconds:.0f} core-seconds"
         )
     yield from notes

@@ -51,7 +51,12 @@ class Walk:
     @property
     def work_left(self) -> float:
         """Weighted units still to do."""
-        return self.chain.weight * self.chain.units_per_item * (self.chain.n_items - len(self.manifests))
+        return self.chain.weight * sum(self.chain.units[len(self.manifests) :])
+
+    @property
+    def work_done(self) -> float:
+        """Weighted units done."""
+        return self.chain.weight * sum(self.chain.units[: len(self.manifests)])
 
 
 def _next_item(stage: Stage, settings: Settings, walk: Walk, upstream: Upstream) -> Item:
@@ -84,7 +89,7 @@ def follow(
 
 def _evenly_weighted(chains: Sequence[Chain]) -> list[Chain]:
     """Scale weights so that they average to one, and weighted units add up to the units that there are."""
-    units = [chain.n_items * chain.units_per_item for chain in chains]
+    units = [sum(chain.units) for chain in chains]
     weighted = sum(u * chain.weight for u, chain in zip(units, chains, strict=True))
     scale = sum(units) / weighted if weighted > 0 else 1.0
     return [replace(chain, weight=chain.weight * scale) for chain in chains]
@@ -237,7 +242,7 @@ class _Dispatcher:
         manifest = self._store.commit(item.stage, item.key, item.identity, files, record=record)
         walk.manifests.append(manifest)
         walk.n_failed = 0
-        self._bar.advance(walk.chain.units_per_item * walk.chain.weight)
+        self._bar.advance(walk.chain.units[len(walk.manifests) - 1] * walk.chain.weight)
         return walk
 
 

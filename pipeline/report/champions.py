@@ -15,7 +15,6 @@ from pipeline.report.data import (
     ENVIRONMENTS,
     PAPER,
     PAPER_DEPTH,
-    EnvironmentName,
     Estimate,
     Quantity,
     StudyReport,
@@ -27,6 +26,7 @@ from pipeline.report.data import (
     estimate,
 )
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, WIDTH, NothingToDraw
+from pipeline.settings import EnvironmentName
 
 CURVE_POINTS = 120
 """Generations drawn of a fitness curve, so that a page of a hundred curves stays small."""

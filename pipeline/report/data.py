@@ -14,9 +14,7 @@ import numpy.typing as npt
 
 from pipeline.report.findings import Findings
 from pipeline.report.replay import Replay
-
-EnvironmentName = Literal["true_slush", "dry_land", "residual_slush", "single_member"]
-"""Where a design evolved; ``single_member`` is Residual Slush with one member in place of the ensemble."""
+from pipeline.settings import EnvironmentName
 
 Quantity = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]
 """What is measured of a champion [m]."""

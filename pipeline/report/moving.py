@@ -8,9 +8,9 @@ from html import escape
 from importlib.resources import files
 from itertools import groupby
 
-from pipeline.report.data import EnvironmentName
 from pipeline.report.replay import Replay, encode
 from pipeline.report.words import absent, number
+from pipeline.settings import EnvironmentName
 
 EXEMPLARS: tuple[EnvironmentName, EnvironmentName] = ("residual_slush", "dry_land")
 """Of each depth: with residuals and without. Paper, Fig. 1."""

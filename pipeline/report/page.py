@@ -13,7 +13,6 @@ from string import Template
 
 from pipeline.report.data import (
     ENVIRONMENTS,
-    EnvironmentName,
     Estimate,
     StudyReport,
     TrialResult,
@@ -29,6 +28,7 @@ from pipeline.report.moving import gallery, resource, script, viewer
 from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects
 from pipeline.report.transfer_table import transfer_table
 from pipeline.report.words import absent, number, percent
+from pipeline.settings import EnvironmentName
 
 LARGEST = 1.5
 """Pixels for a unit of a figure, at most: its letters then have the size of a heading's."""

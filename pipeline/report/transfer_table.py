@@ -10,7 +10,6 @@ from pipeline.report.data import (
     PAPER,
     PAPER_DEPTH,
     PAPER_TRUE_SLUSH,
-    EnvironmentName,
     Estimate,
     Quantity,
     TrialResult,
@@ -20,6 +19,7 @@ from pipeline.report.data import (
     ratio,
 )
 from pipeline.report.words import NONE, absent, number, percent
+from pipeline.settings import EnvironmentName
 
 
 def transfer_table(trials: Sequence[TrialResult]) -> str:

@@ -118,7 +118,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
         spec = {"kind": kind, "seed": settings.seed, "trials": [list(trial) for trial in of], **more}
         spec |= {"n_rollouts": rollouts, "world": world}
         weight = max(rollouts, 1) * segments.relative_cost(settings, world)
-        return Chain(label, 1, spec, units_per_item=1, weight=weight)
+        return Chain(label, (1,), spec, weight=weight)
 
     n = len(trials)
     ensemble: EnvironmentName = "residual_slush" if settings.needs_ensemble else "true_slush"

@@ -67,7 +67,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
             "slush": settings.slush.model_dump(mode="json"),
         }
         if n:
-            chains.append(Chain(segments.trial_label(environment, depth, trial), 1, spec, units_per_item=n))
+            chains.append(Chain(segments.trial_label(environment, depth, trial), (n,), spec))
     return chains
 
 

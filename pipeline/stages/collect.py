@@ -50,7 +50,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
             "first": first,
             "n": n,
         }
-        chains.append(Chain(label=f"throws-{first}", n_items=1, spec=spec, units_per_item=n))
+        chains.append(Chain(label=f"throws-{first}", units=(n,), spec=spec))
     return chains
 
 

@@ -48,7 +48,7 @@ def reads(settings: Settings) -> tuple[str, ...]:
 def plan(settings: Settings) -> Sequence[Chain]:
     """One page."""
     spec = {"settings": settings.model_dump(mode="json", exclude={"work"})}
-    return [Chain(label=PAGE, n_items=1, spec=spec, units_per_item=1)]
+    return [Chain(label=PAGE, units=(1,), spec=spec)]
 
 
 def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
@@ -248,6 +248,8 @@ def _for_the_gif(replays: Sequence[Replay]) -> list[Replay]:
 
 def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Put the page where a person finds it."""
+    if PAGE not in results.done:
+        return Summary(lines=[f"no page: {results.set_aside.get(PAGE, 'it is not made yet')}"])
     (page,) = results.done[PAGE]
     files = {name: store.read(page, name) for name in page.files}
     folder = store.export(settings.name, files)

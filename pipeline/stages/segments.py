@@ -32,6 +32,15 @@ FLOPS_OF_PHYSICS = 8e3
 """About what Box2D's step of one link costs, to weigh networks against it."""
 
 
+SETTINGS_OF: Mapping[EnvironmentName, tuple[str, ...]] = {
+    "true_slush": ("slush",),
+    "dry_land": (),
+    "residual_slush": (),
+    "single_member": (),
+}
+"""Groups of settings that each world is made of, beside the physics; :func:`world_of` finds them in its ``spec``."""
+
+
 def member_label(member: int) -> str:
     """Name a member of the ensemble."""
     return f"member-{member:02d}"
@@ -64,25 +73,23 @@ def segment_spec(
         "rollout": settings.rollout.model_dump(mode="json"),
         "physics": settings.physics.model_dump(mode="json"),
     }
-    if world == "true_slush":
-        spec["slush"] = settings.slush.model_dump(mode="json")
+    for group in SETTINGS_OF[world]:
+        spec[group] = getattr(settings, group).model_dump(mode="json")
     if world in RESIDUAL_ENVIRONMENTS:
         spec["disagreement_penalty"] = settings.ensemble.disagreement_penalty
     return spec
 
 
-def n_segments(settings: Settings, n_generations: int) -> int:
-    """Count the segments of a trial."""
-    return -(-n_generations // settings.work.generations_per_item)
+def segment_lengths(settings: Settings, n_generations: int) -> tuple[int, ...]:
+    """Cut a trial's generations into segments."""
+    size = settings.work.generations_per_item
+    return tuple(min(size, n_generations - first) for first in range(0, n_generations, size))
 
 
 def generations_of(settings: Settings, n_generations: int, index: int) -> dict[str, int]:
     """Say which generations a segment runs."""
-    first = index * settings.work.generations_per_item
-    return {
-        "first_generation": first,
-        "n_generations": min(settings.work.generations_per_item, n_generations - first),
-    }
+    lengths = segment_lengths(settings, n_generations)
+    return {"first_generation": sum(lengths[:index]), "n_generations": lengths[index]}
 
 
 def how(settings: Settings) -> Spec:
@@ -223,8 +230,7 @@ def chain_of(settings: Settings, label: str, spec: Spec, n_generations: int) -> 
     """Lay out a trial as a chain of segments."""
     return Chain(
         label=label,
-        n_items=n_segments(settings, n_generations),
+        units=segment_lengths(settings, n_generations),
         spec=spec,
-        units_per_item=min(n_generations, settings.work.generations_per_item),
         weight=relative_cost(settings, spec["world"]),
     )

@@ -48,14 +48,13 @@ def plan(settings: Settings) -> Sequence[Chain]:
     return [
         Chain(
             label=member_label(member),
-            n_items=1,
+            units=(settings.training.n_iterations,),
             spec={
                 "network": settings.network.model_dump(mode="json"),
                 "training": settings.training.model_dump(mode="json"),
                 "seed": settings.seed,
                 "member": member,
             },
-            units_per_item=settings.training.n_iterations,
         )
         for member in range(settings.ensemble.n_members)
     ]
@@ -115,7 +114,8 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
             f"(bias {metrics['bias.vx.low_speed']:+.4f} m/s a step)"
         )
         curves = {name: learning[name] for name in ("training_loss", "validation_loss")}
-        trials.append(TrialSummary(name=label, params={}, metrics=metrics, curves=curves))
+        steps = learning["iteration"].tolist()
+        trials.append(TrialSummary(name=label, params={}, metrics=metrics, curves=curves, steps=steps))
     return Summary(lines=lines or ["no trial needs residual networks"], trials=trials)
 
 

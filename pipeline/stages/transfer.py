@@ -26,6 +26,9 @@ NAME, VERSION = "transfer", 1
 ADAPTED_TO = "adapted"
 """Name of an input: the last segment of the adaptation."""
 
+SCORING = 2 / 64
+"""What scoring a champion before and after costs: two rollouts, of the 64 or so of a generation."""
+
 SCORE, CHAMPION, ADAPTED = "score.json", "champion.json", "adapted.json"
 
 
@@ -43,9 +46,8 @@ def plan(settings: Settings) -> Sequence[Chain]:
         )
         label = segments.trial_label(environment, depth, trial)
         adapted = environment in settings.transfer.adapted_environments
-        n_adaptation = segments.n_segments(settings, settings.transfer.n_generations) if adapted else 0
-        units = min(settings.transfer.n_generations, settings.work.generations_per_item) if adapted else 1
-        chains.append(Chain(label=label, n_items=n_adaptation + 1, spec=spec, units_per_item=units))
+        adaptation = segments.segment_lengths(settings, settings.transfer.n_generations) if adapted else ()
+        chains.append(Chain(label=label, units=(*adaptation, SCORING), spec=spec))
     return chains
 
 
