@@ -159,7 +159,7 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
     if spec["environment"] != "true_slush":
         films.append(_film_at_home(job, inputs, arm[best]))
     seen = [_look(film, arm[best], ensemble, index, physics) for film in films]
-    lost = None if survives else "no champion of this arm stays finite in True Slush: shown is the best where it evolved"
+    lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
     lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
     reasons = dict.fromkeys(("links", "worlds"), "; ".join(lacking)) if lacking else {}
     return _arm_tables(rows, errors, seen, ensemble.n_members), reasons
