@@ -33,7 +33,7 @@ it has no rows or lacks something; {} if all is there. Lengths in m unless said.
                          of a champion), predicted (by the ensemble, or by the champion's own single member), true,
                          excess, disagreement (σ over members), ranked_by, reason, by_member (n_members numbers)
 ``instruments/<environment>/<depth>m``, the champions of one arm; links and worlds are of the best zero-shot champion,
-the one that the page films:
+the one that the page films (where none survives True Slush, of the best where it evolved):
     champions.parquet    a row per champion: trial, best; home_displacement, home_com, home_reach where it evolved
                          (mean over members); slush_displacement, slush_com, slush_reach; winner's luck: claimed
                          (fitness where it evolved), again (mean of its tries), the estimate loss, share_below,
@@ -105,12 +105,9 @@ def plan(settings: Settings) -> Sequence[Chain]:
     """Plan one piece of each kind of analysis, and one for each arm's instruments."""
     trials = settings.grid.trials()
     depths = list(settings.grid.depths)
-    simulated = {
-        "rollout": settings.rollout.model_dump(mode="json"),
-        "physics": settings.physics.model_dump(mode="json"),
-        "slush": settings.slush.model_dump(mode="json"),
-        "disagreement_penalty": settings.ensemble.disagreement_penalty,
-    }
+    worlds = {name: getattr(settings, name).model_dump(mode="json") for name in ("physics", "slush")}
+    simulated = {**worlds, "rollout": settings.rollout.model_dump(mode="json")}
+    promised = {**simulated, "disagreement_penalty": settings.ensemble.disagreement_penalty}
 
     def chain(
         kind: str, label: str, of: Sequence[tuple[Any, float, int]], rollouts: int, world: EnvironmentName, **more: Any
@@ -125,14 +122,14 @@ def plan(settings: Settings) -> Sequence[Chain]:
     held_out = settings.training.held_out
     chains = [
         chain(STATISTICS, STATISTICS, trials, 0, "true_slush", assessed_depth=settings.assessed_depth),
-        chain(MEMBERS, MEMBERS, [], 0, ensemble, held_out=held_out, **simulated),
+        chain(MEMBERS, MEMBERS, [], 0, ensemble, held_out=held_out, **worlds),
         chain(MATRIX, MATRIX, trials, n * len(depths), "true_slush", depths=depths, **simulated),
-        chain(EXPLOITERS, EXPLOITERS, trials, n, ensemble, **simulated),
+        chain(EXPLOITERS, EXPLOITERS, trials, n, ensemble, **promised),
     ]
     for environment, depth in dict.fromkeys((environment, depth) for environment, depth, _ in trials):
         arm = [trial for trial in trials if trial[:2] == (environment, depth)]
         rollouts = len(arm) * (1 + instruments.N_TRIES)
-        more = {"environment": environment, "depth": depth, "held_out": held_out, **simulated}
+        more = {"environment": environment, "depth": depth, "held_out": held_out, **promised}
         chains.append(chain(INSTRUMENTS, arm_label(environment, depth), arm, rollouts, environment, **more))
     return chains
 

@@ -78,6 +78,11 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
     return Item(NAME, VERSION, chain.label, spec, inputs, how={"engine": settings.work.engine})
 
 
+def replay_name(replay: Replay) -> str:
+    """Name the moving picture of one robot; the store wants no second dot in a name."""
+    return f"replay-{replay.environment}-{replay.depth:g}m".replace(".", "_") + ".gif"
+
+
 def _family_inputs(settings: Settings, upstream: Upstream) -> dict[str, Input]:
     """Give the history of one trial: the first that is done where residuals matter most."""
     deepest = sorted(settings.grid.trials(), key=lambda row: (row[0] != "residual_slush", -row[1], row[2]))
@@ -112,7 +117,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         if isinstance(drawing, Drawing):
             files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
     for replay in replays:
-        files[f"replay-{replay.environment}-{replay.depth:g}m.gif"] = render_gif([replay])
+        files[replay_name(replay)] = render_gif([replay])
     if replays:
         files[REPLAY] = render_gif(_for_the_gif(replays))
     return files

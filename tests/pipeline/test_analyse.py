@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.artifacts import decode_table, encode_table
+from pipeline.artifacts import decode_json, decode_table, encode_json, encode_table
 from pipeline.configuration import parse
 from pipeline.settings import Settings
 from pipeline.stages import analyse, assess, transfer
 from pipeline.stages.analyse import read_reasons, read_table
 from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.segments import trial_label
+from pipeline.stages.transfer import SCORE
 from tasks.design import Designs
 from tasks.design.genes import DTYPES
 
@@ -210,6 +211,38 @@ def test_what_was_set_aside_is_named_and_the_rest_is_there(settings, study):
     assert "it burst" in read_reasons(files)["links"]
     assert np.isfinite(read_table(files, "champions")["slush_displacement"]).all()
     assert all("it burst" in why for why in read_table(files, "champions")["loss_reason"])
+
+
+def test_champions_that_diverge_in_true_slush_are_shown_where_they_evolved(settings, study):
+    store, upstream = study
+    item = specified(analyse.STAGE, settings, upstream, "instruments/residual_slush/1m")
+    inputs = inputs_of(store, item)
+    for label in [name for name in inputs if name.startswith("transfer/")]:
+        scores = decode_json(inputs[label][SCORE], label) | {"zero_shot": None, "zero_shot_com": None}
+        inputs[label] = {**inputs[label], SCORE: encode_json(scores)}
+    files = analyse.compute(item.job, inputs)
+    champions, worlds = read_table(files, "champions"), read_table(files, "worlds")
+    assert worlds["world"].tolist() == ["residual_slush"] and len(read_table(files, "links")["step"]) == 25 * 6
+    assert champions["best"].tolist() == (champions["claimed"] == champions["claimed"].max()).tolist()
+    assert "stays finite in True Slush" in read_reasons(files)["worlds"]
+
+
+def test_trials_whose_designs_all_diverged_leave_tables_that_say_so(settings, study):
+    store, upstream = study
+    status = "no champion: every design of the trial diverged"
+    for chain in analyse.STAGE.plan(settings):
+        item = analyse.STAGE.item(settings, chain, 0, None, upstream)
+        inputs = inputs_of(store, item)
+        none = {name: {SCORE: encode_json({"status": status})} for name in inputs if name.startswith("transfer/")}
+        files = analyse.compute(item.job, inputs | none)
+        if chain.label == "statistics":
+            assert set(read_table(files, "scores")["status"]) == {status}
+            assert len(read_table(files, "contrasts")["a"]) == 0 and "contrasts" in read_reasons(files)
+            assert not any(np.isfinite(read_table(files, "attribution")["gap"]))
+        if chain.label == "exploiters":
+            assert set(read_table(files, "exploiters")["kind"]) == {"assessed"}
+        if chain.label.startswith(("instruments", "transfer-matrix")):
+            assert set(read_reasons(files)) == {n.removesuffix(".parquet") for n in files} - {"reasons.json"}
 
 
 def test_the_assessed_depth_is_the_papers_or_the_deepest():

@@ -104,7 +104,7 @@ class ChampionRow:
 
     trial: int
     best: bool
-    """Whether it is the best zero-shot, whose links are shown."""
+    """Whether it is the best zero-shot, or where it evolved if none survives True Slush: its links are shown."""
     home: Moved
     """Where it evolved, mean over members."""
     slush: Moved
@@ -144,7 +144,8 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
     in_slush = roll_out(job, true_slush(spec, spec["depth"]), designs, trace=True)
     assert in_slush.trace is not None
     scored = [of.zero_shot for of in arm]
-    best = int(np.nanargmax(scored)) if np.isfinite(scored).any() else None
+    survives = bool(np.isfinite(scored).any())
+    best = int(np.nanargmax(scored if survives else [of.predicted for of in arm]))
     moved = _moved(in_slush.displacement, in_slush.com_displacement)
     rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
     if why := str(spec["no_networks"]):
@@ -152,16 +153,14 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
     ensemble, physics = ensemble_of(inputs), Physics.model_validate(spec["physics"])
     links = link_states(designs, in_slush.trace, physics)
     errors = member_errors(ensemble, Slush.model_validate(spec["slush"]), links, physics)
-    if best is None:
-        none = "no champion of this arm stays finite in True Slush"
-        return _arm_tables(rows, errors, [], ensemble.n_members), dict.fromkeys(("links", "worlds"), none)
     learned, _ = _transitions(spec, inputs)
     index = thrown(learned.observation, learned.throw)
-    films = [Filmed("true_slush", -1, scored[best], in_slush.trace[best : best + 1])]
+    films = [Filmed("true_slush", -1, scored[best], in_slush.trace[best : best + 1])] if survives else []
     if spec["environment"] != "true_slush":
         films.append(_film_at_home(job, inputs, arm[best]))
     seen = [_look(film, arm[best], ensemble, index, physics) for film in films]
-    lacking = [reason for reason in (seen[0].disagreement.reason, index.reason) if reason]
+    lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
+    lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
     reasons = dict.fromkeys(("links", "worlds"), "; ".join(lacking)) if lacking else {}
     return _arm_tables(rows, errors, seen, ensemble.n_members), reasons
 
