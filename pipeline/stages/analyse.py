@@ -105,7 +105,8 @@ def plan(settings: Settings) -> Sequence[Chain]:
     """Plan one piece of each kind of analysis, and one for each arm's instruments."""
     trials = settings.grid.trials()
     depths = list(settings.grid.depths)
-    worlds = {name: getattr(settings, name).model_dump(mode="json") for name in ("physics", "slush")}
+    groups = sorted({"physics", *(group for groups in segments.SETTINGS_OF.values() for group in groups)})
+    worlds = {name: getattr(settings, name).model_dump(mode="json") for name in groups}
     simulated = {**worlds, "rollout": settings.rollout.model_dump(mode="json")}
     promised = {**simulated, "disagreement_penalty": settings.ensemble.disagreement_penalty}
 
