@@ -245,8 +245,10 @@ def roll_out(
     designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool
 ) -> Motion:
     """Simulate designs in an environment; see :func:`tasks.simulation.simulate`."""
+    n_robots = len(designs) * (environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1)
+    n_lanes = widest() if n_robots > widest() // 2 else widest() // 2  # a small population fits half of them
     return roll_out_on(
-        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, n_lanes=widest()
+        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, n_lanes=n_lanes
     )
 
 
