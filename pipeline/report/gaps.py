@@ -119,7 +119,7 @@ def _heat(panel: Any, matrix: TransferMatrix, natives: dict[float, float]) -> No
         share = value / natives.get(float(matrix.tested[column]), np.nan)
         face = SHARES(norm(share)) if np.isfinite(share) else (0.6, 0.6, 0.6, 0.25)
         panel.fill_between([column - 0.5, column + 0.5], row - 0.5, row + 0.5, facecolor=face, lw=0)
-        dark = np.isfinite(share) and share > 0.55
+        dark = np.isfinite(share) and share > 0.75
         # Not INK: these stand on a cell's colour, which is the same by day and by night.
         panel.text(
             column, row, number(value), ha="center", va="center", fontsize=7.5,
