@@ -119,3 +119,11 @@ def test_a_push_keeps_its_direction_when_it_is_too_long(slush_replay):
 def test_an_overlay_of_another_length_is_refused(slush_replay):
     with pytest.raises(ValueError, match=r"doubt.*expected"):
         replace(slush_replay, overlays=(Overlay("doubt", "", np.zeros((3, 6))),))
+
+
+def test_a_harmless_overlay_stays_pale(slush_replay):
+    values = np.full(slush_replay.frames.shape[:2], 0.1)
+    encoded = encode(replace(slush_replay, overlays=(Overlay("novelty", "× usual", values, darkest_at_least=1.0),)))
+    levels = np.frombuffer(base64.b64decode(encoded["overlays"][0]["levels"]), np.uint8)
+    assert encoded["overlays"][0]["most"] == 1.0
+    assert set(levels) == {25}  # 0.1 of 254
