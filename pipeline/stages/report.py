@@ -219,8 +219,8 @@ LAID_OVER = (
     ("disagreement", "what the members disagree about", "m/s²", 0.0),
     ("novelty", "distance from the throws", "× usual", 1.0),
 )
-"""Column of the instruments' links, what the page calls it, its unit, and what the darkest colour is at least: within the
-usual distance a state is not new."""
+"""Column of the instruments' links, what the page calls it, its unit, and what the darkest colour is at least: within
+the usual distance a state is not new."""
 
 
 def _overlays(settings: Settings, instruments: Files, trial: int) -> tuple[Overlay, ...]:
