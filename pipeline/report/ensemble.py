@@ -15,6 +15,8 @@ from pipeline.report.findings import ThrownPaths
 
 SIZES = (("o", "#dd7700"), ("s", "#1c6fb8"), ("^", "#7d4aa5"))
 """Marker and colour of the projectiles, short to long, as far as they go."""
+VIEW = 24.0
+"""How far the figure of the throws sees to either side [m]; throws that stay dry fly on."""
 SHOWN_POINTS = 40
 """Points drawn of a throw's path."""
 
@@ -25,7 +27,7 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
     if throws is None or len(throws.length_scale) == 0:
         raise NothingToDraw(report.findings.why("throws", "no link has been thrown yet, or the study needs none"))
     sizes = np.unique(throws.length_scale)
-    figure = Figure(figsize=(WIDTH, 1.9 * len(sizes) + 0.5), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 2.5 * len(sizes) + 0.5), layout="constrained")
     panels = figure.subplots(len(sizes), 1, sharex=True, sharey=True, squeeze=False).ravel()
     for number, (panel, size) in enumerate(zip(panels, sizes, strict=True)):
         of_size = throws.length_scale == size
@@ -33,12 +35,14 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
         panel.axhline(0, color=ENVIRONMENTS["true_slush"].color, lw=1.2)
         panel.set_title(f"{size:g} m × {1 / size:.2g} m, {of_size.sum()} throws", loc="left")
         panel.set_aspect("equal")
+        panel.set_xlim(-VIEW, VIEW)
+        panel.set_ylim(-8, 0.7 * VIEW)
         panel.set_ylabel("y [m]")
     panels[-1].set_xlabel("x [m]")
     return figure, (
         f"The {len(throws.length_scale)} throws that the networks learned from, {throws.seconds:.1f} s each: the way "
         "of each link’s centre, by its size. The blue line is the surface of the slush. One throw of each size is "
-        "drawn as it turns."
+        f"drawn as it turns. The view ends {VIEW:g} m from the start; throws that stay dry fly on."
     )
 
 
@@ -49,8 +53,9 @@ def _paths(panel: Any, throws: ThrownPaths, chosen: Any, color: str) -> None:
     gap = np.full((len(xy), 1, 2), np.nan)  # lifts the pen between throws
     x, y = np.concatenate((xy, gap), axis=1).reshape(-1, 2).T
     panel.plot(x, y, color=color, lw=0.6, alpha=0.5)
-    # The one that goes furthest can be seen best.
+    # Of those that stay in view, the one that goes furthest can be seen best.
     way = np.linalg.norm(np.diff(paths[:, :, :2], axis=1), axis=2).sum(axis=1)
+    way[np.abs(paths[:, :, :2]).max(axis=(1, 2)) > 0.7 * VIEW] *= 1e-3
     length = float(throws.length_scale[chosen][0])
     poses = paths[int(np.argmax(way)), :: max(1, paths.shape[1] // 10)]
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * (1 / length, length)

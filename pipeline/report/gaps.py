@@ -86,27 +86,40 @@ def transfer_matrix(report: StudyReport) -> tuple[Figure, str]:
     panels = figure.subplots(
         len(ordered), 1, squeeze=False, gridspec_kw={"height_ratios": [len(m.trained) for _, m in ordered]}
     ).ravel()
+    natives = _natives(matrices.get("true_slush"))
     for panel, (name, matrix) in zip(panels, ordered, strict=True):
-        _heat(panel, matrix)
+        _heat(panel, matrix, natives)
         panel.set_title(f"evolved {ENVIRONMENTS[name].evolved}", loc="left")
     panels[-1].set_xlabel("tested at [m]")
     figure.supylabel("evolved at [m]", fontsize=10.5)
     return figure, (
         "Mean displacement [m] in True Slush of champions that evolved at one depth (rows) and were tested at another "
-        "(columns). The darker a cell, the closer they come to those that evolved at the depth of the test in the same "
-        "way; the diagonal is their own."
+        "(columns). The darker a cell, the closer they come to those that evolved in True Slush at the depth of the "
+        "test; grey where there are none. On the diagonal, champions are where they evolved."
     )
 
 
-def _heat(panel: Any, matrix: TransferMatrix) -> None:
+def _natives(matrix: TransferMatrix | None) -> dict[float, float]:
+    """Give the mean displacement [m] of designs that evolved in True Slush by depth, where they get anywhere."""
+    if matrix is None:
+        return {}
+    means = {
+        float(depth): float(matrix.mean[i, j])
+        for i, depth in enumerate(matrix.trained)
+        for j in np.flatnonzero(matrix.tested == depth)
+    }
+    return {depth: mean for depth, mean in means.items() if mean > 0}
+
+
+def _heat(panel: Any, matrix: TransferMatrix, natives: dict[float, float]) -> None:
     norm = Normalize(0.0, 1.0, clip=True)
     for (row, column), value in np.ndenumerate(matrix.mean):
         if not np.isfinite(value):
             continue
-        share = matrix.relative[row, column]
+        share = value / natives.get(float(matrix.tested[column]), np.nan)
         face = SHARES(norm(share)) if np.isfinite(share) else (0.6, 0.6, 0.6, 0.25)
         panel.fill_between([column - 0.5, column + 0.5], row - 0.5, row + 0.5, facecolor=face, lw=0)
-        dark = np.isfinite(share) and share > 0.55
+        dark = np.isfinite(share) and share > 0.75
         # Not INK: these stand on a cell's colour, which is the same by day and by night.
         panel.text(
             column, row, number(value), ha="center", va="center", fontsize=7.5,

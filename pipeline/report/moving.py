@@ -46,7 +46,7 @@ def gallery(replays: Sequence[Replay]) -> str:
 def _film(replay: Replay, index: int) -> str:
     kept = "with residuals" if replay.environment == "residual_slush" else "without residuals"
     moved = number(float(replay.frames[-1, 0, 0] - replay.frames[0, 0, 0]))
-    label = f"{kept}: {moved} m in {replay.duration:.0f} s"
+    label = f"{kept}: {moved} m"
     swatch = f'<span class="swatch {escape(replay.environment)}"></span>'
     return (
         f'<button type="button" class="film" data-replay="{index}" title="Open in the viewer">'

@@ -35,6 +35,8 @@ class Overlay:
     """Such as "m/s²", or "× usual"."""
     values: npt.NDArray[np.float64]
     """(n_frames, n_links), not negative; NaN where there is none."""
+    darkest_at_least: float = 0.0
+    """Value that the darkest colour stands for at least, so that what is harmless never looks alarming."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +162,7 @@ class EncodedOverlay(TypedDict):
     label: str
     unit: str
     most: float
-    """The value that 254 stands for: the 99th percentile, so that one spike does not pale the rest."""
+    """The value that 254 stands for: the 95th percentile, so that spikes do not pale the rest."""
     levels: str
     """base64 of uint8, (n_frames, n_links): shares of ``most`` in 254ths; 255 where there is no value."""
 
@@ -221,8 +223,8 @@ def encode(replay: Replay) -> EncodedReplay:
 
 def _encode_overlay(overlay: Overlay) -> EncodedOverlay:
     known = np.isfinite(overlay.values)
-    most = float(np.quantile(overlay.values[known], 0.99)) if known.any() else 0.0
-    most = max(most, 1e-9)
+    most = float(np.quantile(overlay.values[known], 0.95)) if known.any() else 0.0
+    most = max(most, overlay.darkest_at_least, 1e-9)
     levels = np.rint(np.clip(np.where(known, overlay.values, 0.0) / most, 0, 1) * 254)
     return EncodedOverlay(
         label=overlay.label,

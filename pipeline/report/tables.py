@@ -47,22 +47,28 @@ def against_paper(findings: Findings) -> str:
     title = "The table against the paper"
     if not rows:
         return absent(title, findings.why("against_paper", "the study has not been analysed yet"))
-    counts = Counter(row.verdict for row in rows)
-    verdicts = ", ".join(f"{counts[verdict]} {_PLURAL[verdict]}" for verdict in MARKS if counts[verdict])
     columns = ("What", "Paper", "This run", "Verdict", "Why")
-    measured = [row for row in rows if row.this_run != "-"]
     unmeasured = [row for row in rows if row.this_run == "-"]
-    table = _table(columns, (_paper_cells(row) for row in measured), title, kind="wordy") if measured else ""
-    if unmeasured:
-        rest = _table(columns, (_paper_cells(row) for row in unmeasured), "Not measured", kind="wordy")
-        table += f"<details><summary>{len(unmeasured)} that this run has nothing for</summary>{rest}</details>"
+    tests = [row for row in rows if row.what.startswith("Student") and row not in unmeasured]
+    numbers = [row for row in rows if row not in tests and row not in unmeasured]
+    table = _table(columns, (_paper_cells(row) for row in numbers), title, kind="wordy") if numbers else ""
+    for folded, name in ((tests, "t tests of the paper"), (unmeasured, "more that this run has nothing for")):
+        if folded:
+            rest = _table(columns, (_paper_cells(row) for row in folded), name, kind="wordy")
+            gist = f" <small>{_verdicts(folded)}</small>" if folded is tests else ""
+            table += f"<details><summary>{len(folded)} {name}{gist}</summary>{rest}</details>"
     return (
-        f'<div id="against_paper"><h3>Against the paper: {verdicts}</h3>{table}'
+        f'<div id="against_paper"><h3>Against the paper: {_verdicts(rows)}</h3>{table}'
         '<p class="small">A number agrees where the paper’s lies in the 95 % prediction interval of this run: the '
         "range into which a repeat of this run with the paper’s number of trials would fall. Fewer "
         "trials than the paper’s "
         "make large p-values easy and small ones hard, so what they fail to show is not comparable.</p></div>"
     )
+
+
+def _verdicts(rows: Sequence[Row]) -> str:
+    counts = Counter(row.verdict for row in rows)
+    return ", ".join(f"{counts[verdict]} {_PLURAL[verdict]}" for verdict in MARKS if counts[verdict])
 
 
 _PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}

@@ -216,10 +216,11 @@ def _replays(
 
 
 LAID_OVER = (
-    ("disagreement", "what the members disagree about", "m/s²"),
-    ("novelty", "distance from the throws", "× usual"),
+    ("disagreement", "what the members disagree about", "m/s²", 0.0),
+    ("novelty", "distance from the throws", "× usual", 1.0),
 )
-"""Column of the instruments' links, what the page calls it, and its unit."""
+"""Column of the instruments' links, what the page calls it, its unit, and what the darkest colour is at least: within
+the usual distance a state is not new."""
 
 
 def _overlays(settings: Settings, instruments: Files, trial: int) -> tuple[Overlay, ...]:
@@ -232,8 +233,8 @@ def _overlays(settings: Settings, instruments: Files, trial: int) -> tuple[Overl
     here = links["world"] == "true_slush"
     n_links = int(links["link"].max()) + 1
     return tuple(
-        Overlay(label, unit, at_frames(links[column][here].reshape(-1, n_links), settings.rollout.n_settle))
-        for column, label, unit in LAID_OVER
+        Overlay(label, unit, at_frames(links[column][here].reshape(-1, n_links), settings.rollout.n_settle), least)
+        for column, label, unit, least in LAID_OVER
         if np.isfinite(links[column][here]).any()
     )
 

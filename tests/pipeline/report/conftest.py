@@ -112,7 +112,10 @@ def findings() -> Findings:
         against_paper=against_paper(scores, fits, rng=rng),
         contrasts=sweep(scores, rng=rng),
         attributions=attribute(scores, rng=rng),
-        transfer_matrices={"residual_slush": transfer_matrix([1, 1, 9, 9], [1, 9, 1, 9], np.array([30.0, 2, 18, 9]))},
+        transfer_matrices={
+            "true_slush": transfer_matrix([1, 1, 9, 9], [1, 9, 1, 9], np.array([30.0, 1, 5, 12])),
+            "residual_slush": transfer_matrix([1, 1, 9, 9], [1, 9, 1, 9], np.array([30.0, 2, 18, 9])),
+        },
         suspects=[Suspect(f"Residual Slush, 9 m, trial {row.design}", row) for row in ranked],
         retried=[Retried("Dry Land, 1 m, trial 0", 60.0, mean(np.array([1.0, 2.0, 3.0])), 4.0)],
         phantom_thrust=[mean(rng.normal(0.1 * n, 0.02, 9)) for n in range(3)] + [Estimate.missing("it is not finite")],

@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from functools import partial
 
 import matplotlib as mpl
 import numpy as np
@@ -10,13 +11,19 @@ import pytest
 from PIL import Image
 
 from pipeline.report.data import ENVIRONMENTS, TrialResult
-from pipeline.report.drawing import PAPER_MARK, Drawing, Missing
+from pipeline.report.drawing import PAPER_MARK, Drawing, Missing, finish
 from pipeline.report.figures import FIGURES, draw_all
+from pipeline.report.findings import Findings
 
 
 @pytest.fixture(scope="module")
 def drawn(study):
     return draw_all(study)
+
+
+def draw(name: str, study) -> Drawing | Missing:
+    title, figure = FIGURES[name]
+    return finish(name, title, partial(figure, study))
 
 
 def texts(drawing: Drawing) -> list[str]:
@@ -50,7 +57,7 @@ def test_the_arms_have_their_colours_and_names(drawn):
 
 def test_the_paper_stands_beside_nine_metres_alone(study, drawn):
     assert PAPER_MARK in drawn["transfer_at_depth"].svg.decode()
-    shallow = draw_all(replace(study, trials=[t for t in study.trials if t.depth == 1.0]))["transfer_at_depth"]
+    shallow = draw("transfer_at_depth", replace(study, trials=[t for t in study.trials if t.depth == 1.0]))
     assert PAPER_MARK not in shallow.svg.decode()
     assert "depth 1 m" in texts(shallow)
 
@@ -67,8 +74,17 @@ def test_only_velocities_in_the_residuals_error(drawn):
 
 
 def test_an_empty_study_says_why_for_each(study):
-    empty = draw_all(replace(study, trials=[], residual_errors=[]))
+    empty = draw_all(replace(study, trials=[], residual_errors=[], findings=Findings()))
     assert {name: missing.reason for name, missing in empty.items() if isinstance(missing, Missing)} == {
+        "attribution": "no champion’s controller has been adapted yet",
+        "transfer_matrix": "no champion has been tested at a depth other than its own yet",
+        "data_set": "no link has been thrown yet, or the study needs none",
+        "prediction_accuracy": "no design has been simulated under every member yet",
+        "prediction_accuracy_wide": "no design has been simulated under every member yet",
+        "aggregates": "no design has been simulated under every member yet",
+        "member_error": "no member has been compared with True Slush yet",
+        "phantom_thrust": "no member has been tried at low speed yet",
+        "family_tree": "no champion’s ancestors have been traced yet",
         "transfer_at_depth": "no trial has finished yet",
         "transfer_across_depths": "no trial has finished yet",
         "fitness_curves": "no trial has finished a generation yet",
@@ -93,7 +109,7 @@ def test_an_empty_study_says_why_for_each(study):
 )
 @pytest.mark.filterwarnings("error")
 def test_partial_studies_draw_what_they_can_without_a_warning(study, trials):
-    drawn = draw_all(replace(study, trials=trials, residual_errors=[]))
+    drawn = draw_all(replace(study, trials=trials, residual_errors=[], findings=Findings()))
     assert len(drawn) == len(FIGURES)
     assert isinstance(drawn["residual_error"], Missing)
 
@@ -101,6 +117,38 @@ def test_partial_studies_draw_what_they_can_without_a_warning(study, trials):
 def test_a_shorter_trial_cuts_the_mean_curve(study):
     """A mean must be over the same trials throughout: with 9 and 4 generations it ends after generation 3."""
     trials = [TrialResult("dry_land", 3.0, n, 5.0, curve=np.arange(float(length))) for n, length in ((0, 9), (1, 4))]
-    drawing = draw_all(replace(study, trials=trials))["fitness_curves"]
+    drawing = draw("fitness_curves", replace(study, trials=trials))
     ticks = [text for text in texts(drawing) if text.isdigit()]
     assert "3" in ticks and "8" not in ticks
+
+
+def test_r_and_slope_stand_over_each_histogram(drawn, study):
+    """Of every member; over the ensemble's those of μ and of μ − σ."""
+    fits = {fit.name: fit for fit in study.findings.accuracy.regressions}
+    for name in ("prediction_accuracy", "prediction_accuracy_wide"):
+        shown = texts(drawn[name])
+        for member in range(4):
+            fit = fits[f"member {member}"]
+            assert f"R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown
+        for symbol, fit in (("μ", fits["mean"]), ("μ − σ", fits["mean - 1 sd"])):
+            assert f"{symbol}: R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown
+
+
+def test_every_way_to_take_the_members_together_is_drawn(drawn, study):
+    shown = texts(drawn["aggregates"])
+    assert {"member 0", "μ", "μ − σ", "μ − 2 σ", "min", "median"} <= set(shown)
+    assert len([text for text in shown if text.startswith("μ − ")]) == 7  # k of 0.25, 0.5, 0.75, 1, 1.5, 2 and 3
+
+
+def test_a_cell_of_the_matrix_holds_what_was_measured(drawn):
+    assert {"30.0", "12.0", "18.0", "9.0"} <= set(texts(drawn["transfer_matrix"]))
+
+
+def test_a_reason_of_the_analysis_stands_in_the_figures_place(study):
+    why = "a single member has nobody to disagree with"
+    missing = draw("phantom_thrust", replace(study, findings=Findings(missing={"phantom_thrust": why})))
+    assert isinstance(missing, Missing) and missing.reason == why
+
+
+def test_colours_of_the_paper_are_marked_apart_from_those_of_the_run(drawn):
+    assert PAPER_MARK in drawn["aggregates"].svg.decode()

@@ -11,6 +11,7 @@ import pytest
 from pipeline.report.data import TrialResult
 from pipeline.report.figures import draw_all
 from pipeline.report.page import render_page
+from pipeline.report.replay import Overlay
 
 VOID = {"meta", "link", "br", "input", "img", "hr"}
 FETCHES = {"src", "srcset", "href", "xlink:href", "data", "action", "poster"}
@@ -61,8 +62,13 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def html(study) -> str:
-    return render_page(study)
+def drawn(study):
+    return draw_all(study)
+
+
+@pytest.fixture(scope="module")
+def html(study, drawn) -> str:
+    return render_page(study, drawn)
 
 
 def test_it_is_whole_and_every_id_is_its_own(html):
@@ -150,9 +156,10 @@ def test_the_finding_says_it_in_words(html):
     )
 
 
-def test_a_diverged_champion_is_counted_out(study):
+def test_a_diverged_champion_is_counted_out(study, drawn):
     trials = [*study.trials, TrialResult("residual_slush", 9.0, 2, 5.0, np.nan)]
-    row = next(row for row in rows(render_page(replace(study, trials=trials))) if row[0][:2] == ["Residual", "Slush"])
+    listed = rows(render_page(replace(study, trials=trials), drawn))
+    row = next(row for row in listed if row[0][:2] == ["Residual", "Slush"])
     assert row[0][-1] == "3"
     assert " ".join(row[2]).startswith("9.0 ± 1.4 2 of 3 trials")
 
@@ -183,9 +190,10 @@ def test_every_text_of_the_study_is_escaped(study):
     assert page.text.count("onerror=alert(2)") >= 8
 
 
-def test_what_was_set_aside_is_named(study, html):
+def test_what_was_set_aside_is_named(study, drawn, html):
     assert "Not everything ran" not in html
-    assert "dry_land 9 m trial 3" in Page(render_page(replace(study, set_aside=["dry_land 9 m trial 3"]))).text
+    lacking = replace(study, set_aside=["dry_land 9 m trial 3"])
+    assert "dry_land 9 m trial 3" in Page(render_page(lacking, drawn)).text
 
 
 def test_a_study_that_has_only_begun_makes_a_page(study):
@@ -204,7 +212,7 @@ def test_how_it_was_made_is_there(html):
 
 
 def test_the_same_page_each_time_and_from_drawings_at_hand(study, html):
-    assert render_page(study, draw_all(study)) == html
+    assert render_page(study) == html
 
 
 def test_the_whole_grid_stays_under_ten_megabytes(study, slush_replay):
@@ -216,5 +224,7 @@ def test_the_whole_grid_stays_under_ten_megabytes(study, slush_replay):
         for environment in ("true_slush", "dry_land", "residual_slush")
         for number in range(10)
     ]
-    long = replace(slush_replay, frames=np.resize(slush_replay.frames, (601, 6, 3)))
-    assert len(render_page(replace(study, trials=trials, replays=[long] * 30)).encode()) < 10_000_000
+    long = replace(slush_replay, frames=np.resize(slush_replay.frames, (601, 6, 3)), push=np.zeros((601, 6, 2)))
+    doubt = Overlay("disagreement", "m/s²", np.zeros((601, 6)))
+    long = replace(long, overlays=(doubt, replace(doubt, label="novelty")))
+    assert len(render_page(replace(study, trials=trials, replays=[long] * 31)).encode()) < 10_000_000

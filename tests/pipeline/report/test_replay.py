@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pipeline.report.replay import QUANTUM, EncodedReplay, encode, replay_of
+from pipeline.report.replay import QUANTUM, EncodedReplay, Overlay, encode, replay_of
 
 WORDS = {"title": "a walk", "environment": "", "world": "True Slush", "depth": 2.0, "has_medium": True}
 
@@ -91,3 +91,39 @@ def test_a_wrong_trace_is_named(rollout):
         replay_of(design, trace, n_settle=240, **WORDS)
     with pytest.raises(ValueError, match="2 designs, expected one"):
         replay_of(design[[0, 0]], trace, n_settle=0, **WORDS)
+
+
+def test_an_overlay_survives_its_encoding(slush_replay):
+    """Values to half of a 254th of the most shown; what is larger is shown as the most, what is unknown as 255."""
+    n_frames, n_links = slush_replay.frames.shape[:2]
+    values = np.linspace(0.0, 2.0, n_frames * n_links).reshape(n_frames, n_links)
+    values[0, 0] = np.nan
+    encoded = encode(replace(slush_replay, overlays=(Overlay("doubt", "m/s²", values),)))["overlays"][0]
+    levels = np.frombuffer(base64.b64decode(encoded["levels"]), np.uint8).reshape(n_frames, n_links)
+    assert levels[0, 0] == 255 and (levels.ravel()[1:] <= 254).all()
+    shown = levels.ravel()[1:] / 254 * encoded["most"]
+    np.testing.assert_allclose(
+        shown, np.minimum(values.ravel()[1:], encoded["most"]), atol=encoded["most"] * (0.5 / 254 + 1e-4)
+    )
+    assert encoded["most"] == pytest.approx(1.9, abs=0.01)  # the 95th percentile of 0 to 2
+
+
+def test_a_push_keeps_its_direction_when_it_is_too_long(slush_replay):
+    n_frames, n_links = slush_replay.frames.shape[:2]
+    push = np.tile(np.array([300.0, -400.0]), (n_frames, n_links, 1))
+    encoded = encode(replace(slush_replay, push=push))
+    shown = np.frombuffer(base64.b64decode(encoded["push"]), np.int8).reshape(push.shape) * encoded["pushQuantum"]
+    np.testing.assert_allclose(shown[0, 0], (36.0, -48.0), atol=encoded["pushQuantum"] / 2)
+
+
+def test_an_overlay_of_another_length_is_refused(slush_replay):
+    with pytest.raises(ValueError, match=r"doubt.*expected"):
+        replace(slush_replay, overlays=(Overlay("doubt", "", np.zeros((3, 6))),))
+
+
+def test_a_harmless_overlay_stays_pale(slush_replay):
+    values = np.full(slush_replay.frames.shape[:2], 0.1)
+    encoded = encode(replace(slush_replay, overlays=(Overlay("novelty", "× usual", values, darkest_at_least=1.0),)))
+    levels = np.frombuffer(base64.b64decode(encoded["overlays"][0]["levels"]), np.uint8)
+    assert encoded["overlays"][0]["most"] == 1.0
+    assert set(levels) == {25}  # 0.1 of 254

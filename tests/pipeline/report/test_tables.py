@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from pipeline.report.family import main_line
+from pipeline.report.findings import Findings
+from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects
+from pipeline.report.words import interval, p_value
+from tasks.analysis import Estimate
+
+
+def words(html: str) -> str:
+    return " ".join(re.sub(r"<[^>]+>", " ", html).split())
+
+
+@pytest.mark.parametrize(
+    ("found", "shown"),
+    [
+        (Estimate(1.24, 0.96, 1.55), "1.2 1.0 to 1.6"),
+        (Estimate(-0.04, -0.2, 0.04), "0.0 −0.2 to 0.0"),  # no negative zero
+        (Estimate(3.0, reason="1 value"), "3.0 1 value"),
+        (Estimate.missing("nobody came & went"), "– nobody came &amp; went"),
+    ],
+)
+def test_an_estimate_shows_its_interval_or_why_it_has_none(found, shown):
+    assert words(interval(found)) == shown
+
+
+def test_p_values_have_two_digits_or_a_bound():
+    assert [p_value(p) for p in (None, 0.0123, 1e-4, 9.9e-5)] == ["–", "0.012", "0.0001", "< 0.0001"]
+
+
+def test_every_number_of_the_paper_is_listed_with_its_verdict(findings):
+    text = words(against_paper(findings))
+    for row in findings.against_paper:
+        assert row.what.replace("'", "&#x27;") in text
+    for verdict, mark in (("agrees", "✓"), ("differs", "≠"), ("not comparable", "?")):
+        n = sum(row.verdict == verdict for row in findings.against_paper)
+        assert n > 0 and text.count(f"{mark} {verdict}") == n
+
+
+def test_every_contrast_and_depth_has_a_row(findings):
+    html = contrasts(findings)
+    assert html.count("<details>") == len({(row.a, row.b) for row in findings.contrasts})
+    assert html.count('<td data-column="Depth">') == len(findings.contrasts)
+
+
+def test_the_worst_exploiter_comes_first(findings):
+    worst = max(findings.suspects, key=lambda suspect: suspect.exploiter.excess)
+    first = re.search(r'<td data-column="Design">(.*?)</td>', suspects(findings))[1]
+    assert first == f"1. {worst.label}"
+
+
+def test_luck_shows_its_interval(findings):
+    """Losses of 1, 2 and 3 m: mean 2, and ± 4.303 · 1 / √3 = 2.48 by Student's t with 2 degrees of freedom."""
+    assert "2.0 −0.5 to 4.5" in words(retried(findings))
+
+
+def test_the_line_goes_through_the_fitter_parent(findings):
+    assert [ancestor.identity for ancestor in main_line(findings.family)] == [21, 9, 3]
+    assert "The champion’s line: 3 designs" in words(lineage(findings))
+    fitter = replace(findings.family, ancestors=[replace(a, fitness=9.0) if a.identity == 5 else a
+                                                 for a in findings.family.ancestors])  # fmt: skip
+    assert [ancestor.identity for ancestor in main_line(fitter)] == [21, 5]
+
+
+def test_what_is_missing_says_why_in_its_place():
+    nothing = Findings(missing={"suspects": "no trial of this study needs networks"})
+    assert "no trial of this study needs networks" in suspects(nothing)
+    for table in (against_paper, contrasts, retried):
+        assert "is not here" in table(nothing)
