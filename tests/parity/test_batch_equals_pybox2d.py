@@ -20,7 +20,7 @@ PLATFORM = ctypes.CDLL(None)
 for _name in ("sinf", "cosf"):
     getattr(PLATFORM, _name).argtypes, getattr(PLATFORM, _name).restype = [ctypes.c_float], ctypes.c_float
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python; see test_plain_python.py")
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in Python; test_batch.py has a short one")
 
 
 def platform_sines_and_cosines(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from pipeline.cli import main
+from pipeline.configuration import parse
 from pipeline.design_file import design_document
+from pipeline.settings import Settings
 from tasks.design import random_designs
 
 SETTINGS = """name: tiny
@@ -157,6 +159,7 @@ def test_designs_that_are_none(capsys, tmp_path, design):
     assert "missing field phase" in refusal(json.dumps({k: v for k, v in good.items() if k != "phase"}))
     assert "length_scale" in refusal(json.dumps({**good, "length_scale": [1, 2]}))
     assert "parent of link 1" in refusal(json.dumps({**good, "parent": [-1, 4, 0, 0, 0, 0]}))
+    assert "parent" in refusal(json.dumps({**good, "parent": [-1, 10**30, 0, 0, 0, 0]}))
     assert "frequency is 7.0" in refusal(json.dumps({**good, "frequency": 7.0}))
     assert "motor_on" in refusal(json.dumps({**good, "motor_on": [0, 1, 1, 1, 1, 1]}))
     said = refused(capsys, "simulate", str(tmp_path / "none.json"), "--environment", "dry_land", "--depth", "1")
@@ -191,3 +194,32 @@ def test_damaged_weights_are_made_again(study, capsys, tmp_path):
     assert call("study", *options, "--set", "evolution.n_generations=100") == 0
     assert "weights.safetensors" in "".join(capsys.readouterr())
     assert weights.read_bytes() == intact
+
+
+def test_a_manifest_that_is_not_ours_is_made_again(study, capsys, tmp_path):
+    store = tmp_path / "store"
+    shutil.copytree(study[-1], store)
+    manifest = sorted(store.glob("items/collect/*/*/manifest.json"))[0]
+    intact = json.loads(manifest.read_text())
+    manifest.write_text("{}")
+    assert call("study", "--workers", "0", *study[:2], "--store", str(store)) == 0
+    assert str(manifest) in "".join(capsys.readouterr())
+    assert json.loads(manifest.read_text())["digest"] == intact["digest"]
+
+
+def test_a_database_that_mlflow_cannot_use_is_told_before_its_ui_starts(study, capsys, tmp_path):
+    store = tmp_path / "store"
+    shutil.copytree(study[-1], store)
+    (store / "mlflow.db").write_bytes(b"no database at all" * 100)
+    said = refused(capsys, "ui", "--store", str(store))
+    assert "mlflow.db" in said and "delete it" in said
+
+
+def test_a_refused_element_is_one_mistake(capsys, tmp_path):
+    said = refused(capsys, "study", "--set", "grid.depths=[-1]", "--store", str(tmp_path / "store"))
+    assert len(said.splitlines()) == 1
+
+
+def test_single_members_evolve_only_at_depths_of_the_grid():
+    grid = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three").grid
+    assert {depth for _, depth, _ in grid.trials()} == {3.0}

@@ -155,6 +155,23 @@ def test_a_piece_that_fails_twice_is_set_aside_and_the_rest_goes_on(serial_run, 
         assert digests(run(tiny(), store, cluster)) == digests(upstream)
 
 
+def test_a_page_that_fails_is_set_aside_like_any_piece(serial_run, tmp_path):
+    def fail(job: Job, inputs: dict[str, Files]) -> Files:
+        raise ArithmeticError("no ink")
+
+    store, upstream = serial_run
+    report = dataclasses.replace(STAGES[-1], version=99, compute=fail, item=_of_version(STAGES[-1], 99))
+    walks = follow(report, tiny(), store, upstream, say=silent)
+    with serial_cluster() as cluster:
+        run_stage(tiny(), report, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=silent)
+    summary = report.summarise(tiny(), results_of(report, walks), store)
+    assert "no ink" in summary.lines[0]
+
+
+def _of_version(stage: Stage, version: int):
+    return lambda *arguments: dataclasses.replace(stage.item(*arguments), version=version)
+
+
 def test_a_damaged_item_is_computed_again(tmp_path):
     store = Store.open(tmp_path / "store", create=True)
     said: list[str] = []
