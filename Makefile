@@ -26,7 +26,7 @@ $(READY): pyproject.toml constraints.txt
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
 	@touch $@
 
-study: $(READY) ## run the whole study (PRESET=laptop; also smoke, paper, pontoon)
+study: $(READY) ## run the whole study (PRESET=laptop; also smoke, row, paper, pontoon)
 	$(PUDDLE) study --preset $(PRESET)
 
 test: $(READY) ## check style, types and layers, and run the tests

@@ -35,7 +35,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-Preset = Annotated[str, typer.Option("--preset", help="Settings in configs/: smoke, laptop, paper, pontoon.")]
+Preset = Annotated[str, typer.Option("--preset", help="Settings in configs/: smoke, laptop, row, paper, pontoon.")]
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="A settings file instead of a preset.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change one setting: evolution.n_generations=50.")]
 StorePath = Annotated[Path, typer.Option("--store", envvar="PUDDLE_STORE", help="Where results are kept.")]
