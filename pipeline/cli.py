@@ -176,6 +176,19 @@ def status(
         typer.echo(line)
 
 
+@app.command(name="settings")
+def list_settings(
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+) -> None:
+    """List every setting with its unit, its reason and its value: a file to begin your own from."""
+    from pipeline.annotated import annotated_lines
+
+    for line in annotated_lines(Chosen(preset, settings, tuple(overrides or ()), DEFAULT_STORE).settings()):
+        typer.echo(line)
+
+
 @app.command()
 def forecast(
     preset: Preset = DEFAULT_PRESET,
