@@ -1,0 +1,188 @@
+"""The nursery: a process that forks drivers, so that each can die, run out of disk or lose power in milliseconds.
+
+Run as a script (the fixture ``nursery`` does), it reads one JSON command a line on stdin, forks a child that carries
+it out, and answers with one JSON line: what the child said, and how it ended. The children are real drivers: they plan,
+read, verify and commit a whole study through pipeline.driver, in a store of their own. Only the science is looked up:
+every piece was computed once, when the nursery started, and its bytes stay the same. It holds no threads, so that
+forking it is sound.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import volatile
+import yaml
+
+import pipeline.study
+from pipeline import disk
+from pipeline.artifacts import digest
+from pipeline.cluster import serial_cluster
+from pipeline.configuration import parse
+from pipeline.driver import drive
+from pipeline.errors import PuddleError
+from pipeline.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.store import Store
+
+TINY = {
+    "name": "tiny",
+    "throws": {"n_throws": 2, "n_steps": 20},
+    "network": {"hidden_layers": 1, "width": 4},
+    "training": {"n_iterations": 10, "batch_size": 16},
+    "ensemble": {"n_members": 2},
+    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [], "n_trials": 1},
+    "rollout": {"n_settle": 5, "n_measure": 20},
+    "evolution": {"n_generations": 4, "afpo": {"population_size": 4}},
+    "transfer": {"n_generations": 2, "adapted_environments": ["dry_land"]},
+    "assess": {"n_designs": 8},
+    "work": {"throws_per_item": 2, "generations_per_item": 2, "engine": "reference"},
+}
+"""A study of real pieces, as cheap as can be."""
+
+ENVIRONMENTS = {"small": ["dry_land"], "large": ["true_slush", "dry_land", "residual_slush"]}
+
+
+class Quiet:
+    """A terminal and a tracker that keep what they are told: neither is what is put to the test."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
+
+    def stage(self, name: str, **counts: Any) -> Quiet:
+        return self
+
+    def __enter__(self) -> Quiet:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def advance(self, work: float) -> None: ...
+
+    def mirror(self, *runs: Any) -> None: ...
+
+
+def run_study(settings: Settings, root: Path, terminal: Quiet) -> None:
+    """Drive the study in a store, as `puddle study --workers 0` does."""
+    drive(
+        settings,
+        STAGES,
+        store=Store.open(root, create=True),
+        open_cluster=serial_cluster,
+        tracker=terminal,
+        progress=terminal,
+        how_to_run=lambda name: f"puddle {name}",
+    )
+
+
+def tree(root: Path) -> dict[str, str]:
+    """Give the SHA-256 of every file in a store but its locks, which hold nothing."""
+    return {
+        str(path.relative_to(root)): digest(path.read_bytes())
+        for path in sorted(root.rglob("*"))
+        if path.is_file() and path.suffix != ".lock"
+    }
+
+
+# -- one child -------------------------------------------------------------------------------------------------------
+
+
+def child(command: dict[str, Any], settings: Settings, answer: dict[str, Any]) -> None:
+    """Carry out a command, noting in ``answer`` what happened as it happens."""
+    root = Path(command["root"])
+    if "file_bytes" in command:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (command["file_bytes"],) * 2)
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # as Python does by itself
+    if command.get("fault"):
+        volatile.arm(command["fault"], root.parent)
+    kept, computed = pipeline.study.compute_item, answer.setdefault("computed", [])
+
+    def looked_up(compute: Callable[..., Any], job: Any, *rest: Any) -> Any:
+        computed.append(job.key)
+        return kept(compute, job, *rest)
+
+    pipeline.study.compute_item = looked_up
+    committed = answer.setdefault("committed", [])
+    commit = Store.commit
+
+    def noted(store: Store, stage: str, key: str, *rest: Any, **record: Any) -> Any:
+        manifest = commit(store, stage, key, *rest, **record)
+        committed.append(key)
+        return manifest
+
+    Store.commit = noted
+    terminal = Quiet()
+    answer["said"] = terminal.said
+    try:
+        run_study(settings, root, terminal)
+    except PuddleError as error:
+        answer["error"] = str(error)
+    answer["effects"] = volatile.effects()
+    answer["tree"] = tree(root)
+    answer["wrong"] = [str(error) for error in Store.open(root, create=False).verify()]
+
+
+def fork(command: dict[str, Any], settings: Settings) -> dict[str, Any]:
+    """Fork a child, wait for its end, and return its answer."""
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        answer: dict[str, Any] = {}
+
+        def end(code: int) -> None:
+            with os.fdopen(writing, "w") as pipe:
+                json.dump(answer, pipe)
+            os._exit(code)
+
+        volatile.at_death(functools.partial(end, volatile.DEAD))
+        code = 0
+        try:
+            child(command, settings, answer)
+        except BaseException:
+            answer["traceback"] = traceback.format_exc()
+            code = 1
+        end(code)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        said = pipe.read()
+    _, status = os.waitpid(pid, 0)
+    return {**(json.loads(said) if said else {}), "status": os.waitstatus_to_exitcode(status)}
+
+
+def main(size: str) -> None:
+    """Compute the study, say so, and serve commands until stdin ends."""
+    grid = {**TINY["grid"], "environments": ENVIRONMENTS[size]}
+    settings = parse(Settings, yaml.safe_dump({**TINY, "grid": grid}), name="tiny")
+    compute, cache = pipeline.study.compute_item, {}
+
+    def keeping(how: Callable[..., Any], job: Any, *rest: Any) -> Any:
+        if job.key not in cache:
+            cache[job.key] = compute(how, job, *rest)[0]
+        return cache[job.key], 1.0
+
+    pipeline.study.compute_item = keeping
+    volatile.watch(disk)
+    with tempfile.TemporaryDirectory() as folder:
+        run_study(settings, Path(folder) / "store", Quiet())
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # whatever else prints, prints elsewhere
+    print(json.dumps({"keys": sorted(cache)}), file=answers, flush=True)
+    for line in sys.stdin:
+        print(json.dumps(fork(json.loads(line), settings)), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
