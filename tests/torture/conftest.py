@@ -2,11 +2,10 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +31,25 @@ class Nursery:
         assert line, "the nursery is dead"
         return json.loads(line)
 
-    def drive(self, root: Path, **command: Any) -> dict[str, Any]:
-        """Fork a driver of the study in a store; return what it said, and how it ended."""
-        self._process.stdin.write(json.dumps({"root": str(root), **command}) + "\n")
+    def ask(self, **command: Any) -> dict[str, Any]:
+        """Have a command carried out by a child."""
+        self._process.stdin.write(json.dumps(command) + "\n")
         self._process.stdin.flush()
         return self._answer()
 
-    def finish(self, root: Path, **command: Any) -> dict[str, Any]:
-        """Fork a driver that is to get to its end undisturbed."""
-        answer = self.drive(root, **command)
-        assert answer["status"] == 0 and "error" not in answer, answer.get("traceback") or answer.get("error")
-        assert answer["wrong"] == []
-        return answer
+    def drive(self, root: Path, **command: Any) -> dict[str, Any]:
+        """Drive the study in a store; return what the driver noted, and how it ended."""
+        told = self.ask(roots=[str(root)], **command)
+        return {**told["answers"][0], **told}
+
+    def finish(self, roots: Sequence[Path]) -> list[dict[str, Any]]:
+        """Drive the study in some stores, which should be well afterwards."""
+        told = self.ask(roots=[str(root) for root in roots])
+        assert told["status"] == 0, told["traceback"]
+        for answer in told["answers"]:
+            assert "error" not in answer, answer["error"]
+            assert answer["wrong"] == []
+        return told["answers"]
 
     def close(self) -> None:
         self._process.stdin.close()
@@ -65,9 +71,4 @@ def place() -> Iterator[Callable[[], Path]]:
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(prefix="puddle-torture-", dir=memory if memory.is_dir() else None) as top:
 
-        def make() -> Path:
-            for old in Path(top).iterdir():
-                shutil.rmtree(old)
-            return Path(tempfile.mkdtemp(dir=top))
-
-        yield make
+        yield lambda: Path(tempfile.mkdtemp(dir=top))

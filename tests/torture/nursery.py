@@ -10,10 +10,10 @@ forking it is sound.
 from __future__ import annotations
 
 import functools
+import gc
 import json
 import os
 import resource
-import signal
 import sys
 import tempfile
 import traceback
@@ -33,6 +33,7 @@ from pipeline.driver import drive
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
 from pipeline.stages import STAGES
+from pipeline.stages.report import PAGE
 from pipeline.store import Store
 
 TINY = {
@@ -50,14 +51,15 @@ TINY = {
 }
 """A study of real pieces, as cheap as can be."""
 
-ENVIRONMENTS = {"small": ["dry_land"], "large": ["true_slush", "dry_land", "residual_slush"]}
+N_OF_PAGE = {"small": 3, "large": None}
+"""Files kept of the report: it has dozens, which are all alike to the store."""
 
 
 class Quiet:
     """A terminal and a tracker that keep what they are told: neither is what is put to the test."""
 
-    def __init__(self) -> None:
-        self.said: list[str] = []
+    def __init__(self, said: list[str]) -> None:
+        self.said = said
 
     def say(self, line: str) -> None:
         self.said.append(line)
@@ -100,83 +102,84 @@ def tree(root: Path) -> dict[str, str]:
 # -- one child -------------------------------------------------------------------------------------------------------
 
 
-def child(command: dict[str, Any], settings: Settings, answer: dict[str, Any]) -> None:
-    """Carry out a command, noting in ``answer`` what happened as it happens."""
-    root = Path(command["root"])
+def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, Any]]) -> None:
+    """Carry out a command, noting of each store what happened as it happens."""
     if "file_bytes" in command:
         resource.setrlimit(resource.RLIMIT_FSIZE, (command["file_bytes"],) * 2)
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # as Python does by itself
-    if command.get("fault"):
-        volatile.arm(command["fault"], root.parent)
-    kept, computed = pipeline.study.compute_item, answer.setdefault("computed", [])
+    for root in map(Path, command["roots"]):
+        answers.append({"computed": [], "committed": [], "said": []})
+        volatile.arm(command.get("fault"), root.parent)
+        study(settings, root, answers[-1])
+
+
+def study(settings: Settings, root: Path, answer: dict[str, Any]) -> None:
+    """Be a driver, and then look at the store."""
 
     def looked_up(compute: Callable[..., Any], job: Any, *rest: Any) -> Any:
-        computed.append(job.key)
-        return kept(compute, job, *rest)
-
-    pipeline.study.compute_item = looked_up
-    committed = answer.setdefault("committed", [])
-    commit = Store.commit
+        answer["computed"].append(job.key)
+        return look_up(compute, job, *rest)
 
     def noted(store: Store, stage: str, key: str, *rest: Any, **record: Any) -> Any:
         manifest = commit(store, stage, key, *rest, **record)
-        committed.append(key)
+        answer["committed"].append(key)
         return manifest
 
-    Store.commit = noted
-    terminal = Quiet()
-    answer["said"] = terminal.said
+    look_up, commit = pipeline.study.compute_item, Store.commit
+    pipeline.study.compute_item, Store.commit = looked_up, noted
     try:
-        run_study(settings, root, terminal)
+        run_study(settings, root, Quiet(answer["said"]))
     except PuddleError as error:
         answer["error"] = str(error)
-    answer["effects"] = volatile.effects()
+    finally:
+        pipeline.study.compute_item, Store.commit = look_up, commit
+    answer["effects"] = list(volatile.effects())
     answer["tree"] = tree(root)
     answer["wrong"] = [str(error) for error in Store.open(root, create=False).verify()]
 
 
 def fork(command: dict[str, Any], settings: Settings) -> dict[str, Any]:
-    """Fork a child, wait for its end, and return its answer."""
+    """Fork a child, wait for its end, and return what it had noted."""
     reading, writing = os.pipe()
     pid = os.fork()
     if pid == 0:
-        answer: dict[str, Any] = {}
+        gc.disable()
+        answers: list[dict[str, Any]] = []
 
-        def end(code: int) -> None:
+        def end(code: int, **more: Any) -> None:
             with os.fdopen(writing, "w") as pipe:
-                json.dump(answer, pipe)
+                json.dump({"answers": answers, **more}, pipe)
             os._exit(code)
 
         volatile.at_death(functools.partial(end, volatile.DEAD))
-        code = 0
         try:
-            child(command, settings, answer)
+            child(command, settings, answers)
         except BaseException:
-            answer["traceback"] = traceback.format_exc()
-            code = 1
-        end(code)
+            end(1, traceback=traceback.format_exc())
+        end(0)
     os.close(writing)
     with os.fdopen(reading) as pipe:
         said = pipe.read()
     _, status = os.waitpid(pid, 0)
-    return {**(json.loads(said) if said else {}), "status": os.waitstatus_to_exitcode(status)}
+    return {**json.loads(said), "status": os.waitstatus_to_exitcode(status)}
 
 
 def main(size: str) -> None:
     """Compute the study, say so, and serve commands until stdin ends."""
-    grid = {**TINY["grid"], "environments": ENVIRONMENTS[size]}
-    settings = parse(Settings, yaml.safe_dump({**TINY, "grid": grid}), name="tiny")
+    settings = parse(Settings, yaml.safe_dump(TINY), name="tiny")
     compute, cache = pipeline.study.compute_item, {}
 
     def keeping(how: Callable[..., Any], job: Any, *rest: Any) -> Any:
         if job.key not in cache:
-            cache[job.key] = compute(how, job, *rest)[0]
+            files = compute(how, job, *rest)[0]
+            kept = sorted(files, key=lambda name: name != PAGE)[: N_OF_PAGE[size]] if PAGE in files else files
+            cache[job.key] = {name: files[name] for name in kept}
         return cache[job.key], 1.0
 
     pipeline.study.compute_item = keeping
     volatile.watch(disk)
     with tempfile.TemporaryDirectory() as folder:
-        run_study(settings, Path(folder) / "store", Quiet())
+        run_study(settings, Path(folder) / "store", Quiet([]))
+    gc.freeze()
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever else prints, prints elsewhere
     print(json.dumps({"keys": sorted(cache)}), file=answers, flush=True)

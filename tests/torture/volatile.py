@@ -127,14 +127,14 @@ def at_death(die: Callable[[], None]) -> None:
     _state.die = die
 
 
-def arm(fault: dict[str, Any], top: Path) -> None:
-    """Strike at effect number ``fault["at"]``, counted from here.
+def arm(fault: dict[str, Any] | None, top: Path) -> None:
+    """Count effects anew, and strike at effect number ``fault["at"]``, if there is a fault.
 
     ``fault["kind"]`` is die (before the effect), tear (a write stops half-way), or power (before the effect, and
     ``fault["image"]`` receives what the disk holds afterwards, ``fault["loses"]`` being what is gone).
     """
     _state.effects, _state.fault = [], fault
-    _state.account = Account(top) if fault["kind"] == "power" else None
+    _state.account = Account(top) if fault and fault["kind"] == "power" else None
 
 
 def effects() -> list[str]:
