@@ -83,7 +83,10 @@ def place(path: Path, data: bytes) -> None:
 
 def make_folders(root: Path, folder: Path) -> None:
     """Make the folders from a root (which exists) down to a folder below it, for good."""
-    missing = [path for path in (folder, *folder.parents) if path.is_relative_to(root) and not path.is_dir()]
+    below = [path for path in (folder, *folder.parents) if path.is_relative_to(root) and path != root]
+    missing = [path for path in below if not path.is_dir()]
+    if deepest := below[len(missing) : len(missing) + 1]:
+        fsync(deepest[0].parent)  # who made it may have died before it was safe
     for path in reversed(missing):
         mkdir(path)
         fsync(path.parent)

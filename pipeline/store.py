@@ -81,12 +81,22 @@ class StudyItem:
 
 
 @dataclass(frozen=True)
+class SetAside:
+    """Work of a study that was given up: its stage, what people call it, why."""
+
+    stage: str
+    label: str
+    why: str
+
+
+@dataclass(frozen=True)
 class StudyRecord:
-    """What a study is made of: its settings and its items."""
+    """What a study is made of: its settings and its items; and what it lacks."""
 
     name: str
     settings: Mapping[str, Any]
     items: tuple[StudyItem, ...]
+    set_aside: tuple[SetAside, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,6 +133,8 @@ class Store:
         existing = next(path for path in (root, *root.parents) if path.exists())
         if not existing.is_dir():
             raise PuddleError(f"{root}: expected a folder for the store; {existing} is a file. Choose another folder.")
+        with contextlib.suppress(OSError):  # who made it may have died before it was safe; or it is not ours to sync
+            disk.fsync(existing.parent)
         disk.make_folders(existing, root)
         own = {"commit.lock", "store.json", disk.temporary(root / "store.json").name}
         if strangers := sorted({path.name for path in root.iterdir()} - own):
@@ -302,13 +314,19 @@ class Store:
 
     # -- studies -------------------------------------------------------------------------------------------------
 
-    def write_study(self, name: str, settings: Mapping[str, Json], items: Sequence[StudyItem]) -> None:
-        """Keep what a study is made of, in place of what was kept before."""
+    def write_study(
+        self,
+        name: str,
+        settings: Mapping[str, Json],
+        items: Sequence[StudyItem],
+        set_aside: Sequence[SetAside] = (),
+    ) -> None:
+        """Keep what a study is made of and lacks, in place of what was kept before."""
         folder = self._study(name)
         listed: list[Json] = [[item.stage, item.label, item.key] for item in items]
-        data = encode_sealed(
-            {"name": name, "settings": settings, "items": listed}, schema=STUDY_SCHEMA, version=STUDY_VERSION
-        )
+        given_up: list[Json] = [[lost.stage, lost.label, lost.why] for lost in set_aside]
+        body: dict[str, Json] = {"name": name, "settings": settings, "items": listed, "set_aside": given_up}
+        data = encode_sealed(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
         with disk.explained(f"keeping study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
             disk.place(disk.inside(folder, "study.json"), data)
@@ -327,7 +345,9 @@ class Store:
                 return None
         try:
             body = decode_sealed(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
-            return StudyRecord(body["name"], body["settings"], tuple(StudyItem(*item) for item in body["items"]))
+            items = tuple(StudyItem(*item) for item in body["items"])
+            set_aside = tuple(SetAside(*lost) for lost in body.get("set_aside", ()))  # early stores have none
+            return StudyRecord(body["name"], body["settings"], items, set_aside)
         except (DamagedArtifact, KeyError, TypeError) as error:
             raise DamagedArtifact(
                 f"{path}: expected a study's name, settings and items: {error}. "

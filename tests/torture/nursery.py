@@ -110,6 +110,8 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
         answers.append({"computed": [], "committed": [], "said": []})
         volatile.arm(command.get("fault"), root.parent)
         study(settings, root, answers[-1])
+        if command.get("fault", {}).get("at") == "end":
+            volatile.strike()
 
 
 def study(settings: Settings, root: Path, answer: dict[str, Any]) -> None:

@@ -8,6 +8,7 @@ both, and lays out a disk as it could be found after the cut.
 
 from __future__ import annotations
 
+import pickle
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -128,13 +129,17 @@ def at_death(die: Callable[[], None]) -> None:
 
 
 def arm(fault: dict[str, Any] | None, top: Path) -> None:
-    """Count effects anew, and strike at effect number ``fault["at"]``, if there is a fault.
+    """Count effects anew, and strike before effect number ``fault["at"]``, if there is a fault.
 
-    ``fault["kind"]`` is die (before the effect), tear (a write stops half-way), or power (before the effect, and
-    ``fault["image"]`` receives what the disk holds afterwards, ``fault["loses"]`` being what is gone).
+    ``fault["kind"]`` is die; tear, where a write stops half-way; or power, where ``fault["image"]`` receives what the
+    disk holds afterwards, ``fault["loses"]`` being what is gone. The account of what is safe goes from one process to
+    the next by ``fault["leaves"]`` and ``fault["takes"]``.
     """
-    _state.effects, _state.fault = [], fault
-    _state.account = Account(top) if fault and fault["kind"] == "power" else None
+    _state.effects, _state.fault, _state.account = [], fault, None
+    if fault and "takes" in fault:
+        _state.account = pickle.loads(Path(fault["takes"]).read_bytes())
+    elif fault and (fault["kind"] == "power" or "leaves" in fault):
+        _state.account = Account(top)
 
 
 def effects() -> list[str]:
@@ -142,20 +147,26 @@ def effects() -> list[str]:
     return _state.effects
 
 
+def strike() -> None:
+    """Let the fault happen."""
+    fault, account = _state.fault, _state.account
+    if fault is not None and account is not None and "leaves" in fault:
+        Path(fault["leaves"]).write_bytes(pickle.dumps(account))
+    if fault is not None and account is not None and fault["kind"] == "power":
+        account.lay_out(Path(fault["image"]), fault["loses"], random.Random(fault.get("seed", 0)))
+    _state.die()
+
+
 def _guard(name: str, effect: Callable[..., None]) -> Callable[..., None]:
     def guarded(path: Path, *rest: Any) -> None:
         fault = _state.fault
-        call = len(_state.effects)
-        _state.effects.append(name)
-        if fault is not None and call == fault["at"]:
+        if fault is not None and len(_state.effects) == fault["at"]:
             if fault["kind"] == "tear":
                 if name != "write":
-                    raise AssertionError(f"effect {call} is a {name}, expected a write")
+                    raise AssertionError(f"effect {fault['at']} is a {name}, expected a write")
                 effect(path, rest[0][: len(rest[0]) // 2])
-            if _state.account is not None:
-                image, chance = Path(fault["image"]), random.Random(fault.get("seed", 0))
-                _state.account.lay_out(image, fault["loses"], chance)
-            _state.die()
+            strike()
+        _state.effects.append(name)
         effect(path, *rest)
         if _state.account is not None:
             _state.account.note(name, path, *rest)
