@@ -13,7 +13,7 @@ from pipeline.progress import Progress
 from pipeline.settings import Settings
 from pipeline.stage import Results, Stage, Summary, Upstream
 from pipeline.stages import STAGES
-from pipeline.store import Store, StudyItem
+from pipeline.store import SetAside, Store, StudyItem
 from pipeline.study import follow, require, results_of, run_stage
 from pipeline.tracking import Run, Tracker
 
@@ -77,8 +77,11 @@ def _drive(
     upstream: dict[str, Results] = {}
     for stage in STAGES[: 1 + max(STAGES.index(stage) for stage in wanted)]:
         walks = follow(stage, settings, store, upstream, say=progress.say)
-        if stage in wanted:
-            require(settings, stage, upstream, how_to_run=how_to_run)
+        if stage not in wanted:
+            upstream[stage.name] = results_of(stage, walks)
+            continue
+        require(settings, stage, upstream, how_to_run=how_to_run)
+        try:
             if any(walk.open for walk in walks):
                 left = sum(walk.work_left for walk in walks if walk.open)
                 done = sum(walk.work_done for walk in walks)
@@ -87,24 +90,27 @@ def _drive(
                     run_stage(
                         settings, stage, walks, upstream, store=store, cluster=cluster, bar=bar, say=progress.say
                     )
-        upstream[stage.name] = results_of(stage, walks)
-        if stage in wanted:
+        finally:  # however it ended, `puddle status` is to know what was set aside
+            upstream[stage.name] = results_of(stage, walks)
             _keep_record(settings, upstream, store)
-            summary = stage.summarise(settings, upstream[stage.name], store)
-            progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
-            tracker.mirror(*_runs(settings, stage, upstream, summary))
+        summary = stage.summarise(settings, upstream[stage.name], store)
+        progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
+        tracker.mirror(*_runs(settings, stage, upstream, summary))
     return upstream
 
 
 def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:
-    """Write down what the study is made of."""
+    """Write down what the study is made of, and what it lacks."""
     items = [
         StudyItem(name, f"{label}#{index}", manifest.key)
         for name, results in upstream.items()
         for label, manifests in results.done.items()
         for index, manifest in enumerate(manifests)
     ]
-    store.write_study(settings.name, settings.model_dump(mode="json"), items)
+    set_aside = [
+        SetAside(name, label, why) for name, results in upstream.items() for label, why in results.set_aside.items()
+    ]
+    store.write_study(settings.name, settings.model_dump(mode="json"), items, set_aside)
 
 
 def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary) -> tuple[Run, Run, list[Run]]:
