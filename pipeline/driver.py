@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from typing import Any
 
 from pipeline.artifacts import canonical_json, digest, encode_json
 from pipeline.cluster import Cluster
@@ -53,6 +55,7 @@ def drive(
                 cluster.append(stack.enter_context(open_cluster()))
             return cluster[0]
 
+        _introduce(settings, store, progress.say)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
@@ -97,6 +100,35 @@ def _drive(
         progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
         tracker.mirror(*_runs(settings, stage, upstream, summary))
     return upstream
+
+
+def _introduce(settings: Settings, store: Store, say: Callable[[str], None]) -> None:
+    """Put the study's settings on record before its first piece, and say so where its name had others."""
+    chosen = settings.model_dump(mode="json")
+    try:
+        before = store.read_study(settings.name)
+    except DamagedArtifact as damage:
+        say(f"{damage}")
+        before = None
+    if before is not None and before.settings == chosen:
+        return
+    if before is not None:
+        differ = _differences(before.settings, chosen)
+        listed = ", ".join(differ[:4]) + (f" and {len(differ) - 4} more" if len(differ) > 4 else "")
+        say(
+            f"study {settings.name} had other settings until now ({listed}). Its report will be replaced. What it "
+            f"computed stays: those settings bring the old report back in seconds, until `puddle gc`. To keep both "
+            f"reports, stop (Ctrl-C) and add --set name=ANOTHER."
+        )
+    store.write_study(settings.name, chosen, ())
+
+
+def _differences(old: Any, new: Any, name: str = "") -> list[str]:
+    """Name the settings that differ, with both values."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        names = [*new, *(gone for gone in old if gone not in new)]
+        return [line for one in names for line in _differences(old.get(one), new.get(one), f"{name}.{one}".strip("."))]
+    return [] if old == new else [f"{name}: {json.dumps(old)} → {json.dumps(new)}"]
 
 
 def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:

@@ -108,6 +108,13 @@ def _hold(folder: Path) -> int:
 
 def sweep() -> None:
     """Remove the folders, and kill the processes, of sessions whose driver and keeper both were killed."""
+    for folder in dead():
+        keeper.kill_all(functools.partial(_processes_of, folder))
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def dead() -> Iterator[Path]:
+    """Find the folders of this user's sessions that no driver holds; each is held while the caller looks at it."""
     for folder in PLACE.glob(f"{PREFIX}*"):
         try:
             if folder.is_symlink() or folder.stat().st_uid != os.getuid():
@@ -117,11 +124,9 @@ def sweep() -> None:
             continue
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield folder
         except BlockingIOError:  # it lives
             continue
-        else:
-            keeper.kill_all(functools.partial(_processes_of, folder))
-            shutil.rmtree(folder, ignore_errors=True)
         finally:
             os.close(descriptor)
 

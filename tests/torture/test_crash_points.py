@@ -65,7 +65,8 @@ def test_the_power_goes_before_any_effect(torture, nursery, undisturbed, place, 
 def test_a_dead_driver_leaves_nothing_that_a_cut_takes_from_the_next(torture, nursery, undisturbed, place):
     """The first dies at any effect; the second ends the study; then the power goes, and every byte is there.
 
-    All but one piece at most: the one that the first had put in its place, and not synced there, when it died. In small numbers the first dies before every fsync that follows upon a new folder, and at some other points.
+    All but one piece at most: the one that the first had put in its place, and not synced there, when it died. In
+    small numbers the first dies before every fsync that follows upon a new folder, and at some other points.
     """
     effects = undisturbed["effects"]
     telling = {at for at, effect in enumerate(effects) if effects[at - 1 : at] == ["mkdir"] or torture.large}
