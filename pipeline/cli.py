@@ -233,14 +233,16 @@ def verify(
     settings: SettingsFile = None,
     overrides: Overrides = None,
     store: StorePath = DEFAULT_STORE,
+    discard: Annotated[bool, typer.Option("--discard", help="Forget what is damaged: a run mends it.")] = False,
 ) -> None:
     """Hash everything in a store again; name what is damaged, and what mends it."""
     from pipeline.progress import progress
     from pipeline.verify import verify_lines
 
     chosen = Chosen(preset, settings, tuple(overrides or ()), store)
-    with _interruptible(), progress() as show:
-        lines, well = verify_lines(chosen.open_store(create=False), progress=show, how_to_run=chosen.command)
+    kept = chosen.open_store(create=False)
+    with _interruptible(), kept.lock_all() if discard else contextlib.nullcontext(), progress() as show:
+        lines, well = verify_lines(kept, discard=discard, progress=show, how_to_run=chosen.command)
     typer.echo("\n".join(lines))
     if not well:
         raise typer.Exit(INCOMPLETE)

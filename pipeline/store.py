@@ -279,7 +279,8 @@ class Store:
         """Empty an item's folder, its manifest first: a half discarded item never happened either."""
         if folder.is_dir():
             for path in sorted(folder.iterdir(), key=lambda path: (path.name != MANIFEST, path.name)):
-                disk.unlink(path)
+                remove = disk.rmdir if _is_folder(path) else disk.unlink
+                remove(path)
                 disk.fsync(folder)
 
     def stages(self) -> list[str]:
@@ -378,9 +379,10 @@ class Store:
                 f"Its results are safe; running the study again writes the file anew."
             ) from None
 
-    def studies(self) -> list[str]:
-        """Return the names of the studies."""
-        return [name for name in self._names("studies") if os.path.lexists(self._study(name) / "study.json")]
+    def studies(self, *, recorded: bool = True) -> list[str]:
+        """Return the names of the studies: those that have a record, or those that have lost it."""
+        names = self._names("studies")
+        return [name for name in names if os.path.lexists(self._study(name) / "study.json") == recorded]
 
     @contextlib.contextmanager
     def lock_study(self, name: str) -> Iterator[None]:

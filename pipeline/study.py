@@ -90,16 +90,22 @@ def follow(
     for chain in _evenly_weighted(stage.plan(settings)):
         walk = Walk(chain)
         try:
-            while not walk.finished:
-                item = _next_item(stage, settings, walk, upstream)
-                manifest = _held(store, item, say)
-                if manifest is None:
-                    break
-                walk.manifests.append(manifest)
+            _go_on(stage, settings, walk, store, upstream, say)
         except MissingInputs as missing:
             walk.set_aside = f"not possible: {missing}"
         walks.append(walk)
     return walks
+
+
+def _go_on(
+    stage: Stage, settings: Settings, walk: Walk, store: Store, upstream: Upstream, say: Callable[[str], None]
+) -> None:
+    """Walk a chain from where it is as far as the store holds it."""
+    while not walk.finished:
+        manifest = _held(store, _next_item(stage, settings, walk, upstream), say)
+        if manifest is None:
+            return
+        walk.manifests.append(manifest)
 
 
 def _evenly_weighted(chains: Sequence[Chain]) -> list[Chain]:
@@ -281,9 +287,12 @@ class _Dispatcher:
         record = {"label": item.label, "seconds": seconds}
         manifest = self._store.commit(item.stage, item.key, item.identity, files, record=record)
         self._slowest = max(self._slowest, seconds / walk.next_work)
-        self._bar.advance(walk.next_work)
+        left = walk.work_left
         walk.manifests.append(manifest)
         walk.n_failed = 0
+        # Where a piece in the middle was damaged, those after it stand: they depend on its content.
+        _go_on(self._stage, self._settings, walk, self._store, self._upstream, self._say)
+        self._bar.advance(left - walk.work_left)
         return walk
 
 

@@ -1,84 +1,109 @@
-"""Verify: hash a whole store again, name what is damaged, and say what will be computed again."""
+"""Verify: hash a whole store again, name what is damaged or gone, and say what will be computed again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
+from pipeline import disk
 from pipeline.artifacts import digest
-from pipeline.disk import inside, read
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.progress import Progress
-from pipeline.store import Store
+from pipeline.store import Store, StudyItem
 
 
-def verify_lines(store: Store, *, progress: Progress, how_to_run: Callable[[str], str]) -> tuple[list[str], bool]:
-    """Hash everything that a store holds.
+def find_damage(store: Store, *, checked: Callable[[int], None] = lambda n_bytes: None) -> list[PuddleError]:
+    """Hash everything that a store holds, and look for what its studies list and it does not hold.
 
     Args:
         store: to verify.
-        progress: the terminal.
-        how_to_run: gives the command line that runs a stage or the study, for messages.
+        checked: is told the length of everything once it has been looked at.
 
     Returns:
-        Lines for the user: one for each thing that is wrong, what is needed to mend it; and whether all is well.
+        What is wrong, empty where all is well. Damage to an item is a DamagedArtifact with its stage and key.
     """
-    n_bytes = store.size_bytes()
-    with progress.stage("verify", unit="MB", total=n_bytes / 1e6) as bar:
-        wrong = store.verify(checked=lambda n_checked: bar.advance(n_checked / 1e6))
-    if not any(isinstance(error, PuddleError) and not isinstance(error, DamagedArtifact) for error in wrong):
-        wrong += _other_reports(store)
-    lines = [f"{error}" for error in wrong]
-    n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
-    if not wrong:
-        lines.append(f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed.")
-        return lines, True
-    damaged = {
-        (error.stage, error.key) for error in wrong if isinstance(error, DamagedArtifact) and error.stage and error.key
-    }
-    lines.append(f"{store.root}: {len(wrong)} things are not as they were committed; it holds {n_items:,} items.")
-    if damaged:
-        lines.append(
-            f"Running a study again computes the {len(damaged)} damaged items that it needs, and nothing else: "
-            f"`{how_to_run('study')}`. They are in:"
-        )
-        lines += [f"  {where}" for where in _where(store, damaged)]
-    return lines, False
-
-
-def _other_reports(store: Store) -> list[PuddleError]:
-    """Compare the reports that people look at with those that the store holds."""
-    wrong: list[PuddleError] = []
-    for name in store.studies():
-        try:
-            record = store.read_study(name)
-            pages = [item for item in record.items if item.stage == "report"] if record else []
-            manifests = [store.manifest(page.stage, page.key) for page in pages]
-        except DamagedArtifact:  # said already
-            continue
-        for manifest in manifests:
-            for file, entry in manifest.files.items() if manifest else ():
-                path = inside(store.export_path(name), file)
-                if path.is_file() and digest(read(path, at_most=entry.n_bytes)) != entry.sha256:
-                    wrong.append(
-                        DamagedArtifact(
-                            f"{path}: expected SHA-256 {entry.sha256}, came another file. It is a copy of what the "
-                            f"store holds: running study {name} again puts it back."
-                        )
-                    )
+    wrong = store.verify(checked=checked)
+    if all(isinstance(error, DamagedArtifact) for error in wrong):  # no links, no files of another puddle
+        for name in store.studies(recorded=False):
+            path = store.root / "studies" / name / "study.json"
+            wrong.append(DamagedArtifact(f"{path}: expected a study's record, came no file. Its results are safe; "
+                                         f"running the study again writes the file anew."))  # fmt: skip
+        for name in store.studies():
+            wrong += _lacking(store, name)
     return wrong
 
 
-def _where(store: Store, damaged: set[tuple[str, str]]) -> list[str]:
-    """Say in which studies the damaged items are."""
-    lines, found = [], set()
-    for name in store.studies():
+def _lacking(store: Store, name: str) -> Iterator[PuddleError]:
+    """Look for a study's items and for the report that people look at, a copy of one that the store holds."""
+    for item in _items(store, name):
         try:
-            record = store.read_study(name)
-        except DamagedArtifact:
+            manifest = store.manifest(item.stage, item.key)
+        except DamagedArtifact:  # said already
             continue
-        for item in record.items if record else ():
-            if (item.stage, item.key) in damaged:
-                found.add((item.stage, item.key))
-                lines.append(f"study {name}: {item.stage} {item.label}")
-    lines += [f"no study: {stage} {key}; `puddle gc` removes it" for stage, key in sorted(damaged - found)]
-    return lines
+        if manifest is None:
+            yield DamagedArtifact(
+                f"study {name}: {item.stage} {item.label}: expected item {item.key}, came none. It has to be computed "
+                f"again.", stage=item.stage, key=item.key,
+            )  # fmt: skip
+        elif item.stage == "report":
+            for file, entry in manifest.files.items():
+                path = disk.inside(store.export_path(name), file)
+                came = digest(disk.read(path, at_most=entry.n_bytes)) if path.is_file() else "no file"
+                if came != entry.sha256:
+                    yield DamagedArtifact(
+                        f"{path}: expected SHA-256 {entry.sha256}, came {came}. It is a copy of what the store holds: "
+                        f"running study {name} puts it back."
+                    )
+
+
+def _items(store: Store, name: str) -> Sequence[StudyItem]:
+    try:
+        record = store.read_study(name)
+    except DamagedArtifact:  # said already
+        return ()
+    return record.items if record else ()
+
+
+def damaged_items(wrong: Sequence[PuddleError]) -> set[tuple[str, str]]:
+    """Return stage and key of the items among what is wrong."""
+    damage = [error for error in wrong if isinstance(error, DamagedArtifact)]
+    return {(error.stage, error.key) for error in damage if error.stage and error.key}
+
+
+def verify_lines(
+    store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
+) -> tuple[list[str], bool]:
+    """Verify a store, for a person.
+
+    Args:
+        store: to verify.
+        discard: whether to forget the damaged items. The caller then holds the store alone.
+        progress: the terminal.
+        how_to_run: gives the command line that runs a command, for messages.
+
+    Returns:
+        Lines: what is wrong, one each, and what mends it; and whether all is well.
+    """
+    n_bytes = store.size_bytes()
+    with progress.stage("verify", unit="MB", total=n_bytes / 1e6) as bar:
+        wrong = find_damage(store, checked=lambda n_checked: bar.advance(n_checked / 1e6))
+    n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
+    if not wrong:
+        return [f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."], True
+    lines = [str(error) for error in wrong]
+    lines.append(f"{store.root}: {len(wrong)} things are wrong; {n_items:,} items were looked at.")
+    if damaged := damaged_items(wrong):
+        used = [
+            (f"  study {name}: {item.stage} {item.label}", (item.stage, item.key))
+            for name in store.studies()
+            for item in _items(store, name)
+            if (item.stage, item.key) in damaged
+        ]
+        lines += ["To be computed again, and nothing else:", *(line for line, _ in used)]
+        lines += [f"  of no study: {stage} {key}" for stage, key in sorted(damaged - {item for _, item in used})]
+        if discard:
+            for stage, key in damaged:
+                store.discard(stage, key)
+            lines.append(f"They are discarded: `{how_to_run('study')}` computes them again.")
+        else:
+            lines.append(f"`{how_to_run('verify')} --discard` forgets them; `{how_to_run('study')}` makes them again.")
+    return lines, False

@@ -23,9 +23,6 @@ class Nursery:
             env={**os.environ, "PYTHONPATH": str(HERE.parents[1]), "OMP_NUM_THREADS": "1"},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-        self.keys: list[str] = self._answer()["keys"]
-        """Of every piece of the study."""
-
     def _answer(self) -> dict[str, Any]:
         line = self._process.stdout.readline()
         assert line, "the nursery is dead"
@@ -42,9 +39,9 @@ class Nursery:
         told = self.ask(roots=[str(root)], **command)
         return {**told["answers"][0], **told}
 
-    def finish(self, roots: Sequence[Path]) -> list[dict[str, Any]]:
+    def finish(self, roots: Sequence[Path], **command: Any) -> list[dict[str, Any]]:
         """Drive the study in some stores, which should be well afterwards."""
-        told = self.ask(roots=[str(root) for root in roots])
+        told = self.ask(roots=[str(root) for root in roots], **command)
         assert told["status"] == 0, told["traceback"]
         for answer in told["answers"]:
             assert "error" not in answer, answer["error"]

@@ -35,6 +35,7 @@ from pipeline.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
 from pipeline.store import Store
+from pipeline.verify import find_damage, verify_lines
 
 TINY = {
     "name": "tiny",
@@ -50,6 +51,14 @@ TINY = {
     "work": {"throws_per_item": 2, "generations_per_item": 2, "engine": "reference"},
 }
 """A study of real pieces, as cheap as can be."""
+
+FULL = TINY | {
+    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [1.0], "n_trials": 1},
+    "ensemble": {"n_members": 1},
+}
+"""One that trains a network too."""
+
+STUDIES = {"tiny": TINY, "full": FULL}
 
 N_OF_PAGE = {"small": 3, "large": None}
 """Files kept of the report: it has dozens, which are all alike to the store."""
@@ -107,6 +116,8 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
     if "file_bytes" in command:
         resource.setrlimit(resource.RLIMIT_FSIZE, (command["file_bytes"],) * 2)
     for root in map(Path, command["roots"]):
+        if command.get("discard"):
+            verify_lines(Store.open(root, create=False), discard=True, progress=Quiet([]), how_to_run=str)
         answers.append({"computed": [], "committed": [], "said": []})
         volatile.arm(command.get("fault"), root.parent)
         study(settings, root, answers[-1])
@@ -136,7 +147,7 @@ def study(settings: Settings, root: Path, answer: dict[str, Any]) -> None:
         pipeline.study.compute_item, Store.commit = look_up, commit
     answer["effects"] = list(volatile.effects())
     answer["tree"] = tree(root)
-    answer["wrong"] = [str(error) for error in Store.open(root, create=False).verify()]
+    answer["wrong"] = [str(error) for error in find_damage(Store.open(root, create=False))]
 
 
 def fork(command: dict[str, Any], settings: Settings) -> dict[str, Any]:
@@ -167,7 +178,6 @@ def fork(command: dict[str, Any], settings: Settings) -> dict[str, Any]:
 
 def main(size: str) -> None:
     """Compute the study, say so, and serve commands until stdin ends."""
-    settings = parse(Settings, yaml.safe_dump(TINY), name="tiny")
     compute, cache = pipeline.study.compute_item, {}
 
     def keeping(how: Callable[..., Any], job: Any, *rest: Any) -> Any:
@@ -177,16 +187,21 @@ def main(size: str) -> None:
             cache[job.key] = {name: files[name] for name in kept}
         return cache[job.key], 1.0
 
+    @functools.cache
+    def ready(name: str) -> Settings:
+        settings = parse(Settings, yaml.safe_dump(STUDIES[name]), name=name)
+        with tempfile.TemporaryDirectory() as folder:
+            run_study(settings, Path(folder) / "store", Quiet([]))
+        gc.freeze()
+        return settings
+
     pipeline.study.compute_item = keeping
     volatile.watch(disk)
-    with tempfile.TemporaryDirectory() as folder:
-        run_study(settings, Path(folder) / "store", Quiet([]))
-    gc.freeze()
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever else prints, prints elsewhere
-    print(json.dumps({"keys": sorted(cache)}), file=answers, flush=True)
     for line in sys.stdin:
-        print(json.dumps(fork(json.loads(line), settings)), file=answers, flush=True)
+        command = json.loads(line)
+        print(json.dumps(fork(command, ready(command.get("study", "tiny")))), file=answers, flush=True)
 
 
 if __name__ == "__main__":
