@@ -241,6 +241,68 @@ def simulate(
 
 
 @app.command()
+def verify(
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+    store: StorePath = DEFAULT_STORE,
+    discard: Annotated[bool, typer.Option("--discard", help="Forget what is damaged: a run mends it.")] = False,
+) -> None:
+    """Hash everything in a store again; name what is damaged, and what mends it."""
+    from pipeline.progress import progress
+    from pipeline.verify import verify_lines
+
+    chosen = Chosen(preset, settings, tuple(overrides or ()), store)
+    kept = chosen.open_store(create=False)
+    with _interruptible(), kept.lock_all() if discard else contextlib.nullcontext(), progress() as show:
+        lines, well = verify_lines(kept, discard=discard, progress=show, how_to_run=chosen.command)
+    typer.echo("\n".join(lines))
+    if not well:
+        raise typer.Exit(INCOMPLETE)
+
+
+@app.command()
+def gc(
+    store: StorePath = DEFAULT_STORE,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove it; otherwise it is only listed.")] = False,
+) -> None:
+    """List what no study of a store needs and what killed drivers left, or remove it."""
+    from pipeline import gc as garbage
+
+    chosen = Chosen(DEFAULT_PRESET, None, (), store)
+    kept = chosen.open_store(create=False)
+    with kept.lock_all():
+        found = garbage.find_garbage(kept)
+        lines = list(garbage.gc_lines(kept, found, removed=remove, command=f"{chosen.command('gc')} --remove"))
+        if remove:
+            garbage.remove(kept, found)
+    typer.echo("\n".join(lines))
+
+
+@app.command()
+def doctor(
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+    store: StorePath = DEFAULT_STORE,
+    workers: Workers = None,
+) -> None:
+    """Check this machine before a long study: versions, disk, memory, permissions, processor, Ray."""
+    from pipeline.doctor import examine
+
+    chosen = Chosen(preset, settings, tuple(overrides or ()), store)
+    with _interruptible():
+        failed = False
+        for finding in examine(chosen.settings(), store, n_workers=workers):
+            failed = failed or finding.verdict == "fail"
+            typer.echo(f"{finding.verdict:<5} {finding.what}: {finding.found}")
+            if finding.advice:
+                typer.echo(f"      {finding.advice}")
+    if failed:
+        raise typer.Exit(INCOMPLETE)
+
+
+@app.command()
 def ui(
     store: StorePath = DEFAULT_STORE,
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="On this machine's loopback.")] = 5000,

@@ -80,7 +80,7 @@ def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
     for world in worlds:
         say(f"timing a generation in {world.replace('_', ' ')}")
         generation[world] = _time_of_generation(settings, world)
-    return Rates(throw, iteration, generation, settings.evolution.afpo.population_size, _bytes_per_design(settings))
+    return Rates(throw, iteration, generation, settings.evolution.afpo.population_size, bytes_per_design(settings))
 
 
 def forecast(
@@ -196,8 +196,8 @@ def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
     return seconds * n_all / n_steps + _seconds(selection)
 
 
-def _bytes_per_design(settings: Settings) -> float:
-    """Encode a short history and weigh it."""
+def bytes_per_design(settings: Settings) -> float:
+    """Return what a trial's history keeps of each evaluated design [bytes]: a short one is encoded and weighed."""
     n_members = settings.ensemble.n_members if settings.needs_ensemble else 1
     rng = np.random.default_rng(0)
 
