@@ -13,6 +13,7 @@ from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
+from tasks.design import Morphology
 from tasks.evolution import Afpo
 from tasks.parameters import Parameters
 from tasks.residual import Architecture, Throws, Training
@@ -84,6 +85,8 @@ class Evolution(Parameters):
     """Of each trial. [P]"""
     afpo: Afpo = Afpo()
     """The algorithm."""
+    morphology: Morphology = Morphology()
+    """What every body keeps to."""
 
 
 class Transfer(Parameters):

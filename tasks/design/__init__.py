@@ -2,14 +2,17 @@
 
 from tasks.design.body import KinematicTrees, kinematic_trees, rest_pose
 from tasks.design.genes import GENES, N_LINKS, DesignError, Designs, check, concatenate
+from tasks.design.morphology import ANY_BODY, Morphology
 from tasks.design.variation import Mutation, crossover, mutate, random_designs
 
 __all__ = [
+    "ANY_BODY",
     "GENES",
     "N_LINKS",
     "DesignError",
     "Designs",
     "KinematicTrees",
+    "Morphology",
     "Mutation",
     "check",
     "concatenate",
