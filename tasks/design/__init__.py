@@ -1,6 +1,6 @@
 """What is evolved: designs, their variation, and the bodies that they describe."""
 
-from tasks.design.body import KinematicTrees, kinematic_trees, rest_pose
+from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rest_pose, rigid_bodies
 from tasks.design.genes import GENES, N_LINKS, DesignError, Designs, check, concatenate
 from tasks.design.morphology import ANY_BODY, Morphology
 from tasks.design.variation import Mutation, crossover, mutate, random_designs
@@ -14,6 +14,7 @@ __all__ = [
     "KinematicTrees",
     "Morphology",
     "Mutation",
+    "RigidBodies",
     "check",
     "concatenate",
     "crossover",
@@ -21,4 +22,5 @@ __all__ = [
     "mutate",
     "random_designs",
     "rest_pose",
+    "rigid_bodies",
 ]
