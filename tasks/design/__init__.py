@@ -2,8 +2,16 @@
 
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rest_pose, rigid_bodies
 from tasks.design.genes import GENES, N_LINKS, DesignError, Designs, check, concatenate
-from tasks.design.morphology import ANY_BODY, Morphology
-from tasks.design.variation import Mutation, crossover, mutate, random_designs
+from tasks.design.morphology import ANY_BODY, Drawn, Morphology, links_apart
+from tasks.design.variation import (
+    Mutation,
+    crossover,
+    draw_mutants,
+    draw_random,
+    draw_recombinations,
+    mutate,
+    random_designs,
+)
 
 __all__ = [
     "ANY_BODY",
@@ -11,6 +19,7 @@ __all__ = [
     "N_LINKS",
     "DesignError",
     "Designs",
+    "Drawn",
     "KinematicTrees",
     "Morphology",
     "Mutation",
@@ -18,7 +27,11 @@ __all__ = [
     "check",
     "concatenate",
     "crossover",
+    "draw_mutants",
+    "draw_random",
+    "draw_recombinations",
     "kinematic_trees",
+    "links_apart",
     "mutate",
     "random_designs",
     "rest_pose",
