@@ -25,7 +25,7 @@ from pipeline.report.data import (
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.moving import gallery, resource, script, viewer
-from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects
+from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
 from pipeline.report.transfer_table import transfer_table
 from pipeline.report.words import absent, number, percent
 from pipeline.settings import EnvironmentName
@@ -62,6 +62,7 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         "suspects": suspects(report.findings),
         "retried": retried(report.findings),
         "lineage": lineage(report.findings),
+        "tank_tests": tank_tests(report.findings),
         "made": _made(report),
         "script": script(report.replays),
         **figures,
