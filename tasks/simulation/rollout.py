@@ -70,9 +70,6 @@ def simulate(
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
     physics = physics or Physics()
-    if engine == "batch" and (physics.passive_joints == "locked" or physics.link_collisions):
-        raise ValueError("engine is 'batch', which does not lock passive joints or let links collide; "
-                         "expected 'reference' for this physics")
     motion = ENGINES[engine](
         designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace
     )
