@@ -167,8 +167,8 @@ class _Robots:
 
     def push(self, links: PlacedLinks, change: VelocityChange) -> None:
         """Add to the velocities of all bodies what a medium does to their links."""
-        of_body = body_change(self._rigid, links, change)
-        with np.errstate(invalid="ignore"):  # of worlds that have diverged
+        with np.errstate(invalid="ignore", over="ignore"):  # of worlds that have diverged
+            of_body = body_change(self._rigid, links, change)
             vx, vy, omega = (
                 (self._state[:, column] + added[self._is_first]).astype(np.float32)
                 for column, added in ((VX, of_body.vx), (VY, of_body.vy), (OMEGA, of_body.omega))
