@@ -10,30 +10,41 @@ from __future__ import annotations
 from typing import Any
 
 from tasks.simulation.bodies.polygons import update
-from tasks.simulation.bodies.records import body_at, contact_at, fixture_at, whole
+from tasks.simulation.bodies.records import body_at, contact_at, fixture_at, rotate, transform, whole
 from tasks.simulation.bodies.rows import (
+    CENTROID_X,
+    CENTROID_Y,
+    CONTACT_BODY_A,
+    CONTACT_BODY_B,
     CONTACT_LIST,
     EXISTS,
+    FAT_LOWER_X,
+    FAT_LOWER_Y,
+    FAT_UPPER_X,
+    FAT_UPPER_Y,
     FIXTURE_A,
     FIXTURE_B,
-    FIXTURE_BODY,
     LOWER_X,
     LOWER_Y,
     N_CONTACTS,
     N_PAIRS,
+    NORMAL_X,
+    NORMAL_Y,
     P_X,
     P_Y,
     POINT_COUNT,
-    Q_C,
-    Q_S,
     START_P_X,
     START_P_Y,
-    START_Q_C,
-    START_Q_S,
     UPPER_X,
     UPPER_Y,
     VERTEX_X,
     VERTEX_Y,
+    WORLD_CENTROID_X,
+    WORLD_CENTROID_Y,
+    WORLD_NORMAL_X,
+    WORLD_NORMAL_Y,
+    WORLD_VERTEX_X,
+    WORLD_VERTEX_Y,
 )
 from tasks.simulation.contact import POLYGON_RADIUS
 from tasks.simulation.lanes import any_lane, inline, select
@@ -45,45 +56,53 @@ AABB_MULTIPLIER = 2.0
 
 
 @inline
-def compute_aabb(box: Any, p_x: Any, p_y: Any, c: Any, s: Any) -> Any:
-    """b2PolygonShape::ComputeAABB."""
-    x, y = (c * box[VERTEX_X] - s * box[VERTEX_Y]) + p_x, (s * box[VERTEX_X] + c * box[VERTEX_Y]) + p_y
-    lower_x, lower_y, upper_x, upper_y = x, y, x, y
-    for i in (1, 2, 3):
-        v_x, v_y = box[VERTEX_X + i], box[VERTEX_Y + i]
-        x, y = (c * v_x - s * v_y) + p_x, (s * v_x + c * v_y) + p_y
+def orient(body: Any, box: Any) -> None:
+    """Find a box's corners, normals and AABB in the world: b2Mul, and b2PolygonShape::ComputeAABB."""
+    box[WORLD_CENTROID_X], box[WORLD_CENTROID_Y] = transform(body, box[CENTROID_X], box[CENTROID_Y])
+    for i in range(4):
+        x, y = transform(body, box[VERTEX_X + i], box[VERTEX_Y + i])
+        box[WORLD_VERTEX_X + i], box[WORLD_VERTEX_Y + i] = x, y
+        x, y = rotate(body, box[NORMAL_X + i], box[NORMAL_Y + i])
+        box[WORLD_NORMAL_X + i], box[WORLD_NORMAL_Y + i] = x, y
+    lower_x, lower_y = box[WORLD_VERTEX_X], box[WORLD_VERTEX_Y]
+    upper_x, upper_y = lower_x, lower_y
+    for i in range(1, 4):
+        x, y = box[WORLD_VERTEX_X + i], box[WORLD_VERTEX_Y + i]
         lower_x, lower_y = select(lower_x < x, lower_x, x), select(lower_y < y, lower_y, y)
         upper_x, upper_y = select(upper_x > x, upper_x, x), select(upper_y > y, upper_y, y)
-    return lower_x - POLYGON_RADIUS, lower_y - POLYGON_RADIUS, upper_x + POLYGON_RADIUS, upper_y + POLYGON_RADIUS
+    box[LOWER_X], box[LOWER_Y] = lower_x - POLYGON_RADIUS, lower_y - POLYGON_RADIUS
+    box[UPPER_X], box[UPPER_Y] = upper_x + POLYGON_RADIUS, upper_y + POLYGON_RADIUS
 
 
 @inline
-def create_proxy(body: Any, box: Any) -> None:
+def create_proxy(box: Any) -> None:
     """b2DynamicTree::CreateProxy: a fat AABB around a box at its body's spawn."""
-    lower_x, lower_y, upper_x, upper_y = compute_aabb(box, body[P_X], body[P_Y], body[Q_C], body[Q_S])
-    box[LOWER_X], box[LOWER_Y] = lower_x - AABB_EXTENSION, lower_y - AABB_EXTENSION
-    box[UPPER_X], box[UPPER_Y] = upper_x + AABB_EXTENSION, upper_y + AABB_EXTENSION
+    box[FAT_LOWER_X], box[FAT_LOWER_Y] = box[LOWER_X] - AABB_EXTENSION, box[LOWER_Y] - AABB_EXTENSION
+    box[FAT_UPPER_X], box[FAT_UPPER_Y] = box[UPPER_X] + AABB_EXTENSION, box[UPPER_Y] + AABB_EXTENSION
 
 
 @inline
 def synchronize(body: Any, box: Any) -> bool:
     """b2Fixture::Synchronize and b2DynamicTree::MoveProxy: whether a box has left its fat AABB and got another one."""
-    ax, ay, bx, by = compute_aabb(box, body[START_P_X], body[START_P_Y], body[START_Q_C], body[START_Q_S])
-    cx, cy, dx, dy = compute_aabb(box, body[P_X], body[P_Y], body[Q_C], body[Q_S])
-    lower_x, lower_y = select(ax < cx, ax, cx), select(ay < cy, ay, cy)
-    upper_x, upper_y = select(bx > dx, bx, dx), select(by > dy, by, dy)
+    lower_x, lower_y, upper_x, upper_y = box[LOWER_X], box[LOWER_Y], box[UPPER_X], box[UPPER_Y]
+    orient(body, box)
+    lower_x, lower_y = select(lower_x < box[LOWER_X], lower_x, box[LOWER_X]), select(lower_y < box[LOWER_Y], lower_y, box[LOWER_Y])
+    upper_x, upper_y = select(upper_x > box[UPPER_X], upper_x, box[UPPER_X]), select(upper_y > box[UPPER_Y], upper_y, box[UPPER_Y])
     if any_lane(
-        (box[LOWER_X] <= lower_x) & (box[LOWER_Y] <= lower_y) & (upper_x <= box[UPPER_X]) & (upper_y <= box[UPPER_Y])
+        (box[FAT_LOWER_X] <= lower_x)
+        & (box[FAT_LOWER_Y] <= lower_y)
+        & (upper_x <= box[FAT_UPPER_X])
+        & (upper_y <= box[FAT_UPPER_Y])
     ):
         return False
     ahead_x = AABB_MULTIPLIER * (body[P_X] - body[START_P_X])
     ahead_y = AABB_MULTIPLIER * (body[P_Y] - body[START_P_Y])
     lower_x, lower_y = lower_x - AABB_EXTENSION, lower_y - AABB_EXTENSION
     upper_x, upper_y = upper_x + AABB_EXTENSION, upper_y + AABB_EXTENSION
-    box[LOWER_X] = select(ahead_x < 0.0, lower_x + ahead_x, lower_x)
-    box[UPPER_X] = select(ahead_x < 0.0, upper_x, upper_x + ahead_x)
-    box[LOWER_Y] = select(ahead_y < 0.0, lower_y + ahead_y, lower_y)
-    box[UPPER_Y] = select(ahead_y < 0.0, upper_y, upper_y + ahead_y)
+    box[FAT_LOWER_X] = select(ahead_x < 0.0, lower_x + ahead_x, lower_x)
+    box[FAT_UPPER_X] = select(ahead_x < 0.0, upper_x, upper_x + ahead_x)
+    box[FAT_LOWER_Y] = select(ahead_y < 0.0, lower_y + ahead_y, lower_y)
+    box[FAT_UPPER_Y] = select(ahead_y < 0.0, upper_y, upper_y + ahead_y)
     return True
 
 
@@ -91,10 +110,10 @@ def synchronize(body: Any, box: Any) -> bool:
 def test_overlap(a: Any, b: Any) -> bool:
     """b2TestOverlap of fat AABBs (b2Collision.h)."""
     return not any_lane(
-        (b[LOWER_X] - a[UPPER_X] > 0.0)
-        | (b[LOWER_Y] - a[UPPER_Y] > 0.0)
-        | (a[LOWER_X] - b[UPPER_X] > 0.0)
-        | (a[LOWER_Y] - b[UPPER_Y] > 0.0)
+        (b[FAT_LOWER_X] - a[FAT_UPPER_X] > 0.0)
+        | (b[FAT_LOWER_Y] - a[FAT_UPPER_Y] > 0.0)
+        | (a[FAT_LOWER_X] - b[FAT_UPPER_X] > 0.0)
+        | (a[FAT_LOWER_Y] - b[FAT_UPPER_Y] > 0.0)
     )
 
 
@@ -122,7 +141,7 @@ def collide(block: Any) -> None:
         contact = contact_at(block, k)
         box_a, box_b = fixture_at(block, whole(contact[FIXTURE_A])), fixture_at(block, whole(contact[FIXTURE_B]))
         if test_overlap(box_a, box_b):
-            body_a, body_b = body_at(block, whole(box_a[FIXTURE_BODY])), body_at(block, whole(box_b[FIXTURE_BODY]))
+            body_a, body_b = body_at(block, whole(contact[CONTACT_BODY_A])), body_at(block, whole(contact[CONTACT_BODY_B]))
             update(contact, body_a, box_a, body_b, box_b)
             block[CONTACT_LIST + kept] = k
             kept += 1

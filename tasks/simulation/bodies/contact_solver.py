@@ -54,7 +54,7 @@ from tasks.simulation.lanes import any_lane, inline, select
 
 @inline
 def _effective_mass(body_a: Any, body_b: Any, a1: Any, b1: Any, a2: Any, b2: Any) -> Any:
-    """mA + mB + iA a1 a2 + iB b1 b2."""
+    """MA + mB + iA a1 a2 + iB b1 b2."""
     mA, mB = body_a[INVERSE_MASS], body_b[INVERSE_MASS]
     iA, iB = body_a[INVERSE_INERTIA], body_b[INVERSE_INERTIA]
     return mA + mB + iA * a1 * a2 + iB * b1 * b2
@@ -62,7 +62,7 @@ def _effective_mass(body_a: Any, body_b: Any, a1: Any, b1: Any, a2: Any, b2: Any
 
 @inline
 def _relative_velocity(point: Any, vA_x: Any, vA_y: Any, wA: Any, vB_x: Any, vB_y: Any, wB: Any) -> Any:
-    """vB + cross(wB, rB) - vA - cross(wA, rA)."""
+    """VB + cross(wB, rB) - vA - cross(wA, rA)."""
     return vB_x - wB * point[RB_Y] - vA_x + wA * point[RA_Y], vB_y + wB * point[RB_X] - vA_y - wA * point[RA_X]
 
 

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tasks.simulation.bodies.records import point_at, rotate, rotate_back, transform, whole
+from tasks.simulation.bodies.records import point_at, rotate, rotate_back, whole
 from tasks.simulation.bodies.rows import (
-    CENTROID_X,
-    CENTROID_Y,
     FACE_B,
     ID,
     LOCAL_NORMAL_X,
@@ -27,11 +25,19 @@ from tasks.simulation.bodies.rows import (
     POINT_X,
     POINT_Y,
     TANGENT_IMPULSE,
+    TANGENT_X,
+    TANGENT_Y,
     VERTEX_X,
     VERTEX_Y,
+    WORLD_CENTROID_X,
+    WORLD_CENTROID_Y,
+    WORLD_NORMAL_X,
+    WORLD_NORMAL_Y,
+    WORLD_VERTEX_X,
+    WORLD_VERTEX_Y,
 )
 from tasks.simulation.contact import TOTAL_RADIUS
-from tasks.simulation.lanes import any_lane, inline, select, sqrt
+from tasks.simulation.lanes import any_lane, inline, select
 
 RELATIVE_TOLERANCE = 0.98
 ABSOLUTE_TOLERANCE = 0.001
@@ -41,62 +47,66 @@ INDEX_B, FACE_OF_A, FACE_OF_B = 4, 16, 32
 
 
 @inline
-def edge_separation(body_1: Any, box_1: Any, edge: Any, body_2: Any, box_2: Any) -> Any:
+def edge_separation(box_1: Any, edge: Any, body_2: Any, box_2: Any) -> Any:
     """b2EdgeSeparation: how far box 2 lies outside of an edge of box 1."""
-    normal_x, normal_y = rotate(body_1, box_1[NORMAL_X + edge], box_1[NORMAL_Y + edge])
+    normal_x, normal_y = box_1[WORLD_NORMAL_X + edge], box_1[WORLD_NORMAL_Y + edge]
     local_x, local_y = rotate_back(body_2, normal_x, normal_y)
-    support_x, support_y = box_2[VERTEX_X], box_2[VERTEX_Y]
-    least = support_x * local_x + support_y * local_y
-    for i in (1, 2, 3):
-        x, y = box_2[VERTEX_X + i], box_2[VERTEX_Y + i]
-        dot = x * local_x + y * local_y
+    support_x, support_y = box_2[WORLD_VERTEX_X], box_2[WORLD_VERTEX_Y]
+    least = box_2[VERTEX_X] * local_x + box_2[VERTEX_Y] * local_y
+    for i in range(1, 4):
+        dot = box_2[VERTEX_X + i] * local_x + box_2[VERTEX_Y + i] * local_y
         lower = dot < least
         least = select(lower, dot, least)
-        support_x, support_y = select(lower, x, support_x), select(lower, y, support_y)
-    v1_x, v1_y = transform(body_1, box_1[VERTEX_X + edge], box_1[VERTEX_Y + edge])
-    v2_x, v2_y = transform(body_2, support_x, support_y)
-    return (v2_x - v1_x) * normal_x + (v2_y - v1_y) * normal_y
+        support_x = select(lower, box_2[WORLD_VERTEX_X + i], support_x)
+        support_y = select(lower, box_2[WORLD_VERTEX_Y + i], support_y)
+    v1_x, v1_y = box_1[WORLD_VERTEX_X + edge], box_1[WORLD_VERTEX_Y + edge]
+    return (support_x - v1_x) * normal_x + (support_y - v1_y) * normal_y
 
 
 @inline
 def find_max_separation(body_1: Any, box_1: Any, body_2: Any, box_2: Any) -> Any:
-    """b2FindMaxSeparation: the edge of box 1 that separates most, by a climb from the one that faces box 2."""
-    to_x, to_y = transform(body_2, box_2[CENTROID_X], box_2[CENTROID_Y])
-    from_x, from_y = transform(body_1, box_1[CENTROID_X], box_1[CENTROID_Y])
-    local_x, local_y = rotate_back(body_1, to_x - from_x, to_y - from_y)
+    """b2FindMaxSeparation: the edge of box 1 that separates most, by a climb from the one that faces box 2.
+
+    The climb only goes up. So once it is past what two boxes that touch may have between them, it need not go on.
+    """
+    d_x = box_2[WORLD_CENTROID_X] - box_1[WORLD_CENTROID_X]
+    d_y = box_2[WORLD_CENTROID_Y] - box_1[WORLD_CENTROID_Y]
+    local_x, local_y = rotate_back(body_1, d_x, d_y)
     most = box_1[NORMAL_X] * local_x + box_1[NORMAL_Y] * local_y
     edge = 0
-    for i in (1, 2, 3):
+    for i in range(1, 4):
         dot = box_1[NORMAL_X + i] * local_x + box_1[NORMAL_Y + i] * local_y
         if any_lane(dot > most):
             most, edge = dot, i
 
-    s = edge_separation(body_1, box_1, edge, body_2, box_2)
+    s = edge_separation(box_1, edge, body_2, box_2)
+    if any_lane(s > TOTAL_RADIUS):
+        return edge, s
     previous, following = (edge + 3) % 4, (edge + 1) % 4
-    s_previous = edge_separation(body_1, box_1, previous, body_2, box_2)
-    s_next = edge_separation(body_1, box_1, following, body_2, box_2)
+    s_previous = edge_separation(box_1, previous, body_2, box_2)
+    s_next = edge_separation(box_1, following, body_2, box_2)
     if any_lane((s_previous > s) & (s_previous > s_next)):
         increment, best, best_separation = 3, previous, s_previous
     elif any_lane(s_next > s):
         increment, best, best_separation = 1, following, s_next
     else:
         return edge, s
-    while True:
+    while not any_lane(best_separation > TOTAL_RADIUS):
         edge = (best + increment) % 4
-        s = edge_separation(body_1, box_1, edge, body_2, box_2)
+        s = edge_separation(box_1, edge, body_2, box_2)
         if not any_lane(s > best_separation):
-            return best, best_separation
+            break
         best, best_separation = edge, s
+    return best, best_separation
 
 
 @inline
-def find_incident_edge(body_1: Any, box_1: Any, edge: Any, body_2: Any, box_2: Any) -> Any:
+def find_incident_edge(box_1: Any, edge: Any, body_2: Any, box_2: Any) -> Any:
     """b2FindIncidentEdge: the edge of box 2 that faces an edge of box 1."""
-    normal_x, normal_y = rotate(body_1, box_1[NORMAL_X + edge], box_1[NORMAL_Y + edge])
-    local_x, local_y = rotate_back(body_2, normal_x, normal_y)
+    local_x, local_y = rotate_back(body_2, box_1[WORLD_NORMAL_X + edge], box_1[WORLD_NORMAL_Y + edge])
     least = local_x * box_2[NORMAL_X] + local_y * box_2[NORMAL_Y]
     incident = 0
-    for i in (1, 2, 3):
+    for i in range(1, 4):
         dot = local_x * box_2[NORMAL_X + i] + local_y * box_2[NORMAL_Y + i]
         if any_lane(dot < least):
             least, incident = dot, i
@@ -150,24 +160,18 @@ def collide_polygons(contact: Any, body_a: Any, box_a: Any, body_b: Any, box_b: 
         body_1, box_1, body_2, box_2, edge_1 = body_a, box_a, body_b, box_b, edge_a
         contact[FACE_B] = 0.0
 
-    first = find_incident_edge(body_1, box_1, edge_1, body_2, box_2)
+    first = find_incident_edge(box_1, edge_1, body_2, box_2)
     second = (first + 1) % 4
-    x0, y0 = transform(body_2, box_2[VERTEX_X + first], box_2[VERTEX_Y + first])
-    x1, y1 = transform(body_2, box_2[VERTEX_X + second], box_2[VERTEX_Y + second])
+    x0, y0 = box_2[WORLD_VERTEX_X + first], box_2[WORLD_VERTEX_Y + first]
+    x1, y1 = box_2[WORLD_VERTEX_X + second], box_2[WORLD_VERTEX_Y + second]
     id0, id1 = edge_1 + INDEX_B * first + FACE_OF_A, edge_1 + INDEX_B * second + FACE_OF_A
 
     edge_2 = (edge_1 + 1) % 4
-    v11_x, v11_y = box_1[VERTEX_X + edge_1], box_1[VERTEX_Y + edge_1]
-    v12_x, v12_y = box_1[VERTEX_X + edge_2], box_1[VERTEX_Y + edge_2]
-    local_tangent_x, local_tangent_y = v12_x - v11_x, v12_y - v11_y
-    length = sqrt(local_tangent_x * local_tangent_x + local_tangent_y * local_tangent_y)
-    inverse_length = 1.0 / length
-    local_tangent_x, local_tangent_y = local_tangent_x * inverse_length, local_tangent_y * inverse_length
-    plane_x, plane_y = 0.5 * (v11_x + v12_x), 0.5 * (v11_y + v12_y)
+    v11_x, v11_y = box_1[WORLD_VERTEX_X + edge_1], box_1[WORLD_VERTEX_Y + edge_1]
+    v12_x, v12_y = box_1[WORLD_VERTEX_X + edge_2], box_1[WORLD_VERTEX_Y + edge_2]
+    local_tangent_x, local_tangent_y = box_1[TANGENT_X + edge_1], box_1[TANGENT_Y + edge_1]
     tangent_x, tangent_y = rotate(body_1, local_tangent_x, local_tangent_y)
     normal_x, normal_y = tangent_y, -tangent_x
-    v11_x, v11_y = transform(body_1, v11_x, v11_y)
-    v12_x, v12_y = transform(body_1, v12_x, v12_y)
 
     front_offset = normal_x * v11_x + normal_y * v11_y
     side_offset_1 = -(tangent_x * v11_x + tangent_y * v11_y) + TOTAL_RADIUS
@@ -184,9 +188,10 @@ def collide_polygons(contact: Any, body_a: Any, box_a: Any, body_b: Any, box_b: 
         return
 
     contact[LOCAL_NORMAL_X], contact[LOCAL_NORMAL_Y] = local_tangent_y, -local_tangent_x
-    contact[LOCAL_POINT_X], contact[LOCAL_POINT_Y] = plane_x, plane_y
+    contact[LOCAL_POINT_X] = 0.5 * (box_1[VERTEX_X + edge_1] + box_1[VERTEX_X + edge_2])
+    contact[LOCAL_POINT_Y] = 0.5 * (box_1[VERTEX_Y + edge_1] + box_1[VERTEX_Y + edge_2])
     count = 0
-    for i in (0, 1):
+    for i in range(2):
         x, y = (x0, y0) if i == 0 else (x1, y1)
         feature = id0 if i == 0 else id1
         if any_lane(normal_x * x + normal_y * y - front_offset <= TOTAL_RADIUS):

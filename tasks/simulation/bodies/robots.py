@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +11,7 @@ from tasks.design import genes
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, rotation, rows, simd
-from tasks.simulation.bodies import broad_phase, contact_solver, polygons, records, revolute_joint, step
+from tasks.simulation.bodies import broad_phase, contact_solver, island, polygons, records, revolute_joint, step
 from tasks.simulation.bodies import rows as body_rows
 from tasks.simulation.compiled import compiled
 from tasks.simulation.drive import Drive
@@ -29,7 +29,7 @@ Indices = npt.NDArray[np.int64]
 
 _SOURCES = [
     genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels,
-    body_rows, records, polygons, broad_phase, contact_solver, revolute_joint, step,
+    body_rows, records, polygons, broad_phase, contact_solver, revolute_joint, island, step,
 ]  # fmt: skip
 _advance = compiled(step.advance_bodies, _SOURCES, seconds=30)
 _advance_in_learned_medium = compiled(
@@ -168,14 +168,16 @@ class Robots:
 
     def advance(self, world: World, first_step: int, n_steps: int, kept: Float32 | None) -> None:
         """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""
-        for robot in range(self.n_robots if kept is not None else 1):
-            n_robots = 1 if kept is not None else self.n_robots
-            trace = self._no_trace if kept is None else Block(n_steps * rows.N_TRACED, 1)
-            block = lanes.from_row(self._block, robot * body_rows.N_ROWS)
-            with np.errstate(all="ignore"):
+        each = self.n_robots if kept is None else step.TEAM
+        for first in range(0, self.n_robots, each):
+            n_robots = min(each, self.n_robots - first)
+            trace = self._no_trace if kept is None else Block(n_robots * n_steps * rows.N_TRACED, 1)
+            block = lanes.from_row(self._block, first * body_rows.N_ROWS)
+            with np.errstate(all="ignore"):  # without the compiler the lanes are NumPy's, and it would warn
                 _advance(block, n_robots, world, first_step, n_steps, trace, kept is not None)
             if kept is not None:
-                kept[robot] = trace.rows.reshape(n_steps, 6, N_LINKS).transpose(0, 2, 1)
+                states = trace.rows.reshape(n_robots, n_steps, 6, N_LINKS)
+                kept[first : first + n_robots] = states.transpose(0, 1, 3, 2)
 
     def advance_among(self, learned_medium: PackedNetworks, world: World, first_step: int, n_steps: int) -> None:
         """Take steps in a medium that is one network for each member: all of it in one kernel, and without a trace."""
@@ -249,7 +251,7 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
     centroid = np.stack([rigid.x, rigid.y], axis=-1)
     vertices, normals = _rotated(vertices, cos, sin) + centroid[..., None, :], _rotated(normals, cos, sin)
     inverse_mass, inverse_inertia, center = reset_mass_data(rigid, *compute_mass(vertices, physics.link_density))
-    _pack_fixtures(records, _body_number(rigid), vertices, normals, centroid)
+    _pack_fixtures(records, range(N_LINKS), _body_number(rigid), vertices, normals, centroid)
 
     design, link = np.nonzero(rigid.is_first)
     base = body_rows.BODIES + _body_number(rigid)[design, link] * body_rows.N_BODY
@@ -270,6 +272,9 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
     fixture_a, fixture_b, records[:, body_rows.N_PAIRS] = _pairs(designs, rigid, physics)
     base = body_rows.CONTACTS + np.arange(body_rows.MAX_CONTACTS) * body_rows.N_CONTACT
     records[:, base + body_rows.FIXTURE_A], records[:, base + body_rows.FIXTURE_B] = fixture_a, fixture_b
+    body = np.concatenate([_body_number(rigid), np.full((len(designs), 1), GROUND)], axis=1)
+    records[:, base + body_rows.CONTACT_BODY_A] = np.take_along_axis(body, fixture_a, axis=1)
+    records[:, base + body_rows.CONTACT_BODY_B] = np.take_along_axis(body, fixture_b, axis=1)
     return records
 
 
@@ -301,13 +306,24 @@ def _pack_links(records: Float32, designs: Designs, trees: KinematicTrees, rigid
         records[:, row : row + quantity.shape[1]] = quantity
 
 
-def _pack_fixtures(records: Float32, body: Any, vertices: Float32, normals: Float32, centroid: Float32) -> None:
-    base = body_rows.FIXTURES + np.arange(N_LINKS) * body_rows.N_FIXTURE
+def _pack_fixtures(
+    records: Float32,
+    numbers: Sequence[int],
+    body: npt.ArrayLike,
+    vertices: Float32,
+    normals: Float32,
+    centroid: Float32,
+) -> None:
+    """Pack boxes as the fixtures of some numbers: (..., n, 4, 2) vertices and normals, (..., n, 2) centroids."""
+    base = body_rows.FIXTURES + np.array(numbers) * body_rows.N_FIXTURE
     records[:, base + body_rows.FIXTURE_BODY] = body
     records[:, base + body_rows.CENTROID_X] = centroid[..., 0]
     records[:, base + body_rows.CENTROID_Y] = centroid[..., 1]
     corner = base[:, None] + np.arange(4)
     records[:, corner + body_rows.VERTEX_X], records[:, corner + body_rows.VERTEX_Y] = np.moveaxis(vertices, -1, 0)
+    edges = np.roll(vertices, -1, axis=-2) - vertices
+    tangents = edges * (np.float32(1) / np.sqrt(_dot(edges, edges)))[..., None]  # b2Vec2::Normalize
+    records[:, corner + body_rows.TANGENT_X], records[:, corner + body_rows.TANGENT_Y] = np.moveaxis(tangents, -1, 0)
     records[:, corner + body_rows.NORMAL_X], records[:, corner + body_rows.NORMAL_Y] = np.moveaxis(normals, -1, 0)
 
 
@@ -343,13 +359,5 @@ def _pack_ground(records: Float32, depth: float) -> None:
     y = single(-depth - GROUND_HALF_HEIGHT)
     records[:, [body + body_rows.P_Y, body + body_rows.C_Y]] = y
     records[:, body + body_rows.Q_C] = 1.0
-    fixture = body_rows.FIXTURES + GROUND * body_rows.N_FIXTURE
-    records[:, fixture + body_rows.FIXTURE_BODY] = GROUND
-    vertices, normals = boxes(single(GROUND_HALF_WIDTH), single(GROUND_HALF_HEIGHT))
-    for row, quantity in (
-        (body_rows.VERTEX_X, vertices[:, 0]),
-        (body_rows.VERTEX_Y, vertices[:, 1]),
-        (body_rows.NORMAL_X, normals[:, 0]),
-        (body_rows.NORMAL_Y, normals[:, 1]),
-    ):
-        records[:, fixture + row : fixture + row + 4] = quantity
+    half_width, half_height = np.full(1, GROUND_HALF_WIDTH, single), np.full(1, GROUND_HALF_HEIGHT, single)
+    _pack_fixtures(records, [GROUND], GROUND, *boxes(half_width, half_height), np.zeros((1, 2), single))
