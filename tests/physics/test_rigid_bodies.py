@@ -106,15 +106,14 @@ def stack() -> Designs:
     free joint, level at first, pointing back to link 0, which it hits when it swings down. The others follow link 2.
     """
     design = random_designs(1, np.random.default_rng(53))
-    zero = np.zeros((1, 6))
     half = np.pi / 2
     return replace(
         design,
         parent=np.array([[-1, 0, 1, 2, 2, 2]]),
         length_scale=np.array([[3.0, 1.5, 3.0, 1.0, 1.0, 1.0]]),
-        parent_attachment=zero + [[0, 1, 1, 1, 1, 1]],
-        child_attachment=zero + [[0, -1, -1, 0, 0, 0]],
-        rest_angle=zero + [[0, -half, 2.0, 0, half / 2, -half / 2]],
+        parent_attachment=np.array([[0, 1, 1, 1, 1, 1]]),
+        child_attachment=np.array([[0, -1, -1, 0, 0, 0]]),
+        rest_angle=np.array([[0, -half, 2.0, 0, half / 2, -half / 2]]),
         motor_on=np.zeros((1, 6), dtype=bool),
     )
 

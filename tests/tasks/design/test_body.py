@@ -135,7 +135,7 @@ def test_a_body_worked_out_by_hand() -> None:
     np.testing.assert_array_equal(trees.child_anchor[0], np.float32([0, -0.5, -0.5, -0.5, 0, 0]))
 
 
-# -- rigid bodies ------------------------------------------------------------------------------------------------------
+# -- rigid bodies -----------------------------------------------------------------------------------------------------
 
 
 def random_motors(designs: Designs, rng: np.random.Generator, n_actuated: int) -> Designs:
@@ -163,7 +163,7 @@ def test_so_many_motors_make_one_body_more(designs: Designs, n_actuated: int) ->
     built = random_motors(designs, np.random.default_rng(7), n_actuated)
     rigid = rigid_bodies(built, passive_joints="locked")
     assert (rigid.is_first.sum(axis=1) == n_actuated + 1).all()
-    np.testing.assert_array_equal(rigid.is_first[:, 1:], built.motor_on[:, 1:])  # a body's first link hangs from a motor
+    np.testing.assert_array_equal(rigid.is_first[:, 1:], built.motor_on[:, 1:])  # first links hang from motors
     joint = ~rigid.is_first
     parents_body = np.take_along_axis(rigid.first_link, np.maximum(built.parent, 0), axis=1)
     np.testing.assert_array_equal(rigid.first_link[joint], parents_body[joint])

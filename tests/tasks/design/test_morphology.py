@@ -55,16 +55,15 @@ def upright_columns(gap: float) -> Designs:
     Link 1 lies across the root, so that it carries links 2 and on to the right; its other children lie 10 m away.
     """
     design = random_designs(1, np.random.default_rng(3))
-    zero = np.zeros((1, 6))
     # Link 1: horizontal, 3 m long, its centre at the root's centre. Its long axis points to (-1, 0).
     # Links 2 and 3 hang on it at ∓(1 + gap) m; 4 and 5 hang from 3 by long ends, clear of everything.
     return replace(
         design,
         parent=np.array([[-1, 0, 1, 2, 3, 4]]),
         length_scale=np.array([[1.0, 3.0, 1.0, 3.0, 3.0, 3.0]]),
-        parent_attachment=zero + [[0, 0, -(1 + gap) / 1.5, 1, 1, 1]],
-        child_attachment=zero + [[0, 0, 0, -1, -1, -1]],
-        rest_angle=zero + [[0, np.pi / 2, -np.pi / 2, 0, 0, 0]],
+        parent_attachment=np.array([[0, 0, -(1 + gap) / 1.5, 1, 1, 1]]),
+        child_attachment=np.array([[0, 0, 0, -1, -1, -1]]),
+        rest_angle=np.array([[0, np.pi / 2, -np.pi / 2, 0, 0, 0]]),
     )
 
 

@@ -273,7 +273,7 @@ def test_impossible_rates_are_refused_by_name(setting: dict[str, float]) -> None
         Mutation(**setting)
 
 
-# -- designs that can be built ------------------------------------------------------------------------------------------
+# -- designs that can be built -----------------------------------------------------------------------------------------
 
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 

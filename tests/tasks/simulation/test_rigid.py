@@ -1,4 +1,4 @@
-"""Links placed by their bodies, and bodies pushed by their links: bits kept where nothing fuses, momenta where it does."""
+"""Links placed by bodies, bodies pushed by links: every bit is kept where nothing fuses, momenta where it does."""
 
 from dataclasses import replace
 
