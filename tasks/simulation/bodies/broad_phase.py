@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from tasks.simulation.bodies.polygons import update
-from tasks.simulation.bodies.records import body_at, contact_at, fixture_at, rotate, transform, whole
+from tasks.simulation.bodies.records import body_at, contact_at, fixture_at, rotate, transform
 from tasks.simulation.bodies.rows import (
     CENTROID_X,
     CENTROID_Y,
@@ -24,6 +24,7 @@ from tasks.simulation.bodies.rows import (
     FAT_UPPER_Y,
     FIXTURE_A,
     FIXTURE_B,
+    GROUND,
     LOWER_X,
     LOWER_Y,
     N_CONTACTS,
@@ -47,7 +48,7 @@ from tasks.simulation.bodies.rows import (
     WORLD_VERTEX_Y,
 )
 from tasks.simulation.contact import POLYGON_RADIUS
-from tasks.simulation.lanes import any_lane, inline, select
+from tasks.simulation.lanes import any_lane, inline, load_whole, select, store_whole
 
 AABB_EXTENSION = 0.1
 """b2_aabbExtension [m]."""
@@ -120,31 +121,33 @@ def test_overlap(a: Any, b: Any) -> bool:
 @inline
 def find_new_contacts(block: Any) -> None:
     """b2ContactManager::FindNewContacts and AddPair."""
-    n_contacts = whole(block[N_CONTACTS])
-    for k in range(whole(block[N_PAIRS])):
+    n_contacts = load_whole(block, N_CONTACTS)
+    for k in range(load_whole(block, N_PAIRS)):
         contact = contact_at(block, k)
-        if any_lane(contact[EXISTS] == 0.0):
-            box_a, box_b = fixture_at(block, whole(contact[FIXTURE_A])), fixture_at(block, whole(contact[FIXTURE_B]))
+        if load_whole(contact, EXISTS) == 0:
+            box_a, box_b = fixture_at(block, load_whole(contact, FIXTURE_A)), fixture_at(block, load_whole(contact, FIXTURE_B))
             if test_overlap(box_a, box_b):
-                contact[EXISTS], contact[POINT_COUNT] = 1.0, 0.0
-                block[CONTACT_LIST + n_contacts] = k
+                store_whole(contact, EXISTS, 1)
+                store_whole(contact, POINT_COUNT, 0)
+                store_whole(block, CONTACT_LIST + n_contacts, k)
                 n_contacts += 1
-    block[N_CONTACTS] = n_contacts
+    store_whole(block, N_CONTACTS, n_contacts)
 
 
 @inline
 def collide(block: Any) -> None:
     """b2ContactManager::Collide: update contacts, destroy those whose fat AABBs no longer overlap."""
     kept = 0
-    for i in range(whole(block[N_CONTACTS])):
-        k = whole(block[CONTACT_LIST + i])
+    for i in range(load_whole(block, N_CONTACTS)):
+        k = load_whole(block, CONTACT_LIST + i)
         contact = contact_at(block, k)
-        box_a, box_b = fixture_at(block, whole(contact[FIXTURE_A])), fixture_at(block, whole(contact[FIXTURE_B]))
+        box_a, box_b = fixture_at(block, load_whole(contact, FIXTURE_A)), fixture_at(block, load_whole(contact, FIXTURE_B))
         if test_overlap(box_a, box_b):
-            body_a, body_b = body_at(block, whole(contact[CONTACT_BODY_A])), body_at(block, whole(contact[CONTACT_BODY_B]))
-            update(contact, body_a, box_a, body_b, box_b)
-            block[CONTACT_LIST + kept] = k
+            body_a, body_b = body_at(block, load_whole(contact, CONTACT_BODY_A)), body_at(block, load_whole(contact, CONTACT_BODY_B))
+            update(contact, body_a, box_a, body_b, box_b, load_whole(contact, FIXTURE_A) == GROUND)
+            store_whole(block, CONTACT_LIST + kept, k)
             kept += 1
         else:
-            contact[EXISTS], contact[POINT_COUNT] = 0.0, 0.0
-    block[N_CONTACTS] = kept
+            store_whole(contact, EXISTS, 0)
+            store_whole(contact, POINT_COUNT, 0)
+    store_whole(block, N_CONTACTS, kept)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tasks.simulation.bodies.records import place, point_at, rotate, transform, whole
+from tasks.simulation.bodies.records import place, point_at, rotate, transform
 from tasks.simulation.bodies.rows import (
     BIAS,
     C_X,
@@ -49,7 +49,7 @@ from tasks.simulation.contact import (
     VELOCITY_THRESHOLD,
 )
 from tasks.simulation.joint import LINEAR_SLOP, clamp
-from tasks.simulation.lanes import any_lane, inline, select
+from tasks.simulation.lanes import any_lane, inline, load_whole, select, store_whole
 
 
 @inline
@@ -69,7 +69,7 @@ def _relative_velocity(point: Any, vA_x: Any, vA_y: Any, wA: Any, vB_x: Any, vB_
 @inline
 def initialize_velocity_constraint(contact: Any, body_a: Any, body_b: Any, restitution: Any) -> None:
     """b2ContactSolver::InitializeVelocityConstraints and b2WorldManifold::Initialize (b2Collision.cpp)."""
-    face_b = any_lane(contact[FACE_B] != 0.0)
+    face_b = load_whole(contact, FACE_B) != 0
     reference, incident = (body_b, body_a) if face_b else (body_a, body_b)
     n_x, n_y = rotate(reference, contact[LOCAL_NORMAL_X], contact[LOCAL_NORMAL_Y])
     plane_x, plane_y = transform(reference, contact[LOCAL_POINT_X], contact[LOCAL_POINT_Y])
@@ -79,7 +79,7 @@ def initialize_velocity_constraint(contact: Any, body_a: Any, body_b: Any, resti
         contact[N_X], contact[N_Y] = n_x, n_y
     normal_x, normal_y = contact[N_X], contact[N_Y]
     tangent_x, tangent_y = normal_y, -normal_x
-    count = whole(contact[POINT_COUNT])
+    count = load_whole(contact, POINT_COUNT)
     for j in range(count):
         point = point_at(contact, j)
         clip_x, clip_y = transform(incident, point[POINT_X], point[POINT_Y])
@@ -100,7 +100,7 @@ def initialize_velocity_constraint(contact: Any, body_a: Any, body_b: Any, resti
         v_rel = normal_x * dv_x + normal_y * dv_y
         point[BIAS] = select(v_rel < -VELOCITY_THRESHOLD, -(restitution * v_rel), 0.0)
 
-    contact[CONSTRAINT_POINTS] = count
+    store_whole(contact, CONSTRAINT_POINTS, count)
     if count == 2:
         point_1, point_2 = point_at(contact, 0), point_at(contact, 1)
         rn1A = point_1[RA_X] * normal_y - point_1[RA_Y] * normal_x
@@ -116,7 +116,7 @@ def initialize_velocity_constraint(contact: Any, body_a: Any, body_b: Any, resti
             contact[K_11], contact[K_12], contact[K_22] = k11, k12, k22
             contact[M_11], contact[M_12], contact[M_22] = inverse * k22, -inverse * k12, inverse * k11
         else:
-            contact[CONSTRAINT_POINTS] = 1.0  # the constraints are redundant: just use one
+            store_whole(contact, CONSTRAINT_POINTS, 1)  # the constraints are redundant: just use one
 
 
 @inline
@@ -125,7 +125,7 @@ def warm_start(contact: Any, body_a: Any, body_b: Any, dt_ratio: Any) -> None:
     mA, iA, mB, iB = body_a[INVERSE_MASS], body_a[INVERSE_INERTIA], body_b[INVERSE_MASS], body_b[INVERSE_INERTIA]
     normal_x, normal_y = contact[N_X], contact[N_Y]
     tangent_x, tangent_y = normal_y, -normal_x
-    for j in range(whole(contact[CONSTRAINT_POINTS])):
+    for j in range(load_whole(contact, CONSTRAINT_POINTS)):
         point = point_at(contact, j)
         normal_impulse, tangent_impulse = dt_ratio * point[NORMAL_IMPULSE], dt_ratio * point[TANGENT_IMPULSE]
         point[NORMAL_IMPULSE], point[TANGENT_IMPULSE] = normal_impulse, tangent_impulse
@@ -148,7 +148,7 @@ def solve_velocity_constraint(contact: Any, body_a: Any, body_b: Any, friction: 
     vB_x, vB_y, wB = body_b[V_X], body_b[V_Y], body_b[W]
     normal_x, normal_y = contact[N_X], contact[N_Y]
     tangent_x, tangent_y = normal_y, -normal_x
-    count = whole(contact[CONSTRAINT_POINTS])
+    count = load_whole(contact, CONSTRAINT_POINTS)
     for j in range(count):
         point = point_at(contact, j)
         dv_x, dv_y = _relative_velocity(point, vA_x, vA_y, wA, vB_x, vB_y, wB)
@@ -189,6 +189,39 @@ def solve_velocity_constraint(contact: Any, body_a: Any, body_b: Any, friction: 
 
 
 @inline
+def solve_velocity_constraint_on_ground(contact: Any, body_b: Any, friction: Any) -> None:
+    """Do the same where body A is the ground: the normal is (0, 1), and what Box2D multiplies by 0 or 1 is left out."""
+    mB, iB = body_b[INVERSE_MASS], body_b[INVERSE_INERTIA]
+    vx, vy, w = body_b[V_X], body_b[V_Y], body_b[W]
+    count = load_whole(contact, CONSTRAINT_POINTS)
+    for j in range(count):
+        point = point_at(contact, j)
+        max_friction = friction * point[NORMAL_IMPULSE]
+        old = point[TANGENT_IMPULSE]
+        new = clamp(old - point[TANGENT_MASS] * (vx - w * point[RB_Y]), -max_friction, max_friction)
+        point[TANGENT_IMPULSE] = new
+        vx = vx + mB * (new - old)
+        w = w - iB * (point[RB_Y] * (new - old))
+
+    point_1, point_2 = point_at(contact, 0), point_at(contact, 1)
+    b1 = (vy + w * point_1[RB_X]) - point_1[BIAS]
+    a1 = point_1[NORMAL_IMPULSE]
+    if count == 1:
+        x1 = a1 - point_1[NORMAL_MASS] * b1
+        x1 = select(x1 > 0.0, x1, 0.0)
+        point_1[NORMAL_IMPULSE] = x1
+        impulse, turn = x1 - a1, point_1[RB_X] * (x1 - a1)
+    else:
+        b2 = (vy + w * point_2[RB_X]) - point_2[BIAS]
+        a2 = point_2[NORMAL_IMPULSE]
+        x1, x2 = _solve_block(contact, point_1[NORMAL_MASS], point_2[NORMAL_MASS], a1, a2, b1, b2)
+        point_1[NORMAL_IMPULSE], point_2[NORMAL_IMPULSE] = x1, x2
+        impulse = (x1 - a1) + (x2 - a2)
+        turn = point_1[RB_X] * (x1 - a1) + point_2[RB_X] * (x2 - a2)
+    body_b[V_X], body_b[V_Y], body_b[W] = vx, vy + mB * impulse, w + iB * turn
+
+
+@inline
 def _solve_block(contact: Any, normal_mass_1: Any, normal_mass_2: Any, a1: Any, a2: Any, b1: Any, b2: Any) -> Any:
     """Solve the linear complementarity problem b = K x + b', x ≥ 0, b ≥ 0, x · b = 0: the first case that holds."""
     k12 = contact[K_12]
@@ -213,10 +246,10 @@ def _solve_block(contact: Any, normal_mass_1: Any, normal_mass_2: Any, a1: Any, 
 def solve_position_constraint(contact: Any, body_a: Any, body_b: Any) -> Any:
     """b2ContactSolver::SolvePositionConstraints and b2PositionSolverManifold: push out; return the least separation."""
     mA, iA, mB, iB = body_a[INVERSE_MASS], body_a[INVERSE_INERTIA], body_b[INVERSE_MASS], body_b[INVERSE_INERTIA]
-    face_b = any_lane(contact[FACE_B] != 0.0)
+    face_b = load_whole(contact, FACE_B) != 0
     reference, incident = (body_b, body_a) if face_b else (body_a, body_b)
     least = 0.0 * mA
-    for j in range(whole(contact[POINT_COUNT])):
+    for j in range(load_whole(contact, POINT_COUNT)):
         point = point_at(contact, j)
         n_x, n_y = rotate(reference, contact[LOCAL_NORMAL_X], contact[LOCAL_NORMAL_Y])
         plane_x, plane_y = transform(reference, contact[LOCAL_POINT_X], contact[LOCAL_POINT_Y])

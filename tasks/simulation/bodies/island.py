@@ -14,7 +14,7 @@ from typing import Any
 
 from tasks.simulation import rows
 from tasks.simulation.bodies import contact_solver, revolute_joint
-from tasks.simulation.bodies.records import body_at, contact_at, joint_at, place, synchronize_transform, whole
+from tasks.simulation.bodies.records import body_at, contact_at, joint_at, place, synchronize_transform
 from tasks.simulation.bodies.rows import (
     BODY_A,
     BODY_B,
@@ -47,7 +47,7 @@ from tasks.simulation.bodies.rows import (
 )
 from tasks.simulation.contact import DEEPEST
 from tasks.simulation.kernels import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
-from tasks.simulation.lanes import any_lane, from_row, inline, sqrt
+from tasks.simulation.lanes import any_lane, from_row, inline, load_whole, sqrt, store_whole
 
 
 @inline
@@ -56,92 +56,95 @@ def search(block: Any) -> None:
 
     Sets of bodies, contacts and joints are the bits of numbers.
     """
-    n_contacts, n_joints = 0, whole(block[N_JOINTS_HERE])
-    for i in range(whole(block[N_CONTACTS])):
-        k = whole(block[CONTACT_LIST + i])
-        if any_lane(contact_at(block, k)[POINT_COUNT] != 0.0):
-            block[TOUCHING + n_contacts] = k
+    n_contacts, n_joints = 0, load_whole(block, N_JOINTS_HERE)
+    for i in range(load_whole(block, N_CONTACTS)):
+        k = load_whole(block, CONTACT_LIST + i)
+        if load_whole(contact_at(block, k), POINT_COUNT) > 0:
+            store_whole(block, TOUCHING + n_contacts, k)
             n_contacts += 1
     n_found_contacts, n_found_joints, n_stack = 0, 0, 1
     bodies, contacts, joints = 1, 0, 0
-    block[STACK] = 0.0
+    store_whole(block, STACK, 0)
     while n_stack > 0:
         n_stack -= 1
-        b = whole(block[STACK + n_stack])
+        b = load_whole(block, STACK + n_stack)
         if b == GROUND:
             continue  # a static body does not tie what it touches
         for i in range(n_contacts - 1, -1, -1):
-            contact = contact_at(block, whole(block[TOUCHING + i]))
-            body_a, body_b = whole(contact[CONTACT_BODY_A]), whole(contact[CONTACT_BODY_B])
+            k = load_whole(block, TOUCHING + i)
+            contact = contact_at(block, k)
+            body_a, body_b = load_whole(contact, CONTACT_BODY_A), load_whole(contact, CONTACT_BODY_B)
             if (body_a == b or body_b == b) and not contacts & (1 << i):
                 contacts |= 1 << i
-                block[ISLAND_CONTACTS + n_found_contacts] = block[TOUCHING + i]
+                store_whole(block, ISLAND_CONTACTS + n_found_contacts, k)
                 n_found_contacts += 1
                 other = body_b if body_a == b else body_a
                 if not bodies & (1 << other):
                     bodies |= 1 << other
-                    block[STACK + n_stack] = other
+                    store_whole(block, STACK + n_stack, other)
                     n_stack += 1
         for j in range(n_joints - 1, -1, -1):
             joint = joint_at(block, j)
-            body_a, body_b = whole(joint[BODY_A]), whole(joint[BODY_B])
+            body_a, body_b = load_whole(joint, BODY_A), load_whole(joint, BODY_B)
             if (body_a == b or body_b == b) and not joints & (1 << j):
                 joints |= 1 << j
-                block[ISLAND_JOINTS + n_found_joints] = j
+                store_whole(block, ISLAND_JOINTS + n_found_joints, j)
                 n_found_joints += 1
                 other = body_b if body_a == b else body_a
                 if not bodies & (1 << other):
                     bodies |= 1 << other
-                    block[STACK + n_stack] = other
+                    store_whole(block, STACK + n_stack, other)
                     n_stack += 1
-    block[N_ISLAND_CONTACTS], block[N_ISLAND_JOINTS] = n_found_contacts, n_found_joints
+    store_whole(block, N_ISLAND_CONTACTS, n_found_contacts)
+    store_whole(block, N_ISLAND_JOINTS, n_found_joints)
 
 
 @inline
 def dissolve(block: Any) -> None:
     """Leave nothing to solve of a robot that has diverged."""
-    block[N_ISLAND_CONTACTS], block[N_ISLAND_JOINTS] = 0.0, 0.0
+    store_whole(block, N_ISLAND_CONTACTS, 0)
+    store_whole(block, N_ISLAND_JOINTS, 0)
 
 
 @inline
 def island_contact(block: Any, i: int) -> Any:
     """Find a contact of the island and its two bodies."""
-    contact = contact_at(block, whole(block[ISLAND_CONTACTS + i]))
-    return contact, body_at(block, whole(contact[CONTACT_BODY_A])), body_at(block, whole(contact[CONTACT_BODY_B]))
+    contact = contact_at(block, load_whole(block, ISLAND_CONTACTS + i))
+    return contact, body_at(block, load_whole(contact, CONTACT_BODY_A)), body_at(block, load_whole(contact, CONTACT_BODY_B))
 
 
 @inline
 def island_joint(block: Any, i: int) -> Any:
     """Find a joint of the island and its two bodies."""
-    joint = joint_at(block, whole(block[ISLAND_JOINTS + i]))
-    return joint, body_at(block, whole(joint[BODY_A])), body_at(block, whole(joint[BODY_B]))
+    joint = joint_at(block, load_whole(block, ISLAND_JOINTS + i))
+    return joint, body_at(block, load_whole(joint, BODY_A)), body_at(block, load_whole(joint, BODY_B))
 
 
 @inline
 def most(team: Any, n_robots: int, row: int) -> Any:
     """Find the largest of a number that each robot has."""
-    largest = whole(team[row])
+    largest = load_whole(team, row)
     for robot in range(1, n_robots):
-        largest = max(largest, whole(team[robot * N_ROWS + row]))
+        largest = max(largest, load_whole(team, robot * N_ROWS + row))
     return largest
 
 
 @inline
 def begin(block: Any, world: Any) -> None:
     """Integrate velocities, prepare the constraints, start them warm. At the spawn frames are not rounded yet."""
-    for b in range(whole(block[N_BODIES])):
+    for b in range(load_whole(block, N_BODIES)):
         body = body_at(block, b)
         synchronize_transform(body)
         body[START_P_X], body[START_P_Y] = body[P_X], body[P_Y]
         body[V_Y] = body[V_Y] + world.fall
-    n_contacts = whole(block[N_ISLAND_CONTACTS])
+    n_contacts = load_whole(block, N_ISLAND_CONTACTS)
     for i in range(n_contacts):
         contact, body_a, body_b = island_contact(block, i)
         contact_solver.initialize_velocity_constraint(contact, body_a, body_b, world.restitution)
     for i in range(n_contacts):
         contact, body_a, body_b = island_contact(block, i)
         contact_solver.warm_start(contact, body_a, body_b, world.dt_ratio)
-    for i in range(whole(block[N_ISLAND_JOINTS])):
+    for i in range(load_whole(block, N_ISLAND_JOINTS)):
         joint, body_a, body_b = island_joint(block, i)
         revolute_joint.init_velocity_constraints(joint, body_a, body_b, world.dt_ratio)
 
@@ -154,22 +157,25 @@ def sweep_velocities(team: Any, n_robots: int, world: Any) -> None:
         for i in range(n_joints):
             for robot in range(n_robots):
                 block = from_row(team, robot * N_ROWS)
-                if i < whole(block[N_ISLAND_JOINTS]):
+                if i < load_whole(block, N_ISLAND_JOINTS):
                     joint, body_a, body_b = island_joint(block, i)
-                    motor_speed = block[rows.MOTOR_SPEED - 1 + whole(joint[LINK])]
+                    motor_speed = block[rows.MOTOR_SPEED - 1 + load_whole(joint, LINK)]
                     revolute_joint.solve_velocity_constraints(joint, body_a, body_b, motor_speed)
         for i in range(n_contacts):
             for robot in range(n_robots):
                 block = from_row(team, robot * N_ROWS)
-                if i < whole(block[N_ISLAND_CONTACTS]):
+                if i < load_whole(block, N_ISLAND_CONTACTS):
                     contact, body_a, body_b = island_contact(block, i)
-                    contact_solver.solve_velocity_constraint(contact, body_a, body_b, world.friction)
+                    if load_whole(contact, CONTACT_BODY_A) == GROUND:
+                        contact_solver.solve_velocity_constraint_on_ground(contact, body_b, world.friction)
+                    else:
+                        contact_solver.solve_velocity_constraint(contact, body_a, body_b, world.friction)
 
 
 @inline
 def integrate_positions(block: Any, dt: Any) -> None:
     """Limit the velocities, then move."""
-    for b in range(whole(block[N_BODIES])):
+    for b in range(load_whole(block, N_BODIES)):
         body = body_at(block, b)
         vx, vy, w = body[V_X], body[V_Y], body[W]
         translation_x, translation_y, rotation = dt * vx, dt * vy, dt * w
@@ -193,7 +199,7 @@ def sweep_positions(team: Any, n_robots: int, world: Any) -> None:
         for i in range(n_contacts):
             for robot in range(n_robots):
                 block = from_row(team, robot * N_ROWS)
-                if unsolved & (1 << robot) and i < whole(block[N_ISLAND_CONTACTS]):
+                if unsolved & (1 << robot) and i < load_whole(block, N_ISLAND_CONTACTS):
                     contact, body_a, body_b = island_contact(block, i)
                     least = contact_solver.solve_position_constraint(contact, body_a, body_b)
                     if not any_lane(least >= DEEPEST):
@@ -201,7 +207,7 @@ def sweep_positions(team: Any, n_robots: int, world: Any) -> None:
         for i in range(n_joints):
             for robot in range(n_robots):
                 block = from_row(team, robot * N_ROWS)
-                if unsolved & (1 << robot) and i < whole(block[N_ISLAND_JOINTS]):
+                if unsolved & (1 << robot) and i < load_whole(block, N_ISLAND_JOINTS):
                     joint, body_a, body_b = island_joint(block, i)
                     if not revolute_joint.solve_position_constraints(joint, body_a, body_b):
                         failed |= 1 << robot

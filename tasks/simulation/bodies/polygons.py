@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tasks.simulation.bodies.records import point_at, rotate, rotate_back, whole
+from tasks.simulation.bodies.records import point_at, rotate, rotate_back
 from tasks.simulation.bodies.rows import (
     FACE_B,
     ID,
@@ -37,10 +37,13 @@ from tasks.simulation.bodies.rows import (
     WORLD_VERTEX_Y,
 )
 from tasks.simulation.contact import TOTAL_RADIUS
-from tasks.simulation.lanes import any_lane, inline, select
+from tasks.simulation.lanes import any_lane, inline, load_whole, select, store_whole
 
 RELATIVE_TOLERANCE = 0.98
 ABSOLUTE_TOLERANCE = 0.001
+
+GROUND_TOP = 2
+"""The upper edge of a box."""
 
 # A contact point's b2ContactID as a number: the indices of the features of A and B, and whether they are faces.
 INDEX_B, FACE_OF_A, FACE_OF_B = 4, 16, 32
@@ -142,23 +145,29 @@ def _flipped(feature: Any) -> Any:
 
 
 @inline
-def collide_polygons(contact: Any, body_a: Any, box_a: Any, body_b: Any, box_b: Any) -> None:
-    """b2CollidePolygons: find where the boxes touch, and write it to the contact's manifold."""
-    contact[POINT_COUNT] = 0.0
-    edge_a, separation_a = find_max_separation(body_a, box_a, body_b, box_b)
-    if any_lane(separation_a > TOTAL_RADIUS):
-        return
-    edge_b, separation_b = find_max_separation(body_b, box_b, body_a, box_a)
-    if any_lane(separation_b > TOTAL_RADIUS):
-        return
+def collide_polygons(contact: Any, body_a: Any, box_a: Any, body_b: Any, box_b: Any, on_ground: bool) -> None:
+    """b2CollidePolygons: find where the boxes touch, and write it to the contact's manifold.
 
-    flip = any_lane(separation_b > RELATIVE_TOLERANCE * separation_a + ABSOLUTE_TOLERANCE)
+    The ground is so wide and thick that its top is always the edge that separates most.
+    """
+    store_whole(contact, POINT_COUNT, 0)
+    flip, edge_a, edge_b = False, GROUND_TOP, 0
+    if on_ground:
+        if any_lane(edge_separation(box_a, GROUND_TOP, body_b, box_b) > TOTAL_RADIUS):
+            return
+    else:
+        edge_a, separation_a = find_max_separation(body_a, box_a, body_b, box_b)
+        if any_lane(separation_a > TOTAL_RADIUS):
+            return
+        edge_b, separation_b = find_max_separation(body_b, box_b, body_a, box_a)
+        if any_lane(separation_b > TOTAL_RADIUS):
+            return
+        flip = any_lane(separation_b > RELATIVE_TOLERANCE * separation_a + ABSOLUTE_TOLERANCE)
     if flip:
         body_1, box_1, body_2, box_2, edge_1 = body_b, box_b, body_a, box_a, edge_b
-        contact[FACE_B] = 1.0
     else:
         body_1, box_1, body_2, box_2, edge_1 = body_a, box_a, body_b, box_b, edge_a
-        contact[FACE_B] = 0.0
+    store_whole(contact, FACE_B, 1 if flip else 0)
 
     first = find_incident_edge(box_1, edge_1, body_2, box_2)
     second = (first + 1) % 4
@@ -197,24 +206,25 @@ def collide_polygons(contact: Any, body_a: Any, box_a: Any, body_b: Any, box_b: 
         if any_lane(normal_x * x + normal_y * y - front_offset <= TOTAL_RADIUS):
             point = point_at(contact, count)
             point[POINT_X], point[POINT_Y] = rotate_back(body_2, x - body_2[P_X], y - body_2[P_Y])
-            point[ID] = _flipped(feature) if flip else feature
+            store_whole(point, ID, _flipped(feature) if flip else feature)
             count += 1
-    contact[POINT_COUNT] = count
+    store_whole(contact, POINT_COUNT, count)
 
 
 @inline
-def update(contact: Any, body_a: Any, box_a: Any, body_b: Any, box_b: Any) -> None:
+def update(contact: Any, body_a: Any, box_a: Any, body_b: Any, box_b: Any, on_ground: bool) -> None:
     """b2Contact::Update: collide; a point that has an old one's id takes over its impulses."""
     point_1, point_2 = point_at(contact, 0), point_at(contact, 1)
-    old_count = whole(contact[POINT_COUNT])
-    old_id_1, old_id_2 = point_1[ID], point_2[ID]
+    old_count = load_whole(contact, POINT_COUNT)
+    old_id_1, old_id_2 = load_whole(point_1, ID), load_whole(point_2, ID)
     normal_1, tangent_1 = point_1[NORMAL_IMPULSE], point_1[TANGENT_IMPULSE]
     normal_2, tangent_2 = point_2[NORMAL_IMPULSE], point_2[TANGENT_IMPULSE]
-    collide_polygons(contact, body_a, box_a, body_b, box_b)
-    for i in range(whole(contact[POINT_COUNT])):
+    collide_polygons(contact, body_a, box_a, body_b, box_b, on_ground)
+    for i in range(load_whole(contact, POINT_COUNT)):
         point = point_at(contact, i)
+        new_id = load_whole(point, ID)
         point[NORMAL_IMPULSE], point[TANGENT_IMPULSE] = 0.0, 0.0
-        if old_count > 0 and any_lane(point[ID] == old_id_1):
+        if old_count > 0 and new_id == old_id_1:
             point[NORMAL_IMPULSE], point[TANGENT_IMPULSE] = normal_1, tangent_1
-        elif old_count > 1 and any_lane(point[ID] == old_id_2):
+        elif old_count > 1 and new_id == old_id_2:
             point[NORMAL_IMPULSE], point[TANGENT_IMPULSE] = normal_2, tangent_2

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from tasks.simulation.bodies.rows import (
     BODIES,
     C_X,
@@ -27,14 +25,8 @@ from tasks.simulation.bodies.rows import (
     Q_S,
     A,
 )
-from tasks.simulation.lanes import from_row, inline, lane, to_double, truncate
+from tasks.simulation.lanes import from_row, inline
 from tasks.simulation.rotation import sincos
-
-
-@inline
-def whole(number: Any) -> Any:
-    """Take a whole number out of its lane."""
-    return np.int64(lane(truncate(to_double(number)), 0))
 
 
 @inline

@@ -265,16 +265,22 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
         (body_rows.CENTER_Y, center[..., 1]),
     ):
         records[design, base + row] = quantity[design, link]
-    records[:, body_rows.N_BODIES] = rigid.is_first.sum(axis=1)
+    records.view(np.int32)[:, body_rows.N_BODIES] = rigid.is_first.sum(axis=1)
     _pack_joints(records, designs, trees, rigid, center, physics)
     _pack_ground(records, depth)
 
-    fixture_a, fixture_b, records[:, body_rows.N_PAIRS] = _pairs(designs, rigid, physics)
+    fixture_a, fixture_b, n_pairs = _pairs(designs, rigid, physics)
     base = body_rows.CONTACTS + np.arange(body_rows.MAX_CONTACTS) * body_rows.N_CONTACT
-    records[:, base + body_rows.FIXTURE_A], records[:, base + body_rows.FIXTURE_B] = fixture_a, fixture_b
     body = np.concatenate([_body_number(rigid), np.full((len(designs), 1), GROUND)], axis=1)
-    records[:, base + body_rows.CONTACT_BODY_A] = np.take_along_axis(body, fixture_a, axis=1)
-    records[:, base + body_rows.CONTACT_BODY_B] = np.take_along_axis(body, fixture_b, axis=1)
+    whole = records.view(np.int32)
+    whole[:, body_rows.N_PAIRS] = n_pairs
+    for row, quantity in (
+        (body_rows.FIXTURE_A, fixture_a),
+        (body_rows.FIXTURE_B, fixture_b),
+        (body_rows.CONTACT_BODY_A, np.take_along_axis(body, fixture_a, axis=1)),
+        (body_rows.CONTACT_BODY_B, np.take_along_axis(body, fixture_b, axis=1)),
+    ):
+        whole[:, base + row] = quantity
     return records
 
 
@@ -316,7 +322,7 @@ def _pack_fixtures(
 ) -> None:
     """Pack boxes as the fixtures of some numbers: (..., n, 4, 2) vertices and normals, (..., n, 2) centroids."""
     base = body_rows.FIXTURES + np.array(numbers) * body_rows.N_FIXTURE
-    records[:, base + body_rows.FIXTURE_BODY] = body
+    records.view(np.int32)[:, base + body_rows.FIXTURE_BODY] = body
     records[:, base + body_rows.CENTROID_X] = centroid[..., 0]
     records[:, base + body_rows.CENTROID_Y] = centroid[..., 1]
     corner = base[:, None] + np.arange(4)
@@ -338,10 +344,13 @@ def _pack_joints(
     own = center[design, link]
     max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
     base = body_rows.JOINTS + (number[design, link] - 1) * body_rows.N_JOINT
-    for row, quantity in (
+    for row, which in (
         (body_rows.BODY_A, number[design, parent]),
         (body_rows.BODY_B, number[design, link]),
         (body_rows.LINK, link),
+    ):
+        records.view(np.int32)[design, base + row] = which
+    for row, quantity in (
         (body_rows.ANCHOR_A_X, rigid.joint_x[design, link] - above[:, 0]),
         (body_rows.ANCHOR_A_Y, rigid.joint_y[design, link] - above[:, 1]),
         (body_rows.ANCHOR_B_X, -own[:, 0]),
@@ -349,7 +358,7 @@ def _pack_joints(
         (body_rows.MAX_MOTOR_IMPULSE, designs.motor_on[design, link] * max_motor_impulse),
     ):
         records[design, base + row] = quantity
-    records[:, body_rows.N_JOINTS_HERE] = rigid.is_first.sum(axis=1) - 1
+    records.view(np.int32)[:, body_rows.N_JOINTS_HERE] = rigid.is_first.sum(axis=1) - 1
 
 
 def _pack_ground(records: Float32, depth: float) -> None:

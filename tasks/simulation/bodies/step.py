@@ -11,14 +11,7 @@ import numpy as np
 
 from tasks.simulation import kernels, rows
 from tasks.simulation.bodies import broad_phase, island
-from tasks.simulation.bodies.records import (
-    body_at,
-    fixture_at,
-    joint_at,
-    rotate,
-    transform,
-    whole,
-)
+from tasks.simulation.bodies.records import body_at, fixture_at, joint_at, rotate, transform
 from tasks.simulation.bodies.rows import (
     C_X,
     C_Y,
@@ -56,7 +49,7 @@ from tasks.simulation.bodies.rows import (
     A,
     W,
 )
-from tasks.simulation.lanes import any_lane, from_row, inline
+from tasks.simulation.lanes import any_lane, from_row, inline, load_whole
 from tasks.simulation.rotation import sincos
 
 TEAM = 4
@@ -66,7 +59,7 @@ TEAM = 4
 @inline
 def place_link(block: Any, link: int) -> None:
     """Place a link by its body; see place_links in tasks/simulation/rigid.py."""
-    body = body_at(block, whole(fixture_at(block, link)[FIXTURE_BODY]))
+    body = body_at(block, load_whole(fixture_at(block, link), FIXTURE_BODY))
     c, s, omega = body[Q_C], body[Q_S], body[W]
     x, y = rotate(body, block[PLACE_X + link], block[PLACE_Y + link])
     lever_x, lever_y = rotate(body, block[LEVER_X + link], block[LEVER_Y + link])
@@ -82,12 +75,12 @@ def place_link(block: Any, link: int) -> None:
 @inline
 def push(block: Any, world: Any) -> None:
     """Give the links' changes to their bodies, and forget them; see body_change in tasks/simulation/rigid.py."""
-    n_bodies = whole(block[N_BODIES])
+    n_bodies = load_whole(block, N_BODIES)
     for b in range(n_bodies):
         body = body_at(block, b)
         body[PUSH_VX], body[PUSH_VY], body[PUSH_OMEGA] = 0.0, 0.0, 0.0
     for link in range(world.n_links):
-        body = body_at(block, whole(fixture_at(block, link)[FIXTURE_BODY]))
+        body = body_at(block, load_whole(fixture_at(block, link), FIXTURE_BODY))
         dvx, dvy, domega = block[CHANGE_VX + link], block[CHANGE_VY + link], block[CHANGE_OMEGA + link]
         block[CHANGE_VX + link], block[CHANGE_VY + link], block[CHANGE_OMEGA + link] = 0.0, 0.0, 0.0
         moment = block[WORLD_LEVER_X + link] * dvy - block[WORLD_LEVER_Y + link] * dvx
@@ -115,7 +108,7 @@ def orient_fixtures(block: Any, world: Any) -> None:
     """Find the corners, normals and AABBs of all fixtures."""
     for i in range(world.n_links + 1):
         box = fixture_at(block, i)
-        broad_phase.orient(body_at(block, whole(box[FIXTURE_BODY])), box)
+        broad_phase.orient(body_at(block, load_whole(box, FIXTURE_BODY)), box)
 
 
 @inline
@@ -124,7 +117,7 @@ def synchronize_fixtures(block: Any, world: Any) -> None:
     moved = False
     for link in range(world.n_links):
         box = fixture_at(block, link)
-        moved = broad_phase.synchronize(body_at(block, whole(box[FIXTURE_BODY])), box) or moved
+        moved = broad_phase.synchronize(body_at(block, load_whole(box, FIXTURE_BODY)), box) or moved
     if moved:
         broad_phase.find_new_contacts(block)
 
@@ -133,8 +126,8 @@ def synchronize_fixtures(block: Any, world: Any) -> None:
 def begin_step(block: Any, world: Any, step: int) -> None:
     """Run the motors and the slush, collide, and prepare the island."""
     time = np.float32(step) * world.dt
-    for j in range(whole(block[N_JOINTS_HERE])):
-        kernels.command_motor(block, whole(joint_at(block, j)[LINK]) - 1, time, world.motor_gain)
+    for j in range(load_whole(block, N_JOINTS_HERE)):
+        kernels.command_motor(block, load_whole(joint_at(block, j), LINK) - 1, time, world.motor_gain)
     if world.slush:
         for link in range(world.n_links):
             submerge(block, link, world)
@@ -178,7 +171,7 @@ def take_step(team: Any, n_robots: int, world: Any, step: int) -> None:
 @inline
 def spawn(block: Any, world: Any) -> None:
     """Orient the bodies, place the links on them, and look for the first contacts."""
-    for b in range(whole(block[N_BODIES])):
+    for b in range(load_whole(block, N_BODIES)):
         body = body_at(block, b)
         body[Q_S], body[Q_C] = sincos(body[A])
         body[C_X], body[C_Y] = transform(body, body[CENTER_X], body[CENTER_Y])
