@@ -55,6 +55,7 @@ the one that the page films (where none survives True Slush, of the best where i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import ceil
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -146,7 +147,9 @@ def plan(settings: Settings) -> Sequence[Chain]:
         if settings.tank is not None:
             of_tank = {"environment": environment, "depth": depth, "tank": settings.tank.model_dump(mode="json")}
             label = tank_label(environment, depth)
-            chains.append(chain(TANK, label, arm, len(arm) * 3, "true_slush", **of_tank, **simulated))
+            n_steps = settings.tank.n_steps(settings.physics.time_step) + settings.rollout.n_settle
+            n_rollouts = 1 + 2 * n_steps / (settings.rollout.n_settle + settings.rollout.n_measure)  # land, wet and dry
+            chains.append(chain(TANK, label, arm, ceil(len(arm) * n_rollouts), "true_slush", **of_tank, **simulated))
     return chains
 
 

@@ -15,7 +15,7 @@ from pipeline.design_file import design_from
 from pipeline.manifest import Manifest
 from pipeline.provenance import environment as provenance
 from pipeline.report import Drawing, Replay, draw_all, render_gif, render_page, replay_of
-from pipeline.report.data import ENVIRONMENTS, Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.data import ENVIRONMENTS, Digest, Draws, ResidualError, StudyReport, TrialResult
 from pipeline.report.replay import Overlay, at_frames
 from pipeline.settings import EnvironmentName, Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
@@ -28,6 +28,7 @@ from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
 from tasks.analysis import acceleration, link_states
 from tasks.design import Designs
+from tasks.evolution import OPERATORS
 from tasks.simulation import OK, simulate
 from tasks.world import DryLand, TrueSlush
 
@@ -114,6 +115,8 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         residual_errors=_residual_errors(inputs),
         replays=[*replays, *in_tank],
         findings=found,
+        draws=_draws(inputs),
+        measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],
         set_aside=job.spec["set_aside"],
     )
@@ -152,6 +155,24 @@ def _trial_result(row: tuple[Any, float, int], inputs: Mapping[str, Files]) -> T
     }
     predicted = scores.get("predicted", np.nan)
     return TrialResult(environment, depth, trial, predicted, **measured, curve=np.concatenate(curves))
+
+
+def _draws(inputs: Mapping[str, Files]) -> list[Draws]:
+    """Add up the draws of all trials by operator, where some were rejected."""
+    curves = [
+        decode_table(files[segments.CURVE], schema="curve", version=1, source=name)
+        for name, files in inputs.items()
+        if name.startswith("evolve/")
+    ]
+    totals = [
+        Draws(
+            operator,
+            n_drawn=sum(int(curve[segments.drawn_column(operator)].sum()) for curve in curves),
+            n_rejected=sum(int(curve[segments.rejected_column(operator)].sum()) for curve in curves),
+        )
+        for operator in OPERATORS
+    ]
+    return [of for of in totals if of.n_rejected]
 
 
 def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:

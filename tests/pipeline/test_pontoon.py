@@ -153,6 +153,8 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     assert f"✓ trial {trial}" in text
     assert "Residual Slush, 2 m: 0 of 3 cross, 0 on the dry floor" in text
     assert "To build: evolved in Residual Slush" in page  # its films
+    assert re.search(r"did were drawn again: 100 % of [\d,]+ by random, \d+ % of [\d,]+ by mutation", text)
+    assert "as far to the right as they can in 1 seconds" in text
     # What is handed over is a design file like any other, of the champion itself.
     (champion,) = (store.read(upstream["transfer"].done[f"{ARM}/trial-{trial}"][-1], "champion.json"),)
     written = store.root / "studies" / "pontoon" / "report" / "proposed-residual_slush-2m.json"
