@@ -1,8 +1,9 @@
 """Which boxes may touch: Box2D 2.3's b2BroadPhase, b2DynamicTree and b2ContactManager, operation by operation.
 
-The tree only saves time: what it finds is every pair of fat AABBs that overlap, sorted by the proxies' numbers. Here all
-pairs that may collide at all are listed in that order beforehand. The world's list of contacts has the newest first, as
-have the lists of the bodies, which are parts of it; here it runs from the oldest to the newest, and is read backwards.
+The tree only saves time: what it finds is every pair of fat AABBs that overlap, sorted by the proxies' numbers. Here
+all pairs that may collide at all are listed in that order beforehand (b2ContactFilter::ShouldCollide and b2Body's have
+no more to say). The world's list of contacts has the newest first, as have the lists of the bodies, which are parts of
+it; here it runs from the oldest to the newest, and is read backwards.
 """
 
 from __future__ import annotations
@@ -10,20 +11,17 @@ from __future__ import annotations
 from typing import Any
 
 from tasks.simulation.bodies.polygons import update
-from tasks.simulation.bodies.records import body_at, contact_at, fixture_at, rotate, transform
+from tasks.simulation.bodies.records import bodies_of, contact_at, fixtures_of, rotate, transform
 from tasks.simulation.bodies.rows import (
     CENTROID_X,
     CENTROID_Y,
     CONTACT_BODY_A,
-    CONTACT_BODY_B,
     CONTACT_LIST,
     EXISTS,
     FAT_LOWER_X,
     FAT_LOWER_Y,
     FAT_UPPER_X,
     FAT_UPPER_Y,
-    FIXTURE_A,
-    FIXTURE_B,
     GROUND,
     LOWER_X,
     LOWER_Y,
@@ -87,8 +85,10 @@ def synchronize(body: Any, box: Any) -> bool:
     """b2Fixture::Synchronize and b2DynamicTree::MoveProxy: whether a box has left its fat AABB and got another one."""
     lower_x, lower_y, upper_x, upper_y = box[LOWER_X], box[LOWER_Y], box[UPPER_X], box[UPPER_Y]
     orient(body, box)
-    lower_x, lower_y = select(lower_x < box[LOWER_X], lower_x, box[LOWER_X]), select(lower_y < box[LOWER_Y], lower_y, box[LOWER_Y])
-    upper_x, upper_y = select(upper_x > box[UPPER_X], upper_x, box[UPPER_X]), select(upper_y > box[UPPER_Y], upper_y, box[UPPER_Y])
+    lower_x = select(lower_x < box[LOWER_X], lower_x, box[LOWER_X])
+    lower_y = select(lower_y < box[LOWER_Y], lower_y, box[LOWER_Y])
+    upper_x = select(upper_x > box[UPPER_X], upper_x, box[UPPER_X])
+    upper_y = select(upper_y > box[UPPER_Y], upper_y, box[UPPER_Y])
     if any_lane(
         (box[FAT_LOWER_X] <= lower_x)
         & (box[FAT_LOWER_Y] <= lower_y)
@@ -125,7 +125,7 @@ def find_new_contacts(block: Any) -> None:
     for k in range(load_whole(block, N_PAIRS)):
         contact = contact_at(block, k)
         if load_whole(contact, EXISTS) == 0:
-            box_a, box_b = fixture_at(block, load_whole(contact, FIXTURE_A)), fixture_at(block, load_whole(contact, FIXTURE_B))
+            box_a, box_b = fixtures_of(block, contact)
             if test_overlap(box_a, box_b):
                 store_whole(contact, EXISTS, 1)
                 store_whole(contact, POINT_COUNT, 0)
@@ -141,10 +141,10 @@ def collide(block: Any) -> None:
     for i in range(load_whole(block, N_CONTACTS)):
         k = load_whole(block, CONTACT_LIST + i)
         contact = contact_at(block, k)
-        box_a, box_b = fixture_at(block, load_whole(contact, FIXTURE_A)), fixture_at(block, load_whole(contact, FIXTURE_B))
+        box_a, box_b = fixtures_of(block, contact)
         if test_overlap(box_a, box_b):
-            body_a, body_b = body_at(block, load_whole(contact, CONTACT_BODY_A)), body_at(block, load_whole(contact, CONTACT_BODY_B))
-            update(contact, body_a, box_a, body_b, box_b, load_whole(contact, FIXTURE_A) == GROUND)
+            body_a, body_b = bodies_of(block, contact)
+            update(contact, body_a, box_a, body_b, box_b, load_whole(contact, CONTACT_BODY_A) == GROUND)
             store_whole(block, CONTACT_LIST + kept, k)
             kept += 1
         else:

@@ -14,7 +14,7 @@ from typing import Any
 
 from tasks.simulation import rows
 from tasks.simulation.bodies import contact_solver, revolute_joint
-from tasks.simulation.bodies.records import body_at, contact_at, joint_at, place, synchronize_transform
+from tasks.simulation.bodies.records import bodies_of, body_at, contact_at, joint_at, place, synchronize_transform
 from tasks.simulation.bodies.rows import (
     BODY_A,
     BODY_B,
@@ -110,7 +110,8 @@ def dissolve(block: Any) -> None:
 def island_contact(block: Any, i: int) -> Any:
     """Find a contact of the island and its two bodies."""
     contact = contact_at(block, load_whole(block, ISLAND_CONTACTS + i))
-    return contact, body_at(block, load_whole(contact, CONTACT_BODY_A)), body_at(block, load_whole(contact, CONTACT_BODY_B))
+    body_a, body_b = bodies_of(block, contact)
+    return contact, body_a, body_b
 
 
 @inline

@@ -120,7 +120,7 @@ def find_incident_edge(box_1: Any, edge: Any, body_2: Any, box_2: Any) -> Any:
 def clip_segment_to_line(
     x0: Any, y0: Any, id0: Any, x1: Any, y1: Any, id1: Any, normal_x: Any, normal_y: Any, offset: Any, vertex: Any
 ) -> Any:
-    """b2ClipSegmentToLine (b2Collision.cpp): the part of a segment behind a line; whether there is one, and its ends."""
+    """b2ClipSegmentToLine (b2Collision.cpp): whether a part of a segment is behind a line, and that part's ends."""
     distance_0 = normal_x * x0 + normal_y * y0 - offset
     distance_1 = normal_x * x1 + normal_y * y1 - offset
     behind_0, behind_1 = any_lane(distance_0 <= 0.0), any_lane(distance_1 <= 0.0)

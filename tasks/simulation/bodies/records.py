@@ -10,7 +10,11 @@ from tasks.simulation.bodies.rows import (
     C_Y,
     CENTER_X,
     CENTER_Y,
+    CONTACT_BODY_A,
+    CONTACT_BODY_B,
     CONTACTS,
+    FIXTURE_A,
+    FIXTURE_B,
     FIXTURES,
     JOINTS,
     N_BODY,
@@ -25,7 +29,7 @@ from tasks.simulation.bodies.rows import (
     Q_S,
     A,
 )
-from tasks.simulation.lanes import from_row, inline
+from tasks.simulation.lanes import from_row, inline, load_whole
 from tasks.simulation.rotation import sincos
 
 
@@ -45,6 +49,18 @@ def fixture_at(block: Any, index: Any) -> Any:
 def contact_at(block: Any, index: Any) -> Any:
     """Find a contact."""
     return from_row(block, CONTACTS + index * N_CONTACT)
+
+
+@inline
+def fixtures_of(block: Any, contact: Any) -> Any:
+    """Find the two fixtures of a contact."""
+    return fixture_at(block, load_whole(contact, FIXTURE_A)), fixture_at(block, load_whole(contact, FIXTURE_B))
+
+
+@inline
+def bodies_of(block: Any, contact: Any) -> Any:
+    """Find the two bodies of a contact."""
+    return body_at(block, load_whole(contact, CONTACT_BODY_A)), body_at(block, load_whole(contact, CONTACT_BODY_B))
 
 
 @inline

@@ -1,4 +1,4 @@
-"""Revolute joints with motors between two bodies: Box2D 2.3's b2RevoluteJoint, without limits, operation by operation."""
+"""Revolute joints with motors between two bodies: Box2D 2.3's b2RevoluteJoint, operation by operation; no limits."""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 The rows of rows.py hold what is a link's own: its state, its sizes, its controller, in the design's own numbering.
 Behind them are records of Box2D's things, one after the other: bodies (the ground is the last), fixtures (a link each,
-and the ground's), contacts (one for each pair of fixtures that may touch), joints; and lists of their numbers.
+and the ground's), contacts (one for each pair of fixtures that may touch), joints; and lists of their numbers. Numbers
+of things and how many there are lie as int32, all else as float32.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ MAX_CONTACTS = N_LINKS + N_LINKS * (N_LINKS - 1) // 2 - N_JOINTS
     MASS_OVER_INERTIA, WORLD_LEVER_X, WORLD_LEVER_Y, CHANGE_VX, CHANGE_VY, CHANGE_OMEGA,
 ) = range(rows.N_ROWS, rows.N_ROWS + 15 * N_LINKS, N_LINKS)  # fmt: skip
 
-# How many there are, and lists: contacts from the oldest to the newest, all and those
-# that touch; what the island search met; its stack.
+# How many there are, and lists: contacts from the oldest to the newest, all and those that touch; what the search
+# for the island met; its stack.
 N_BODIES, N_JOINTS_HERE, N_PAIRS, N_CONTACTS, N_ISLAND_CONTACTS, N_ISLAND_JOINTS = range(
     CHANGE_OMEGA + N_LINKS, CHANGE_OMEGA + N_LINKS + 6
 )
@@ -34,15 +35,16 @@ ISLAND_JOINTS = ISLAND_CONTACTS + MAX_CONTACTS
 STACK = ISLAND_JOINTS + N_JOINTS
 BODIES = STACK + N_LINKS + 1
 
-# A body (b2Body): centre of mass and angle, velocities, transform of its frame now and at the start of the step.
+# A body (b2Body): centre of mass and angle, velocities, transform of its frame; where the frame was at
+# the start of the step; mass, centre of mass in the frame; what a medium adds to the velocities.
 (
     C_X, C_Y, A, V_X, V_Y, W, P_X, P_Y, Q_C, Q_S, START_P_X, START_P_Y,
     INVERSE_MASS, INVERSE_INERTIA, CENTER_X, CENTER_Y, PUSH_VX, PUSH_VY, PUSH_OMEGA, N_BODY,
 ) = range(20)  # fmt: skip
 FIXTURES = BODIES + (N_LINKS + 1) * N_BODY
 
-# A fixture (b2Fixture, b2PolygonShape, b2FixtureProxy): its body; its fat AABB; its AABB now; its centroid in the body's
-# frame and in the world; its corners and edges, each quantity of all four: in the body's frame and in the world.
+# A fixture (b2Fixture, b2PolygonShape, b2FixtureProxy): its body; its fat AABB; its AABB now; its centroid in the
+# body's frame and in the world; its corners and edges, each quantity of all four: in the body's frame and in the world.
 (
     FIXTURE_BODY, FAT_LOWER_X, FAT_LOWER_Y, FAT_UPPER_X, FAT_UPPER_Y, LOWER_X, LOWER_Y, UPPER_X, UPPER_Y,
     CENTROID_X, CENTROID_Y, WORLD_CENTROID_X, WORLD_CENTROID_Y, VERTEX_X,
@@ -55,8 +57,8 @@ CONTACTS = FIXTURES + (N_LINKS + 1) * N_FIXTURE
 
 # A contact (b2Contact, b2Manifold, b2ContactVelocityConstraint) and each of its two points.
 (
-    FIXTURE_A, FIXTURE_B, CONTACT_BODY_A, CONTACT_BODY_B, EXISTS, POINT_COUNT, FACE_B, LOCAL_NORMAL_X, LOCAL_NORMAL_Y, LOCAL_POINT_X, LOCAL_POINT_Y,
-    N_X, N_Y, CONSTRAINT_POINTS, K_11, K_12, K_22, M_11, M_12, M_22, POINTS,
+    FIXTURE_A, FIXTURE_B, CONTACT_BODY_A, CONTACT_BODY_B, EXISTS, POINT_COUNT, FACE_B, LOCAL_NORMAL_X, LOCAL_NORMAL_Y,
+    LOCAL_POINT_X, LOCAL_POINT_Y, N_X, N_Y, CONSTRAINT_POINTS, K_11, K_12, K_22, M_11, M_12, M_22, POINTS,
 ) = range(21)  # fmt: skip
 (
     POINT_X, POINT_Y, ID, NORMAL_IMPULSE, TANGENT_IMPULSE, RA_X, RA_Y, RB_X, RB_Y, NORMAL_MASS, TANGENT_MASS, BIAS,
