@@ -177,7 +177,8 @@ def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
     depths = [depth for environment, depth, _ in settings.grid.trials() if environment == world]
     environment = _world(settings, world, float(np.median(depths or list(settings.grid.depths))))
     rng = np.random.default_rng(0)
-    designs = random_designs(afpo.population_size, rng)
+    morphology = settings.evolution.morphology
+    designs = random_designs(afpo.population_size, rng, morphology=morphology)
 
     def rollouts(n_steps: int) -> object:
         return simulate(
@@ -185,9 +186,10 @@ def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
         )
 
     def selection() -> object:
-        children = ask(NOBODY_YET, rng, afpo)
+        children = ask(NOBODY_YET, rng, afpo, morphology=morphology)
         population = tell(NOBODY_YET, children, rng.normal(size=afpo.population_size), rng, afpo)
-        return tell(population, ask(population, rng, afpo), rng.normal(size=afpo.population_size), rng, afpo)
+        more = ask(population, rng, afpo, morphology=morphology)
+        return tell(population, more, rng.normal(size=afpo.population_size), rng, afpo)
 
     n_all = settings.rollout.n_settle + settings.rollout.n_measure
     n_steps = min(FEWEST_STEPS, n_all)
