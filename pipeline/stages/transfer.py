@@ -65,7 +65,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         label = f"{chain.label}/score"
         if previous is not None:
             inputs[ADAPTED_TO] = Input(previous, (POPULATION,))
-    how = segments.how(settings)
+    how = segments.how(settings, "true_slush")
     return Item(stage=NAME, version=VERSION, label=label, spec=spec, inputs=inputs, how=how)
 
 
