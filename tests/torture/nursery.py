@@ -115,6 +115,9 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
     """Carry out a command, noting of each store what happened as it happens."""
     if "file_bytes" in command:
         resource.setrlimit(resource.RLIMIT_FSIZE, (command["file_bytes"],) * 2)
+    if "without" in command:
+        fsync, of_folders = disk.fsync, command["without"] == "fsync of folders"
+        disk.fsync = lambda path: None if path.is_dir() == of_folders else fsync(path)
     for root in map(Path, command["roots"]):
         if command.get("discard"):
             verify_lines(Store.open(root, create=False), discard=True, progress=Quiet([]), how_to_run=str)
@@ -201,6 +204,9 @@ def main(size: str) -> None:
     os.dup2(2, 1)  # whatever else prints, prints elsewhere
     for line in sys.stdin:
         command = json.loads(line)
+        if "settings" in command:
+            print(json.dumps({"settings": STUDIES[command["settings"]]}), file=answers, flush=True)
+            continue
         print(json.dumps(fork(command, ready(command.get("study", "tiny")))), file=answers, flush=True)
 
 
