@@ -144,7 +144,7 @@ def train_wildly(job: Job, inputs: Mapping[str, Files]) -> Files:
     """Learn, and then promise speeds whose squares no float holds."""
     files = STAGES[1].compute(job, inputs)
     arrays, _ = decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=WEIGHTS)
-    wild = {name: np.full_like(array, 1e18) for name, array in arrays.items()}
+    wild = {name: np.full_like(array, 1e20) for name, array in arrays.items()}
     weights = encode_arrays(wild, schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=job.key)
     return {**files, WEIGHTS: weights}
 

@@ -34,12 +34,12 @@ ROOT = Path(__file__).parents[2]
 
 EVOLUTION = """
 name: two-machines
-grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 6}
+grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 4}
 rollout: {n_settle: 5, n_measure: 300}
-evolution: {n_generations: 80, afpo: {population_size: 8}}
+evolution: {n_generations: 60, afpo: {population_size: 8}}
 work: {generations_per_item: 20, engine: reference}
 """
-"""Some dozen pieces of a core-second."""
+"""A dozen pieces of about a core-second."""
 
 DRIVER = """
 import dataclasses, json, sys, time
@@ -167,8 +167,9 @@ def on_machines_that_change(folder: Path, overrides: list[str], half_way: int) -
     with contextlib.ExitStack() as stack:
         first = stack.enter_context(machine(folder / "a", environment, f"--node-ip-address={here}", *head))
         wait_for(lambda: answers(here, port), first, folder / "a.log")
-        join = (f"--address={here}:{port}",)
-        second = stack.enter_context(machine(folder / "b", environment, *join))
+        # By addresses of their own, as machines have them: the driver is to work with the node beside it.
+        join = f"--address={here}:{port}"
+        second = stack.enter_context(machine(folder / "b", environment, join, "--node-ip-address=127.0.0.2"))
         told = json.dumps([EVOLUTION, overrides, f"{here}:{port}", str(store), str(log)])
         script = folder / "driver.py"
         script.write_text(DRIVER)
@@ -178,7 +179,7 @@ def on_machines_that_change(folder: Path, overrides: list[str], half_way: int) -
         stack.callback(driver.kill)
         wait_for(enough, driver, folder / "warned", 280)
         os.killpg(second.pid, signal.SIGKILL)
-        stack.enter_context(machine(folder / "c", environment, *join))
+        stack.enter_context(machine(folder / "c", environment, join, "--node-ip-address=127.0.0.3"))
         assert driver.wait(280) == 0, (folder / "warned").read_text()
     return json.loads((folder / "said").read_text().splitlines()[-1]), share_busy(log)
 
