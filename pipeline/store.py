@@ -298,7 +298,9 @@ class Store:
         """
         for prefix in self._names("items", check_name(stage, "stage")):
             for key in self._names("items", stage, prefix):
-                if _KEY.fullmatch(key) and os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
+                if not (_KEY.fullmatch(key) and key.startswith(prefix)):
+                    continue
+                if os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
                     yield key
 
     def item_bytes(self, stage: str, key: str) -> int:
