@@ -31,7 +31,7 @@ from tasks.design import Designs
 from tasks.simulation import OK, simulate
 from tasks.world import TrueSlush
 
-NAME, VERSION = "report", 2
+NAME, VERSION = "report", 3
 
 PAGE, REPLAY = "index.html", "replay.gif"
 
@@ -109,7 +109,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         replays=replays,
         findings=findings(inputs, assessed_depth=settings.assessed_depth),
         digests=[Digest(*row) for row in job.spec["digests"]],
-        set_aside=job.spec["set_aside"],
+        set_aside=[*job.spec["set_aside"], *_without_champion(settings, inputs)],
     )
     drawings = draw_all(report)
     files = {PAGE: render_page(report, drawings).encode()}
@@ -144,6 +144,17 @@ def _trial_result(row: tuple[Any, float, int], inputs: Mapping[str, Files]) -> T
     }
     predicted = scores.get("predicted", np.nan)
     return TrialResult(environment, depth, trial, predicted, **measured, curve=np.concatenate(curves))
+
+
+def _without_champion(settings: Settings, inputs: Mapping[str, Files]) -> list[str]:
+    """Name the trials that came to nothing."""
+    lines = []
+    for row in settings.grid.trials():
+        label = segments.trial_label(*row)
+        if f"transfer/{label}" in inputs:
+            status = decode_json(inputs[f"transfer/{label}"][SCORE], label)["status"]
+            lines += [f"evolve: {label} {status}"] if status != "ok" else []
+    return lines
 
 
 def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:

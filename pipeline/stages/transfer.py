@@ -121,6 +121,11 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
                 if values:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
             lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
+    lines += [
+        f"{segments.trial_label(row['environment'], row['depth'], row['trial'])}: {row['status']}"
+        for row in rows
+        if row["status"] != "ok"
+    ]
     trials = [
         TrialSummary(
             name=segments.trial_label(row["environment"], row["depth"], row["trial"]),

@@ -71,6 +71,8 @@ stage = dataclasses.replace(STAGES[2], compute=noted(STAGES[2].compute))
 store = Store.open(__import__("pathlib").Path(store), create=True)
 walks = follow(stage, settings, store, {}, say=print)
 with ray_cluster(address) as cluster:
+    while cluster.n_cores < 2:
+        time.sleep(0.1)
     run_stage(settings, stage, walks, {}, store=store, cluster=cluster, bar=Bar(), say=print)
 done = results_of(stage, walks)
 print(json.dumps({label: [m.digest for m in chain] for label, chain in done.done.items()}))
@@ -162,7 +164,8 @@ def on_machines_that_change(folder: Path, overrides: list[str], half_way: int) -
     head = (f"--port={port}", "--head", "--include-dashboard=false", f"--ray-client-server-port={free_port()}")
 
     def enough() -> bool:
-        return len(list(store.glob("items/evolve/*/*/manifest.json"))) >= half_way
+        kept = len(list(store.glob("items/evolve/*/*/manifest.json")))
+        return kept >= half_way and len(share_busy(log)) == 2
 
     with contextlib.ExitStack() as stack:
         first = stack.enter_context(machine(folder / "a", environment, f"--node-ip-address={here}", *head))
