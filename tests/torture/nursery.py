@@ -150,7 +150,8 @@ def study(settings: Settings, root: Path, answer: dict[str, Any]) -> None:
         pipeline.study.compute_item, Store.commit = look_up, commit
     answer["effects"] = list(volatile.effects())
     answer["tree"] = tree(root)
-    answer["wrong"] = [str(error) for error in find_damage(Store.open(root, create=False))]
+    is_store = (root / "store.json").exists()  # or there was no room even for that
+    answer["wrong"] = [str(error) for error in find_damage(Store.open(root, create=False))] if is_store else []
 
 
 def fork(command: dict[str, Any], settings: Settings) -> dict[str, Any]:

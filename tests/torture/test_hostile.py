@@ -124,7 +124,7 @@ JSON = st.recursive(
 
 
 def test_a_manifest_that_a_stranger_sealed(torture):
-    n_examples = torture.times(300, 20_000)
+    n_examples = torture.times(300, 3000)
 
     @settings(max_examples=n_examples, deadline=None, database=None)
     @given(body=st.fixed_dictionaries({}, optional=dict.fromkeys(
