@@ -79,14 +79,25 @@ def place(path: Path, data: bytes) -> None:
     """Put a file in its place: whole under its name, or not there at all, whatever happens meanwhile.
 
     Callers hold a lock on the folder: the temporary file's name is always the same, so that an interrupted call leaves
-    at most one, which the next call writes over.
+    at most one, which the next call writes over. What is in its place already is not written again: there may be no
+    room for it twice.
     """
+    if _holds(path, data):
+        fsync(path.parent)
+        return
     write(temporary(path), data)
     fsync(temporary(path))
     if digest(read(temporary(path), at_most=len(data))) != digest(data):
         raise PuddleError(f"{path}: expected the bytes just written, came others. Check the disk before going on.")
     rename(temporary(path), path)
     fsync(path.parent)
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return read(path, at_most=len(data)) == data
+    except OSError:
+        return False
 
 
 def make_folders(root: Path, folder: Path) -> None:
@@ -181,7 +192,8 @@ def explained(doing: str, path: Path) -> Iterator[None]:
                 advice = "Allow it (permissions, a read-only disk), or choose another place for the store."
             case _:
                 advice = "Mend the cause and give the same command again: it goes on from there."
-        where = f" ({error.filename})" if error.filename else ""
+        file = error.filename2 or error.filename  # of a rename, the name that was wanted
+        where = f" ({file})" if file else ""
         raise PuddleError(
             f"{path}: {doing} failed: {error.strerror or error}{where}. Whatever was kept before is safe. {advice}"
         ) from error

@@ -123,6 +123,8 @@ class Store:
                         f"Give the folder of an existing store, or run a study to make one."
                     )
                 cls._create(root)
+            for name in ("mlflow.db", "mlflow.lock", "mlartifacts"):  # MLflow would follow a link
+                disk.inside(root, name)
             path = disk.inside(root, "store.json")
             try:
                 decode_sealed(disk.read_document(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
@@ -296,7 +298,9 @@ class Store:
         """
         for prefix in self._names("items", check_name(stage, "stage")):
             for key in self._names("items", stage, prefix):
-                if _KEY.fullmatch(key) and os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
+                if not (_KEY.fullmatch(key) and key.startswith(prefix)):
+                    continue
+                if os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
                     yield key
 
     def item_bytes(self, stage: str, key: str) -> int:
@@ -370,6 +374,10 @@ class Store:
             body = decode_sealed(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
             items = tuple(StudyItem(*item) for item in body["items"])
             set_aside = tuple(SetAside(*lost) for lost in body.get("set_aside", ()))  # early stores have none
+            if not isinstance(body["settings"], dict) or not all(_is_item(item) for item in items):
+                raise DamagedArtifact("it is well sealed, and they are none")  # whoever seals may be anyone
+            if not all(isinstance(word, str) for lost in set_aside for word in (lost.stage, lost.label, lost.why)):
+                raise DamagedArtifact("it is well sealed, and what was set aside has no names")
             if body["name"] != name:
                 raise DamagedArtifact(f"came those of study {body['name']}")
             return StudyRecord(name, body["settings"], items, set_aside)
@@ -482,6 +490,13 @@ class Store:
                 return sorted(path.name for path in folder.iterdir() if _NAME.fullmatch(path.name) and _is_folder(path))
             except FileNotFoundError:
                 return []
+
+
+def _is_item(item: StudyItem) -> bool:
+    """Tell whether what a record lists can be an item."""
+    if not all(isinstance(word, str) for word in (item.stage, item.label, item.key)):
+        return False
+    return _NAME.fullmatch(item.stage) is not None and _KEY.fullmatch(item.key) is not None
 
 
 def size_bytes(folder: Path) -> int:

@@ -46,7 +46,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         label=f"{chain.label}/segment-{index}",
         spec={**chain.spec, **generations},
         inputs=inputs,
-        how=segments.how(settings),
+        how=segments.how(settings, chain.spec["world"]),
     )
 
 

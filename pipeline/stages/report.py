@@ -32,7 +32,7 @@ from tasks.evolution import OPERATORS
 from tasks.simulation import OK, simulate
 from tasks.world import DryLand, TrueSlush
 
-NAME, VERSION = "report", 2
+NAME, VERSION = "report", 3
 
 PAGE, REPLAY = "index.html", "replay.gif"
 
@@ -118,7 +118,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         draws=_draws(inputs),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],
-        set_aside=job.spec["set_aside"],
+        set_aside=[*job.spec["set_aside"], *_without_champion(settings, inputs)],
     )
     drawings = draw_all(report)
     files = {PAGE: render_page(report, drawings).encode()}
@@ -173,6 +173,17 @@ def _draws(inputs: Mapping[str, Files]) -> list[Draws]:
         for operator in OPERATORS
     ]
     return [of for of in totals if of.n_rejected]
+
+
+def _without_champion(settings: Settings, inputs: Mapping[str, Files]) -> list[str]:
+    """Name the trials that came to nothing."""
+    lines = []
+    for row in settings.grid.trials():
+        label = segments.trial_label(*row)
+        if f"transfer/{label}" in inputs:
+            status = decode_json(inputs[f"transfer/{label}"][SCORE], label)["status"]
+            lines += [f"evolve: {label} {status}"] if status != "ok" else []
+    return lines
 
 
 def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:

@@ -93,9 +93,14 @@ def generations_of(settings: Settings, n_generations: int, index: int) -> dict[s
     return {"first_generation": sum(lengths[:index]), "n_generations": lengths[index]}
 
 
-def how(settings: Settings) -> Spec:
-    """Say how rollouts are computed, which does not change what they are."""
-    return {"engine": settings.work.engine, "designs_per_batch": settings.work.designs_per_batch}
+def how(settings: Settings, world: EnvironmentName) -> Spec:
+    """Say how rollouts in a world are computed, which does not change what they are.
+
+    Only what is slow is split into batches: without networks the batch engine takes milliseconds for a generation,
+    which is less than handing out its parts would take.
+    """
+    slow = world in RESIDUAL_ENVIRONMENTS or settings.work.engine == "reference"
+    return {"engine": settings.work.engine, "designs_per_batch": settings.work.designs_per_batch if slow else None}
 
 
 def world_inputs(settings: Settings, world: EnvironmentName, trial: int, upstream: Upstream) -> dict[str, Input]:

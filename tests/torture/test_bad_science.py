@@ -22,19 +22,19 @@ import pipeline.driver
 import pipeline.stages
 import pipeline.status
 import pipeline.study
-from pipeline.artifacts import decode_arrays, decode_json, encode_arrays
+from pipeline.artifacts import decode_json
 from pipeline.cli import main
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.settings import Settings
 from pipeline.stage import Files, Job, Stage
-from pipeline.stages import STAGES
+from pipeline.stages import STAGES, segments
 from pipeline.stages.collect import read_transitions
-from pipeline.stages.segments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS
 from pipeline.stages.transfer import SCORE
 from pipeline.store import Store
 from tasks.residual import Architecture, Training
 from tasks.residual.training import train_member
+from tasks.world import Slush, TrueSlush
 
 ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # the workers can't import a test
 
@@ -140,23 +140,16 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
     assert "set aside" not in capsys.readouterr().out
 
 
-def train_wildly(job: Job, inputs: Mapping[str, Files]) -> Files:
-    """Learn, and then promise speeds that no float holds."""
-    files = STAGES[1].compute(job, inputs)
-    arrays, _ = decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=WEIGHTS)
-    wild = {name: np.full_like(array, 1e30) if "bias" in name else array for name, array in arrays.items()}
-    weights = encode_arrays(wild, schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=job.key)
-    return {**files, WEIGHTS: weights}
-
-
 def test_trials_whose_every_design_diverges_complete_and_say_so(monkeypatch, tmp_path):
-    stages = injected(monkeypatch, train=train_wildly)
-    overrides = ("grid.environments=[residual_slush]", "grid.n_trials=1")
+    """A medium whose drag is no number: every rollout diverges, and only that."""
+    wild = Slush.model_construct(**{**Slush().model_dump(), "linear_drag": np.nan})
+    monkeypatch.setattr(segments, "world_of", lambda spec, inputs: TrueSlush(depth=spec["depth"], slush=wild))
+    overrides = ("grid.environments=[dry_land]", "grid.n_trials=1")
     settings = parse(Settings, TINY, name="tiny", overrides=overrides)
     store = Store.open(tmp_path / "store", create=True)
     upstream = {}
     with serial_cluster() as cluster:
-        for stage in stages:
+        for stage in STAGES:
             walks = pipeline.study.follow(stage, settings, store, upstream, say=print)
             pipeline.study.run_stage(
                 settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=print

@@ -46,6 +46,8 @@ def damage(path: Path, others: list[Path], rng: np.random.Generator) -> list[Pat
     """Damage a file, or swap it with another; return the files that are not what they were."""
     good = path.read_bytes()
     kind = rng.choice(["flip", "flip", "flip", "cut", "more", "zeros", "gone", "folder", "swap"])
+    if kind == "folder" and "items" not in path.parts:
+        kind = "gone"  # a folder where the report should be is somebody's: the study says so and stops
     bad = bytearray(good)
     match kind:
         case "flip":

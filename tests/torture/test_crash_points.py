@@ -1,7 +1,8 @@
 """A study may die at any effect on the disk, or lose its power there, and ends in the same bytes.
 
 A process that dies after an effect leaves what one leaves that dies before the next. So every point is tried, always,
-with a real process that ends there; the power goes at every point too, and takes with it what was not synced.
+with a real process that ends there. The power goes too, at every point with --torture, and takes with it what was not
+synced.
 """
 
 import shutil
@@ -50,11 +51,10 @@ def test_the_process_dies_half_way_through_any_write(torture, nursery, undisturb
 def test_the_power_goes_before_any_effect(torture, nursery, undisturbed, place, loses):
     """What was not synced is lost: all of it; the contents alone, or the names alone; or some of it, by chance.
 
-    In small numbers the last three go through every fourth point.
+    In small numbers the first goes through every other point, the last three through every eighth.
     """
-    n_effects = len(undisturbed["effects"])
-    points = range(0 if loses == "all" else int(torture.rng().integers(4)), n_effects, 1 if loses == "all" else 4)
-    points = range(n_effects) if torture.large else points
+    n_effects, every = len(undisturbed["effects"]), 1 if torture.large else 2 if loses == "all" else 8
+    points = range(int(torture.rng().integers(every)), n_effects, every)
     torture.times(len(points), len(points))
     faults = [
         {"kind": "power", "at": at, "loses": loses, "seed": int(torture.rng().integers(2**32)) + at} for at in points

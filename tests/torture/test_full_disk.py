@@ -91,7 +91,7 @@ def test_the_command_says_it_and_ends_with_2(torture, tmp_path):
     mount(tmp_path, "size=16k", "-t", "tmpfs")
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "pipeline", "study", "--preset", "smoke", "--workers", "0", "--store", tmp_path / "store"],
+            [sys.executable, "-m", "pipeline", "study", "--preset=smoke", "--workers=0", "--store", tmp_path / "store"],
             capture_output=True, text=True, cwd=Path(__file__).parents[2], env={**os.environ, "OMP_NUM_THREADS": "1"},
         )  # fmt: skip
     finally:
