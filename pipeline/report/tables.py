@@ -59,10 +59,13 @@ def against_paper(findings: Findings) -> str:
             table += f"<details><summary>{len(folded)} {name}{gist}</summary>{rest}</details>"
     return (
         f'<div id="against_paper"><h3>Against the paper: {_verdicts(rows)}</h3>{table}'
-        '<p class="small">A number agrees where the paper’s lies in the 95 % prediction interval of this run: the '
-        "range into which a repeat of this run with the paper’s number of trials would fall. Fewer "
-        "trials than the paper’s "
-        "make large p-values easy and small ones hard, so what they fail to show is not comparable.</p></div>"
+        '<p class="small">Under this run’s number stands its 95 % interval: how well these trials or designs know it '
+        "(of means Student’s t, of ratios and regressions the bootstrap, which draws whole trials). A number agrees "
+        "where the paper’s lies in the wider 95 % prediction interval, under “Why”: the range into which a repeat of "
+        "this run with as many trials as the paper’s would fall. What the paper gives as a range over members agrees "
+        "where this run’s median member is in it. A t test agrees where its p is on the paper’s side of the paper’s "
+        "threshold; fewer trials than the paper’s make large p-values easy and small ones hard, so what they fail to "
+        "show is not comparable.</p></div>"
     )
 
 
@@ -79,7 +82,7 @@ def _paper_cells(row: Row) -> list[str]:
     return [
         f"{escape(row.what)}<small>{escape(row.source)}</small>",
         escape(row.paper),
-        escape(row.this_run),
+        escape(row.this_run) + (f"<small>{escape(row.interval)}</small>" if row.interval else ""),
         f'<span class="verdict {kind}"><span aria-hidden="true">{MARKS[row.verdict]}</span> {row.verdict}</span>',
         escape(row.why),
     ]

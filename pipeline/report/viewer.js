@@ -120,9 +120,15 @@
     draw();
   }
 
+  // The same robot in its other world: where it evolved, or True Slush. One that evolved in True Slush has none.
+  function twinOf(one) {
+    return replays.find((other) => other !== one && ["title", "environment", "depth"].every((name) => other[name] === one[name]));
+  }
+
   function choose() {
-    const chosen = [control("choice").value, control("beside").value].filter((value) => value !== "");
-    state.panes = chosen.map((value) => replays[Number(value)]);
+    const one = replays[Number(control("choice").value)], beside = control("beside").value;
+    const other = beside === "twin" ? twinOf(one) : beside && replays[Number(beside)];
+    state.panes = other ? [one, other] : [one];
     state.time = 0;
     draw();
   }

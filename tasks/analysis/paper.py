@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ from numpy.random import Generator
 from tasks.analysis.comparison import BEST, Arm, ratio, student
 from tasks.analysis.prediction import Regression, mean_less_deviations
 from tasks.analysis.scores import Scores
-from tasks.analysis.uncertainty import Estimate, finite, mean
+from tasks.analysis.uncertainty import Estimate, Float64, bootstrap, finite, is_constant, mean
 
 Verdict = Literal["agrees", "differs", "not comparable"]
 Claim = Literal["less", "greater", "no difference"]
@@ -126,6 +127,11 @@ class Row:
     why: str
     value: float | None = None
     """This run's, in the unit of ``what``; a p-value for a statement."""
+    interval: str = ""
+    """The 95 % interval of this run's number, as ``this_run`` writes it; empty where there is none."""
+    low: float | None = None
+    high: float | None = None
+    """Its ends."""
 
 
 def against_paper(scores: Scores, accuracy: Sequence[Regression], *, rng: Generator) -> tuple[Row, ...]:
@@ -138,7 +144,7 @@ def against_paper(scores: Scores, accuracy: Sequence[Regression], *, rng: Genera
     """
     rows = [_mean_row(scores, arm, *stated) for arm, stated in MEANS.items()]
     rows += [_ratio_row(scores, arm, *stated, rng) for arm, stated in RATIOS.items()]
-    rows += [_variation_row(scores)]
+    rows += [_variation_row(scores, rng)]
     rows += [_range_row(accuracy, figure, *stated) for figure, stated in RANGES.items()]
     rows += [_aggregate_row(accuracy, *key, *stated) for key, stated in AGGREGATES.items()]
     rows += [_statement_row(scores, statement, depth) for statement in STATEMENTS for depth in statement.depths]
@@ -207,7 +213,19 @@ def _number_row(
         f"a repeat with {n_paper} {unit} would give {form.format(low)} to {form.format(high)}, "
         f"judged by the spread of this run's {n}"
     )
-    return Row(what, paper, source, form.format(found.value), "agrees" if agrees else "differs", why, found.value)
+    this_run, verdict = form.format(found.value), _agrees(agrees)
+    return Row(what, paper, source, this_run, verdict, why, found.value, *_interval(found, form))
+
+
+def _agrees(holds: bool) -> Verdict:
+    return "agrees" if holds else "differs"
+
+
+def _interval(found: Estimate, form: str) -> tuple[str, float | None, float | None]:
+    """Write an estimate's interval, and give its ends."""
+    if found.low is None or found.high is None:
+        return "", None, None
+    return f"{form.format(found.low)} to {form.format(found.high)}", found.low, found.high
 
 
 def _range_row(
@@ -224,22 +242,35 @@ def _range_row(
     inside = low <= median <= high
     why = f"the median of {len(known)} members is {median:.2f}"
     this_run = f"{min(known):.2f} to {max(known):.2f}"
-    return Row(what, paper, source, this_run, "agrees" if inside else "differs", why, median)
+    return Row(what, paper, source, this_run, _agrees(inside), why, median)
 
 
-def _variation_row(scores: Scores) -> Row:
+def _variation_row(scores: Scores, rng: Generator) -> Row:
     """Say whether champions of single members differ more from each other than those of the ensemble."""
     what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
     paper, source = "above 1", '"very high variation in fitness across independent trials", Evolution'
     single, ensemble = (
         finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush")
     )
-    if min(len(single), len(ensemble)) < 2 or ensemble.std() == 0:
+    if min(len(single), len(ensemble)) < 2 or is_constant(ensemble):
         why = f"{len(single)} and {len(ensemble)} trials, expected 2 or more of both, not all equal"
         return Row(what, paper, source, "-", "not comparable", why)
-    found = float(single.std(ddof=1) / ensemble.std(ddof=1))
+    # A deviation is a function of the means of x and x², once x is centred so that no digits are lost.
+    moments = [np.stack((x - x.mean(), (x - x.mean()) ** 2), axis=1) for x in (single, ensemble)]
+    spread = "the ensemble's champions all go equally far"
+    found = bootstrap(partial(_deviations_ratio, len(single), len(ensemble)), *moments, rng=rng, undefined=spread)[0]
+    assert found.value is not None
     why = f"{len(single)} and {len(ensemble)} trials; the paper gives no number"
-    return Row(what, paper, source, f"{found:.2f}", "agrees" if found > 1 else "differs", why, found)
+    this_run, verdict = f"{found.value:.2f}", _agrees(found.value > 1)
+    return Row(what, paper, source, this_run, verdict, why, found.value, *_interval(found, "{:.2f}"))
+
+
+def _deviations_ratio(n: int, m: int, single: Float64, ensemble: Float64) -> Float64:
+    """Divide the sample deviations of n and m values, given (..., 2) means of x and x²: (..., 1)."""
+    variances = [
+        size / (size - 1) * (means[..., 1] - means[..., 0] ** 2) for size, means in ((n, single), (m, ensemble))
+    ]
+    return np.sqrt(variances[0] / np.where(variances[1] > 0, variances[1], np.nan))[..., None]
 
 
 def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:
