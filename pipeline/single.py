@@ -11,8 +11,8 @@ import numpy as np
 from pipeline import disk
 from pipeline.design_file import read_design
 from pipeline.errors import PuddleError
-from pipeline.report.data import ENVIRONMENTS as STYLES
 from pipeline.report import render_gif, render_mp4, replay_of
+from pipeline.report.data import ENVIRONMENTS as STYLES
 from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import MissingInputs
 from pipeline.stages import STAGES

@@ -208,6 +208,13 @@ class _Dispatcher:
         item = _next_item(self._stage, self._settings, walk, self._upstream)
         contents = [self._contents(source) for source in item.inputs.values()]
         batched = item.how.get("designs_per_batch") is not None
+        n_gpus = float(item.how.get("n_gpus", 0))
+        if n_gpus and not self._cluster.n_gpus:  # Ray would wait for one for ever
+            raise PuddleError(
+                f"{item.stage} of {item.label} is to run on a GPU, and there is none here. Expected one that torch or "
+                f"Ray finds; give --address of a cluster that has one, or choose cores (--set training.device=cpu: "
+                f"other low bits, so other networks)."
+            )
         ticket = self._cluster.submit(
             compute_item,
             self._stage.compute,
@@ -215,6 +222,7 @@ class _Dispatcher:
             tuple(item.inputs),
             *contents,
             n_cores=0.0 if batched else 1.0,
+            n_gpus=n_gpus,
             name=f"{item.stage} {item.label}",
         )
         self._running[ticket] = (walk, item)

@@ -18,8 +18,8 @@ from PIL import Image, ImageDraw, ImageFont
 from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.replay import Replay
 
-WIDTH = 600
-"""Of the picture [pixel]."""
+WIDTH = 640
+"""Of the picture [pixel]. A multiple of 128, so that no row of an MP4's planes has padding, see mp4.py."""
 LANE_HEIGHT = 240
 """Of each robot's part of it [pixel]."""
 OVERSAMPLING = 2
@@ -100,7 +100,7 @@ def palette(replays: Sequence[Replay]) -> list[Rgb]:
 
 
 def _cameras(replays: Sequence[Replay], poses: Sequence[Points], *, window: int) -> list[_Camera]:
-    """Choose one scale for all lanes, and a camera for each that follows its robot evenly over a window to each side."""
+    """Choose one scale for all lanes, and a camera for each that follows its robot, evened out over a window."""
     extents = [_vertical_extent(replay, pose) for replay, pose in zip(replays, poses, strict=True)]
     height = float(np.clip(max(high - low for low, high in extents) + 2 * MARGIN, *VIEW_HEIGHT))
     scale = OVERSAMPLING * (LANE_HEIGHT - CAPTION_HEIGHT) / height

@@ -35,7 +35,7 @@ def gallery(replays: Sequence[Replay]) -> str:
         if replay.environment == environment and replay.in_true_slush
     )
     if not shown:
-        return absent("The gallery", "no champion that evolved with residuals or on Dry Land has been filmed in True Slush yet")
+        return absent("The gallery", "no champion evolved with residuals or on Dry Land has been filmed in slush yet")
     cards = []
     for depth, group in groupby(shown, key=lambda entry: entry[0]):
         films = "".join(_film(replays[index], index) for _, _, index in group)
@@ -64,7 +64,7 @@ def viewer(replays: Sequence[Replay]) -> str:
     numbered = sorted(enumerate(replays), key=lambda item: item[1].depth)
     # The first thing to see is what the study is about: a robot evolved with residuals, where they matter most, and
     # beside what it does what it promised.
-    chosen, _ = max(numbered, key=lambda item: (item[1].environment == "residual_slush", item[1].in_true_slush, item[1].depth))
+    chosen, _ = max(numbered, key=lambda item: _interest(item[1]))
     overlays = dict.fromkeys(overlay.label for replay in replays for overlay in replay.overlays)
     colors = "".join(f'<option value="{escape(label)}">{escape(label)}</option>' for label in overlays)
     pushes = any(replay.push is not None for replay in replays)
@@ -88,6 +88,10 @@ def viewer(replays: Sequence[Replay]) -> str:
 <p class="small">The root link, whose way is measured, is darker and bears a black dot; joints are white dots. The
 number is how far the root has come since the clock started, once the robot had
 settled.{_twin_words(replays)}{_overlay_words(overlays)}</p>"""
+
+
+def _interest(replay: Replay) -> tuple[bool, bool, float]:
+    return replay.environment == "residual_slush", replay.in_true_slush, replay.depth
 
 
 def _twin_words(replays: Sequence[Replay]) -> str:

@@ -1,7 +1,8 @@
 """Replays as an MP4, for browsers, phones and slides: H.264 in yuv420p, which all of them play.
 
-Encoded by x264 through PyAV on one thread, because the number of threads changes what x264 writes: the same replays
-give the same bytes, for one version of PyAV.
+Encoded by x264 through PyAV on one thread, because the number of threads changes what x264 writes; and with rows whose
+lengths are multiples of 64 bytes, because FFmpeg pads others with whatever was in memory, and one film in ten of 600 or
+608 pixels then came out different. So the same replays give the same bytes, for one version of PyAV.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ def render_mp4(replays: Sequence[Replay]) -> bytes:
     drawn = pictures(replays, FPS)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.mp4"
-        # The index goes to the front, so that a browser plays before it has everything; that needs a file to go back in.
+        # The index goes to the front, so that a browser can begin at once; to go back there takes a file.
         with av.open(path, "w", options={"movflags": "+faststart"}) as container:
             stream = container.add_stream("libx264", rate=FPS, options={"crf": str(QUALITY), "threads": "1"})
             stream.width, stream.height, stream.pix_fmt = WIDTH, LANE_HEIGHT * len(replays), "yuv420p"

@@ -48,8 +48,8 @@ def replays_of(spec: Spec, how: Spec, inputs: Mapping[str, Files]) -> list[Repla
     for environment, depth in arms_of(spec["trials"]):
         arm = champions([row for row in spec["trials"] if tuple(row[:2]) == (environment, depth)], inputs)
         said = inputs.get(f"analyse/{arm_label(environment, depth)}", {})
-        for film in film_arm(spec, how, arm, networks):
-            replays.append(_replay(spec, film, _overlays(spec, film, said), networks))
+        films = film_arm(spec, how, arm, networks)
+        replays += [_replay(spec, film, _overlays(spec, film, said), networks) for film in films]
     return replays
 
 

@@ -59,7 +59,8 @@ def plan(settings: Settings) -> Sequence[Chain]:
         spec = {**seen, "trials": [list(trial) for trial in of], "together": together}
         return Chain(f"{FILMS}/{label}", (n_films * pictures,), spec)
 
-    chains = [Chain(label=PAGE, units=(PICTURES_OF_PAGE,), spec={"settings": whole, "trials": [list(t) for t in trials]})]
+    page = {"settings": whole, "trials": [list(trial) for trial in trials]}
+    chains = [Chain(PAGE, (PICTURES_OF_PAGE,), page)]
     for environment, depth in arms_of(trials):
         arm = [trial for trial in trials if trial[:2] == (environment, depth)]
         n_films = 1 if environment == "true_slush" else 2
