@@ -128,7 +128,7 @@ def _films(job: Job, inputs: Mapping[str, Files]) -> Files:
     if job.spec["together"]:
         above = sorted((r for r in replays if r.in_true_slush), key=lambda r: r.environment != "residual_slush")
         named = {TOGETHER: above[:2]} if above else {}
-    files = {}
+    files: dict[str, bytes] = {}
     for name, shown in named.items():
         files |= {f"{name}.gif": render_gif(shown), f"{name}.mp4": render_mp4(shown)}
     listed = {name: [f"{one.title}, in {one.world}, {one.depth:g} m" for one in shown] for name, shown in named.items()}
