@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.artifacts import encode_table
+from pipeline.errors import PuddleError
+from pipeline.report import render_gif, render_mp4, replay_of
+from pipeline.report.replay import STEPS_PER_SECOND
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Chain, Results, Stage
 from pipeline.stages import STAGES
@@ -22,7 +25,7 @@ from tasks.design import random_designs
 from tasks.evolution import NOBODY_YET, Evaluation, ask, evolve, tell
 from tasks.residual import OBSERVATION, initial_states, simulate_throws
 from tasks.simulation import simulate
-from tasks.world import Environment, ResidualSlush
+from tasks.world import DryLand, Environment, ResidualSlush
 
 if TYPE_CHECKING:
     from tasks.residual.ensemble import Ensemble
@@ -45,6 +48,8 @@ class Rates:
     generation: Mapping[EnvironmentName, float]
     """By the world in which designs are simulated."""
     population_size: int
+    picture: float
+    """Of a film, as GIF and as MP4."""
     bytes_per_design: float
     """What a trial's history keeps of each evaluated design [bytes]."""
 
@@ -80,7 +85,15 @@ def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
     for world in worlds:
         say(f"timing a generation in {world.replace('_', ' ')}")
         generation[world] = _time_of_generation(settings, world)
-    return Rates(throw, iteration, generation, settings.evolution.afpo.population_size, _bytes_per_design(settings))
+    say("timing a film")
+    return Rates(
+        throw,
+        iteration,
+        generation,
+        settings.evolution.afpo.population_size,
+        _time_of_picture(settings),
+        _bytes_per_design(settings),
+    )
 
 
 def forecast(
@@ -113,7 +126,9 @@ def _price(stage: Stage, chain: Chain, rates: Rates) -> float:
             return rates.rollout("true_slush") + rates.rollout("residual_slush")
         case "analyses":
             return float(chain.spec["n_rollouts"]) * rates.rollout(chain.spec["world"])
-    return 0.0  # the report: seconds, whatever the study
+        case "pictures":
+            return rates.picture
+    raise ValueError(f"stage {stage.name}: its work is counted in {stage.unit}, which has no price")
 
 
 def _seconds(function: Callable[[], object]) -> float:
@@ -131,20 +146,23 @@ def _time_of_throw(settings: Settings) -> float:
 
 
 def _time_of_iteration(settings: Settings) -> float:
-    from tasks.residual.training import train_member
+    from tasks.residual.training import NoDevice, train_member
 
     throws = settings.throws.model_copy(update={"n_throws": N_CALIBRATION_THROWS})
     starts = initial_states(throws, np.random.default_rng(0))
     transitions = simulate_throws(starts, throws.n_steps, settings.slush, settings.physics)
     times: list[float] = []
-    train_member(
-        transitions,
-        settings.network,
-        settings.training.model_copy(update={"n_iterations": 2 * N_CALIBRATION_ITERATIONS}),
-        seed=0,
-        member=0,
-        on_progress=lambda iteration, loss: times.append(time.perf_counter()),
-    )
+    try:
+        train_member(
+            transitions,
+            settings.network,
+            settings.training.model_copy(update={"n_iterations": 2 * N_CALIBRATION_ITERATIONS}),
+            seed=0,
+            member=0,
+            on_progress=lambda iteration, loss: times.append(time.perf_counter()),
+        )
+    except NoDevice as missing:
+        raise PuddleError(f"{missing}: what a GPU does can be timed only where there is one") from None
     return (times[-1] - times[N_CALIBRATION_ITERATIONS - 1]) / N_CALIBRATION_ITERATIONS
 
 
@@ -194,6 +212,26 @@ def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
     while (seconds := _seconds(partial(rollouts, n_steps))) < ENOUGH_SECONDS and n_steps < n_all:
         n_steps = min(4 * n_steps, n_all)
     return seconds * n_all / n_steps + _seconds(selection)
+
+
+def _time_of_picture(settings: Settings) -> float:
+    """Film a random design for a second."""
+    design = random_designs(1, np.random.default_rng(0))
+    rollouts = simulate(
+        design, DryLand(0.0), n_settle=0, n_measure=STEPS_PER_SECOND, engine=settings.work.engine, trace=True
+    )
+    assert rollouts.trace is not None
+    replay = replay_of(
+        design,
+        rollouts.trace[0],
+        title="a film",
+        environment="dry_land",
+        world="Dry Land",
+        depth=0.0,
+        has_medium=False,
+        n_settle=0,
+    )
+    return _seconds(lambda: (render_gif([replay]), render_mp4([replay]))) / len(replay.frames)
 
 
 def _bytes_per_design(settings: Settings) -> float:

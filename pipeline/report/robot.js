@@ -266,7 +266,10 @@ const robots = (() => {
     context.fillStyle = color("ink");
     context.textAlign = "left";
     context.font = "13px system-ui, sans-serif";
-    context.fillText("in " + replay.world + ", " + replay.depth + " m", 12, 12);
+    context.fillText("in " + replay.world + ", " + replay.depth + " m", 12, 10);
+    context.fillStyle = color("soft");
+    context.fillText(replay.title, 12, 28);
+    context.fillStyle = color("ink");
     context.textAlign = "right";
     context.font = "600 18px system-ui, sans-serif";
     context.fillText(metres(links[0][0] - replay.start, 1), box.width - 12, 9);

@@ -80,10 +80,12 @@
     context.fillRect(state.time / duration() * width - 1, 0, 2, height);
     const ramp = [0, 0.25, 0.5, 0.75, 1].map((share) => heat(share)).join(", ");
     const unit = shown[0].overlays.find((overlay) => overlay.label === label).unit;
-    const legend = control("legend"), text = [darkest, most].map((value) => value.toPrecision(2) + " " + unit).join(" ");
+    const scale = " " + darkest.toPrecision(2) + " " + unit + " or more. Line: mean over links, up to " + most.toPrecision(2) + " " + unit + ".";
+    const which = shown.length > 1 ? " Solid: in " + shown[0].world + "; dashed: in " + shown[1].world + "." : "";
+    const legend = control("legend"), text = scale + which;
     if (legend.dataset.text !== text) {
       legend.dataset.text = text;
-      legend.replaceChildren("0 ", Object.assign(document.createElement("span"), { className: "ramp" }), " " + darkest.toPrecision(2) + " " + unit + " or more. Line: mean over links, up to " + most.toPrecision(2) + " " + unit + ".");
+      legend.replaceChildren("0 ", Object.assign(document.createElement("span"), { className: "ramp" }), text);
       legend.querySelector(".ramp").style.background = "linear-gradient(to right, " + ramp + ")";
     }
   }
