@@ -4,7 +4,7 @@ When does a number agree? The paper's number comes from a sample as this run's d
 where it lies within this run's 95 % prediction interval, the range into which a repeat of this run with the paper's
 number of trials would fall: the 95 % interval of this run's figure, with both arms widened by √(1 + n / n_paper), since
 variances add and go as 1/n. What the paper gives as a range over members agrees where this run's median member is in
-it.
+it. What it states without a number, that single members vary more, agrees or differs where the whole interval does.
 
 When does a statement of a t test agree? With "p < 0.0001": where this run's p is as small, in the same direction. With
 "insignificant (p > 0.01)": where this run's p is above 0.01. Fewer trials than the paper's make large p-values easy and
@@ -174,14 +174,14 @@ def name_of(arm: Arm) -> str:
 def _mean_row(scores: Scores, arm: Arm, stated: float, source: str) -> Row:
     values = finite(scores.values(*arm, DEPTH))
     what = f"{name_of(arm)} at {DEPTH:g} m [m]"
-    return _number_row(what, stated, "{:.1f}", source, mean(values), len(values), N_TRIALS, "trials")
+    return _number_row(what, stated, "{:z.1f}", source, mean(values), len(values), N_TRIALS, "trials")
 
 
 def _ratio_row(scores: Scores, arm: Arm, stated: float, source: str, rng: Generator) -> Row:
     part, whole = finite(scores.values(*arm, DEPTH)), finite(scores.values(*BEST, DEPTH))
     what = f"{name_of(arm)} / {name_of(BEST)} at {DEPTH:g} m"
     n = min(len(part), len(whole))
-    return _number_row(what, stated, "{:.0%}", source, ratio(part, whole, rng=rng), n, N_TRIALS, "trials")
+    return _number_row(what, stated, "{:z.0%}", source, ratio(part, whole, rng=rng), n, N_TRIALS, "trials")
 
 
 def _aggregate_row(
@@ -190,8 +190,8 @@ def _aggregate_row(
     what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
     of = next((row for row in accuracy if row.name == predictor), None)
     if of is None:
-        return Row(what, f"{stated:.2f}", source, "-", "not comparable", "accuracy was not assessed")
-    return _number_row(what, stated, "{:.2f}", source, getattr(of, figure), of.n, N_DESIGNS, "designs")
+        return Row(what, f"{stated:z.2f}", source, "-", "not comparable", "accuracy was not assessed")
+    return _number_row(what, stated, "{:z.2f}", source, getattr(of, figure), of.n, N_DESIGNS, "designs")
 
 
 _FIGURE = {"r": "Pearson's R", "slope": "slope"}
@@ -232,7 +232,7 @@ def _range_row(
     accuracy: Sequence[Regression], figure: Literal["r", "slope"], low: float, high: float, source: str
 ) -> Row:
     what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
-    paper = f"{low:.2f} to {high:.2f}"
+    paper = f"{low:z.2f} to {high:z.2f}"
     each = [getattr(row, figure).value for row in accuracy if row.name.startswith("member ")]
     known = [value for value in each if value is not None]
     if not known:
@@ -240,8 +240,8 @@ def _range_row(
         return Row(what, paper, source, "-", "not comparable", why)
     median = float(np.median(known))
     inside = low <= median <= high
-    why = f"the median of {len(known)} members is {median:.2f}"
-    this_run = f"{min(known):.2f} to {max(known):.2f}"
+    why = f"the median of {len(known)} members is {median:z.2f}"
+    this_run = f"{min(known):z.2f} to {max(known):z.2f}"
     return Row(what, paper, source, this_run, _agrees(inside), why, median)
 
 
@@ -260,9 +260,20 @@ def _variation_row(scores: Scores, rng: Generator) -> Row:
     spread = "the ensemble's champions all go equally far"
     found = bootstrap(partial(_deviations_ratio, len(single), len(ensemble)), *moments, rng=rng, undefined=spread)[0]
     assert found.value is not None
-    why = f"{len(single)} and {len(ensemble)} trials; the paper gives no number"
-    this_run, verdict = f"{found.value:.2f}", _agrees(found.value > 1)
-    return Row(what, paper, source, this_run, verdict, why, found.value, *_interval(found, "{:.2f}"))
+    trials, this_run = f"{len(single)} and {len(ensemble)} trials", f"{found.value:z.2f}"
+    if found.low is None or found.high is None:
+        return Row(what, paper, source, this_run, "not comparable", f"{trials}: {found.reason}", found.value)
+    verdict, why = _above_one(found.low, found.high)
+    return Row(what, paper, source, this_run, verdict, f"{trials}: {why}", found.value, *_interval(found, "{:z.2f}"))
+
+
+def _above_one(low: float, high: float) -> tuple[Verdict, str]:
+    """Hold an interval against a statement without a number."""
+    if low > 1:
+        return "agrees", "the whole interval is above 1"
+    if high < 1:
+        return "differs", "the whole interval is below 1"
+    return "not comparable", "the interval holds 1, too few to tell"
 
 
 def _deviations_ratio(n: int, m: int, single: Float64, ensemble: Float64) -> Float64:

@@ -72,3 +72,10 @@ def test_what_is_missing_says_why_in_its_place():
     assert "no trial of this study needs networks" in suspects(nothing)
     for table in (against_paper, contrasts, retried):
         assert "is not here" in table(nothing)
+
+
+def test_an_interval_stands_under_the_number_and_minus_signs_are_true(findings):
+    html = against_paper(findings)
+    row = next(row for row in findings.against_paper if row.what == "True Slush at 9 m [m]")
+    assert f'data-column="This run">{row.this_run}<small>{row.interval}</small>' in html
+    assert 'data-column="Paper">−0.8<' in html

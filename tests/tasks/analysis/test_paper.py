@@ -216,3 +216,16 @@ def test_the_ratio_of_deviations_is_that_of_the_samples():
     row = next(row for what, row in rows_of(like_the_paper()).items() if what.startswith("deviation"))
     assert row.value == pytest.approx(4.0, rel=1e-12)  # 4.0 and 1.0
     assert row.verdict == "agrees" and row.low > 1
+
+
+@pytest.mark.parametrize(
+    ("single", "ensemble", "n", "verdict"),
+    [(4, 1, 10, "agrees"), (1, 4, 10, "differs"), (1.2, 1, 10, "not comparable"), (4, 1, 2, "not comparable")],
+)
+def test_more_variation_is_judged_by_its_whole_interval(single, ensemble, n, verdict):
+    rows = [("single_member", single), ("residual_slush", ensemble)]
+    z = np.concatenate([spread(5.0, sd, n) for _, sd in rows])
+    arms = np.repeat([arm for arm, _ in rows], n)
+    scores = Scores(arms, np.full(2 * n, 9.0), np.tile(np.arange(n), 2), np.full(2 * n, NAN), z, z)
+    row = next(row for what, row in rows_of(scores).items() if what.startswith("deviation"))
+    assert (row.verdict, row.value) == (verdict, pytest.approx(single / ensemble))
