@@ -16,6 +16,7 @@ from pipeline.report.data import ENVIRONMENTS as STYLES
 from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import MissingInputs
 from pipeline.stages import STAGES
+from pipeline.stages.analyses.films import median_member
 from pipeline.stages.segments import WEIGHTS, segment_spec, world_inputs, world_of
 from pipeline.store import Store
 from pipeline.study import survey
@@ -44,7 +45,7 @@ def simulate_design(
         path: of the design file.
         environment: dry_land, true_slush or residual_slush.
         depth: of the ground [m].
-        out: where to put a GIF or an MP4, if anywhere; in Residual Slush it shows the first member's world.
+        out: where to put a GIF or an MP4, if anywhere; in Residual Slush, of the median member's world.
         settings: how long the design is watched, and which networks residual_slush means.
         open_store: gives the store that holds the networks.
         how_to_run: gives the command line that runs a stage, for messages.
@@ -92,13 +93,16 @@ def simulate_design(
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
         lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
     if out is not None and rollouts.trace is not None:
-        trace = rollouts.trace[0, 0] if world == "residual_slush" else rollouts.trace[0]
+        trace, words = rollouts.trace[0], STYLES[world].label
+        if world == "residual_slush":
+            member = median_member(rollouts.displacement[:, 0])
+            trace, words = rollouts.trace[member, 0], f"{words} (member {member})"
         replay = replay_of(
             design,
             trace,
             title=path.stem,
             environment=world,
-            world=STYLES[world].label,
+            world=words,
             depth=depth,
             has_medium=world != "dry_land",
             imagined=world == "residual_slush",

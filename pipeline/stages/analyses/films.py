@@ -77,13 +77,13 @@ def film_at_home(spec: Spec, how: Spec, champion: Champion, networks: Mapping[st
     if champion.environment not in RESIDUAL_ENVIRONMENTS:
         return Filmed(champion, champion.environment, NOBODY, float(rollouts.displacement[0]), rollouts.trace)
     promised = rollouts.displacement[:, 0]
-    k = _median(promised)
+    k = median_member(promised)
     member = own_member(champion, networks) if champion.environment == "single_member" else k
     return Filmed(champion, champion.environment, member, float(promised[k]), rollouts.trace[k])
 
 
-def _median(values: npt.NDArray[np.float64]) -> int:
-    """Find the median of the finite values, the lower of two; 0 if there is none."""
+def median_member(values: npt.NDArray[np.float64]) -> int:
+    """Find the member with the median of (n_members,) values, the lower of two; of those that are finite, if any is."""
     ranked = np.argsort(values, kind="stable")  # those that are not finite last: a rollout that diverged is NaN
     return int(ranked[max(int(np.isfinite(values).sum()) - 1, 0) // 2])
 
