@@ -10,7 +10,8 @@ import secrets
 import time
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,6 +55,9 @@ class Session:
 
 
 _SESSION = pytest.StashKey[Session]()
+_ROW = "torture"
+_SHOWN: dict[str, Row] = {}
+"""Rows of the table at the end, by the names of their tests."""
 
 
 class Torture:
@@ -100,12 +104,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    seed = config.getoption("--seed")
+    seed = getattr(config, "workerinput", {}).get("torture_seed", config.getoption("--seed"))
     config.stash[_SESSION] = Session(
         large=config.getoption("--torture"),
         seed=secrets.randbits(32) if seed is None else seed,
         end=time.monotonic() + 60 * config.getoption("--minutes"),
     )
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Where tests run in several processes (pytest-xdist), all have one seed."""
+    node.workerinput["torture_seed"] = node.config.stash[_SESSION].seed
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -140,15 +150,24 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):
         if report.skipped and isinstance(report.longrepr, tuple):
             row.attempt = -1
             row.notes.append(report.longrepr[2].removeprefix("Skipped: "))
+    if row is not None and report.when == "teardown":
+        report.user_properties.append((_ROW, asdict(row)))
     return report
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Take up a row, which may come from another process."""
+    for name, row in report.user_properties:
+        if name == _ROW:
+            _SHOWN[row["name"]] = Row(**row)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     session = config.stash[_SESSION]
-    if not session.rows:
+    if not _SHOWN:
         return
     terminalreporter.section(f"torture, seed {session.seed}")
-    for row in session.rows.values():
+    for row in _SHOWN.values():
         file, _, test = row.name.partition("::")
         n_tried = row.attempt + 1
         tried = f"{n_tried:,}" if n_tried >= row.n_planned else f"{n_tried:,} of {row.n_planned:,}"

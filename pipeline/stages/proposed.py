@@ -23,6 +23,9 @@ from tasks.world import DryLand, TrueSlush
 Row = tuple[EnvironmentName, float, int]
 """Environment, depth [m] and number of a trial."""
 
+PROPOSED = "proposed-"
+"""How the names of the proposed champions' design files begin."""
+
 MOST_STEPS_IN_TANK = 60 * 60
 """Of the films of the tank; a minute of a robot that goes nowhere is enough."""
 
@@ -41,7 +44,7 @@ def proposed(settings: Settings, inputs: Mapping[str, Files]) -> list[Row]:
 def proposal_files(rows: list[Row], inputs: Mapping[str, Files]) -> Files:
     """Give the design files of proposed champions, named by their arms; the store wants no second dot in a name."""
     return {
-        f"proposed-{row[0]}-{row[1]:g}m".replace(".", "_") + ".json": _champion_file(row, inputs) for row in rows
+        f"{PROPOSED}{row[0]}-{row[1]:g}m".replace(".", "_") + ".json": _champion_file(row, inputs) for row in rows
     }
 
 

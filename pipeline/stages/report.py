@@ -21,7 +21,7 @@ from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Result
 from pipeline.stages import segments
 from pipeline.stages.collect import data_set
 from pipeline.stages.findings import HISTORIES, findings
-from pipeline.stages.proposed import proposal_files, proposed, tank_replays
+from pipeline.stages.proposed import PROPOSED, proposal_files, proposed, tank_replays
 from pipeline.stages.replays import arms_of, replays_of
 from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
 from pipeline.stages.transfer import CHAMPION, SCORE
@@ -35,9 +35,6 @@ PAGE, FILMS = "index.html", "films"
 
 TOGETHER = "replay"
 """File name, without suffix, of the film that shows two robots: the best with residuals above the best without."""
-
-CONTENTS = "films.json"
-"""What each film shows; empty where no champion of the arm could be filmed."""
 
 PICTURES_OF_PAGE = 2500
 """About what the page costs, as pictures of a film."""
@@ -58,7 +55,8 @@ def plan(settings: Settings) -> Sequence[Chain]:
     deepest = max(settings.grid.depths)
 
     def films(label: str, of: Sequence[tuple[Any, float, int]], n_films: int, *, together: bool) -> Chain:
-        spec = {**seen, "trials": [list(trial) for trial in of], "together": together}
+        listing = f"{FILMS}-{label}".replace("/", "-").replace(".", "_") + ".json"
+        spec = {**seen, "trials": [list(trial) for trial in of], "together": together, "listing": listing}
         return Chain(f"{FILMS}/{label}", (n_films * pictures,), spec)
 
     page = {"settings": whole, "trials": [list(trial) for trial in trials]}
@@ -124,7 +122,10 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
 
 
 def _films(job: Job, inputs: Mapping[str, Files]) -> Files:
-    """Make a GIF and an MP4 of each replay, or of those in True Slush above one another; and list them."""
+    """Make a GIF and an MP4 of each replay, or of those in True Slush above one another.
+
+    A listing says what each film shows; it is empty where no champion of the arm could be filmed.
+    """
     replays = replays_of(job.spec, job.how, inputs)
     named = {film_name(replay): [replay] for replay in replays}
     if job.spec["together"]:
@@ -134,7 +135,7 @@ def _films(job: Job, inputs: Mapping[str, Files]) -> Files:
     for name, shown in named.items():
         files |= {f"{name}.gif": render_gif(shown), f"{name}.mp4": render_mp4(shown)}
     listed = {name: [f"{one.title}, in {one.world}, {one.depth:g} m" for one in shown] for name, shown in named.items()}
-    return {**files, CONTENTS: encode_json(listed)}
+    return {**files, job.spec["listing"]: encode_json(listed)}
 
 
 def film_name(replay: Replay) -> str:
@@ -250,15 +251,13 @@ def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:
 
 def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Put the page, the figures and the films where a person finds them."""
-    files = {
-        name: store.read(done, name) for (done,) in results.done.values() for name in done.files if name != CONTENTS
-    }
+    files = {name: store.read(done, name) for (done,) in results.done.values() for name in done.files}
     folder = store.export(settings.name, files)
     no_page = f"no page: {results.set_aside.get(PAGE, 'it is not made yet')}"
     # MLflow shows both kinds of films, and a GIF is ten times an MP4: it gets the one GIF that tells the story.
     artifacts = {name: data for name, data in files.items() if not name.endswith(".gif") or name == f"{TOGETHER}.gif"}
     lines = [f"{folder / PAGE}" if PAGE in files else no_page]
-    lines += [f"{folder / name}: a robot to build" for name in files if name.endswith(".json")]
+    lines += [f"{folder / name}: a robot to build" for name in files if name.startswith(PROPOSED)]
     return Summary(lines=lines, artifacts=artifacts, of_study=True)
 
 

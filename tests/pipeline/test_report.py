@@ -1,5 +1,7 @@
 """report on a real study: who is filmed where, what is laid over, and what people get."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from pipeline.artifacts import decode_json, encode_json
 from pipeline.stages import report
 from pipeline.stages.analyse import read_table
 from pipeline.stages.replays import replays_of
-from pipeline.stages.report import CONTENTS, PAGE
+from pipeline.stages.report import PAGE
 from pipeline.stages.transfer import SCORE
 
 HOW = {"engine": "batch"}
@@ -102,7 +104,9 @@ def test_each_replay_is_a_gif_and_an_mp4_and_mlflow_gets_the_small_ones(study, s
     assert {path.name for path in folder.glob("*.gif")} == {f"{name}.gif" for name in names}
     assert {path.name for path in folder.glob("*.mp4")} == {f"{name}.mp4" for name in names}
     assert {name for name in summary.artifacts if name.endswith(".gif")} == {"replay.gif"}
-    assert {f"{name}.mp4" for name in names} | {PAGE} <= set(summary.artifacts) and CONTENTS not in summary.artifacts
+    assert {f"{name}.mp4" for name in names} | {PAGE} <= set(summary.artifacts)
+    listed = [json.loads(path.read_text()) for path in folder.glob("films-*.json")]
+    assert sorted(name for listing in listed for name in listing) == sorted(names)
 
 
 def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings):
@@ -111,4 +115,4 @@ def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings
     item = report.STAGE.item(settings, chain, 0, None, upstream)
     none = {SCORE: encode_json({"status": "no champion: every design of the trial diverged"})}
     inputs = {name: none if name.startswith("transfer/") else files for name, files in inputs_of(store, item).items()}
-    assert report.STAGE.compute(item.job, inputs) == {CONTENTS: encode_json({})}
+    assert report.STAGE.compute(item.job, inputs) == {"films-residual_slush-1m.json": encode_json({})}

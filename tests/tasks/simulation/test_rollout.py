@@ -12,6 +12,10 @@ from tasks.simulation import DIVERGED, OK, Rollouts, simulate
 from tasks.world import DryLand, Environment, LinkStates, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
 
 
+def name_of(environment: Environment) -> str:
+    return f"{type(environment).__name__}-{environment.depth:g}"
+
+
 class Replay:
     """An ensemble whose member 0 is the slush itself and whose member 1 is nothing at all."""
 
@@ -73,7 +77,7 @@ def test_the_signature_that_others_count_on() -> None:
     assert all(p.default is not p.empty for p in parameters[2:])
 
 
-@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=repr)
+@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=name_of)
 def test_shapes(designs: Designs, environment: Environment) -> None:
     # The glossary's order of axes: n_members, n_designs, n_steps, n_links.
     members = (2,) if isinstance(environment, ResidualSlush) else ()
@@ -94,7 +98,7 @@ def test_without_a_trace_it_is_the_same(designs: Designs) -> None:
     np.testing.assert_array_equal(with_it.com_displacement, without.com_displacement)
 
 
-@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=repr)
+@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=name_of)
 def test_displacement_is_the_traces(designs: Designs, environment: Environment) -> None:
     rollouts = short(designs, environment, 40, 60)
     x = trace_of(rollouts)[..., 0].astype(np.float64)
@@ -108,7 +112,7 @@ def test_without_settling_displacement_is_from_the_spawn(designs: Designs) -> No
     np.testing.assert_array_equal(rollouts.displacement, trace_of(rollouts)[:, -1, 0, 0])  # the root starts at x = 0
 
 
-@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=repr)
+@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=name_of)
 def test_order_and_company_do_not_matter(designs: Designs, environment: Environment) -> None:
     together = trace_of(short(designs, environment))
     axis = together.ndim - 4
