@@ -228,6 +228,49 @@ def simulate(
 
 
 @app.command()
+def drive(
+    timeline: Annotated[
+        Path | None, typer.Argument(help="A kit that `puddle fabricate` made, or a timeline (timeline.json).")
+    ] = None,
+    port: Annotated[str | None, typer.Option("--port", help="Of the servo controller: /dev/ttyACM0, COM3.")] = None,
+    list_ports: Annotated[bool, typer.Option("--list-ports", help="List this machine's serial ports.")] = False,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="Of the servos; calibration.yaml beside the timeline else.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but talk to a controller.")] = False,
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=0.0, help="Stop after so many seconds.")
+    ] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until stopped.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Move without asking first.")] = False,
+    log: Annotated[Path | None, typer.Option("--log", help="Where to write what was sent (Parquet).")] = None,
+    baud: Annotated[int, typer.Option("--baud", min=300, max=200_000, help="Of a wired port; USB has none.")] = 115200,
+    baud_detection: Annotated[
+        bool, typer.Option("--baud-detection", help="The controller is set to detect the baud rate: send 0xAA first.")
+    ] = False,
+) -> None:
+    """Move a robot's servos through a timeline, and bring them back to rest whatever happens (docs/servo.md)."""
+    from pipeline.drive import command
+
+    if list_ports:
+        for line in command.port_lines():
+            typer.echo(line)
+        return
+    if timeline is None:
+        raise PuddleError("expected a kit or a timeline to play: `puddle drive kit --port ...`, or --list-ports")
+    wish = command.Wish(timeline, calibration, port, dry_run, duration, loop, log, baud, baud_detection)
+    if not command.drive(wish, confirm=lambda question: yes or _confirmed(question), say=typer.echo):
+        raise typer.Exit(INTERRUPTED)
+
+
+def _confirmed(question: str) -> bool:
+    try:
+        return typer.confirm(question)
+    except typer.Abort:  # Ctrl-C, or nobody there to answer
+        return False
+
+
+@app.command()
 def ui(
     store: StorePath = DEFAULT_STORE,
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="On this machine's loopback.")] = 5000,
