@@ -21,7 +21,7 @@ Sense = Literal[1, -1]
 HornKind = Literal["disc", "cross"]
 
 
-class UnknownServo(ValueError):  # noqa: N818 - it is named for what it says
+class ServoError(ValueError):
     """A servo that the library does not hold: names it and lists those that it does."""
 
 
@@ -117,12 +117,12 @@ class Servo:
         """Give its horn of a kind.
 
         Raises:
-            UnknownServo: it comes without one; names those that it has.
+            ServoError: it comes without one; names those that it has.
         """
         for horn in self.horns:
             if horn.kind == kind:
                 return horn
-        raise UnknownServo(f"servo {self.name}: has no {kind} horn, expected {' or '.join(h.kind for h in self.horns)}")
+        raise ServoError(f"servo {self.name}: has no {kind} horn, expected {' or '.join(h.kind for h in self.horns)}")
 
 
 def _per_60_degrees(seconds: float) -> float:
@@ -237,8 +237,8 @@ def servo_named(name: str) -> Servo:
     """Find a servo in the library.
 
     Raises:
-        UnknownServo: there is none of that name; lists the names.
+        ServoError: there is none of that name; lists the names.
     """
     if name not in SERVOS:
-        raise UnknownServo(f"servo {name!r} is unknown, expected one of {', '.join(sorted(SERVOS))}")
+        raise ServoError(f"servo {name!r} is unknown, expected one of {', '.join(sorted(SERVOS))}")
     return SERVOS[name]
