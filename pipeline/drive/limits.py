@@ -58,8 +58,8 @@ class Outlet:
         """What each servo was sent last [µs], by channel; nothing where it is off."""
         return {channel: pulse for channel, (pulse, _) in self._last.items()}
 
-    def send(self, wanted_us: Mapping[int, float], now: float) -> Mapping[int, float]:
-        """Send what may be sent of what is wanted, and say what that was."""
+    def send(self, wanted_us: Mapping[int, float], now: float) -> None:
+        """Send what may be sent of what is wanted; ``sent`` says what that was."""
         allowed = {}
         for channel, wanted in wanted_us.items():
             pulse, when = self._last.get(channel, (None, now))
@@ -67,7 +67,6 @@ class Outlet:
         # Before the bytes are: if they get lost half-way, some servos may have them.
         self._last |= {channel: (pulse, now) for channel, pulse in allowed.items()}
         self._driver.send(allowed)
-        return allowed
 
     def off(self) -> None:
         """Stop all pulses."""

@@ -43,6 +43,16 @@ FOLLOWING = 0.1
 """How far behind what it is sent a controller may be [s]: two frames, its own period and the reading."""
 
 
+UNCONFIRMED = (
+    "they were told to go to neutral and to switch off, and the controller does not confirm it; cut their power if "
+    "they hold or move"
+)
+NOT_SWITCHED_OFF = (
+    "THEY COULD NOT BE SWITCHED OFF. The controller's own time-out does that, if it is set (docs/servo.md); cut their "
+    "power if they hold or move"
+)
+
+
 class LateHost(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
     """The computer fell too far behind the timeline."""
 
@@ -175,8 +185,10 @@ class Player:
                 return "the end of the timeline"
             lateness = self._wait(due)
             wanted = pulses_us[frame % len(pulses_us)]
-            self._send({s.channel: float(w) for s, w in zip(self.servos, wanted, strict=True)}, frame, lateness)
+            by_channel = {servo.channel: float(pulse) for servo, pulse in zip(self.servos, wanted, strict=True)}
+            self._command(by_channel, frame=frame, lateness=lateness)
             sent = self._outlet.sent
+            self._read_back(sent)
             angles = {servo.channel: servo.angle(sent[servo.channel]) for servo in self.servos}
             self.show(Moment(frame * FRAME, angles, lateness))
             frame += 1
@@ -195,12 +207,17 @@ class Player:
             )
         return lateness
 
-    def _send(self, wanted: Mapping[int, float], frame: int, lateness: float) -> None:
-        """Send a frame, read one thing back, and note it all."""
+    def _command(self, wanted: Mapping[int, float], *, frame: int = -1, lateness: float | None = None) -> None:
+        """Send what may be sent of what is wanted, and note it, even if it gets lost half-way."""
         now = self.clock.now()
-        sent = self._outlet.send(wanted, now)
-        self._note_commands(now, wanted, sent, lateness, frame)
-        self._read_back(sent)
+        try:
+            self._outlet.send(wanted, now)
+        finally:
+            self._keep(*(
+                Entry(now - self._began, frame=frame, channel=channel, wanted=wanted[channel], sent=pulse,
+                      lateness=lateness)
+                for channel, pulse in self._outlet.sent.items()
+            ))  # fmt: skip
 
     def _read_back(self, sent: Mapping[int, float]) -> None:
         """Ask the controller about one servo, or for its errors, in turn: a frame has time for one answer."""
@@ -228,10 +245,7 @@ class Player:
             if self.stop.asked:
                 return
             lateness = self._wait(start + frame * FRAME)
-            wanted = {servo.channel: servo.centre_us for servo in self.servos}
-            now = self.clock.now()
-            sent = self._outlet.send(wanted, now)
-            self._note_commands(now, wanted, sent, lateness)
+            self._command({servo.channel: servo.centre_us for servo in self.servos}, lateness=lateness)
         self.driver.check()
 
     def _way_out(self, fault: BaseException | None) -> None:
@@ -253,16 +267,22 @@ class Player:
     def _switch_off(self, fault: BaseException | None) -> None:
         try:
             self._outlet.off()
+            self._see_that_they_are_off()
             self.parting = "they are at neutral and switched off"
         except (PortLost, ControllerFault) as error:
-            self.parting = (
-                "THEY COULD NOT BE SWITCHED OFF. The controller's own time-out does that, if it is set "
-                "(docs/servo.md); cut their power if they hold or move"
-            )
+            self.parting = UNCONFIRMED if isinstance(error, ControllerFault) else NOT_SWITCHED_OFF
             if fault is None:
-                raise error
+                raise
         finally:
             self._note(f"the servos: {self.parting}")
+
+    def _see_that_they_are_off(self) -> None:
+        """Have the controller confirm it: bytes that were written may never have arrived."""
+        for servo in self.servos:
+            position = self.driver.position(servo.channel)
+            if position:
+                raise ControllerFault(f"{self.driver.name}: channel {servo.channel} was switched off and still gives "
+                                      f"{position:g} µs")
 
     def _return_to_neutral(self, asked: int) -> None:
         """Go back at half speed; a second wish to stop cuts it short."""
@@ -270,10 +290,9 @@ class Player:
         neutral = {servo.channel: servo.centre_us for servo in self.servos}
         still = 0
         while self._outlet.sent and still * FRAME < SETTLING and self.stop.asked <= asked:
-            now, sent = self.clock.now(), self._outlet.sent
+            sent = self._outlet.sent
             away = {channel: neutral[channel] - pulse for channel, pulse in sent.items()}
-            wanted = {c: sent[c] + min(max(rest, -step[c]), step[c]) for c, rest in away.items()}
-            self._note_commands(now, wanted, self._outlet.send(wanted, now), None)
+            self._command({c: sent[c] + min(max(rest, -step[c]), step[c]) for c, rest in away.items()})
             still = still + 1 if max(map(abs, away.values())) < 1.0 else 0
             self.clock.sleep(FRAME)
 
@@ -281,20 +300,6 @@ class Player:
 
     def _note(self, event: str, *, channel: int = -1, position: float | None = None) -> None:
         self._keep(Entry(self.clock.now() - self._began, event=event, channel=channel, position=position))
-
-    def _note_commands(
-        self,
-        now: float,
-        wanted: Mapping[int, float],
-        sent: Mapping[int, float],
-        lateness: float | None,
-        frame: int = -1,
-    ) -> None:
-        time = now - self._began
-        self._keep(*(
-            Entry(time, frame=frame, channel=channel, wanted=wanted[channel], sent=pulse, lateness=lateness)
-            for channel, pulse in sent.items()
-        ))  # fmt: skip
 
     def _keep(self, *entries: Entry) -> None:
         """Log entries. A full disk ends a drive, but never stands between the servos and their neutral position."""

@@ -2,7 +2,7 @@
 
 A hobby servo holds the angle that the width of its pulses tells, linear within its travel:
 pulse = centre + direction · us_per_rad · angle, where the angle is the joint's from its rest, in the simulation's
-sense. Horns sit on splines and servos differ, so a kit's file is a first guess: measure each servo once (docs/servo.md).
+sense. Horns sit on splines and servos differ, so a kit's file is a first guess: measure each once (docs/servo.md).
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ def _pulses_of(servo: ServoCalibration, timeline: Timeline) -> Floats:
         frame = outside[0]
         raise TimelineError(
             f"{name} at {frame / FRAMES_PER_SECOND:.2f} s: {np.degrees(angle[frame]):+.1f}° needs {pulse[frame]:.0f} "
-            f"µs, expected {servo.min_us:g} to {servo.max_us:g} µs. It swings to {np.degrees(np.abs(angle).max()):.1f}°."
+            f"µs, expected {servo.min_us:g} to {servo.max_us:g}. It swings to {np.degrees(np.abs(angle).max()):.1f}°."
         )
     if speed.size and (fastest := np.abs(speed).max()) > servo.max_speed:
         raise TimelineError(f"{name} is told to turn at {fastest:.2f} rad/s, expected at most {servo.max_speed:g}")

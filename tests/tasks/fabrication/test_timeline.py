@@ -72,7 +72,7 @@ def test_pulses_are_linear_in_the_angle():
 
 def test_a_timeline_past_a_limit_is_refused_with_joint_instant_and_limit():
     rising = Timeline(joints=(1,), angle=np.linspace(0.0, 1.2, 101)[:, None])
-    with pytest.raises(TimelineError, match=r"joint 1 \(channel 0\) at 1\.68 s: .* 2105 µs.*900 to 2100.*68\.8°"):
+    with pytest.raises(TimelineError, match=r"joint 1 \(channel 0\) at 1\.68 s: .* 2105 µs.*900 to 2100\. .*68\.8°"):
         pulses(rising, Calibration(servos=(servo(),)))  # 600 · 0.012 · 84 is the first above 600
     with pytest.raises(TimelineError, match=r"2\.50 rad/s, expected at most 2"):
         pulses(Timeline((1,), np.array([[0.0], [0.05]])), Calibration(servos=(servo(max_speed=2.0),)))
