@@ -36,6 +36,10 @@ CONFLICT_COST = 1000.0
 """Of a square millimetre that two servos would share."""
 
 
+CABLE_ROOM_MM = 1.0
+"""Added to a cable's width."""
+
+
 @dataclass(frozen=True, eq=False)
 class Drive:
     """A joint's servo in one part and its horn in the other."""
@@ -73,6 +77,15 @@ class Drive:
             self.servo.length_mm - self.servo.shaft_offset_mm + self.clearance_mm,
             self.servo.width_mm / 2 + self.clearance_mm,
         )
+
+    @property
+    def cable_ways(self) -> list[BaseGeometry]:
+        """The notches in the pocket's walls at both of the servo's ends."""
+        over = (self.servo.ear_length_mm - self.servo.length_mm) / 2 + self.clearance_mm
+        near = -self.servo.shaft_offset_mm - over
+        far = self.servo.length_mm - self.servo.shaft_offset_mm + over
+        half = (self.servo.cable_width_mm + CABLE_ROOM_MM) / 2
+        return [self.placed(near - self.wall_mm, near, half), self.placed(far, far + self.wall_mm, half)]
 
     @property
     def cradle(self) -> BaseGeometry:

@@ -82,12 +82,7 @@ def cradle_features(drive: Drive, settings: KitSettings) -> list[Feature]:
     features += [
         bore("ear screw", group, at, PILOT * servo.ear_screw_mm, floor, thickness) for at in drive.ear_holes()
     ]
-    half = (servo.cable_width_mm + 1.0) / 2
-    over = (servo.ear_length_mm - servo.length_mm) / 2 + drive.clearance_mm
-    far = servo.length_mm - servo.shaft_offset_mm + over
-    near = -servo.shaft_offset_mm - over
-    for start, end in ((near - drive.wall_mm, near), (far, far + drive.wall_mm)):
-        features.append(Feature("cable", group, drive.placed(start, end, half), 0.0, NOTCH_DEPTH_MM))
+    features += [Feature("cable", group, way, 0.0, NOTCH_DEPTH_MM) for way in drive.cable_ways]
     return features
 
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import degrees
+from math import cos, degrees, radians, sin
 
 import numpy as np
 import numpy.typing as npt
-from build123d import Axis, Box, Cylinder, Face, Location, Plane, Shape, Solid, Wire, extrude, mirror
+from build123d import Box, Cylinder, Face, Location, Plane, Shape, Solid, Wire, extrude, mirror
 from shapely import Point as ShapelyPoint
 from shapely import Polygon
 
@@ -159,13 +159,14 @@ def printed_mass_g(solid: Solid, settings: KitSettings) -> float:
     return float(settings.pla_density_g_cm3 * (shell + settings.infill * (solid.volume - shell)) / 1000.0)
 
 
-def on_bed(part: Part) -> Solid:
-    """Give a part as it is printed: on z = 0, turned to fit, with its corner at the origin."""
+def on_bed(part: Part, mesh: Mesh) -> Mesh:
+    """Lay a part's mesh as it is printed: on z = 0, turned to fit, with its corner at the origin."""
     over = part.face_down == part.face_is_up
-    solid = part.solid.rotate(Axis.X, 180.0) if over else part.solid
-    solid = solid.rotate(Axis.Z, -part.turn_deg if over else part.turn_deg)
-    low = solid.bounding_box().min
-    return solid.moved(Location((-low.X, -low.Y, -low.Z)))
+    turn = radians(-part.turn_deg if over else part.turn_deg)
+    x_up = np.diag([1.0, -1.0, -1.0]) if over else np.eye(3)
+    about_z = np.array([[cos(turn), -sin(turn), 0.0], [sin(turn), cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    vertices = mesh.vertices @ (about_z @ x_up).T
+    return Mesh(vertices - vertices.min(axis=0), mesh.triangles)
 
 
 def bought_of(drives: Sequence[Drive], layers: Layers, settings: KitSettings) -> list[Bought]:

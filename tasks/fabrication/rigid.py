@@ -58,6 +58,8 @@ class Joint:
     child: int
     """Index of the body that holds its child link."""
     at: Point
+    rest_angle: float
+    """Of the child link from its parent's at rest, within ±π [rad]."""
     motion_range: float
     """Amplitude [rad]."""
     phase: float
@@ -175,6 +177,7 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
                 parent=body_of[above],
                 child=body_of[link],
                 at=(float(at[0]), float(at[1])),
+                rest_angle=float(design.rest_angle[0, link]),
                 motion_range=float(design.motion_range[0, link]),
                 phase=float(design.phase[0, link]),
             )

@@ -65,9 +65,9 @@ def layers_of(
 
 
 def keep_out(drives: Sequence[Drive], body: int) -> BaseGeometry:
-    """Give what a part's drives take of it: pockets, recesses and pins."""
-    taken = [d.pocket if d.carrier == body else d.recess for d in drives if body in (d.carrier, d.driven)]
-    return unary_union(taken)
+    """Give what a part's drives take of it: pockets, cables' ways out, recesses and pins."""
+    carried = [hollow for d in drives if d.carrier == body for hollow in (d.pocket, *d.cable_ways)]
+    return unary_union([*carried, *(d.recess for d in drives if d.driven == body)])
 
 
 def _room(
