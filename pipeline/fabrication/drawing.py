@@ -47,7 +47,9 @@ STYLE: dict[str, Any] = {
     "hatch.linewidth": 0.3,
 }
 SMALL, LARGE = 6.0, 13.0
-DIMENSION: dict[str, Any] = {"arrowstyle": "<|-|>", "color": INK, "lw": 0.5, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 5}
+DIMENSION: dict[str, Any] = {
+    "arrowstyle": "<|-|>", "color": INK, "lw": 0.5, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 5,
+}  # fmt: skip
 
 
 def assembly_drawing(kit: Kit, title: str) -> dict[str, bytes]:
@@ -108,7 +110,8 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
             sheet.add_patch(_patch(piece, put, fc=PART_COLOURS[body % 6], ec=INK, alpha=0.45 if outer else 0.8,
                                    zorder=3 if outer else 2))  # fmt: skip
         for link in kit.mechanism.bodies[body].links:
-            sheet.add_patch(_patch(kit.mechanism.links[link], put, fill=False, ec=FAINT, lw=0.25, ls=(0, (3, 3)), zorder=4))
+            dashed = _patch(kit.mechanism.links[link], put, fill=False, ec=FAINT, lw=0.25, ls=(0, (3, 3)), zorder=4)
+            sheet.add_patch(dashed)
     for drive in kit.drives:
         for hollow in (drive.pocket, drive.recess):
             sheet.add_patch(_patch(hollow, put, fill=False, ec=INK, lw=0.4, ls=(0, (2, 1.5)), zorder=5))
@@ -136,7 +139,7 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
 
 
 def _clutter(kit: Kit, body: int) -> BaseGeometry:
-    """What a label had better not lie on."""
+    """Give what a label had better not lie on."""
     others = [profile.polygon for index, profile in enumerate(kit.profiles) if index != body]
     joints = [Point(drive.joint.at).buffer(30.0) for drive in kit.drives]
     return unary_union([*others, *joints])
@@ -195,7 +198,8 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
     x_end = put(high[0], 0.0)[0]
     left, right = put(low[0], 0.0)[1], put(low[0], settings.pitch_mm)[1]
     _dimension(sheet, (x_end + 7, right), (x_end + 7, left), f"{settings.pitch_mm:g}")
-    sheet.text(corner[0] - 3, put(low[0], settings.thickness_mm / 2)[1], "left", ha="right", va="center", fontsize=SMALL)
+    left_middle = put(low[0], settings.thickness_mm / 2)[1]
+    sheet.text(corner[0] - 3, left_middle, "left", ha="right", va="center", fontsize=SMALL)
     right_middle = put(low[0], deep - settings.thickness_mm / 2)[1]
     sheet.text(corner[0] - 3, right_middle, "right", ha="right", va="center", fontsize=SMALL)
     thick = f"{settings.thickness_mm:g} thick,\nlayers {settings.layer_gap_mm:g} apart"
@@ -270,16 +274,17 @@ def _title_block(sheet: Axes, kit: Kit, title: str, scale: float) -> None:
     sheet.add_patch(Rectangle((x, y), width, height, fc="white", ec=INK, lw=0.9))
     ratio = f"1 : {1 / scale:g}"
     sheet.text(x + 4, y + height - 8, title, fontsize=LARGE, weight="bold")
-    sheet.text(x + 4, y + 13, f"Assembly. Millimetres. Scale {ratio} on A3. {kit.settings.scale_mm_per_m:g} mm per metre of "
-               "simulation.", fontsize=SMALL)  # fmt: skip
-    sheet.text(x + 4, y + 8, f"PLA at {kit.settings.infill:.0%} infill; about {kit.mass_g:.0f} g with servos and steel.",
-               fontsize=SMALL)  # fmt: skip
-    sheet.text(x + 4, y + 3, "Dashed: links, servo pockets and horn recesses. R: rods. Red: the range about rest.",
-               fontsize=SMALL)  # fmt: skip
+    lines = (
+        f"Assembly. Millimetres. Scale {ratio} on A3. {kit.settings.scale_mm_per_m:g} mm per metre of simulation.",
+        f"PLA at {kit.settings.infill:.0%} infill; about {kit.mass_g:.0f} g with servos and steel.",
+        "Dashed: links, servo pockets and horn recesses. R: rods. Red: the range about rest.",
+    )
+    for number, line in enumerate(lines):
+        sheet.text(x + 4, y + 13 - 5 * number, line, fontsize=SMALL)
 
 
 def _dimension(sheet: Axes, a: Sequence[float], b: Sequence[float], text: str) -> None:
-    sheet.annotate("", a, b, arrowprops=DIMENSION, zorder=8)
+    sheet.annotate("", (a[0], a[1]), (b[0], b[1]), arrowprops=DIMENSION, zorder=8)
     slope = degrees(atan2(b[1] - a[1], b[0] - a[0]))
     upright = slope - 180.0 if slope > 90.0 else slope + 180.0 if slope <= -90.0 else slope
     sheet.text((a[0] + b[0]) / 2, (a[1] + b[1]) / 2, text, ha="center", va="center", rotation=upright, zorder=9,

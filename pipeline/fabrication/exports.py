@@ -1,4 +1,6 @@
-"""Exports: a kit as files, for the printer, the shop, the bench and other CAD programs. The same kit gives the same bytes.
+"""Exports: a kit as files, for the printer, the shop, the bench and other CAD programs.
+
+The same kit gives the same bytes.
 
 ::
 

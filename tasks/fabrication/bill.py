@@ -33,7 +33,7 @@ def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, sett
     """List what a kit is made of."""
     lines = [
         BillLine("print", part.name, 1, None, part.mass_g,
-                 f"PLA, {settings.infill:.0%} infill, on its {'face' if part.face_down else 'back'}")  # fmt: skip
+                 f"PLA, {settings.infill:.0%} infill, on its {'face' if part.face_down else 'back'}")
         for part in parts
     ]
     screws: Counter[tuple[str, str]] = Counter()
@@ -52,9 +52,12 @@ def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, sett
         lines.append(BillLine("servo", f"{servo.name} with a {settings.horn} horn", n_servos, None,
                               n_servos * servo.mass_g, f"{servo.spline_teeth} teeth, {servo.voltage_v:g} V"))
     lines += [BillLine("screw", item, n, None, None, note) for (item, note), n in sorted(screws.items())]
-    lengths = Counter(round(layers.rod_length_mm(body, settings), 1) for body, rods in enumerate(layers.rods) for _ in rods)
-    for length, n in sorted(lengths.items(), reverse=True):
-        lines.append(_steel("rod", length, n, settings, "through both pontoons, glued"))
+    lengths: Counter[float] = Counter()
+    for body, rods in enumerate(layers.rods):
+        lengths[round(layers.rod_length_mm(body, settings), 1)] += len(rods)
+    for length, count in sorted(lengths.items(), reverse=True):
+        if count:
+            lines.append(_steel("rod", length, count, settings, "through both pontoons, glued"))
     if n_pins:
         lines.append(_steel("pin", pin_length_mm(settings), n_pins, settings, "turns in the part with the wider bore"))
     return lines

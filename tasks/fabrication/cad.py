@@ -1,4 +1,4 @@
-"""Whether the optional packages of CAD are there. They take seconds to import, so no other module looks for them early."""
+"""Whether the optional packages of CAD are there. They take seconds to import, so nothing else looks for them early."""
 
 from __future__ import annotations
 

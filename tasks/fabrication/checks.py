@@ -1,6 +1,6 @@
 """Findings: what is wrong with a kit, or worth knowing, said before anybody prints it.
 
-A fault means that the robot can't be built or would break itself; a warning, that it can but with a drawback; a note tells.
+A fault means that the robot can't be built or would break itself; a warning, that it can, but with a drawback.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _not_of_the_variant(mechanism: Mechanism) -> Iterator[Finding]:
             area = mechanism.links[first].intersection(mechanism.links[second]).area
             if area > OVERLAP_MM2:
                 yield Finding("not of the variant", "warning", f"links {first} and {second}",
-                              f"overlap by {area:.0f} mm² at rest without being joined; the physical variant forbids that")
+                              f"overlap by {area:.0f} mm² at rest without being joined; the variant forbids that")
 
 
 def _travel(drives: Sequence[Drive]) -> Iterator[Finding]:
@@ -152,8 +152,8 @@ def _walls(
         edge = outlines[body].boundary
         for feature in cut:
             if feature.label != "cable":
-                inside = outlines[body].contains(feature.outline)
-                note((f"{feature.label} ({feature.group})", "the outside"), feature.outline.distance(edge) if inside else 0.0)
+                wall = feature.outline.distance(edge) if outlines[body].contains(feature.outline) else 0.0
+                note((f"{feature.label} ({feature.group})", "the outside"), wall)
         for (first, second), wall in thin.items():
             if wall < settings.min_wall_mm:
                 yield Finding("wall too thin", "fault", f"{mechanism.bodies[body].name}, {side}",
@@ -216,15 +216,15 @@ def _rods(
                           f"{settings.wall_mm:g} mm")  # fmt: skip
         elif len(rods) < settings.rods_per_part:
             yield Finding("few rods", "warning", body.name,
-                          f"there is room for {len(rods)} of {settings.rods_per_part} rods; its copies twist more easily")
+                          f"there is room for {len(rods)} of {settings.rods_per_part} rods; its copies twist more")
     if settings.servos_per_joint == 1:
         for drive in drives:
             twist = lag_rad(drive, layers, settings)
             if twist > TWIST_LIMIT:
                 said = f"{degrees(twist):.0f}°" if twist < pi / 2 else "more than 90°"
                 yield Finding("rods give way", "warning", f"joint {drive.joint.link}",
-                              f"at the servo's full torque, half of it at the other pontoon, that pontoon lags by {said}; "
-                              f"servos_per_joint: 2 or thicker rods help")
+                              f"at the servo's full torque, half of it at the other pontoon, that pontoon lags "
+                              f"by {said}; servos_per_joint: 2 or thicker rods help")
 
 
 def lag_rad(drive: Drive, layers: Layers, settings: KitSettings) -> float:
@@ -254,10 +254,12 @@ def _bed(mechanism: Mechanism, splits: Sequence[Split], settings: KitSettings) -
         if len(split.pieces) > 1 or not split.fits:
             whole = split.whole
             low_x, low_y, high_x, high_y = whole.bounds
-            size = f"it is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, the bed {width:.0f} × {depth:.0f} inside its margin"
+            size = (f"it is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, "
+                    f"the bed {width:.0f} × {depth:.0f} inside its margin")
             if split.fits:
                 yield Finding("larger than the bed", "note", body.name,
-                              f"{size}: split into {len(split.pieces)} pieces that slide together along the extrusion; glue them")
+                              f"{size}: split into {len(split.pieces)} pieces that slide together along the "
+                              f"extrusion; glue them")
             else:
                 yield Finding("larger than the bed", "fault", body.name,
                               f"{size}: no straight cut across a link that misses servos and rods makes its pieces fit")

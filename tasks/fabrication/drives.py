@@ -2,16 +2,16 @@
 
 How a joint is assembled, decided here:
 
-- Two parts that turn on one another can't lie in one plane, so each pontoon has two layers of parts with a gap between.
-  Joined parts lie in different layers, by their depth in the tree; so parts in the same layer are never joined, and meet
-  on the bench exactly where unjoined links meet in the simulation.
+- Two parts that turn on one another can't lie in one plane, so each pontoon has two layers of parts with a gap
+  between. Joined parts lie in different layers, by their depth in the tree; so parts in the same layer are never
+  joined, and meet on the bench exactly where unjoined links meet in the simulation.
 - The servo's shaft lies along the extrusion, through the joint. Its case goes into a pocket of one part from the back,
-  away from the other layer, until its top is flush with the part's face; the ears bear on the plate that the pocket leaves
-  there and are screwed to it from behind. What is longer than the part stands out behind, where nothing moves.
+  away from the other layer, until its top is flush with the part's face; the ears bear on the plate that the pocket
+  leaves there and are screwed to it from behind. What is longer than the part stands out behind, where nothing moves.
 - The horn lies in a recess in the face of the other part and is held by screws that go through that part; a hole over
   the shaft lets the centre screw through, so the part with its horn is put on last.
-- With one servo at a joint, as in the paper (two servos in all), the servos of successive joints sit in the left and in the
-  right pontoon by turns, for balance. The other pontoon turns on a pin of the rods' steel. Both have the same outline.
+- With one servo at a joint, as in the paper (two servos in all), the servos of successive joints sit in the left and in
+  the right pontoon by turns, for balance. The other pontoon turns on a pin of the rods' steel. Both have one outline.
 - Either of the joint's two parts may carry the servo, along or across its link: whichever makes the least stand out.
   A link may be 23 mm wide and a cradle 27: then the cradle stands out of the link as a boss, and that is reported.
 """
@@ -125,7 +125,8 @@ class Drive:
     def ear_holes(self) -> list[Point]:
         """Give the screws' places in the plane."""
         middle = self.servo.length_mm / 2 - self.servo.shaft_offset_mm
-        across = [0.0] if self.servo.hole_pitch_mm == 0 else [-self.servo.hole_pitch_mm / 2, self.servo.hole_pitch_mm / 2]
+        aside = self.servo.hole_pitch_mm / 2
+        across = [-aside, aside] if aside else [0.0]
         return [self.point(middle + end * self.servo.hole_span_mm / 2, v) for end in (-1, 1) for v in across]
 
     def horn_holes(self) -> list[Point]:

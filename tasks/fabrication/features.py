@@ -1,13 +1,14 @@
 """Features: what is cut out of a part, as outlines in the plane between two heights.
 
-Heights are from the part's back (0) to its face (the thickness), which looks at the other layer. The same list makes the
-solid, its analytic volume, the drawing and the check of walls.
+Heights are from the part's back (0) to its face (the thickness), which looks at the other layer. The same list makes
+the solid, its analytic volume, the DXF and the check of walls.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from shapely import Point as ShapelyPoint
 from shapely import Polygon, unary_union
@@ -152,11 +153,13 @@ def features_of(
     """
     features: list[Feature] = []
     for drive in drives:
-        driven_here = side in drive.sides(settings.servos_per_joint)
-        if drive.carrier == body:
-            features += cradle_features(drive, settings) if driven_here else [pin_feature(drive, settings, turning=False)]
-        elif drive.driven == body:
-            features += horn_features(drive, settings) if driven_here else [pin_feature(drive, settings, turning=True)]
+        if body not in (drive.carrier, drive.driven):
+            continue
+        carries = drive.carrier == body
+        if side in drive.sides(settings.servos_per_joint):
+            features += cradle_features(drive, settings) if carries else horn_features(drive, settings)
+        else:
+            features.append(pin_feature(drive, settings, turning=not carries))
     for number, rod in enumerate(rods, 1):
         diameter = settings.rod_mm + settings.rod_clearance_mm
         features.append(bore("rod", f"rod {number}", rod, diameter, 0.0, settings.thickness_mm))
@@ -174,7 +177,7 @@ def volume_mm3(area: float, outline: BaseGeometry, features: Sequence[Feature], 
     """
     heights = sorted({0.0, thickness, *(f.low_mm for f in features), *(f.high_mm for f in features)})
     volume = area * thickness
-    for low, high in zip(heights, heights[1:], strict=False):
+    for low, high in pairwise(heights):
         here = [f.outline for f in features if f.low_mm <= low and f.high_mm >= high]
         volume -= (high - low) * unary_union(here).intersection(outline).area if here else 0.0
     return float(volume)

@@ -60,7 +60,8 @@ class Kit:
     @property
     def hull_mm3(self) -> float:
         """Volume of both pontoons' outlines, hollows included [mm³]."""
-        return 2 * self.settings.thickness_mm * sum(profile.face.area for profile in self.profiles)
+        area: float = sum(profile.face.area for profile in self.profiles)
+        return 2 * self.settings.thickness_mm * area
 
     @property
     def printed_mm3(self) -> float:

@@ -155,8 +155,9 @@ def _mismatch(solid: Solid, outline: Polygon) -> float:
 
 def printed_mass_g(solid: Solid, settings: KitSettings) -> float:
     """Estimate the mass of a print: a solid shell along its surface, and infill."""
-    shell = min(solid.volume, solid.area * settings.shell_mm)
-    return float(settings.pla_density_g_cm3 * (shell + settings.infill * (solid.volume - shell)) / 1000.0)
+    volume: float = solid.volume
+    shell = min(volume, settings.shell_mm * float(solid.area))
+    return settings.pla_density_g_cm3 * (shell + settings.infill * (volume - shell)) / 1000.0
 
 
 def on_bed(part: Part, mesh: Mesh) -> Mesh:
@@ -178,7 +179,8 @@ def bought_of(drives: Sequence[Drive], layers: Layers, settings: KitSettings) ->
             label = f"joint {drive.joint.link}, {side}"
             if side in drive.sides(settings.servos_per_joint):
                 for kind, shape in (("servo", _servo(drive, thickness)), ("horn", _horn(drive, thickness))):
-                    things.append(Bought(f"{kind} of {label}", kind, placed(shape, drive.carrier, side, layers, settings)))
+                    there = placed(shape, drive.carrier, side, layers, settings)
+                    things.append(Bought(f"{kind} of {label}", kind, there))
             else:
                 low = 0.0 if side == "left" else settings.pitch_mm - thickness - settings.layer_gap_mm
                 pin = _rod(drive.joint.at, settings.rod_mm, low, pin_length_mm(settings))

@@ -1,7 +1,7 @@
 """Splits: where a part larger than the print bed is cut, and the dovetail that joins it again.
 
-A cut goes across one link. It follows a dovetail like that of a jigsaw puzzle, so that the pieces slide together along the
-extrusion and hold in the plane; glue does the rest. What the cut removes is the clearance between the pieces.
+A cut goes across one link. It follows a dovetail like that of a jigsaw puzzle, so that the pieces slide together along
+the extrusion and hold in the plane; glue does the rest. What the cut removes is the clearance between the pieces.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import cos, sin
 
 import numpy as np
-from shapely import LineString, Polygon, affinity
+from shapely import LineString, Point, Polygon, affinity
 from shapely.geometry.base import BaseGeometry
 
 from tasks.fabrication.rigid import Mechanism
@@ -20,6 +20,11 @@ STEP_MM = 3.0
 """Between the cuts that are tried along a link."""
 MAX_CUTS = 12
 """More than any design of six links needs on a bed of 100 mm."""
+LONGEST = 1.3
+"""Of a cut, in the link's width; a longer one runs into another link."""
+OVERRUN_MM = 1.0
+"""By which a cut goes beyond the outline."""
+ROUNDING_MM = 1e-6
 NECK, HEAD, DEPTH = 0.32, 0.46, 0.28
 """Of a dovetail: its narrowest and widest place and its depth, as shares of the cut's length."""
 
@@ -67,7 +72,8 @@ def split_of(
         settings: of the bed and the cut's clearance.
     """
     width, depth = bed_mm(settings)
-    pieces, cuts, fits = [outline], [], True
+    pieces, fits = [outline], True
+    cuts: list[BaseGeometry] = []
     while True:
         large = [piece for piece in pieces if turn_to_fit(piece, width, depth) is None]
         if not large:
@@ -108,7 +114,8 @@ def _best_cut(
             if chord is None:
                 continue
             for flip in (1, -1):
-                cut = _dovetail(chord, flip).buffer(settings.split_clearance_mm / 2, join_style="mitre", cap_style="flat")
+                line, half_gap = _dovetail(chord, flip), settings.split_clearance_mm / 2
+                cut = line.buffer(half_gap, join_style="mitre", cap_style="flat")
                 halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > 1.0]
                 if len(halves) != 2 or cut.intersects(clear):
                     continue
@@ -119,14 +126,15 @@ def _best_cut(
 
 
 def _chord(piece: Polygon, centre: tuple[float, float], angle: float, width: float) -> LineString | None:
-    """Give the straight cut across a piece at a link's place, if it is not much longer than the link is wide."""
-    reach = width  # on either side
+    """Give the straight cut across a piece at a link's place, if it ends in the open and near the link's sides."""
+    reach = 2 * width
     across = LineString([(-reach, 0.0), (reach, 0.0)])
     line = affinity.translate(affinity.rotate(across, angle, origin=(0, 0), use_radians=True), *centre)
     inside = line.intersection(piece)
     for stretch in getattr(inside, "geoms", [inside]):
-        if stretch.length > 0 and stretch.distance(LineString([centre, centre])) < 1e-6:
-            return stretch if stretch.length < 1.5 * width else None
+        if 0.0 < stretch.length < LONGEST * width and stretch.distance(Point(centre)) < ROUNDING_MM:
+            beyond = affinity.scale(stretch, *(2 * [1.0 + 2 * OVERRUN_MM / stretch.length]))
+            return stretch if beyond.intersection(piece).length < stretch.length + ROUNDING_MM else None
     return None
 
 
@@ -140,11 +148,11 @@ def _dovetail(chord: LineString, flip: int) -> LineString:
     middle = np.array([x0 + x1, y0 + y1]) / 2
     neck, head, depth = (share * length for share in (NECK, HEAD, DEPTH))
     points = [
-        np.array([x0, y0]) - along,
+        np.array([x0, y0]) - OVERRUN_MM * along,
         middle - along * neck / 2,
         middle - along * head / 2 + aside * depth,
         middle + along * head / 2 + aside * depth,
         middle + along * neck / 2,
-        np.array([x1, y1]) + along,
+        np.array([x1, y1]) + OVERRUN_MM * along,
     ]
     return LineString(points)
