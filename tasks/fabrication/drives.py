@@ -18,7 +18,7 @@ How a joint is assembled, decided here:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, pi, sin
 
@@ -36,6 +36,8 @@ CONFLICT_COST = 1000.0
 """Of a square millimetre that two servos would share."""
 
 
+COST_DIGITS = 3
+"""Candidates whose costs agree so far are equally good, and the first is taken, whatever the rounding."""
 CABLE_ROOM_MM = 1.0
 """Added to a cable's width."""
 
@@ -156,6 +158,7 @@ def drives_of(mechanism: Mechanism, settings: KitSettings) -> tuple[Drive, ...]:
     """
     servo = servo_named(settings.servo)
     horn = servo.horn(settings.horn)
+    ways = {body.index: _ways(mechanism, body.index) for body in mechanism.bodies} if mechanism.joints else {}
     drives: list[Drive] = []
     for number, joint in enumerate(mechanism.joints):
         candidates = [
@@ -174,21 +177,26 @@ def drives_of(mechanism: Mechanism, settings: KitSettings) -> tuple[Drive, ...]:
             for carrier, link in ((joint.parent, joint.parent_link), (joint.child, joint.link))
             for quarter in range(4)
         ]
-        drives.append(min(candidates, key=lambda drive: _cost(drive, mechanism, drives)))
+        costs = [round(_cost(candidate, mechanism, drives, ways), COST_DIGITS) for candidate in candidates]
+        drives.append(candidates[costs.index(min(costs))])
     return tuple(drives)
 
 
-def _cost(drive: Drive, mechanism: Mechanism, placed: Sequence[Drive]) -> float:
+def _ways(mechanism: Mechanism, body: int) -> BaseGeometry:
+    """Give where other parts of the same layer may come, seen from a part."""
+    own = mechanism.bodies[body]
+    others = [other for other in mechanism.bodies if other.index != body and (other.depth - own.depth) % 2 == 0]
+    return unary_union([swept(o.outline, mechanism.poses_in_range(body, o.index)[::2]) for o in others])
+
+
+def _cost(
+    drive: Drive, mechanism: Mechanism, placed: Sequence[Drive], ways: Mapping[int, BaseGeometry]
+) -> float:
     """Say how much of a drive stands out of its parts, is in another part's way, or in another drive's [mm²]."""
     cost = 0.0
     for body, boss in ((drive.carrier, drive.cradle), (drive.driven, drive.seat)):
-        own = mechanism.bodies[body]
-        outside = boss.difference(own.outline)
-        cost += outside.area
-        for other in mechanism.bodies:
-            if other.index != body and (other.depth - own.depth) % 2 == 0:
-                way = swept(other.outline, mechanism.poses_in_range(body, other.index)[::2])
-                cost += HIT_COST * outside.intersection(way).area
+        outside = boss.difference(mechanism.bodies[body].outline)
+        cost += outside.area + HIT_COST * outside.intersection(ways[body]).area
         taken = [d.cradle if d.carrier == body else d.seat for d in placed if body in (d.carrier, d.driven)]
         to_come = [
             drive_seat(drive, joint.at)

@@ -150,7 +150,7 @@ def _tool(feature: Feature) -> Solid:
 
 def _mismatch(solid: Solid, outline: Polygon) -> float:
     """Say how far a solid's vertices lie outside an outline."""
-    return sum(outline.distance(ShapelyPoint(v.X, v.Y)) for v in solid.vertices())
+    return float(sum(outline.distance(ShapelyPoint(v.X, v.Y)) for v in solid.vertices()))
 
 
 def printed_mass_g(solid: Solid, settings: KitSettings) -> float:

@@ -92,27 +92,40 @@ def _rounded(face: Face, radius: float) -> Face:
     """Round the inner corners, with half or a quarter of the radius where the whole does not fit, or not at all."""
     if radius == 0.0:
         return face
-    corners = _inner_corners(face)
-    whole = _filleted(face, corners, radius)
-    if whole is not None:
-        return whole
-    for corner in corners:
-        for r in (radius, radius / 2, radius / 4):
-            better = _filleted(face, [corner], r)
-            if better is not None:
-                face = better
-                break
+    room = _inner_corners(face)
+    sizes = (radius, radius / 2, radius / 4)
+    for number, size in enumerate(sizes):
+        larger = sizes[number - 1] if number else np.inf
+        smallest = 0.0 if size == sizes[-1] else size
+        corners = [corner for corner, edge in room.items() if smallest <= edge < larger]
+        together = _filleted(face, corners, size) if corners else face
+        if together is not None:
+            face = together
+            continue
+        for corner in corners:  # the estimate of the room was wrong for one of them
+            face = next((f for r in sizes[number:] if (f := _filleted(face, [corner], r)) is not None), face)
     return face
 
 
-def _inner_corners(face: Face) -> list[Point]:
+def _inner_corners(face: Face) -> dict[Point, float]:
+    """Find the inner corners, and for each the radius that its edges have about room for."""
     polygon = polygon_of(face)
     probe = np.pi * CORNER_PROBE_MM**2
-    return [
+    corners = [
         (v.X, v.Y)
         for v in face.vertices()
         if ShapelyPoint(v.X, v.Y).buffer(CORNER_PROBE_MM).intersection(polygon).area > 0.55 * probe
     ]
+    room = dict.fromkeys(corners, np.inf)
+    for edge in face.edges():
+        ends = [(p.X, p.Y) for p in (edge.position_at(0), edge.position_at(1))]
+        near = [min(corners, key=lambda c: np.hypot(c[0] - x, c[1] - y), default=None) for x, y in ends]
+        touched = {
+            c for c, (x, y) in zip(near, ends, strict=True) if c and np.hypot(c[0] - x, c[1] - y) < CORNER_PROBE_MM
+        }
+        for corner in touched:
+            room[corner] = min(room[corner], edge.length / len(touched))
+    return room
 
 
 def _filleted(face: Face, corners: list[Point], radius: float) -> Face | None:
