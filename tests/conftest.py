@@ -18,10 +18,10 @@ def local_ray() -> Iterator[Cluster]:
 
 @pytest.fixture(scope="session")
 def crane() -> Designs:
-    """A design of the physical variant that one can work out by heart: links of 2 m, so 140 × 35 mm on the bench.
+    """A design of the physical variant that one can work out by heart: links of 2 m, 140 × 35 mm on the bench.
 
-    Part 1 is a cross at the origin (links 0, 1). At its top is joint 2: link 2 goes on upward and link 3 from its end to
-    the right (part 2). At its right is joint 4: link 4 goes on to the right and link 5 from its end downward (part 3).
+    Part 1 is a cross at the origin (links 0, 1). At its top is joint 2: link 2 goes on upward and link 3 from its end
+    to the right (part 2). At its right is joint 4: link 4 goes on to the right and link 5 from its end down (part 3).
     """
     return Designs(
         length_scale=np.full((1, N_LINKS), 2.0),

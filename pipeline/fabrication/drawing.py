@@ -115,7 +115,7 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
     for drive in kit.drives:
         for hollow in (drive.pocket, drive.recess):
             sheet.add_patch(_patch(hollow, put, fill=False, ec=INK, lw=0.4, ls=(0, (2, 1.5)), zorder=5))
-        _joint(sheet, drive, put, scale)
+        _joint(sheet, drive, kit.mechanism.link_centre[drive.joint.link], put, scale)
     for body, rods in enumerate(kit.layers.rods):
         for number, rod in enumerate(rods, 1):
             (x, y), = put([rod])
@@ -142,14 +142,15 @@ def _clutter(kit: Kit, body: int) -> BaseGeometry:
     """Give what a label had better not lie on."""
     others = [profile.polygon for index, profile in enumerate(kit.profiles) if index != body]
     joints = [Point(drive.joint.at).buffer(30.0) for drive in kit.drives]
-    return unary_union([*others, *joints])
+    cuts = [cut.buffer(20.0) for cut in kit.splits[body].cuts]
+    return unary_union([*others, *joints, *cuts])
 
 
-def _joint(sheet: Axes, drive: Drive, put: Any, scale: float) -> None:
-    """Mark a joint's axis, its number, and the sector that its servo sweeps about rest."""
-    (x, y), = put([drive.joint.at])
+def _joint(sheet: Axes, drive: Drive, child: Sequence[float], put: Any, scale: float) -> None:
+    """Mark a joint's axis, its number, and the sector that its child link's middle sweeps about rest."""
+    (x, y), (child_x, child_y) = put([drive.joint.at, child])
     reach = max(drive.recess_radius_mm * scale, 3.0) + 4.0
-    direction = degrees(drive.angle) + (180.0 if drive.carrier == drive.joint.child else 0.0)
+    direction = degrees(atan2(child_y - y, child_x - x))
     swing = degrees(drive.joint.motion_range)
     sheet.add_patch(Arc((x, y), 2 * reach, 2 * reach, theta1=direction - swing, theta2=direction + swing, ec="#b0123c",
                         lw=0.8, zorder=7))  # fmt: skip

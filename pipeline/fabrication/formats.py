@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import io
+import re
 import zipfile
 from collections.abc import Iterable, Sequence
+from copy import copy
+from itertools import count
 from xml.sax.saxutils import quoteattr
 
 import ezdxf
@@ -18,6 +21,7 @@ from tasks.fabrication.profile import Profile
 
 EPOCH = "1980-01-01T00:00:00"
 """Stands for the time of writing wherever a format wants one."""
+OCCURRENCE = re.compile(rb"(NEXT_ASSEMBLY_USAGE_OCCURRENCE)\('\d+'([^;]*;)")
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
 CONTENT_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
@@ -34,16 +38,24 @@ RELATIONSHIPS = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def step(shapes: Sequence[tuple[str, Shape]], label: str) -> bytes:
-    """Give solids by name as STEP AP214, with a fixed time of writing."""
+    """Give solids by name as STEP AP214, with a fixed time of writing.
+
+    The kernel numbers the occurrences of parts through the life of the process; here they count from 1.
+    """
     children = []
     for name, shape in shapes:
-        named = shape.moved(shape.location.inverse() * shape.location)
+        named = copy(shape)
         named.label = name
         children.append(named)
     whole: Shape = children[0] if len(children) == 1 else Compound(label=label, children=children)
     buffer = io.BytesIO()
     export_step(whole, buffer, timestamp=EPOCH)
-    return buffer.getvalue()
+    numbers = count(1)
+
+    def renumbered(record: re.Match[bytes]) -> bytes:
+        return b"%s('%d'%s" % (record[1], next(numbers), re.sub(rb"\n *", b"", record[2]))  # on one line, however long
+
+    return OCCURRENCE.sub(renumbered, buffer.getvalue())
 
 
 def stl(mesh: Mesh) -> bytes:

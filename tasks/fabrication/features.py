@@ -65,6 +65,20 @@ def plate_mm(drive: Drive) -> float:
     return drive.servo.height_mm - drive.servo.ear_bottom_mm - drive.servo.ear_thickness_mm
 
 
+def check_room_between(drives: Sequence[Drive], settings: KitSettings) -> None:
+    """Refuse pontoons so close that their inner layers, or the servos that stand out of them, would meet.
+
+    Raises:
+        KitError: says how much room is left.
+    """
+    out = max((drive.servo.height_mm - settings.thickness_mm for drive in drives), default=0.0)
+    layers = 2 * settings.thickness_mm + settings.layer_gap_mm if drives else settings.thickness_mm
+    room = settings.pitch_mm + settings.thickness_mm - 2 * layers - 2 * max(out, 0.0)
+    if room <= 0.0:
+        raise KitError(f"pitch_mm is {settings.pitch_mm:g}: two layers of {settings.thickness_mm:g} mm a pontoon "
+                       f"and their servos leave {room:.1f} mm between the pontoons, expected more than 0")
+
+
 def cradle_features(drive: Drive, settings: KitSettings) -> list[Feature]:
     """Cut the servo's pocket, its ears' screws and its cable's ways out into the part that carries it.
 

@@ -14,7 +14,7 @@ from tasks.design.genes import check
 from tasks.fabrication.bill import BillLine, bill_of
 from tasks.fabrication.checks import Finding, findings_of
 from tasks.fabrication.drives import Drive, drives_of
-from tasks.fabrication.features import Feature, features_of
+from tasks.fabrication.features import Feature, check_room_between, features_of
 from tasks.fabrication.parts import SIDES, Bought, Part, bought_of, parts_of
 from tasks.fabrication.profile import Profile, profile_of
 from tasks.fabrication.rigid import Mechanism, mechanism_of
@@ -95,6 +95,7 @@ def build_kit(design: Designs, settings: KitSettings) -> Kit:
     check(design)
     mechanism = mechanism_of(design, settings)
     drives = drives_of(mechanism, settings)
+    check_room_between(drives, settings)
     profiles = tuple(profile_of(mechanism, drives, body.index, settings) for body in mechanism.bodies)
     outlines = [profile.polygon for profile in profiles]
     layers = layers_of(mechanism, drives, outlines, settings)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, PositiveFloat
 
 from tasks.fabrication.servos import HornKind
 from tasks.parameters import Parameters
@@ -50,7 +50,7 @@ class KitSettings(Parameters):
     """Narrowest place of a part's outline that is thought strong enough."""
     fillet_mm: float = Field(default=5.0, ge=0.0, le=20.0)
     """Radius in the inner corners of an outline, where links meet; less where it does not fit."""
-    bed_mm: tuple[float, float, float] = (220.0, 220.0, 250.0)
+    bed_mm: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (220.0, 220.0, 250.0)
     """Printer's width, depth and height. A larger part is split by a dovetail."""
     bed_margin_mm: float = Field(default=5.0, ge=0.0, le=50.0)
     """Kept free along the edges of the bed."""

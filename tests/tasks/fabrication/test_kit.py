@@ -11,7 +11,8 @@ from shapely import Point, unary_union
 
 from tasks.design import N_LINKS, DesignError, Designs, random_designs
 from tasks.fabrication.checks import lag_rad
-from tasks.fabrication.features import KitError
+from tasks.fabrication.drives import drives_of
+from tasks.fabrication.features import KitError, horn_features
 from tasks.fabrication.kit import Kit, build_kit
 from tasks.fabrication.parts import mesh_of, on_bed
 from tasks.fabrication.rigid import IN_PLACE, mechanism_of, moved
@@ -48,8 +49,8 @@ def kit(crane) -> Kit:
 def fillet_between_line_and_disc(big: float, small: float) -> float:
     """Area of a fillet where a disc of radius ``big`` leaves a line through its middle at a right angle.
 
-    The fillet's centre is ``small`` from the line and ``big + small`` from the disc's middle. Of the right triangle of the
-    two centres and the foot on the line, the two sectors are taken away.
+    The fillet's centre is ``small`` from the line and ``big + small`` from the disc's middle. Of the right triangle of
+    the two centres and the foot on the line, the two sectors are taken away.
     """
     foot = sqrt(big * big + 2 * big * small)
     angle = atan2(small, foot)
@@ -60,12 +61,13 @@ def test_links_whose_joint_is_locked_are_one_part(kit):
     assert [body.links for body in kit.mechanism.bodies] == [(0, 1), (2, 3), (4, 5)]
     assert [(j.link, j.parent, j.child) for j in kit.mechanism.joints] == [(2, 0, 1), (4, 0, 2)]
     assert np.allclose([j.at for j in kit.mechanism.joints], [(0.0, 70.0), (70.0, 0.0)])
-    assert [body.outline.area for body in kit.mechanism.bodies] == pytest.approx([2 * LINK - 35**2] + 2 * [2 * LINK - 17.5**2])
+    areas = [body.outline.area for body in kit.mechanism.bodies]
+    assert areas == pytest.approx([2 * LINK - 35**2] + 2 * [2 * LINK - 17.5**2])
 
 
 def test_outlines_with_bosses_and_fillets(kit):
-    # A cradle is 20 + 2·(0.3 + 3) = 26.6 wide and reaches 10.2 + 7 + 0.3 + 3 = 20.5 beyond the joint at its link's end. Its
-    # own corners are rounded with the wall's 3 mm. Beside it the link's end is 4.2 mm long, too short for a fillet of 5.
+    # A cradle is 20 + 2·(0.3 + 3) = 26.6 wide and reaches 10.2 + 7 + 0.3 + 3 = 20.5 beyond the joint at its link's end.
+    # Its own corners are rounded with the wall's 3 mm. Beside it the link's end is 4.2 mm long: room for 2.5, not 5.
     cradle = 26.6 * 20.5 - 2 * CORNER * 3.0**2 + 2 * CORNER * 2.5**2
     assert kit.profiles[0].face.area == pytest.approx(2 * LINK - 35**2 + 4 * CORNER * 25 + 2 * cradle, rel=EXACT)
     # A horn's seat is half a disc beyond the link's end.
@@ -83,7 +85,9 @@ def test_volumes(kit):
     )
     recess, through = 7.5 - 1.0, 25 - (7.5 - 1.0)
     horn = pi * 10.3**2 * recess + pi * (3.5**2 + 4 * 1.7**2) * through
-    assert part(kit, "part-2-left").volume_mm3 == pytest.approx(25 * kit.profiles[1].face.area - horn - 2 * rod, rel=EXACT)
+    assert part(kit, "part-2-left").volume_mm3 == pytest.approx(
+        25 * kit.profiles[1].face.area - horn - 2 * rod, rel=EXACT
+    )
     turning = pi * 1.65**2 * 25
     assert part(kit, "part-2-right").volume_mm3 == pytest.approx(
         25 * kit.profiles[1].face.area - turning - 2 * rod, rel=EXACT
@@ -98,7 +102,7 @@ def holes(solid, radius: float):
 
 
 def test_places_of_holes(kit):
-    # Joint 2 is at (0, 70); its servo lies along link 0, downward: its middle is 40.5 / 2 - 10.2 = 10.05 below the shaft.
+    # Joint 2 is at (0, 70); its servo lies along link 0, downward: its middle is 40.5 / 2 - 10.2 = 10.05 below.
     ears = [(x, 70 - 10.05 + end) for x in (-5.0, 5.0) for end in (-24.75, 24.75)]
     assert np.allclose(holes(part(kit, "part-1-left").solid, 1.275), sorted(ears))
     # The horn's screws are 7 mm from the shaft, the centre screw's hole on it.
@@ -112,7 +116,9 @@ def test_places_of_holes(kit):
 
 def test_servos_go_left_and_right_by_turns_and_pins_stand_for_the_others(kit, crane):
     kinds = sorted(item.name for item in kit.bought if item.kind in ("servo", "pin"))
-    assert kinds == ["pin of joint 2, right", "pin of joint 4, left", "servo of joint 2, left", "servo of joint 4, right"]
+    assert kinds == [
+        "pin of joint 2, right", "pin of joint 4, left", "servo of joint 2, left", "servo of joint 4, right",
+    ]  # fmt: skip
     both = build_kit(crane, SETTINGS.model_copy(update={"servos_per_joint": 2}))
     assert sum(item.kind == "servo" for item in both.bought) == 4 and not any(b.kind == "pin" for b in both.bought)
     assert not found(both, "rods give way")
@@ -121,9 +127,9 @@ def test_servos_go_left_and_right_by_turns_and_pins_stand_for_the_others(kit, cr
 def test_pontoons_mirror_one_another_at_the_pitch(kit):
     for body, outer in enumerate(kit.layers.outer):
         left, right = (part(kit, f"part-{body + 1}-{side}").solid.bounding_box() for side in ("left", "right"))
-        assert left.min.Z == pytest.approx(0.0 if outer else 26.0, abs=1e-6)
-        assert left.min.Z + right.max.Z == pytest.approx(325.0, abs=1e-6)
-        assert (left.max.Z - left.min.Z) == pytest.approx(25.0, abs=1e-6)
+        bottom = 0.0 if outer else 26.0
+        came = [left.min.Z, left.max.Z, right.min.Z, right.max.Z]
+        assert came == pytest.approx([bottom, bottom + 25.0, 300.0 - bottom, 325.0 - bottom], abs=1e-6)
     assert kit.layers.outer[0] != kit.layers.outer[1] == kit.layers.outer[2]
 
 
@@ -152,7 +158,8 @@ def test_rods_reach_both_copies_and_miss_what_sweeps(kit):
         if item.kind == "rod":
             box, body = item.solid.bounding_box(), int(item.name[-1]) - 1
             left, right = (part(kit, f"part-{body + 1}-{side}").solid.bounding_box() for side in ("left", "right"))
-            assert (box.min.Z, box.max.Z) == pytest.approx((left.min.Z, right.max.Z))
+            came = [box.min.Z, box.max.Z]
+            assert came == pytest.approx([left.min.Z, right.max.Z])
 
 
 def test_poses_are_those_of_the_design_with_its_joints_turned(crane):
@@ -185,7 +192,7 @@ def test_the_bill(kit):
     # Ears of 2.5 mm on a plate of 7.5: 10 mm. 18.5 mm of part and a disc of 2.5: at most 21.
     assert lines["screw", "M3 self-tapping × 10", None].count == 8
     assert lines["screw", "M3 × 20", None].count == 8
-    printed = [p for p in kit.parts if p.name == "part-2-right"][0]
+    printed = part(kit, "part-2-right")
     shell = printed.solid.area * 0.8
     assert printed.mass_g == pytest.approx(1.24e-3 * (shell + 0.45 * (printed.volume_mm3 - shell)))
     assert kit.mass_g == pytest.approx(sum(p.mass_g for p in kit.parts) + 120 + sum(
@@ -213,7 +220,7 @@ def test_parts_lie_on_the_bed(kit):
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("outer", [True, False])
 def test_the_sense_of_a_servo(kit, side, outer):
-    """The horn turns by `sense` about the shaft; in space that is about +z or -z, and it turns the child or the parent."""
+    """The horn turns by `sense` about the shaft, which is along +z or -z, and takes the child or the parent along."""
     for drive in kit.drives:
         for carrier in (drive.joint.parent, drive.joint.child):
             one = replace(drive, carrier=carrier, driven=drive.joint.parent + drive.joint.child - carrier)
@@ -240,12 +247,10 @@ def test_not_of_the_variant(crane):
     still = build_kit(with_genes(crane, motor_on=np.zeros((1, N_LINKS), dtype=bool)), SETTINGS)
     assert len(still.mechanism.bodies) == 1 and not still.drives and len(still.layers.rods[0]) == 2
     assert "0 motors are on" in found(still, "not of the variant")[0].message
-    folded = mechanism_of(with_genes(crane, rest_angle=np.array([[0, -pi / 2, 0, pi, 0, -pi / 2]])), SETTINGS)
-    assert folded.links[3].intersection(folded.links[0]).area == pytest.approx(0.0)
-    crossing = build_kit(with_genes(crane, parent_attachment=np.array([[0, 0, 1, 0.0, 1, 1]]),
-                                    rest_angle=np.array([[0, -pi / 2, pi, -pi / 2, 0, -pi / 2]])), SETTINGS)
-    said = [finding.message for finding in found(crossing, "not of the variant")]
-    assert any("without being joined" in message for message in said)
+    # Link 2 folded down over link 0 covers the left or right of link 1's middle too: 35 × 35 mm.
+    folded = build_kit(with_genes(crane, rest_angle=np.array([[0, -pi / 2, pi, -pi / 2, 0, -pi / 2]])), SETTINGS)
+    said = {finding.where: finding.message for finding in found(folded, "not of the variant")}
+    assert "overlap by 1225 mm² at rest without being joined" in said["links 1 and 2"]
 
 
 def test_every_number_of_motors(crane):
@@ -278,16 +283,18 @@ def test_servos_in_one_place(crane):
 
 
 def test_walls(crane):
-    # From the middle of an ear's screw, 27.8 / 2 from the servo's, to the case's opening, 22.8 / 2 + 0.3, less the pilot's radius.
+    # From an ear's screw, 27.8 / 2 from the servo's middle, to the case's opening, 22.8 / 2 + 0.3, less the pilot.
     wall = 27.8 / 2 - 22.8 / 2 - 0.3 - 0.85 * 2.0 / 2
-    thick = build_kit(crane, SETTINGS.model_copy(update={"servo": "mg90s", "min_wall_mm": wall + 0.01}))
+    micro = SETTINGS.model_copy(update={"servo": "mg90s"})
+    thick = build_kit(crane, micro.model_copy(update={"min_wall_mm": wall + 0.01}))
     (left, right) = found(thick, "wall too thin")
     assert f"{wall:.2f} mm between case" in left.message and left.where != right.where
-    assert not found(build_kit(crane, SETTINGS.model_copy(update={"servo": "mg90s", "min_wall_mm": wall - 0.01})), "wall too thin")
+    thin = build_kit(crane, micro.model_copy(update={"min_wall_mm": wall - 0.01}))
+    assert not found(thin, "wall too thin")
 
 
 def test_necks(crane):
-    # Links 2 and 3 overlap in a square of 17.5: from one inner corner to the other, less twice what a fillet of radius 5 adds.
+    # Links 2 and 3 overlap in a square of 17.5: its diagonal, and twice what a fillet of radius 5 adds in its corners.
     neck = 17.5 * sqrt(2) + 2 * 5 * (sqrt(2) - 1)
     for least, expected in ((neck - 0.3, 0), (neck + 0.3, 2)):
         kit = build_kit(crane, SETTINGS.model_copy(update={"min_neck_mm": least}))
@@ -295,12 +302,13 @@ def test_necks(crane):
 
 
 def test_parts_that_collide(crane):
-    # Link 3's tip is 140 from link 2; link 2 turns by 0.5 rad about (0, 70) and reaches down to link 4 if it may turn far.
-    far = with_genes(crane, motion_range=np.array([[0, 0.2, 1.5, 0.2, 1.5, 0.2]]))
-    (finding,) = found(build_kit(far, SETTINGS), "parts collide")
-    assert finding.where == "part 2 and part 3" and "joint 2 and joint 4" in finding.message
-    # In step they turn alike and keep out of one another's way; out of step they may not be.
-    assert finding.severity in ("fault", "warning")
+    # Clockwise turns bring part 2 down and counter-clockwise ones bring part 3 up, towards one another.
+    for phase, severity, said in ((0.0, "warning", "miss one another in the gait"), (pi, "fault", "meet in the gait")):
+        far = with_genes(crane, motion_range=np.array([[0, 0.2, 1.2, 0.2, 1.2, 0.2]]),
+                         phase=np.array([[0, 0, 0, 0, phase, 0]]))  # fmt: skip
+        (finding,) = found(build_kit(far, SETTINGS), "parts collide")
+        assert (finding.severity, finding.where) == (severity, "part 2 and part 3")
+        assert said in finding.message and "joint 2 and joint 4" in finding.message
     at_rest = with_genes(crane, rest_angle=np.array([[0, -pi / 2, -2.2, -pi / 2, 0.8, -pi / 2]]))
     (finding,) = found(build_kit(at_rest, SETTINGS), "parts collide")
     assert finding.severity == "fault" and "at rest" in finding.message
@@ -372,9 +380,17 @@ def test_unknown_servos_and_horns_are_refused_with_the_list():
 
 
 def test_settings_that_no_part_can_be_made_with(crane):
-    with pytest.raises(KitError, match=r"thickness_mm is 15: the horn of servo|thickness_mm is 14: servo"):
-        build_kit(crane, SETTINGS.model_copy(update={"thickness_mm": 15.0, "layer_gap_mm": 0.3, "horn": "disc",
-                                                     "servo": "hs85mg"}).model_copy(update={"thickness_mm": 14.0}))
+    # A plate of 29.9 - 18.5 - 2 = 9.4 mm, ears of 2 mm and a notch of 5 mm for the cable.
+    with pytest.raises(KitError, match=r"thickness_mm is 15: servo hs85mg needs at least 16\.4"):
+        build_kit(crane, KitSettings(thickness_mm=15.0, servo="hs85mg"))
+    (drive, _) = drives_of(mechanism_of(crane, SETTINGS), SETTINGS)
+    with pytest.raises(KitError, match=r"thickness_mm is 15: the horn of servo wide needs at least 26"):
+        tall = replace(SERVOS["ds3225"].horns[0], top_mm=21.0)
+        horn_features(replace(drive, horn=tall, servo=replace(SERVOS["ds3225"], name="wide")),
+                      KitSettings(thickness_mm=15.0))  # fmt: skip
+    # Two layers of 100 mm and their gap of 1 on either side leave less than nothing of 300 + 100.
+    with pytest.raises(KitError, match=r"pitch_mm is 300: .* leave -2\.0 mm"):
+        build_kit(crane, KitSettings(thickness_mm=100.0, servo="mg90s"))
     with pytest.raises(DesignError, match="length_scale of link 0 is 5"):
         build_kit(with_genes(crane, length_scale=np.array([[5.0, 2, 2, 2, 2, 2]])), SETTINGS)
 
