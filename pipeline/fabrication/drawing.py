@@ -168,9 +168,10 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
     """Draw both pontoons from above: x forward, the right pontoon at the bottom; parts by their extent."""
     settings = kit.settings
     deep = settings.pitch_mm + settings.thickness_mm
-    bottom = MARGIN_MM + TITLE_HEIGHT + 10.0
-    scale = _scale((high[0] - low[0], deep), (COLUMN_WIDTH - 40.0, top - bottom - 6.0))
-    corner = np.array([COLUMN_X + 12.0, top - 10.0 - deep * scale])
+    out = max((drive.servo.height_mm - settings.thickness_mm for drive in kit.drives), default=0.0)  # behind a part
+    room = (COLUMN_WIDTH - 40.0, top - MARGIN_MM - TITLE_HEIGHT - 12.0)
+    scale = _scale((high[0] - low[0], deep + 2 * out), room)
+    corner = np.array([COLUMN_X + 12.0, top - 6.0 - (deep + out) * scale])
 
     def put(x: float, z: float) -> Any:
         return np.array([(x - low[0]) * scale + corner[0], (deep - z) * scale + corner[1]])
