@@ -431,6 +431,7 @@ def n_random(config: pytest.Config) -> int:
     return 200 if config.getoption("--torture", default=False) else 3
 
 
+@pytest.mark.timeout(7200)  # under --torture there are 200
 def test_random_designs_of_the_variant_make_valid_closed_parts(pytestconfig):
     """What build_kit itself holds: valid solids of the analytic volume. Here, that their meshes are closed too."""
     for seed in range(n_random(pytestconfig)):
@@ -440,6 +441,7 @@ def test_random_designs_of_the_variant_make_valid_closed_parts(pytestconfig):
         check_meshes(kit)
 
 
+@pytest.mark.timeout(7200)  # under --torture there are 200
 def test_random_designs_of_any_kind_are_reported_on_not_crashed_on(pytestconfig):
     for seed in range(n_random(pytestconfig)):
         print(f"design {seed} of any kind")
