@@ -4,13 +4,14 @@ VENV := .venv
 PUDDLE := $(VENV)/bin/puddle
 READY := $(VENV)/.ready
 PRESET ?= laptop
+MINUTES ?= 60
 
 # The first Python that runs and is one of 3.11 to 3.13; override with `make PYTHON=...`.
 PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(shell \
 	$(p) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null && echo $(p))))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup study test lint ui bench clean
+.PHONY: help setup study test torture lint ui bench clean
 
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-7s %s\n", $$1, $$2}'
@@ -26,13 +27,16 @@ $(READY): pyproject.toml constraints.txt
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
 	@touch $@
 
-study: $(READY) ## run the whole study (PRESET=laptop; also smoke, paper, pontoon)
+study: $(READY) ## run the whole study (PRESET=laptop; also smoke, row, paper, pontoon)
 	$(PUDDLE) study --preset $(PRESET)
 
 test: $(READY) ## check style, types and layers, and run the tests
 	$(VENV)/bin/ruff check --quiet .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python -m pytest
+
+torture: $(READY) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=60)
+	$(VENV)/bin/python -m pytest tests/torture --torture --minutes $(MINUTES)
 
 lint: $(READY) ## check style, types and layers alone
 	$(VENV)/bin/ruff check .

@@ -1,4 +1,7 @@
-"""Make the README's performance section from a run of `make bench`: `python -m benchmarks.readme [bench.json]`."""
+"""Make the tables of performance from a run of `make bench`: `python -m benchmarks.readme [bench.json]`.
+
+The README has the figures that something was promised of, docs/performance.md all of them.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,14 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results.json"
-"""The run that the README shows."""
+"""The run that they show."""
+PAGES = {ROOT / "README.md": True, ROOT / "docs" / "performance.md": False}
+"""Pages that hold a table, and whether it is of the promised figures alone."""
 BEGIN, END = "<!-- from benchmarks/results.json: python -m benchmarks.readme -->", "<!-- end -->"
 
 
-def section(results: dict[str, Any]) -> str:
-    """Give the table of a run in Markdown."""
+def section(results: dict[str, Any], *, promised: bool) -> str:
+    """Give the table of a run in Markdown: of all figures, or of those that something was promised of."""
     machine = results["machine"]
     lines = [
         f"One core of: {machine['cpu']}, {machine['lanes']} lanes, Python {machine['python']}.",
@@ -25,6 +30,8 @@ def section(results: dict[str, Any]) -> str:
         "|---|--:|--:|---|---|",
     ]
     for figure in results["figures"]:
+        if promised and figure["promise"] is None:
+            continue
         bound = f"{'≥' if figure['at_least'] else '≤'} {figure['promise']} {'✓' if figure['kept'] else '✗'}"
         promise = "" if figure["promise"] is None else bound
         low, high = min(figure["rounds"]), max(figure["rounds"])
@@ -33,19 +40,20 @@ def section(results: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def with_section(readme: str, results: dict[str, Any]) -> str:
-    """Replace what is between the README's markers."""
-    before, rest = readme.split(BEGIN)
+def with_section(page: str, results: dict[str, Any], *, promised: bool) -> str:
+    """Replace what is between a page's markers."""
+    before, rest = page.split(BEGIN)
     _, after = rest.split(END)
-    return f"{before}{BEGIN}\n{section(results)}\n{END}{after}"
+    return f"{before}{BEGIN}\n{section(results, promised=promised)}\n{END}{after}"
 
 
 def main() -> None:
-    """Take up a run, and write its table into the README."""
+    """Take up a run, and write its tables."""
     if len(sys.argv) > 1:
         shutil.copyfile(sys.argv[1], RESULTS)
-    readme = ROOT / "README.md"
-    readme.write_text(with_section(readme.read_text(), json.loads(RESULTS.read_text())))
+    results = json.loads(RESULTS.read_text())
+    for page, promised in PAGES.items():
+        page.write_text(with_section(page.read_text(), results, promised=promised))
 
 
 if __name__ == "__main__":

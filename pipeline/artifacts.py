@@ -31,6 +31,9 @@ Array: TypeAlias = npt.NDArray[Any]
 
 METADATA_KEY = "puddle"
 
+MAX_TABLE_BYTES = 2**31
+"""Of a table in memory. A piece of work makes megabytes."""
+
 _INTEGERS = tuple(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 _NUMBERS = frozenset(("bool", *_INTEGERS, "float32", "float64"))
 _RESTORE = "It is damaged: restore it from a copy, or make it again."
@@ -218,6 +221,7 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
         file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True, pre_buffer=False)
         label = _read_label((file.metadata.metadata or {}).get(METADATA_KEY.encode()), source)
         check_format(label, schema=schema, version=version, source=source)
+        _refuse_swelling(file)
         table = file.read(use_threads=False)
         columns = {name: _pure_array(_numpy_column(table.column(name)), name) for name in table.column_names}
     except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, MemoryError) as error:
@@ -226,6 +230,24 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
         ) from None
     _check_label(columns, label, source)
     return columns
+
+
+def _refuse_swelling(file: pq.ParquetFile) -> None:
+    """Refuse a table that would fill the memory: a few kilobytes can stand for many gigabytes."""
+    width = sum(_width(field.type) for field in file.schema_arrow)
+    n_bytes = max(
+        file.metadata.num_rows * width,
+        sum(file.metadata.row_group(index).total_byte_size for index in range(file.metadata.num_row_groups)),
+    )
+    if n_bytes > MAX_TABLE_BYTES:
+        raise ValueError(f"it would take {n_bytes} bytes of memory, {MAX_TABLE_BYTES} at most")
+
+
+def _width(kind: pa.DataType) -> int:
+    """Return the bytes that a value takes in memory; of text, the least."""
+    if pa.types.is_fixed_size_list(kind):
+        return int(kind.list_size) * _width(kind.value_type)
+    return max(1, kind.bit_width // 8) if pa.types.is_primitive(kind) else 4
 
 
 def _arrow_column(array: Array) -> pa.Array:

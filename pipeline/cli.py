@@ -35,7 +35,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-Preset = Annotated[str, typer.Option("--preset", help="Settings in configs/: smoke, laptop, paper, pontoon.")]
+Preset = Annotated[str, typer.Option("--preset", help="Settings in configs/: smoke, laptop, row, paper, pontoon.")]
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="A settings file instead of a preset.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change one setting: evolution.n_generations=50.")]
 StorePath = Annotated[Path, typer.Option("--store", envvar="PUDDLE_STORE", help="Where results are kept.")]
@@ -176,6 +176,19 @@ def status(
         typer.echo(line)
 
 
+@app.command(name="settings")
+def list_settings(
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+) -> None:
+    """List every setting with its unit, its reason and its value: a file to begin your own from."""
+    from pipeline.annotated import annotated_lines
+
+    for line in annotated_lines(Chosen(preset, settings, tuple(overrides or ()), DEFAULT_STORE).settings()):
+        typer.echo(line)
+
+
 @app.command()
 def forecast(
     preset: Preset = DEFAULT_PRESET,
@@ -268,6 +281,68 @@ def _confirmed(question: str) -> bool:
         return typer.confirm(question)
     except typer.Abort:  # Ctrl-C, or nobody there to answer
         return False
+
+
+@app.command()
+def verify(
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+    store: StorePath = DEFAULT_STORE,
+    discard: Annotated[bool, typer.Option("--discard", help="Forget what is damaged: a run mends it.")] = False,
+) -> None:
+    """Hash everything in a store again; name what is damaged, and what mends it."""
+    from pipeline.progress import progress
+    from pipeline.verify import verify_lines
+
+    chosen = Chosen(preset, settings, tuple(overrides or ()), store)
+    kept = chosen.open_store(create=False)
+    with _interruptible(), kept.lock_all() if discard else contextlib.nullcontext(), progress() as show:
+        lines, well = verify_lines(kept, discard=discard, progress=show, how_to_run=chosen.command)
+    typer.echo("\n".join(lines))
+    if not well:
+        raise typer.Exit(INCOMPLETE)
+
+
+@app.command()
+def gc(
+    store: StorePath = DEFAULT_STORE,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove it; otherwise it is only listed.")] = False,
+) -> None:
+    """List what no study of a store needs and what killed drivers left, or remove it."""
+    from pipeline import gc as garbage
+
+    chosen = Chosen(DEFAULT_PRESET, None, (), store)
+    kept = chosen.open_store(create=False)
+    with kept.lock_all():
+        found = garbage.find_garbage(kept)
+        lines = list(garbage.gc_lines(kept, found, removed=remove, command=f"{chosen.command('gc')} --remove"))
+        if remove:
+            garbage.remove(kept, found)
+    typer.echo("\n".join(lines))
+
+
+@app.command()
+def doctor(
+    preset: Preset = DEFAULT_PRESET,
+    settings: SettingsFile = None,
+    overrides: Overrides = None,
+    store: StorePath = DEFAULT_STORE,
+    workers: Workers = None,
+) -> None:
+    """Check this machine before a long study: versions, disk, memory, permissions, processor, Ray."""
+    from pipeline.doctor import examine
+
+    chosen = Chosen(preset, settings, tuple(overrides or ()), store)
+    with _interruptible():
+        failed = False
+        for finding in examine(chosen.settings(), store, n_workers=workers):
+            failed = failed or finding.verdict == "fail"
+            typer.echo(f"{finding.verdict:<5} {finding.what}: {finding.found}")
+            if finding.advice:
+                typer.echo(f"      {finding.advice}")
+    if failed:
+        raise typer.Exit(INCOMPLETE)
 
 
 @app.command()

@@ -15,6 +15,9 @@ from tasks.design.genes import DTYPES, is_per_link
 
 SCHEMA, VERSION = "puddle.design", 1
 
+MAX_BYTES = 2**20
+"""A design file's greatest length."""
+
 
 def design_document(design: Designs) -> dict[str, Any]:
     """Give one design as plain values."""
@@ -74,7 +77,10 @@ def read_design(path: Path) -> Designs:
         PuddleError: the file can't be read or is not a design.
     """
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise PuddleError(f"{path}: can't be read: {error.strerror}. Expected a design file (design.json).") from None
+    if len(data) > MAX_BYTES:
+        raise PuddleError(f"{path}: expected at most {MAX_BYTES} bytes of a design, came more. Is it the right file?")
     return design_from(decode_json(data, str(path)), str(path))

@@ -1,8 +1,8 @@
-"""The disk: the five effects through which the store changes it, and the one way to put a file in its place.
+"""The disk: the effects through which the store changes it, and the one way to put a file in its place.
 
-Every change goes through :func:`write`, :func:`fsync`, :func:`rename`, :func:`mkdir` and :func:`unlink`, looked up in
-this module at each call, so that a test can let the process die, or the disk fill, at any of them. Lock files are
-apart: they hold nothing that has to outlive a process. POSIX only (flock).
+Every change goes through :func:`write`, :func:`fsync`, :func:`rename`, :func:`mkdir`, :func:`unlink` and :func:`rmdir`,
+looked up in this module at each call, so that a test can let the process die, or the disk fill, at any of them. Lock
+files are apart: they hold nothing that has to outlive a process. POSIX only (flock).
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pipeline.artifacts import digest
-from pipeline.errors import PuddleError
+from pipeline.errors import DamagedArtifact, PuddleError
+
+MAX_DOCUMENT_BYTES = 2**26
+"""A JSON document's greatest length: the record of a study of half a million pieces."""
 
 _OWN = os.O_NOFOLLOW | os.O_CLOEXEC
 
@@ -26,7 +29,7 @@ class NotAFileError(OSError):
     """Something else has a file's name."""
 
 
-# -- the five effects ------------------------------------------------------------------------------------------------
+# -- the effects -----------------------------------------------------------------------------------------------------
 
 
 def write(path: Path, data: bytes) -> None:
@@ -59,6 +62,11 @@ def unlink(path: Path) -> None:
     path.unlink(missing_ok=True)
 
 
+def rmdir(path: Path) -> None:
+    """Remove an empty folder."""
+    path.rmdir()
+
+
 # -- made of them ----------------------------------------------------------------------------------------------------
 
 
@@ -71,26 +79,40 @@ def place(path: Path, data: bytes) -> None:
     """Put a file in its place: whole under its name, or not there at all, whatever happens meanwhile.
 
     Callers hold a lock on the folder: the temporary file's name is always the same, so that an interrupted call leaves
-    at most one, which the next call writes over.
+    at most one, which the next call writes over. What is in its place already is not written again: there may be no
+    room for it twice.
     """
+    if _holds(path, data):
+        fsync(path.parent)
+        return
     write(temporary(path), data)
     fsync(temporary(path))
-    if digest(read(temporary(path))) != digest(data):
+    if digest(read(temporary(path), at_most=len(data))) != digest(data):
         raise PuddleError(f"{path}: expected the bytes just written, came others. Check the disk before going on.")
     rename(temporary(path), path)
     fsync(path.parent)
 
 
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return read(path, at_most=len(data)) == data
+    except OSError:
+        return False
+
+
 def make_folders(root: Path, folder: Path) -> None:
     """Make the folders from a root (which exists) down to a folder below it, for good."""
-    missing = [path for path in (folder, *folder.parents) if path.is_relative_to(root) and not path.is_dir()]
+    below = [path for path in (folder, *folder.parents) if path.is_relative_to(root) and path != root]
+    missing = [path for path in below if not path.is_dir()]
+    if deepest := below[len(missing) : len(missing) + 1]:
+        fsync(deepest[0].parent)  # who made it may have died before it was safe
     for path in reversed(missing):
         mkdir(path)
         fsync(path.parent)
 
 
-def read(path: Path) -> bytes:
-    """Read a regular file.
+def read(path: Path, *, at_most: int = MAX_DOCUMENT_BYTES) -> bytes:
+    """Read a regular file. Of one that is longer than it should be, it takes one byte too many and no more.
 
     Raises:
         NotAFileError: where it is a symbolic link, a folder, a pipe or the like.
@@ -99,7 +121,15 @@ def read(path: Path) -> bytes:
     if not stat.S_ISREG(path.lstat().st_mode):
         raise NotAFileError(errno.EINVAL, "not a regular file", str(path))
     with os.fdopen(os.open(path, os.O_RDONLY | _OWN), "rb") as file:
-        return file.read()
+        return file.read(at_most + 1)
+
+
+def read_document(path: Path) -> bytes:
+    """Read a JSON document; raises as :func:`read`, and DamagedArtifact where it is too long to be one of ours."""
+    data = read(path)
+    if len(data) > MAX_DOCUMENT_BYTES:
+        raise DamagedArtifact(f"{path}: expected at most {MAX_DOCUMENT_BYTES} bytes, came {path.stat().st_size}")
+    return data
 
 
 def inside(root: Path, *parts: str) -> Path:
@@ -127,15 +157,17 @@ def locked(path: Path) -> Iterator[None]:
         yield
 
 
-def try_lock(path: Path, *, shared: bool = False) -> int | None:
+def try_lock(path: Path, *, kind: int = fcntl.LOCK_EX, only_ask: bool = False) -> int | None:
     """Take a lock file if it is free; return its descriptor, whose closing lets go, or None where it is taken.
 
-    A shared lock only asks whether somebody holds it, and does not create the file. As an asker is in the way for an
-    instant, taking it tries for half a second.
+    Args:
+        path: of the lock file.
+        kind: fcntl.LOCK_EX, or LOCK_SH for a lock that many share.
+        only_ask: do not create the file. As an asker is in the way for an instant, others try for half a second.
     """
-    flags, kind = (os.O_RDONLY, fcntl.LOCK_SH) if shared else (os.O_RDWR | os.O_CREAT, fcntl.LOCK_EX)
+    flags = os.O_RDONLY if only_ask else os.O_RDWR | os.O_CREAT
     descriptor = os.open(path, flags | _OWN, 0o644)
-    patience = time.monotonic() + (0.0 if shared else 0.5)
+    patience = time.monotonic() + (0.0 if only_ask else 0.5)
     while True:
         try:
             fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
@@ -160,7 +192,8 @@ def explained(doing: str, path: Path) -> Iterator[None]:
                 advice = "Allow it (permissions, a read-only disk), or choose another place for the store."
             case _:
                 advice = "Mend the cause and give the same command again: it goes on from there."
-        where = f" ({error.filename})" if error.filename else ""
+        file = error.filename2 or error.filename  # of a rename, the name that was wanted
+        where = f" ({file})" if file else ""
         raise PuddleError(
             f"{path}: {doing} failed: {error.strerror or error}{where}. Whatever was kept before is safe. {advice}"
         ) from error

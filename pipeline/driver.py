@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from typing import Any
 
 from pipeline.artifacts import canonical_json, digest, encode_json
 from pipeline.cluster import Cluster
@@ -13,7 +15,7 @@ from pipeline.progress import Progress
 from pipeline.settings import Settings
 from pipeline.stage import Results, Stage, Summary, Upstream
 from pipeline.stages import STAGES
-from pipeline.store import Store, StudyItem
+from pipeline.store import SetAside, Store, StudyItem
 from pipeline.study import follow, require, results_of, run_stage
 from pipeline.tracking import Run, Tracker
 
@@ -53,6 +55,7 @@ def drive(
                 cluster.append(stack.enter_context(open_cluster()))
             return cluster[0]
 
+        _introduce(settings, store, progress.say)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
@@ -77,8 +80,11 @@ def _drive(
     upstream: dict[str, Results] = {}
     for stage in STAGES[: 1 + max(STAGES.index(stage) for stage in wanted)]:
         walks = follow(stage, settings, store, upstream, say=progress.say)
-        if stage in wanted:
-            require(settings, stage, upstream, how_to_run=how_to_run)
+        if stage not in wanted:
+            upstream[stage.name] = results_of(stage, walks)
+            continue
+        require(settings, stage, upstream, how_to_run=how_to_run)
+        try:
             if any(walk.open for walk in walks):
                 left = sum(walk.work_left for walk in walks if walk.open)
                 done = sum(walk.work_done for walk in walks)
@@ -87,24 +93,56 @@ def _drive(
                     run_stage(
                         settings, stage, walks, upstream, store=store, cluster=cluster, bar=bar, say=progress.say
                     )
-        upstream[stage.name] = results_of(stage, walks)
-        if stage in wanted:
+        finally:  # however it ended, `puddle status` is to know what was set aside
+            upstream[stage.name] = results_of(stage, walks)
             _keep_record(settings, upstream, store)
-            summary = stage.summarise(settings, upstream[stage.name], store)
-            progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
-            tracker.mirror(*_runs(settings, stage, upstream, summary))
+        summary = stage.summarise(settings, upstream[stage.name], store)
+        progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
+        tracker.mirror(*_runs(settings, stage, upstream, summary))
     return upstream
 
 
+def _introduce(settings: Settings, store: Store, say: Callable[[str], None]) -> None:
+    """Put the study's settings on record before its first piece, and say so where its name had others."""
+    chosen = settings.model_dump(mode="json")
+    try:
+        before = store.read_study(settings.name)
+    except DamagedArtifact as damage:
+        say(f"{damage}")
+        before = None
+    if before is not None and before.settings == chosen:
+        return
+    if before is not None:
+        differ = _differences(before.settings, chosen)
+        listed = ", ".join(differ[:4]) + (f" and {len(differ) - 4} more" if len(differ) > 4 else "")
+        say(
+            f"study {settings.name} had other settings until now ({listed}). Its report will be replaced. What it "
+            f"computed stays: those settings bring the old report back in seconds, until `puddle gc`. To keep both "
+            f"reports, stop (Ctrl-C) and add --set name=ANOTHER."
+        )
+    store.write_study(settings.name, chosen, ())
+
+
+def _differences(old: Any, new: Any, name: str = "") -> list[str]:
+    """Name the settings that differ, with both values."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        names = [*new, *(gone for gone in old if gone not in new)]
+        return [line for one in names for line in _differences(old.get(one), new.get(one), f"{name}.{one}".strip("."))]
+    return [] if old == new else [f"{name}: {json.dumps(old)} → {json.dumps(new)}"]
+
+
 def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:
-    """Write down what the study is made of."""
+    """Write down what the study is made of, and what it lacks."""
     items = [
         StudyItem(name, f"{label}#{index}", manifest.key)
         for name, results in upstream.items()
         for label, manifests in results.done.items()
         for index, manifest in enumerate(manifests)
     ]
-    store.write_study(settings.name, settings.model_dump(mode="json"), items)
+    set_aside = [
+        SetAside(name, label, why) for name, results in upstream.items() for label, why in results.set_aside.items()
+    ]
+    store.write_study(settings.name, settings.model_dump(mode="json"), items, set_aside)
 
 
 def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary) -> tuple[Run, Run, list[Run]]:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import os
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.artifacts import encode_table
+from pipeline.artifacts import Json, encode_table, key_of
+from pipeline.manifest import Manifest
+from pipeline.schedule import Schedule, Work, play
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Chain, Results, Stage
-from pipeline.stages import STAGES
+from pipeline.stages import STAGES, segments
 from pipeline.stages.segments import history_units, segment_spec, world_of
 from pipeline.store import Store
 from pipeline.study import survey
@@ -34,6 +39,11 @@ ENOUGH_SECONDS = 0.3
 N_CALIBRATION_ITERATIONS = 4
 """Iterations of training that are timed, after as many that are not."""
 N_CALIBRATION_THROWS = 8
+N_CALIBRATION_RESULTS = 5
+N_PIECES_PLAYED = 4
+"""Of the longest trial, where a schedule is played through."""
+SOON_ENOUGH = 1.05
+"""Times the soonest end; of what ends so soon, the coarsest grain is best."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,8 @@ class Rates:
     generation: Mapping[EnvironmentName, float]
     """By the world in which designs are simulated."""
     population_size: int
+    selection: float
+    """Asking and telling, a generation's part that is not simulation [s]."""
     bytes_per_design: float
     """What a trial's history keeps of each evaluated design [bytes]."""
 
@@ -80,7 +92,14 @@ def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
     for world in worlds:
         say(f"timing a generation in {world.replace('_', ' ')}")
         generation[world] = _time_of_generation(settings, world)
-    return Rates(throw, iteration, generation, settings.evolution.afpo.population_size, _bytes_per_design(settings))
+    return Rates(
+        throw=throw,
+        iteration=iteration,
+        generation=generation,
+        population_size=settings.evolution.afpo.population_size,
+        selection=_time_of_selection(settings),
+        bytes_per_design=bytes_per_design(settings),
+    )
 
 
 def forecast(
@@ -177,27 +196,35 @@ def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
     depths = [depth for environment, depth, _ in settings.grid.trials() if environment == world]
     environment = _world(settings, world, float(np.median(depths or list(settings.grid.depths))))
     rng = np.random.default_rng(0)
-    designs = random_designs(afpo.population_size, rng)
+    morphology = settings.evolution.morphology
+    designs = random_designs(afpo.population_size, rng, morphology=morphology)
 
     def rollouts(n_steps: int) -> object:
         return simulate(
             designs, environment, n_settle=0, n_measure=n_steps, engine=settings.work.engine, physics=settings.physics
         )
 
-    def selection() -> object:
-        children = ask(NOBODY_YET, rng, afpo)
-        population = tell(NOBODY_YET, children, rng.normal(size=afpo.population_size), rng, afpo)
-        return tell(population, ask(population, rng, afpo), rng.normal(size=afpo.population_size), rng, afpo)
-
     n_all = settings.rollout.n_settle + settings.rollout.n_measure
     n_steps = min(FEWEST_STEPS, n_all)
     while (seconds := _seconds(partial(rollouts, n_steps))) < ENOUGH_SECONDS and n_steps < n_all:
         n_steps = min(4 * n_steps, n_all)
-    return seconds * n_all / n_steps + _seconds(selection)
+    return seconds * n_all / n_steps + _time_of_selection(settings)
 
 
-def _bytes_per_design(settings: Settings) -> float:
-    """Encode a short history and weigh it."""
+def _time_of_selection(settings: Settings) -> float:
+    afpo, rng = settings.evolution.afpo, np.random.default_rng(0)
+
+    def selection() -> object:
+        children = ask(NOBODY_YET, rng, afpo, morphology=morphology)
+        population = tell(NOBODY_YET, children, rng.normal(size=afpo.population_size), rng, afpo)
+        more = ask(population, rng, afpo, morphology=morphology)
+        return tell(population, more, rng.normal(size=afpo.population_size), rng, afpo)
+
+    return _seconds(selection)
+
+
+def bytes_per_design(settings: Settings) -> float:
+    """Return what a trial's history keeps of each evaluated design [bytes]: a short one is encoded and weighed."""
     n_members = settings.ensemble.n_members if settings.needs_ensemble else 1
     rng = np.random.default_rng(0)
 
@@ -213,6 +240,109 @@ def _bytes_per_design(settings: Settings) -> float:
     return len(data) / len(history["fitness"])
 
 
+def seconds_of_a_result(settings: Settings, folder: Path) -> float:
+    """Time what a trial's piece costs the driver: to specify it, read its input, keep its result.
+
+    Args:
+        settings: the study's.
+        folder: on the disk where the store is to be; nothing stays in it.
+    """
+    n_rows = settings.work.generations_per_item * settings.evolution.afpo.population_size
+    history = bytes(int(n_rows * bytes_per_design(settings)))
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".puddle-forecast-") as place:
+        store = Store.open(Path(place) / "store", create=True)
+
+        def keep(number: int) -> Manifest:
+            identity: dict[str, Json] = {"stage": "evolve", "number": number}
+            files = {"history.parquet": history, "population.safetensors": history[:100_000], "curve.parquet": b" "}
+            manifest = store.commit("evolve", key_of(identity), identity, files, record={})
+            store.read(manifest, "population.safetensors")
+            return manifest
+
+        keep(0)
+        start = time.perf_counter()
+        for number in range(1, N_CALIBRATION_RESULTS + 1):
+            keep(number)
+        return (time.perf_counter() - start) / N_CALIBRATION_RESULTS
+
+
+def works_of(stage: Stage, chain: Chain, n_done: int, settings: Settings, rates: Rates) -> list[Work]:
+    """Say what is left of a chain, as tasks for cores."""
+    price = _price(stage, chain, rates)
+    if stage.unit != "generations":
+        return [Work(1, 1, units * price) for units in chain.units[n_done:]]
+    size = segments.how(settings, chain.spec["world"])["designs_per_batch"]
+    n_designs = rates.population_size
+    if size is None or size >= n_designs:
+        return [Work(1, 1, units * price) for units in chain.units[n_done:]]
+    select = min(rates.selection, price)
+    batch_seconds = (price - select) * min(size, n_designs) / n_designs
+    n_batches = math.ceil(n_designs / size)
+    # What is less than a generation, such as the scoring of champions, is not split.
+    return [
+        Work(round(units), n_batches, batch_seconds, select) if units >= 1 else Work(1, 1, units * price)
+        for units in chain.units[n_done:]
+    ]
+
+
+def schedule(
+    settings: Settings, stage: Stage, upstream: Mapping[str, Results], rates: Rates, n_cores: int, driver: float
+) -> Schedule:
+    """Play a stage through on simulated cores, long trials in part: their generations are alike."""
+    chains = stage.plan(settings)
+    n_done = upstream[stage.name].n_done if stage.name in upstream else {}
+    works = [works_of(stage, chain, n_done.get(chain.label, 0), settings, rates) for chain in chains]
+    longest = max((len(pieces) for pieces in works), default=0)
+    share = min(1.0, N_PIECES_PLAYED / longest) if longest else 1.0
+    played = play([pieces[: max(1, round(share * len(pieces)))] for pieces in works], n_cores, driver_seconds=driver)
+    return replace(played, seconds=played.seconds / share, critical_seconds=played.critical_seconds / share)
+
+
+def schedule_lines(
+    settings: Settings, upstream: Mapping[str, Results], rates: Rates, n_cores: int, driver: float
+) -> list[str]:
+    """Say how a cluster would be kept busy, and which grain would keep it so."""
+    lines = [
+        "",
+        f"on {n_cores:,} cores, the schedule played through (a result costs the driver {driver * 1e3:.0f} ms):",
+        f"{'stage':<10}{'to the end':>14}{'longest chain':>16}{'cores busy':>12}{'driver busy':>13}",
+    ]
+    evolution: Schedule | None = None
+    for stage in STAGES:
+        played = schedule(settings, stage, upstream, rates, n_cores, driver)
+        if not played.seconds:
+            continue
+        evolution = played if stage.name == "evolve" else evolution
+        lines.append(
+            f"{stage.name:<10}{played.seconds / 3600:12.2f} h{played.critical_seconds / 3600:14.2f} h"
+            f"{played.busy:12.0%}{played.driver_busy:13.0%}"
+        )
+    if evolution is not None:
+        lines += _advice(settings, evolution, upstream, rates, n_cores, driver)
+    return lines
+
+
+def _advice(
+    settings: Settings, now: Schedule, upstream: Mapping[str, Results], rates: Rates, n_cores: int, driver: float
+) -> list[str]:
+    """Recommend the coarsest batches that end evolution soonest, or nearly so."""
+    (evolve_stage,) = (stage for stage in STAGES if stage.name == "evolve")
+    grains: list[tuple[int | None, Schedule]] = [(settings.work.designs_per_batch, now)]
+    for size in (size for size in (32, 16, 8, 4, 2) if size < rates.population_size):
+        work = settings.work.model_copy(update={"designs_per_batch": size})
+        finer = settings.model_copy(update={"work": work})
+        grains.append((size, schedule(finer, evolve_stage, upstream, rates, n_cores, driver)))
+    soonest = min(played.seconds for _, played in grains)
+    grain, best = next(grain for grain in grains if grain[1].seconds <= SOON_ENOUGH * soonest)
+    if best is now:
+        return [f"No other grain ends evolution sooner: work.designs_per_batch={grain or 'null'} is right here."]
+    why = f"{len(evolve_stage.plan(settings)):,} trials alone keep {now.busy:.0%} of {n_cores:,} cores busy"
+    return [
+        f"{why}: with `--set work.designs_per_batch={grain}` evolution takes {best.seconds / 3600:.2f} h instead of "
+        f"{now.seconds / 3600:.2f} h, and keeps {best.busy:.0%} busy."
+    ]
+
+
 def forecast_lines(
     settings: Settings, store: Store | None, cores: Sequence[int], *, say: Callable[[str], None]
 ) -> list[str]:
@@ -225,7 +355,8 @@ def forecast_lines(
         say: shows what is being measured.
     """
     upstream = survey(settings, STAGES, store, say=say) if store is not None else {}
-    stages = forecast(settings, STAGES, measure(settings, say), upstream)
+    rates = measure(settings, say)
+    stages = forecast(settings, STAGES, rates, upstream)
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     columns = dict.fromkeys([own, *cores])
     lines = [f"study {settings.name}: what is left, from rates measured on this machine just now", ""]
@@ -245,6 +376,9 @@ def forecast_lines(
     lines.append(
         f"{'all':<10}{'':>22}{core_hours:12.2f}" + "".join(f"{total[n]:12.2f} h" for n in columns) + f"{kept:9.0f} MB"
     )
+    driver = seconds_of_a_result(settings, store.root if store is not None else Path())
+    for n in dict.fromkeys(cores):
+        lines += schedule_lines(settings, upstream, rates, n, driver)
     if store is not None:
         lines.append(f"\nThe store holds {store.size_bytes() / 1e6:.0f} MB now.")
     return lines

@@ -90,8 +90,11 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
         raise DamagedArtifact(str(error)) from None
     try:  # the seal tells of damage, not of who wrote it: the document may have any content
         files = {name: FileEntry(entry["sha256"], entry["bytes"]) for name, entry in body["files"].items()}
+        for name in ("identity", "environment", "record"):
+            body[name].items()
+        float(body["record"].get("seconds", 0.0))
         manifest = Manifest(body["stage"], body["key"], body["identity"], files, body["environment"], body["record"])
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise DamagedArtifact(f"{source}: expected a manifest's fields: {error!r}") from None
     if (manifest.stage, manifest.key) != (stage, key) or key_of(manifest.identity) != key:
         raise DamagedArtifact(f"{source}: expected {stage} {key}, came {manifest.stage} {manifest.key}")

@@ -13,6 +13,8 @@ from typing import Annotated, Literal, Self, get_args
 
 from pydantic import Field, model_validator
 
+from tasks.analysis.tank import Tank
+from tasks.design import Morphology
 from tasks.evolution import Afpo
 from tasks.parameters import Parameters
 from tasks.residual import Architecture, Throws, Training
@@ -84,6 +86,8 @@ class Evolution(Parameters):
     """Of each trial. [P]"""
     afpo: Afpo = Afpo()
     """The algorithm."""
+    morphology: Morphology = Morphology()
+    """What every body keeps to."""
 
 
 class Transfer(Parameters):
@@ -147,8 +151,20 @@ class Settings(Parameters):
     """How champions are put to the test."""
     assess: Assess = Assess()
     """How predictions are put to the test."""
+    tank: Tank | None = None
+    """The tank that champions are tried in, virtually, and one of them proposed for building; null for none. [P]: of
+    the robot that was built."""
     work: Work = Work()
     """How the work is cut."""
+
+    @model_validator(mode="after")
+    def _motors_belong_to_locked_bodies(self) -> Self:
+        if self.physics.passive_joints == "locked" and self.evolution.morphology.n_actuated is None:
+            raise ValueError(
+                "physics.passive_joints is locked, so that motors decide which links are one body: "
+                "expected evolution.morphology.n_actuated to say how many there are"
+            )
+        return self
 
     @property
     def assessed_depth(self) -> float:

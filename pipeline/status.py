@@ -11,9 +11,10 @@ from pipeline.study import survey
 
 
 def status_lines(settings: Settings, store: Store) -> Iterator[str]:
-    """Give a line for the study, one for each stage, and one for each piece that failed."""
+    """Give a line for the study, one for each stage, and one for each piece that was set aside."""
     notes: list[str] = []
     upstream = survey(settings, STAGES, store, say=notes.append)
+    set_aside = _set_aside(settings, store)
     driver = store.driver_of(settings.name)
     yield f"study {settings.name} in {store.root} ({store.size_bytes() / 1e6:.1f} MB)"
     yield f"driven by {driver}" if driver else "no process is driving it"
@@ -35,7 +36,22 @@ def status_lines(settings: Settings, store: Store) -> Iterator[str]:
             f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} pieces, {done:,.0f} of {total:,.0f} {stage.unit}, "
             f"{found.seconds:.0f} core-seconds"
         )
+        for label, why in set_aside.get(stage.name, {}).items():
+            if label not in found.done:
+                yield f"    {label}: {why}"
+    if any(label not in upstream[name].done for name, lost in set_aside.items() for label in lost):
+        yield "What was set aside is tried again by the next `puddle study`; all else is safe."
     yield from notes
+
+
+def _set_aside(settings: Settings, store: Store) -> dict[str, dict[str, str]]:
+    """Give what the study's last run gave up, and why, by stage and label; nothing where its settings were others."""
+    record = store.read_study(settings.name)
+    lost: dict[str, dict[str, str]] = {}
+    if record is not None and record.settings == settings.model_dump(mode="json"):
+        for one in record.set_aside:
+            lost.setdefault(one.stage, {})[one.label] = one.why
+    return lost
 
 
 def digest_lines(settings: Settings, store: Store) -> Iterator[str]:

@@ -4,6 +4,7 @@
 
     store.json                                    the schema version: what makes a folder a store
     commit.lock                                   held for the moment of a commit
+    use.lock                                      shared by all drivers; held alone by what removes items
     items/<stage>/<key[:2]>/<key>/<file>          an item's files
     items/<stage>/<key[:2]>/<key>/manifest.json   written last: without it, the item never happened
     studies/<name>/study.json                     the settings of a study, and the keys of its items
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import fcntl
 import functools
 import os
 import platform
@@ -81,12 +83,22 @@ class StudyItem:
 
 
 @dataclass(frozen=True)
+class SetAside:
+    """Work of a study that was given up: its stage, what people call it, why."""
+
+    stage: str
+    label: str
+    why: str
+
+
+@dataclass(frozen=True)
 class StudyRecord:
-    """What a study is made of: its settings and its items."""
+    """What a study is made of: its settings and its items; and what it lacks."""
 
     name: str
     settings: Mapping[str, Any]
     items: tuple[StudyItem, ...]
+    set_aside: tuple[SetAside, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -111,9 +123,11 @@ class Store:
                         f"Give the folder of an existing store, or run a study to make one."
                     )
                 cls._create(root)
+            for name in ("mlflow.db", "mlflow.lock", "mlartifacts"):  # MLflow would follow a link
+                disk.inside(root, name)
             path = disk.inside(root, "store.json")
             try:
-                decode_sealed(disk.read(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
+                decode_sealed(disk.read_document(path), schema=STORE_SCHEMA, version=STORE_VERSION, source=str(path))
             except DamagedArtifact as damage:
                 raise DamagedArtifact(f"{damage}. Copy any other store's store.json: it holds no more.") from None
         return cls(root)
@@ -123,9 +137,12 @@ class Store:
         existing = next(path for path in (root, *root.parents) if path.exists())
         if not existing.is_dir():
             raise PuddleError(f"{root}: expected a folder for the store; {existing} is a file. Choose another folder.")
+        with contextlib.suppress(OSError):  # who made it may have died before it was safe; or it is not ours to sync
+            disk.fsync(existing.parent)
         disk.make_folders(existing, root)
-        own = {"commit.lock", "store.json", disk.temporary(root / "store.json").name}
-        if strangers := sorted({path.name for path in root.iterdir()} - own):
+        own = {"commit.lock", "use.lock", "store.json", disk.temporary(root / "store.json").name}
+        strangers = sorted({path.name for path in root.iterdir()} - own)
+        if strangers and not (root / "store.json").exists():  # in this order: another process may be making it
             raise PuddleError(
                 f"{root}: expected a store, or an empty folder to make one in, found {', '.join(strangers[:3])}"
                 f"{' and more' if len(strangers) > 3 else ''}. Choose another folder."
@@ -214,7 +231,7 @@ class Store:
         path = disk.inside(folder, MANIFEST)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), _damage(stage, key):
             try:
-                data = disk.read(path)
+                data = disk.read_document(path)
             except FileNotFoundError:
                 return None
             except disk.NotAFileError as error:
@@ -238,7 +255,7 @@ class Store:
         entry = manifest.files[name]
         with disk.explained(f"reading {name}", self.root), _damage(manifest.stage, manifest.key):
             try:
-                data = disk.read(path)
+                data = disk.read(path, at_most=entry.n_bytes)
             except (FileNotFoundError, disk.NotAFileError) as error:
                 raise DamagedArtifact(f"{path}: expected {entry.n_bytes} bytes, came {error.strerror}") from error
             if digest(data) != entry.sha256:
@@ -251,64 +268,92 @@ class Store:
         with disk.explained(f"discarding {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
             self._clear(folder)
 
+    def remove(self, stage: str, key: str) -> None:
+        """Discard an item and its folder, for good. The caller holds the store alone; see :meth:`lock_all`."""
+        folder = self._item(stage, key)
+        with disk.explained(f"removing {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
+            self._clear(folder)
+            disk.rmdir(folder)
+            disk.fsync(folder.parent)
+
     @staticmethod
     def _clear(folder: Path) -> None:
         """Empty an item's folder, its manifest first: a half discarded item never happened either."""
         if folder.is_dir():
             for path in sorted(folder.iterdir(), key=lambda path: (path.name != MANIFEST, path.name)):
-                disk.unlink(path)
+                remove = disk.rmdir if _is_folder(path) else disk.unlink
+                remove(path)
                 disk.fsync(folder)
 
     def stages(self) -> list[str]:
         """Return the names of the stages that have items."""
         return self._names("items")
 
-    def keys(self, stage: str) -> Iterator[str]:
-        """Iterate over the keys of a stage's items that were committed, damaged ones included, in their order."""
+    def keys(self, stage: str, *, committed: bool = True) -> Iterator[str]:
+        """Iterate over the keys of a stage's items in their order, damaged ones included.
+
+        Args:
+            stage: its name.
+            committed: whether to give those that were committed, or those whose commit never came to its end.
+        """
         for prefix in self._names("items", check_name(stage, "stage")):
             for key in self._names("items", stage, prefix):
-                if _KEY.fullmatch(key) and os.path.lexists(self._item(stage, key) / MANIFEST):
+                if not (_KEY.fullmatch(key) and key.startswith(prefix)):
+                    continue
+                if os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
                     yield key
 
-    def verify(self) -> list[PuddleError]:
+    def item_bytes(self, stage: str, key: str) -> int:
+        """Return the length of an item's files together."""
+        return size_bytes(self._item(stage, key))
+
+    def verify(self, *, checked: Callable[[int], None] = lambda n_bytes: None) -> list[PuddleError]:
         """Hash everything again; return what is wrong, which is empty where all is well.
 
         Damage to an item is a :class:`DamagedArtifact` that names its stage and key. A symbolic link, or a file of a
         newer puddle, is a plain PuddleError: discarding would not mend it. Where there are links, nothing else is
         looked at.
+
+        Args:
+            checked: is told the length of everything once it has been looked at.
         """
         links = sorted(path.relative_to(self.root) for path in self.root.rglob("*") if path.is_symlink())
-        checks: list[Callable[[], object]] = [functools.partial(disk.inside, self.root, *link.parts) for link in links]
+        checks: list[tuple[Path, Callable[[], object]]]
+        checks = [(self.root / link, functools.partial(disk.inside, self.root, *link.parts)) for link in links]
         if not links:
             items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
-            checks += [functools.partial(self._verified, stage, key) for stage, key in items]
-            checks += [functools.partial(self.read_study, name) for name in self.studies()]
+            checks += [(self._item(*item), functools.partial(self._verified, *item)) for item in items]
+            checks += [(self._study(name), functools.partial(self.read_study, name)) for name in self.studies()]
         wrong = []
-        for check in checks:
+        for path, check in checks:
             try:
                 check()
             except PuddleError as error:
                 wrong.append(error)
+            checked(size_bytes(path))
         return wrong
 
     def size_bytes(self) -> int:
         """Return the length of all files together."""
-        total = 0
-        for path in self.root.rglob("*"):
-            with contextlib.suppress(FileNotFoundError):  # a commit renames its temporary files meanwhile
-                found = path.lstat()
-                total += found.st_size if stat.S_ISREG(found.st_mode) else 0
-        return total
+        return size_bytes(self.root)
 
     # -- studies -------------------------------------------------------------------------------------------------
 
-    def write_study(self, name: str, settings: Mapping[str, Json], items: Sequence[StudyItem]) -> None:
-        """Keep what a study is made of, in place of what was kept before."""
+    def write_study(
+        self,
+        name: str,
+        settings: Mapping[str, Json],
+        items: Sequence[StudyItem],
+        set_aside: Sequence[SetAside] = (),
+    ) -> None:
+        """Keep what a study is made of and lacks, in place of what was kept before."""
         folder = self._study(name)
         listed: list[Json] = [[item.stage, item.label, item.key] for item in items]
-        data = encode_sealed(
-            {"name": name, "settings": settings, "items": listed}, schema=STUDY_SCHEMA, version=STUDY_VERSION
-        )
+        given_up: list[Json] = [[lost.stage, lost.label, lost.why] for lost in set_aside]
+        body: dict[str, Json] = {"name": name, "settings": settings, "items": listed, "set_aside": given_up}
+        data = encode_sealed(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
+        if len(data) > disk.MAX_DOCUMENT_BYTES:
+            raise PuddleError(f"study {name}: {len(items)} pieces are too many. Cut its work into larger ones.")
         with disk.explained(f"keeping study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
             disk.place(disk.inside(folder, "study.json"), data)
@@ -322,31 +367,40 @@ class Store:
         path = disk.inside(self._study(name), "study.json")
         with disk.explained(f"reading study {name}", self.root):
             try:
-                data = disk.read(path)
+                data = disk.read_document(path)
             except FileNotFoundError:
                 return None
         try:
             body = decode_sealed(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
-            return StudyRecord(body["name"], body["settings"], tuple(StudyItem(*item) for item in body["items"]))
+            items = tuple(StudyItem(*item) for item in body["items"])
+            set_aside = tuple(SetAside(*lost) for lost in body.get("set_aside", ()))  # early stores have none
+            if not isinstance(body["settings"], dict) or not all(_is_item(item) for item in items):
+                raise DamagedArtifact("it is well sealed, and they are none")  # whoever seals may be anyone
+            if not all(isinstance(word, str) for lost in set_aside for word in (lost.stage, lost.label, lost.why)):
+                raise DamagedArtifact("it is well sealed, and what was set aside has no names")
+            if body["name"] != name:
+                raise DamagedArtifact(f"came those of study {body['name']}")
+            return StudyRecord(name, body["settings"], items, set_aside)
         except (DamagedArtifact, KeyError, TypeError) as error:
             raise DamagedArtifact(
                 f"{path}: expected a study's name, settings and items: {error}. "
                 f"Its results are safe; running the study again writes the file anew."
             ) from None
 
-    def studies(self) -> list[str]:
-        """Return the names of the studies."""
-        return [name for name in self._names("studies") if os.path.lexists(self._study(name) / "study.json")]
+    def studies(self, *, recorded: bool = True) -> list[str]:
+        """Return the names of the studies: those that have a record, or those that have lost it."""
+        names = self._names("studies")
+        return [name for name in names if os.path.lexists(self._study(name) / "study.json") == recorded]
 
     @contextlib.contextmanager
     def lock_study(self, name: str) -> Iterator[None]:
         """Be the one process that drives a study.
 
         Raises:
-            PuddleError: where another process does; it is named.
+            PuddleError: where another process does; it is named. Or where `puddle gc` is at work.
         """
         folder = self._study(name)
-        with disk.explained(f"locking study {name}", self.root):
+        with disk.explained(f"locking study {name}", self.root), contextlib.ExitStack() as held:
             disk.make_folders(self.root, folder)
             descriptor = disk.try_lock(disk.inside(folder, "driver.lock"))
             if descriptor is None:
@@ -354,10 +408,34 @@ class Store:
                     f"study {name} is driven by {self.driver_of(name) or 'a process that has just ended'}. "
                     f"Wait for its end, or stop it (Ctrl-C); its finished work is kept."
                 )
+            held.callback(os.close, descriptor)
+            in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH)
+            if in_use is None:
+                raise PuddleError(f"{self.root}: `puddle gc` is removing what no study needs. Wait for its end.")
+            held.callback(os.close, in_use)
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, _own_name())
+            until_the_end = held.pop_all()
+        with until_the_end:
+            yield
+
+    @contextlib.contextmanager
+    def lock_all(self) -> Iterator[None]:
+        """Be the one process that uses the store: no study is driven meanwhile.
+
+        Raises:
+            PuddleError: where one is; its driver is named.
+        """
+        with disk.explained("locking the store", self.root):
+            descriptor = disk.try_lock(self.root / "use.lock")
+        if descriptor is None:
+            drivers = {name: self.driver_of(name) for name in self._names("studies")}
+            driven = [f"study {name} is driven by {driver}" for name, driver in drivers.items() if driver]
+            raise PuddleError(
+                f"{self.root} is in use: {'; '.join(driven) or 'another process holds it'}. Wait for its end, or stop "
+                f"it (Ctrl-C); its finished work is kept."
+            )
         try:
-            with disk.explained(f"locking study {name}", self.root):
-                os.ftruncate(descriptor, 0)
-                os.write(descriptor, _own_name())
             yield
         finally:
             os.close(descriptor)
@@ -367,14 +445,14 @@ class Store:
         path = disk.inside(self._study(name), "driver.lock")
         with disk.explained(f"asking who drives study {name}", self.root):
             try:
-                descriptor = disk.try_lock(path, shared=True)
+                descriptor = disk.try_lock(path, kind=fcntl.LOCK_SH, only_ask=True)
             except FileNotFoundError:
                 return None
             if descriptor is not None:
                 os.close(descriptor)
                 return None
             try:
-                who = decode_json(disk.read(path), str(path))
+                who = decode_json(disk.read_document(path), str(path))
                 return f"process {who['pid']} on {who['host']} since {who['started']} ({who['command']})"
             except (PuddleError, KeyError, TypeError):  # it holds the lock and has not written its name yet
                 return "another process, which has only just begun"
@@ -412,6 +490,23 @@ class Store:
                 return sorted(path.name for path in folder.iterdir() if _NAME.fullmatch(path.name) and _is_folder(path))
             except FileNotFoundError:
                 return []
+
+
+def _is_item(item: StudyItem) -> bool:
+    """Tell whether what a record lists can be an item."""
+    if not all(isinstance(word, str) for word in (item.stage, item.label, item.key)):
+        return False
+    return _NAME.fullmatch(item.stage) is not None and _KEY.fullmatch(item.key) is not None
+
+
+def size_bytes(folder: Path) -> int:
+    """Return the length of all files in a folder and below."""
+    total = 0
+    for path in folder.rglob("*"):
+        with contextlib.suppress(FileNotFoundError):  # a commit renames its temporary files meanwhile
+            found = path.lstat()
+            total += found.st_size if stat.S_ISREG(found.st_mode) else 0
+    return total
 
 
 def _is_folder(path: Path) -> bool:

@@ -26,6 +26,16 @@ N_ATTEMPTS = 2
 QUEUED_PER_CORE = 2
 """Pieces handed to the cluster at a time, so that no core waits for this process."""
 
+PATIENCE = 20.0
+"""Times the slowest piece of its stage, by weighted units, that a piece may take before it is taken to hang. Generous:
+machines differ, weights are estimates, and to stop a piece that works costs more than to wait for one that does not."""
+
+LEAST_PATIENCE_SECONDS = 600.0
+"""What any piece may take, whatever others took."""
+
+SECONDS_BETWEEN_LOOKS = 5.0
+"""How often this process looks for pieces that hang, and at how many cores there are."""
+
 
 @dataclass
 class Walk:
@@ -47,6 +57,11 @@ class Walk:
     def open(self) -> bool:
         """Whether there is a piece to do."""
         return not self.finished and self.set_aside is None
+
+    @property
+    def next_work(self) -> float:
+        """Weighted units of the piece that is next."""
+        return self.chain.weight * self.chain.units[len(self.manifests)]
 
     @property
     def work_left(self) -> float:
@@ -75,16 +90,22 @@ def follow(
     for chain in _evenly_weighted(stage.plan(settings)):
         walk = Walk(chain)
         try:
-            while not walk.finished:
-                item = _next_item(stage, settings, walk, upstream)
-                manifest = _held(store, item, say)
-                if manifest is None:
-                    break
-                walk.manifests.append(manifest)
+            _go_on(stage, settings, walk, store, upstream, say)
         except MissingInputs as missing:
             walk.set_aside = f"not possible: {missing}"
         walks.append(walk)
     return walks
+
+
+def _go_on(
+    stage: Stage, settings: Settings, walk: Walk, store: Store, upstream: Upstream, say: Callable[[str], None]
+) -> None:
+    """Walk a chain from where it is as far as the store holds it."""
+    while not walk.finished:
+        manifest = _held(store, _next_item(stage, settings, walk, upstream), say)
+        if manifest is None:
+            return
+        walk.manifests.append(manifest)
 
 
 def _evenly_weighted(chains: Sequence[Chain]) -> list[Chain]:
@@ -184,6 +205,10 @@ class _Dispatcher:
         self._store, self._cluster, self._bar, self._say = store, cluster, bar, say
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
         self._running: dict[Ticket, tuple[Walk, Item]] = {}
+        self._since: dict[Ticket, float] = {}
+        """When a piece had a core at the latest: the cluster starts them in order."""
+        self._slowest = 0.0
+        """Seconds a weighted unit, of the pieces that ended."""
 
     def run(self, walks: Sequence[Walk]) -> None:
         ready: list[tuple[float, int]] = []
@@ -195,26 +220,30 @@ class _Dispatcher:
         numbers = {id(walk): number for number, walk in enumerate(walks)}
         for number in range(len(walks)):
             make_ready(number)
-        capacity = max(1, round(QUEUED_PER_CORE * self._cluster.n_cores))
+        next_look = -float("inf")
         while ready or self._running:
-            while ready and len(self._running) < capacity:
+            if time.monotonic() >= next_look:
+                n_cores = self._cluster.n_cores  # machines come and go
+                for ticket, failed in self._hanging(n_cores):
+                    self._cluster.give_up(ticket)
+                    make_ready(numbers[id(self._finish(ticket, failed))])
+                next_look = time.monotonic() + SECONDS_BETWEEN_LOOKS
+            while ready and len(self._running) < max(1, round(QUEUED_PER_CORE * n_cores)):
                 self._submit(walks[heapq.heappop(ready)[1]])
-            finished = self._cluster.next_done(timeout=None)
+            finished = self._cluster.next_done(timeout=SECONDS_BETWEEN_LOOKS)
             if finished is not None:
-                walk = self._finish(*finished)
-                make_ready(numbers[id(walk)])
+                make_ready(numbers[id(self._finish(*finished))])
 
     def _submit(self, walk: Walk) -> None:
         item = _next_item(self._stage, self._settings, walk, self._upstream)
         contents = [self._contents(source) for source in item.inputs.values()]
-        batched = item.how.get("designs_per_batch") is not None
         ticket = self._cluster.submit(
             compute_item,
             self._stage.compute,
             item.job,
             tuple(item.inputs),
             *contents,
-            n_cores=0.0 if batched else 1.0,
+            n_cores=0.0 if _is_batched(item) else 1.0,
             name=f"{item.stage} {item.label}",
         )
         self._running[ticket] = (walk, item)
@@ -229,8 +258,25 @@ class _Dispatcher:
             self._shared[slot] = self._cluster.share({name: self._store.read(manifest, name) for name in source.files})
         return self._shared[slot]
 
+    def _hanging(self, n_cores: float) -> list[tuple[Ticket, TaskFailed]]:
+        """Find pieces that take beyond all measure; there is none while nothing has been measured."""
+        now = time.monotonic()
+        hanging = []
+        for place, (ticket, (walk, item)) in enumerate(self._running.items()):
+            if place < n_cores or _is_batched(item):
+                self._since.setdefault(ticket, now)
+            patience = max(LEAST_PATIENCE_SECONDS, PATIENCE * self._slowest * walk.next_work)
+            if self._slowest and now - self._since.get(ticket, now) > patience:
+                reason = (
+                    f"it did not end within {patience:.0f} s, {PATIENCE:.0f} times what the slowest piece of its stage "
+                    f"took for as much work, and was stopped"
+                )
+                hanging.append((ticket, TaskFailed(ticket.name, reason, "", False)))
+        return hanging
+
     def _finish(self, ticket: Ticket, outcome: Outcome) -> Walk:
         walk, item = self._running.pop(ticket)
+        self._since.pop(ticket, None)
         if isinstance(outcome, TaskFailed):
             walk.n_failed += 1
             if walk.n_failed >= N_ATTEMPTS:
@@ -240,10 +286,19 @@ class _Dispatcher:
         files, seconds = outcome.result
         record = {"label": item.label, "seconds": seconds}
         manifest = self._store.commit(item.stage, item.key, item.identity, files, record=record)
+        self._slowest = max(self._slowest, seconds / walk.next_work)
+        left = walk.work_left
         walk.manifests.append(manifest)
         walk.n_failed = 0
-        self._bar.advance(walk.chain.units[len(walk.manifests) - 1] * walk.chain.weight)
+        # Where a piece in the middle was damaged, those after it stand: they depend on its content.
+        _go_on(self._stage, self._settings, walk, self._store, self._upstream, self._say)
+        self._bar.advance(left - walk.work_left)
         return walk
+
+
+def _is_batched(item: Item) -> bool:
+    """Tell whether a piece only hands batches to other workers: it needs no core of its own."""
+    return item.how.get("designs_per_batch") is not None
 
 
 def compute_item(

@@ -1,6 +1,16 @@
-"""What several test files share: one Ray cluster for the whole session, because starting one takes seconds; a robot."""
+"""What several test files share: one Ray cluster for the whole session, a robot, and torture in any numbers.
 
+A test of torture takes the fixture ``torture`` and goes through ``torture.attempts(small, large)``: a small number of
+attempts in `make test`, a large one with ``--torture`` (`make torture`), where ``--minutes`` bounds the whole. Each
+attempt has a generator of its own, which follows from ``--seed``, the test and the attempt's number, so that whatever
+is found can be found again: with the seed that the table at the end shows.
+"""
+
+import secrets
+import time
+import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -16,21 +26,134 @@ def local_ray() -> Iterator[Cluster]:
         yield cluster
 
 
-@pytest.fixture(scope="session")
-def crane() -> Designs:
-    """A design of the physical variant that one can work out by heart: links of 2 m, 140 × 35 mm on the bench.
+# -- torture ---------------------------------------------------------------------------------------------------------
 
-    Part 1 is a cross at the origin (links 0, 1). At its top is joint 2: link 2 goes on upward and link 3 from its end
-    to the right (part 2). At its right is joint 4: link 4 goes on to the right and link 5 from its end down (part 3).
-    """
-    return Designs(
-        length_scale=np.full((1, N_LINKS), 2.0),
-        parent=np.array([[-1, 0, 0, 2, 1, 4]]),
-        parent_attachment=np.array([[0.0, 0.0, 1.0, 1.0, 1.0, 1.0]]),
-        child_attachment=np.array([[0.0, 0.0, -1.0, -1.0, -1.0, -1.0]]),
-        rest_angle=np.array([[0.0, -np.pi / 2, 0.0, -np.pi / 2, 0.0, -np.pi / 2]]),
-        phase=np.array([[0.0, 0.0, 0.0, 0.0, 1.0, 0.0]]),
-        motion_range=np.array([[0.0, 0.2, 0.5, 0.2, 0.8, 0.2]]),
-        motor_on=np.array([[False, False, True, False, True, False]]),
-        frequency=np.array([0.2]),
+
+@dataclass
+class Row:
+    """What the table shows of a test."""
+
+    name: str
+    attempt: int = -1
+    """The one that runs, or ran last."""
+    n_planned: int = 0
+    notes: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+    outcome: str = "interrupted"
+
+
+@dataclass
+class Session:
+    """The torture of one pytest session."""
+
+    large: bool
+    seed: int
+    end: float
+    """When it should be over, on the monotonic clock."""
+    n_tests_left: int = 0
+    rows: dict[str, Row] = field(default_factory=dict)
+
+
+_SESSION = pytest.StashKey[Session]()
+
+
+class Torture:
+    """How often a test tries, with which randomness, and what it wants said of it."""
+
+    def __init__(self, session: Session, row: Row) -> None:
+        self.large, self.seed = session.large, session.seed
+        self._row = row
+        now = time.monotonic()
+        self._end = now + (session.end - now) / max(1, session.n_tests_left) if session.large else np.inf
+
+    def attempts(self, small: int, large: int) -> Iterator[np.random.Generator]:
+        """Give the generator of each attempt. With --torture, stop early where this test's share of the time is up.
+
+        What the test does with the time that it has left goes to the tests after it.
+        """
+        self._row.n_planned = large if self.large else small
+        for attempt in range(self._row.n_planned):
+            if attempt and time.monotonic() > self._end:
+                return
+            self._row.attempt = attempt
+            yield np.random.default_rng([self.seed, zlib.crc32(self._row.name.encode()), attempt])
+
+    def times(self, small: int, large: int) -> int:
+        """Give a number of attempts that are all made, whatever the time."""
+        self._row.n_planned = large if self.large else small
+        self._row.attempt = self._row.n_planned - 1
+        return self._row.n_planned
+
+    def rng(self) -> np.random.Generator:
+        """Give a generator of the test's own, besides those of its attempts."""
+        return np.random.default_rng([self.seed, zlib.crc32(self._row.name.encode())])
+
+    def note(self, words: str) -> None:
+        """Say what came of it, in the table."""
+        self._row.notes.append(words)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("torture")
+    group.addoption("--torture", action="store_true", help="torture in large numbers")
+    group.addoption("--minutes", type=float, default=60.0, help="that --torture may take in all (default: 60)")
+    group.addoption("--seed", type=int, default=None, help="of all torture (default: a fresh one, which is shown)")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    seed = config.getoption("--seed")
+    config.stash[_SESSION] = Session(
+        large=config.getoption("--torture"),
+        seed=secrets.randbits(32) if seed is None else seed,
+        end=time.monotonic() + 60 * config.getoption("--minutes"),
     )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    session = config.stash[_SESSION]
+    tests = [item for item in items if "torture" in getattr(item, "fixturenames", ())]
+    session.n_tests_left = len(tests)
+    if session.large:
+        for item in tests:
+            item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 300))
+
+
+@pytest.fixture
+def torture(request: pytest.FixtureRequest) -> Iterator[Torture]:
+    session = request.config.stash[_SESSION]
+    row = session.rows.setdefault(request.node.nodeid, Row(request.node.nodeid))
+    start = time.monotonic()
+    yield Torture(session, row)
+    row.seconds = time.monotonic() - start
+    session.n_tests_left -= 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):
+    report = yield
+    session = item.config.stash[_SESSION]
+    row = session.rows.get(item.nodeid)
+    if row is not None and report.when == "call":
+        row.outcome = report.outcome
+        if report.failed:
+            again = f"--seed {session.seed}{' --torture' if session.large else ''}"
+            report.sections.append(("torture", f"attempt {row.attempt} (from 0); again: pytest {again} '{row.name}'"))
+        if report.skipped and isinstance(report.longrepr, tuple):
+            row.attempt = -1
+            row.notes.append(report.longrepr[2].removeprefix("Skipped: "))
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    session = config.stash[_SESSION]
+    if not session.rows:
+        return
+    terminalreporter.section(f"torture, seed {session.seed}")
+    for row in session.rows.values():
+        file, _, test = row.name.partition("::")
+        n_tried = row.attempt + 1
+        tried = f"{n_tried:,}" if n_tried >= row.n_planned else f"{n_tried:,} of {row.n_planned:,}"
+        what = f"{file.rpartition('/')[2].removeprefix('test_').removesuffix('.py')}: {test.removeprefix('test_')}"
+        terminalreporter.line(f"{what.replace('_', ' '):<84} {tried:>15} {row.seconds:6.0f} s  {row.outcome}")
+        for note in row.notes:
+            terminalreporter.line(f"    {note}")

@@ -81,6 +81,9 @@ class Cluster(Protocol):
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
         """Take one outcome, in no particular order on Ray; None if none came within ``timeout`` [s] or none is due."""
 
+    def give_up(self, ticket: Ticket) -> None:
+        """Stop one call, whose outcome has not been taken; none will come. What never returns holds this process."""
+
     def cancel_all(self) -> None:
         """Stop what runs and forget what waits; no outcome of it will come."""
 

@@ -15,26 +15,21 @@ import itertools
 import logging
 import os
 import re
-import secrets
-import shutil
 import socket
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
-from pipeline.cluster.process import PINNED_THREADS, signals_held, signals_unwind
+from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_held, signals_unwind
+from pipeline.cluster.session import PLACE, session
 from pipeline.errors import PuddleError
 
 N_INFRASTRUCTURE_RETRIES = 1
 """Times that a task is run again after its worker, node or memory failed; an exception of its own is never retried."""
-
-OBJECT_STORE_BYTES = 512 * 2**20
-"""Shared memory of a local cluster. Ensembles and results are megabytes; Ray's default takes a third of the machine."""
 
 CONNECT_SECONDS = 15.0
 """How long an existing cluster may take to answer."""
@@ -106,6 +101,11 @@ class _Ray:
         ticket = self._running.pop(ready[0])
         return ticket, _outcome(ticket.name, ready[0])
 
+    def give_up(self, ticket: Ticket) -> None:
+        (reference,) = (reference for reference, running in self._running.items() if running is ticket)
+        _cancel([reference])
+        del self._running[reference]
+
     def cancel_all(self) -> None:
         _cancel(self._running)
         self._running.clear()
@@ -115,36 +115,25 @@ class _Ray:
 def _local(n_workers: int | None) -> Iterator[None]:
     """Start Ray on this machine, open to this user alone, and stop it."""
     import ray
+    import ray._private.ray_constants
 
-    # A folder of our own, which nobody else can enter: /tmp/ray may be another user's, and Ray makes its folder open to
-    # all. Its name is short, because the path of a Unix socket in it may have 107 bytes.
-    root = Path(tempfile.mkdtemp(prefix="puddle-", dir="/tmp"))
-    try:
-        token = root / "token"
-        with os.fdopen(os.open(token, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(secrets.token_hex(32))
-        # Ray listens on every interface even where it is told 127.0.0.1, so the token is what keeps others out.
-        with _environment({"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token), "RAY_AUTH_TOKEN": None}):
-            try:
-                _connect(
-                    address="local",
-                    num_cpus=n_workers,
-                    object_store_memory=OBJECT_STORE_BYTES,
-                    include_dashboard=False,
-                    _temp_dir=str(root / "ray"),
-                    runtime_env={"env_vars": PINNED_THREADS},
-                )
-            except Exception as error:
-                raise PuddleError(
-                    f"Ray did not start on this machine: {error}\nExpected room in {root.parent} and /dev/shm, and "
-                    f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` does without Ray."
-                ) from error
-            else:
-                yield
-            finally:
-                ray.shutdown()
-    finally:
-        shutil.rmtree(root, ignore_errors=True)
+    # Ray's servers listen where its address says. It takes the loopback for this machine's address only where told to,
+    # as it does on a laptop's operating system; and by default it reads that once, when it is imported.
+    on_loopback = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+    token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": None}
+    with _environment(token | on_loopback), contextlib.ExitStack() as stack:
+        try:
+            ours = stack.enter_context(session(n_workers))
+            stack.enter_context(_environment({"RAY_AUTH_TOKEN_PATH": str(ours.token)}))
+            stack.enter_context(_attribute(ray._private.ray_constants, "ENABLE_RAY_CLUSTER", False))
+            stack.callback(ray.shutdown)
+            _connect(address=ours.address, runtime_env={"env_vars": PINNED_THREADS})
+        except Exception as error:
+            raise PuddleError(
+                f"Ray did not start on this machine: {error}\nExpected room in {PLACE} and /dev/shm, and "
+                f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` does without Ray."
+            ) from error
+        yield
 
 
 @contextlib.contextmanager
@@ -263,7 +252,8 @@ def spread(
 
 
 def _call(function: Callable[..., Any], *args: Any) -> Any:
-    return function(*args)
+    with memory_bounded():
+        return function(*args)
 
 
 @functools.cache
@@ -275,7 +265,12 @@ def _remote_function() -> Any:
 
 def _remote_call(n_cores: float, name: str) -> Any:
     return _remote_function().options(
-        num_cpus=n_cores, name=name, max_retries=N_INFRASTRUCTURE_RETRIES, retry_exceptions=False
+        num_cpus=n_cores,
+        name=name,
+        max_retries=N_INFRASTRUCTURE_RETRIES,
+        retry_exceptions=False,
+        # A task without a core weighs nothing to Ray, which would put them all on the driver's machine.
+        scheduling_strategy="DEFAULT" if n_cores else "SPREAD",
     )
 
 
@@ -321,6 +316,16 @@ def _environment(changes: Mapping[str, str | None]) -> Iterator[None]:
         yield
     finally:
         _set_environment(before)
+
+
+@contextlib.contextmanager
+def _attribute(module: Any, name: str, value: Any) -> Iterator[None]:
+    before = getattr(module, name)
+    setattr(module, name, value)
+    try:
+        yield
+    finally:
+        setattr(module, name, before)
 
 
 def _set_environment(values: Mapping[str, str | None]) -> None:

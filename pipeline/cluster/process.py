@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -18,10 +21,49 @@ PINNED_THREADS = {
 }
 """One thread per process: torch's results change in their last bits with the number of threads (reliability rule 8)."""
 
+HELD_SECONDS = 2.0
+"""How long a signal is kept back at most."""
+
+SHARE_OF_FREE_MEMORY = 0.9
+"""That one task may take."""
+
 
 def pin_threads() -> None:
     """Hold this process and its children to one thread each. Call it before numpy, numba or torch is imported."""
     os.environ.update(PINNED_THREADS)
+
+
+@contextlib.contextmanager
+def memory_bounded() -> Iterator[None]:
+    """Let a task that allocates without end fail with a MemoryError, before it takes the machine with it.
+
+    It may take nine tenths of the memory that is free as it begins. Where several together take too much, Ray's own
+    monitor ends the last one, which is tried again a finite number of times. Linux only: elsewhere that monitor is all.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    import psutil
+
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    bound = psutil.Process().memory_info().data + int(SHARE_OF_FREE_MEMORY * _free_memory())
+    limits = [limit for limit in (bound, *before) if limit != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min(limits), before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+def _free_memory() -> int:
+    """Return the bytes that are free for this process: on the machine, and within its container."""
+    import psutil
+
+    free = int(psutil.virtual_memory().available)
+    with contextlib.suppress(OSError, ValueError):  # no container, or one without a limit
+        allowed = int(Path("/sys/fs/cgroup/memory.max").read_text())
+        free = min(free, allowed - int(Path("/sys/fs/cgroup/memory.current").read_text()))
+    return max(0, free)
 
 
 @contextlib.contextmanager
@@ -56,19 +98,33 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def signals_held() -> Iterator[None]:
-    """Keep Ctrl-C and the like back until the end of what must not be cut in two, and let them through then."""
+    """Keep Ctrl-C and the like back until the end of what must not be cut in two, and let them through then.
+
+    It has :data:`HELD_SECONDS` from the first signal to come to its end. After that this process ends at once, which
+    the store and the keeper of Ray's processes are made for.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     received: list[int] = []
 
     def hold(number: int, _frame: FrameType | None) -> None:
+        if not received:
+            last_resort.start()
         received.append(number)
 
-    before = {number: signal.signal(number, hold) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    def end() -> None:
+        os.write(2, b"\nStopped while Ray was starting. What is done is kept: the same command goes on from there.\n")
+        os._exit(128 + received[0])
+
+    last_resort = threading.Timer(HELD_SECONDS, end)
+    last_resort.daemon = True
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, hold) for number in numbers}
     try:
         yield
     finally:
+        last_resort.cancel()
         for number, handler in before.items():
             signal.signal(number, handler)
         if received:

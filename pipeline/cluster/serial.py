@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, Ticket, failure, name_of, references
-from pipeline.cluster.process import signals_unwind
+from pipeline.cluster.process import memory_bounded, signals_unwind
 
 
 @contextlib.contextmanager
@@ -46,9 +46,13 @@ class _Serial:
             return None
         ticket, function, args = self._waiting.popleft()
         try:
-            return ticket, Done(function(*args))
+            with memory_bounded():
+                return ticket, Done(function(*args))
         except Exception as error:
             return ticket, failure(ticket.name, error, traceback.format_exc())
+
+    def give_up(self, ticket: Ticket) -> None:
+        self._waiting = deque(call for call in self._waiting if call[0] is not ticket)
 
     def cancel_all(self) -> None:
         self._waiting.clear()

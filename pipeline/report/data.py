@@ -102,6 +102,15 @@ class ResidualError:
 
 
 @dataclass(frozen=True)
+class Draws:
+    """How often an operator of evolution drew designs, and how many of them the morphology refused."""
+
+    operator: str
+    n_drawn: int
+    n_rejected: int
+
+
+@dataclass(frozen=True)
 class Digest:
     """An artifact of the study and its SHA-256."""
 
@@ -123,6 +132,10 @@ class StudyReport:
     residual_errors: Sequence[ResidualError] = ()
     replays: Sequence[Replay] = ()
     findings: Findings = field(default_factory=Findings)
+    draws: Sequence[Draws] = ()
+    """Of each operator that drew again; none where any body would do."""
+    measured_seconds: float = 20.0
+    """How long robots' way is measured [s]. [P]"""
     digests: Sequence[Digest] = ()
     set_aside: Sequence[str] = ()
     """Work items that failed, named."""

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from tasks.analysis import (
     Attribution,
     Contrast,
+    Crossing,
     Estimate,
     EvolvedIn,
     Exploiter,
@@ -18,6 +19,7 @@ from tasks.analysis import (
     MemberError,
     Regression,
     Row,
+    Tank,
     TransferMatrix,
 )
 
@@ -72,6 +74,33 @@ class Retried:
 
 
 @dataclass(frozen=True)
+class Candidate:
+    """A champion that might be built; lengths in the simulation's metres, None where it diverged."""
+
+    trial: int
+    proposed: bool
+    """Whether it is the one to build: the nearest the champions' mean in True Slush."""
+    zero_shot: float | None
+    """Displacement in True Slush [m]."""
+    dry_land: float | None
+    """Displacement on Dry Land [m]."""
+    wet: Crossing
+    """In the tank."""
+    dry: Crossing
+    """On the tank's dry floor."""
+
+
+@dataclass(frozen=True)
+class TankTest:
+    """The champions of one arm in the tank."""
+
+    label: str
+    """Where they evolved, and the depth, in words."""
+    tank: Tank
+    candidates: Sequence[Candidate]
+
+
+@dataclass(frozen=True)
 class Ancestor:
     """A design of a champion's family, the champion included."""
 
@@ -119,6 +148,8 @@ class Findings:
     """One a member [m/s²]."""
     member_errors: Sequence[MemberError] = ()
     family: Family | None = None
+    tank_tests: Sequence[TankTest] = ()
+    """One an arm; none where the study has no tank."""
     missing: Mapping[str, str] = field(default_factory=dict)
     """Field of this class -> why it is not here, where a stage could say so."""
 

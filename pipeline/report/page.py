@@ -13,6 +13,7 @@ from string import Template
 
 from pipeline.report.data import (
     ENVIRONMENTS,
+    Draws,
     Estimate,
     StudyReport,
     TrialResult,
@@ -25,7 +26,7 @@ from pipeline.report.data import (
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.moving import gallery, resource, script, viewer
-from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects
+from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
 from pipeline.report.transfer_table import transfer_table
 from pipeline.report.words import absent, number, percent
 from pipeline.settings import EnvironmentName
@@ -62,6 +63,9 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         "suspects": suspects(report.findings),
         "retried": retried(report.findings),
         "lineage": lineage(report.findings),
+        "draws": _draws(report.draws),
+        "seconds": f"{report.measured_seconds:.0f}",
+        "tank_tests": tank_tests(report.findings),
         "made": _made(report),
         "script": script(report.replays),
         **figures,
@@ -104,6 +108,19 @@ def _set_aside(names: Sequence[str]) -> str:
     return (
         f'<div class="notice"><b>Not everything ran.</b> These failed twice and were set aside; what is below does '
         f"without them.<ul>{listed}</ul></div>"
+    )
+
+
+def _draws(draws: Sequence[Draws]) -> str:
+    """Say how much of what was drawn could not be built; nothing where any body would do."""
+    if not draws:
+        return ""
+    said = ", ".join(
+        f"{percent(of.n_rejected / of.n_drawn)} of {of.n_drawn:,} by {escape(of.operator)}" for of in draws
+    )
+    return (
+        '<p class="small" id="draws">Links that no joint ties must not overlap at rest; designs of which some did were '
+        f"drawn again: {said}.</p>"
     )
 
 

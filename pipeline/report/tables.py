@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from html import escape
 from itertools import groupby
+from math import isfinite
 
 from pipeline.report.family import main_line
-from pipeline.report.findings import Findings
+from pipeline.report.findings import Findings, TankTest
 from pipeline.report.words import NONE, absent, interval, number, p_value
-from tasks.analysis import Contrast, Row, SignificanceTest
+from tasks.analysis import Contrast, Crossing, Row, SignificanceTest, Tank
 from tasks.analysis.paper import Verdict, name_of
 
 MOST_SUSPECTS = 15
@@ -199,6 +200,61 @@ def retried(findings: Findings) -> str:
         "Reach is the root’s displacement less the whole robot’s, in True Slush: gained by "
         "stretching out.</p></details>"
     )
+
+
+# -- the robot to build -----------------------------------------------------------------------------------------------
+
+
+def tank_tests(findings: Findings) -> str:
+    """Tabulate the champions in the virtual tank, and say which is proposed for building; nothing without a tank."""
+    if not findings.tank_tests:
+        return ""
+    tank = findings.tank_tests[0].tank
+    said = (
+        "<p>The champion nearest the champions’ mean in True Slush is the one to build (✓). Each was let loose in a "
+        f"tank of {tank.length:g} m, filled {1000 * tank.depth:g} mm deep, at {1000 * tank.scale:g} mm for a metre of "
+        f"simulation: {tank.simulated_length:.1f} m by {tank.simulated_depth:.2f} m to the robot; and on its dry "
+        "floor. It has crossed when its centre of mass has come as far as its front was from the other end, in "
+        f"{tank.seconds:g} s at most. The paper’s robot crossed in 8 of 8 trials, and moved a few centimetres on the "
+        "dry floor.</p>"
+    )
+    tables = "".join(_tank_table(test) for test in findings.tank_tests)
+    return f'<section id="tank"><h2>The robot to build</h2>{said}{tables}</section>'
+
+
+def _tank_table(test: TankTest) -> str:
+    if not test.candidates:
+        return absent(f"The tank test of {test.label}", "no trial has a champion")
+    columns = ("Champion", "True Slush [m]", "Dry Land [m]", "Length [m]", "In the tank", "On its dry floor")
+    rows = [
+        [
+            f"{'✓ ' if of.proposed else ''}trial {of.trial}",
+            _metres(of.zero_shot),
+            _metres(of.dry_land),
+            _metres(of.wet.length if isfinite(of.wet.length) else None),
+            _crossing(of.wet, test.tank),
+            _crossing(of.dry, test.tank),
+        ]
+        for of in test.candidates
+    ]
+    n = len(rows)
+    wet, dry = (sum(getattr(of, where).crossed for of in test.candidates) for where in ("wet", "dry"))
+    return (
+        f"<h3>{escape(test.label)}: {wet} of {n} cross, {dry} on the dry floor</h3>"
+        f'{_table(columns, rows, f"The tank test of {test.label}", kind="named")}'
+    )
+
+
+def _crossing(found: Crossing, tank: Tank) -> str:
+    """Say how long a robot took, or how far it came; and at what speed, in the built robot's millimetres."""
+    if not isfinite(found.travelled):
+        return f"{NONE}<small>it diverged</small>"
+    speed = f"{number(1000 * tank.scale * found.speed)} mm/s built"
+    if found.crossed:
+        return f"{found.seconds:.0f} s<small>{speed}</small>"
+    if found.distance <= 0:
+        return f"{NONE}<small>it is as long as the tank</small>"
+    return f"{number(found.travelled)} of {number(found.distance)} m<small>{speed}</small>"
 
 
 # -- a champion's line ------------------------------------------------------------------------------------------------

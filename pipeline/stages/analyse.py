@@ -46,11 +46,16 @@ the one that the page films (where none survives True Slush, of the best where i
                          the member that promises most), trial, displacement, disagreement (mean), share_novel
                          (novelty above 1), thrust (n_members numbers: mean departure along x)
     member_errors.parquet   as of ``members``, along the rollouts of all the arm's champions in True Slush
+``tank/<environment>/<depth>m``, the champions of one arm and which to build, where the settings have a tank:
+    tank.parquet         a row per champion: trial, proposed; zero_shot, dry_land, dry_land_com; of each X = wet, dry
+                         (the tank filled and drained): X_length, X_distance, X_travelled [m of simulation], X_crossed,
+                         X_seconds [s], X_speed [m/s]
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from math import ceil
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -61,19 +66,20 @@ from pipeline.manifest import Manifest
 from pipeline.settings import EnvironmentName, Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
 from pipeline.stages import segments
-from pipeline.stages.analyses import champions, instruments, statistics
+from pipeline.stages.analyses import champions, instruments, statistics, tank
 from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.stages.assess import PREDICTIONS, SOURCES
 from pipeline.stages.collect import data_set
 from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
 from pipeline.tables import Columns, csv_of
+from tasks.analysis import Tank
 from tasks.analysis.prediction import mean_less_deviations
 
 NAME, VERSION = "analyse", 1
 
-STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS = (
-    "statistics", "members", "transfer-matrix", "exploiters", "instruments"
+STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS, TANK = (
+    "statistics", "members", "transfer-matrix", "exploiters", "instruments", "tank"
 )  # fmt: skip
 """Kinds of items; the label of each, or its beginning."""
 
@@ -85,6 +91,7 @@ COMPUTE: Mapping[str, Callable[[Job, Mapping[str, Files]], tuple[Tables, Reasons
     MATRIX: champions.compute_matrix,
     EXPLOITERS: champions.compute_exploiters,
     INSTRUMENTS: instruments.compute_arm,
+    TANK: tank.compute,
 }
 
 TOO_LONG_FOR_CSV = ("links", "histograms")
@@ -94,6 +101,11 @@ TOO_LONG_FOR_CSV = ("links", "histograms")
 def arm_label(environment: str, depth: float) -> str:
     """Name the instruments of an arm."""
     return f"{INSTRUMENTS}/{environment}/{depth:g}m"
+
+
+def tank_label(environment: str, depth: float) -> str:
+    """Name the tank test of an arm."""
+    return f"{TANK}/{environment}/{depth:g}m"
 
 
 def reads(settings: Settings) -> tuple[str, ...]:
@@ -132,6 +144,12 @@ def plan(settings: Settings) -> Sequence[Chain]:
         rollouts = len(arm) * (1 + instruments.N_TRIES)
         more = {"environment": environment, "depth": depth, "held_out": held_out, **promised}
         chains.append(chain(INSTRUMENTS, arm_label(environment, depth), arm, rollouts, environment, **more))
+        if settings.tank is not None:
+            of_tank = {"environment": environment, "depth": depth, "tank": settings.tank.model_dump(mode="json")}
+            label = tank_label(environment, depth)
+            n_steps = settings.tank.n_steps(settings.physics.time_step) + settings.rollout.n_settle
+            n_rollouts = 1 + 2 * n_steps / (settings.rollout.n_settle + settings.rollout.n_measure)  # land, wet and dry
+            chains.append(chain(TANK, label, arm, ceil(len(arm) * n_rollouts), "true_slush", **of_tank, **simulated))
     return chains
 
 
@@ -151,7 +169,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
     if kind == STATISTICS:
         spec["set_aside"] = dict(upstream["transfer"].set_aside)
         spec["not_assessed"] = _why_not_assessed(settings, upstream)
-    elif kind != MATRIX:
+    elif kind not in (MATRIX, TANK):
         networks, spec["no_networks"] = _networks(settings, upstream, throws=kind != EXPLOITERS)
         inputs |= networks
     how = {"engine": settings.work.engine, "designs_per_batch": None}
@@ -220,6 +238,11 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
             lines += more_lines
             metrics |= more_metrics
     for label, files in found.items():
+        if label.startswith(f"{TANK}/") and settings.tank is not None:
+            more_lines, more_metrics = _report_tank(label, files, settings.tank)
+            lines += more_lines
+            metrics |= more_metrics
+    for label, files in found.items():
         lines += [f"{label}: {table}: {why}" for table, why in read_reasons(files).items()]
     artifacts = {
         f"{label}/{name.removesuffix('.parquet')}.csv": csv_of(read_table(files, name.removesuffix(".parquet")))
@@ -283,6 +306,32 @@ def _report_exploiters(files: Files) -> Report:
     predicted, true = table["predicted"][i], table["true"][i]
     line = f"the champion with most imagined: {label}, predicted {predicted:.1f} m, truly {true:.1f} m"
     return [line], {"imagined.worst_champion": worst}
+
+
+def _report_tank(label: str, files: Files, of: Tank) -> Report:
+    """Name the champion to build, and say how it fared in the tank."""
+    table = read_table(files, "tank")
+    (proposed,) = np.flatnonzero(table["proposed"]) if table["proposed"].any() else (None,)
+    if proposed is None:
+        return [], {}
+    row = {name: column[proposed].item() for name, column in table.items()}
+    in_slush, on_floor = (
+        f"crosses in {row[f'{where}_seconds']:.0f} s" if row[f"{where}_crossed"]
+        else f"comes {row[f'{where}_travelled']:.2f} of {row[f'{where}_distance']:.2f} m in {of.seconds:g} s"
+        for where in ("wet", "dry")
+    )  # fmt: skip
+    speed_mm = 1000 * of.scale * row["wet_speed"]
+    lines = [
+        f"{label}: to build: the champion of trial {row['trial']}, {row['zero_shot']:.2f} m in True Slush, the nearest "
+        f"to the champions' mean of {np.nanmean(table['zero_shot']):.2f} m; on Dry Land {row['dry_land']:.2f} m",
+        f"{label}: in the tank of {of.simulated_length:.1f} m x {of.simulated_depth:.2f} m of simulation it {in_slush} "
+        f"(built, {speed_mm:.1f} mm/s); on the dry floor it {on_floor}",
+        f"{label}: {int(table['wet_crossed'].sum())} of {len(table['trial'])} champions cross the tank, "
+        f"{int(table['dry_crossed'].sum())} on its dry floor",
+    ]
+    arm = label.removeprefix(f"{TANK}/").replace("/", ".")
+    names = ("zero_shot", "dry_land", "wet_crossed", "wet_seconds", "wet_speed", "dry_crossed", "dry_travelled")
+    return lines, _finite({f"tank.{arm}.proposed.{name}": float(row[name]) for name in names})
 
 
 def _finite(metrics: Mapping[str, float]) -> dict[str, float]:

@@ -11,6 +11,7 @@ from pipeline.settings import Settings
 from pipeline.stage import Chain, Input, Item, Results, Stage, Summary, TrialSummary, Upstream
 from pipeline.stages import segments
 from pipeline.store import Store
+from tasks.evolution import OPERATORS
 
 NAME, VERSION = "evolve", 1
 
@@ -45,13 +46,14 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         label=f"{chain.label}/segment-{index}",
         spec={**chain.spec, **generations},
         inputs=inputs,
-        how=segments.how(settings),
+        how=segments.how(settings, chain.spec["world"]),
     )
 
 
 def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Report each arm's best fitness, and each trial's curves."""
     trials, best = [], dict[tuple[str, float], list[float]]()
+    drawn, rejected = dict.fromkeys(OPERATORS, 0), dict.fromkeys(OPERATORS, 0)
     for environment, depth, trial in settings.grid.trials():
         label = segments.trial_label(environment, depth, trial)
         if label not in results.done:
@@ -60,6 +62,9 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
         final = float(curve["best_fitness"][-1])
         best.setdefault((environment, depth), []).append(final)
         curves = {name: curve[name].astype(np.float64) for name in ("best_fitness", "median_fitness", "n_diverged")}
+        for operator in OPERATORS:
+            drawn[operator] += int(curve[segments.drawn_column(operator)].sum())
+            rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
         params: dict[str, str | int | float] = {"environment": environment, "depth": depth, "trial": trial}
         trials.append(TrialSummary(name=label, params=params, metrics={"champion_fitness": final}, curves=curves))
     lines = [
@@ -67,6 +72,11 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
         for (environment, depth), of in best.items()
     ]
     metrics = {f"champion_fitness.{name}.{depth:g}m": float(np.mean(of)) for (name, depth), of in best.items()}
+    shares = {operator: rejected[operator] / drawn[operator] for operator in OPERATORS if rejected[operator]}
+    if shares:
+        said = ", ".join(f"{share:.1%} of {drawn[operator]:,} by {operator}" for operator, share in shares.items())
+        lines.append(f"drawn again because unjoined links overlapped at rest: {said}")
+        metrics |= {f"rejected_share.{operator}": share for operator, share in shares.items()}
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 

@@ -14,11 +14,30 @@ import numpy.typing as npt
 
 from pipeline.artifacts import decode_table
 from pipeline.report.data import ENVIRONMENTS
-from pipeline.report.findings import Accuracy, Ancestor, Family, Findings, Retried, Suspect, ThrownPaths
+from pipeline.report.findings import (
+    Accuracy,
+    Ancestor,
+    Candidate,
+    Family,
+    Findings,
+    Retried,
+    Suspect,
+    TankTest,
+    ThrownPaths,
+)
 from pipeline.report.replay import STEPS_PER_SECOND
 from pipeline.stage import Files
 from pipeline.stages import segments
-from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS, MATRIX, MEMBERS, STATISTICS, read_reasons, read_table
+from pipeline.stages.analyse import (
+    EXPLOITERS,
+    INSTRUMENTS,
+    MATRIX,
+    MEMBERS,
+    STATISTICS,
+    TANK,
+    read_reasons,
+    read_table,
+)
 from pipeline.stages.collect import TRANSITIONS, read_transitions
 from pipeline.tables import Columns
 from tasks.analysis import (
@@ -31,6 +50,7 @@ from tasks.analysis import (
     MemberError,
     Regression,
     Row,
+    Tank,
     TransferMatrix,
 )
 from tasks.design import Designs
@@ -62,13 +82,18 @@ def _value(of: Any, value: Any) -> Any:
     return None if missing and type(None) in get_args(of) else value
 
 
+def arm_words(environment: str, depth: float) -> str:
+    """Name an arm in the page's words."""
+    labels: dict[str, str] = {name: style.label for name, style in ENVIRONMENTS.items()}
+    return f"{labels[environment]}, {depth:g} m"
+
+
 def arm_name(environment: str, depth: float, trial: int) -> str:
     """Name a trial in the page's words."""
-    labels: dict[str, str] = {name: style.label for name, style in ENVIRONMENTS.items()}
-    return f"{labels[environment]}, {depth:g} m, trial {trial}"
+    return f"{arm_words(environment, depth)}, trial {trial}"
 
 
-def findings(inputs: Mapping[str, Files], *, assessed_depth: float) -> Findings:
+def findings(inputs: Mapping[str, Files], *, assessed_depth: float, tank: Tank | None) -> Findings:
     """Gather what the page shows from inputs named ``analyse/<label>``, ``throws-<n>`` and ``history/<trial>/<n>``."""
     analysed = {name.removeprefix("analyse/"): files for name, files in inputs.items() if name.startswith("analyse/")}
     missing = {
@@ -92,6 +117,7 @@ def findings(inputs: Mapping[str, Files], *, assessed_depth: float) -> Findings:
             MemberError, arms.get(f"{INSTRUMENTS}/residual_slush/{assessed_depth:g}m", {}), "member_errors"
         ),
         family=_family(inputs),
+        tank_tests=[] if tank is None else _tank_tests(analysed, tank),
         missing=missing,
     )
 
@@ -198,6 +224,16 @@ def _retried(label: str, files: Files) -> list[Retried]:
         Retried(arm_name(environment, float(depth.removesuffix("m")), int(trial)), _known(claimed), loss, _known(reach))
         for trial, claimed, loss, reach in rows
     ]
+
+
+def _tank_tests(analysed: Mapping[str, Files], tank: Tank) -> list[TankTest]:
+    found = []
+    for label, files in analysed.items():
+        if label.startswith(f"{TANK}/"):
+            _, environment, depth = label.split("/")
+            words = arm_words(environment, float(depth.removesuffix("m")))
+            found.append(TankTest(words, tank, rows_of(Candidate, read_table(files, "tank"))))
+    return found
 
 
 def _known(value: float) -> float | None:

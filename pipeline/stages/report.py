@@ -15,12 +15,12 @@ from pipeline.design_file import design_from
 from pipeline.manifest import Manifest
 from pipeline.provenance import environment as provenance
 from pipeline.report import Drawing, Replay, draw_all, render_gif, render_page, replay_of
-from pipeline.report.data import ENVIRONMENTS, Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.data import ENVIRONMENTS, Digest, Draws, ResidualError, StudyReport, TrialResult
 from pipeline.report.replay import Overlay, at_frames
-from pipeline.settings import Settings
+from pipeline.settings import EnvironmentName, Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
 from pipeline.stages import segments
-from pipeline.stages.analyse import arm_label, read_table
+from pipeline.stages.analyse import arm_label, read_table, tank_label
 from pipeline.stages.collect import data_set
 from pipeline.stages.findings import HISTORIES, findings
 from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
@@ -28,12 +28,16 @@ from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
 from tasks.analysis import acceleration, link_states
 from tasks.design import Designs
+from tasks.evolution import OPERATORS
 from tasks.simulation import OK, simulate
-from tasks.world import TrueSlush
+from tasks.world import DryLand, TrueSlush
 
-NAME, VERSION = "report", 2
+NAME, VERSION = "report", 3
 
 PAGE, REPLAY = "index.html", "replay.gif"
+
+MOST_STEPS_IN_TANK = 60 * 60
+"""Of the films of the tank; a minute of a robot that goes nowhere is enough."""
 
 N_REPLAYS_IN_GIF = 2
 """Robots in the moving picture: the best with residuals above the best without."""
@@ -99,6 +103,9 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     settings = Settings.model_validate(job.spec["settings"])
     trials = [result for row in settings.grid.trials() if (result := _trial_result(row, inputs)) is not None]
     replays = _replays(settings, trials, inputs, job.how["engine"])
+    proposed = _proposed(settings, inputs)
+    in_tank = [film for row in proposed for film in _tank_replays(settings, row, inputs, job.how["engine"])]
+    found = findings(inputs, assessed_depth=settings.assessed_depth, tank=settings.tank)
     report = StudyReport(
         name=settings.name,
         title=f"Robots evolved for slush: {settings.name}",
@@ -106,10 +113,12 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         settings_yaml=yaml.safe_dump(job.spec["settings"], sort_keys=False),
         trials=trials,
         residual_errors=_residual_errors(inputs),
-        replays=replays,
-        findings=findings(inputs, assessed_depth=settings.assessed_depth),
+        replays=[*replays, *in_tank],
+        findings=found,
+        draws=_draws(inputs),
+        measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],
-        set_aside=job.spec["set_aside"],
+        set_aside=[*job.spec["set_aside"], *_without_champion(settings, inputs)],
     )
     drawings = draw_all(report)
     files = {PAGE: render_page(report, drawings).encode()}
@@ -118,6 +127,8 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
             files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
     for replay in replays:
         files[replay_name(replay)] = render_gif([replay])
+    for environment, depth, trial in proposed:
+        files[proposal_name(environment, depth)] = _champion_file(inputs, environment, depth, trial)
     if replays:
         files[REPLAY] = render_gif(_for_the_gif(replays))
     return files
@@ -144,6 +155,35 @@ def _trial_result(row: tuple[Any, float, int], inputs: Mapping[str, Files]) -> T
     }
     predicted = scores.get("predicted", np.nan)
     return TrialResult(environment, depth, trial, predicted, **measured, curve=np.concatenate(curves))
+
+
+def _draws(inputs: Mapping[str, Files]) -> list[Draws]:
+    """Add up the draws of all trials by operator, where some were rejected."""
+    curves = [
+        decode_table(files[segments.CURVE], schema="curve", version=1, source=name)
+        for name, files in inputs.items()
+        if name.startswith("evolve/")
+    ]
+    totals = [
+        Draws(
+            operator,
+            n_drawn=sum(int(curve[segments.drawn_column(operator)].sum()) for curve in curves),
+            n_rejected=sum(int(curve[segments.rejected_column(operator)].sum()) for curve in curves),
+        )
+        for operator in OPERATORS
+    ]
+    return [of for of in totals if of.n_rejected]
+
+
+def _without_champion(settings: Settings, inputs: Mapping[str, Files]) -> list[str]:
+    """Name the trials that came to nothing."""
+    lines = []
+    for row in settings.grid.trials():
+        label = segments.trial_label(*row)
+        if f"transfer/{label}" in inputs:
+            status = decode_json(inputs[f"transfer/{label}"][SCORE], label)["status"]
+            lines += [f"evolve: {label} {status}"] if status != "ok" else []
+    return lines
 
 
 def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:
@@ -245,6 +285,65 @@ def _push(settings: Settings, design: Designs, trace: npt.NDArray[np.float32]) -
     return at_frames(acceleration(settings.slush, links, settings.physics)[0, ..., :2], settings.rollout.n_settle)
 
 
+def proposal_name(environment: str, depth: float) -> str:
+    """Name the design file of the champion of an arm that is proposed for building."""
+    return f"proposed-{environment}-{depth:g}m".replace(".", "_") + ".json"
+
+
+def _proposed(settings: Settings, inputs: Mapping[str, Files]) -> list[tuple[EnvironmentName, float, int]]:
+    """Find each arm's champion that is proposed for building: environment, depth and trial; none without a tank."""
+    found = []
+    for environment, depth in dict.fromkeys(trial[:2] for trial in settings.grid.trials()):
+        files = inputs.get(f"analyse/{tank_label(environment, depth)}", {})
+        table = read_table(files, "tank") if files else {"trial": np.array([]), "proposed": np.array([], dtype=bool)}
+        found += [(environment, depth, int(trial)) for trial in table["trial"][table["proposed"]]]
+    return found
+
+
+def _champion_file(inputs: Mapping[str, Files], environment: str, depth: float, trial: int) -> bytes:
+    return inputs[f"transfer/{segments.trial_label(environment, depth, trial)}"][CHAMPION]
+
+
+def _tank_replays(
+    settings: Settings, proposed: tuple[EnvironmentName, float, int], inputs: Mapping[str, Files], engine: Any
+) -> list[Replay]:
+    """Film a proposed champion in the tank and on its dry floor. They show a tank, so they are of no environment."""
+    assert settings.tank is not None
+    environment, depth, trial = proposed
+    label = segments.trial_label(environment, depth, trial)
+    design = design_from(decode_json(_champion_file(inputs, environment, depth, trial), label), label)
+    tank, n_settle = settings.tank, settings.rollout.n_settle
+    replays = []
+    for world, words in (
+        (TrueSlush(depth=tank.simulated_depth, slush=settings.slush), "the tank"),
+        (DryLand(depth=0.0), "the drained tank"),
+    ):
+        rollouts = simulate(
+            design,
+            world,
+            n_settle=n_settle,
+            n_measure=min(tank.n_steps(settings.physics.time_step), MOST_STEPS_IN_TANK),
+            engine=engine,
+            trace=True,
+            physics=settings.physics,
+        )
+        if rollouts.status[0] == OK:
+            assert rollouts.trace is not None
+            replays.append(
+                replay_of(
+                    design,
+                    rollouts.trace[0],
+                    title=f"To build: evolved {ENVIRONMENTS[environment].evolved}, trial {trial}, in {words}",
+                    environment="",
+                    world=words,
+                    depth=round(world.depth, 2),
+                    has_medium=isinstance(world, TrueSlush),
+                    n_settle=n_settle,
+                )
+            )
+    return replays
+
+
 def _for_the_gif(replays: Sequence[Replay]) -> list[Replay]:
     """Choose the robots at the greatest depth evolved with residuals and without, where both are there."""
     deepest = [replay for replay in replays if replay.depth == replays[0].depth]
@@ -259,7 +358,8 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     (page,) = results.done[PAGE]
     files = {name: store.read(page, name) for name in page.files}
     folder = store.export(settings.name, files)
-    return Summary(lines=[f"{folder / PAGE}"], artifacts=files, of_study=True)
+    lines = [str(folder / PAGE), *(f"{folder / name}: a robot to build" for name in files if name.endswith(".json"))]
+    return Summary(lines=lines, artifacts=files, of_study=True)
 
 
 STAGE = Stage(

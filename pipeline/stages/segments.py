@@ -15,9 +15,9 @@ from pipeline.manifest import Manifest
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Chain, Files, Input, Job, Spec, Upstream
 from pipeline.store import Store
-from tasks.design import Designs
+from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
-from tasks.evolution import HISTORY_UNITS, NOBODY_YET, Afpo, Evaluation, Population, evaluate, evolve
+from tasks.evolution import HISTORY_UNITS, NOBODY_YET, OPERATORS, Afpo, Evaluation, Population, evaluate, evolve
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
@@ -70,6 +70,7 @@ def segment_spec(
         "world": world,
         "depth": depth,
         "afpo": settings.evolution.afpo.model_dump(mode="json"),
+        "morphology": settings.evolution.morphology.model_dump(mode="json"),
         "rollout": settings.rollout.model_dump(mode="json"),
         "physics": settings.physics.model_dump(mode="json"),
     }
@@ -92,9 +93,14 @@ def generations_of(settings: Settings, n_generations: int, index: int) -> dict[s
     return {"first_generation": sum(lengths[:index]), "n_generations": lengths[index]}
 
 
-def how(settings: Settings) -> Spec:
-    """Say how rollouts are computed, which does not change what they are."""
-    return {"engine": settings.work.engine, "designs_per_batch": settings.work.designs_per_batch}
+def how(settings: Settings, world: EnvironmentName) -> Spec:
+    """Say how rollouts in a world are computed, which does not change what they are.
+
+    Only what is slow is split into batches: without networks the batch engine takes milliseconds for a generation,
+    which is less than handing out its parts would take.
+    """
+    slow = world in RESIDUAL_ENVIRONMENTS or settings.work.engine == "reference"
+    return {"engine": settings.work.engine, "designs_per_batch": settings.work.designs_per_batch if slow else None}
 
 
 def world_inputs(settings: Settings, world: EnvironmentName, trial: int, upstream: Upstream) -> dict[str, Input]:
@@ -180,6 +186,7 @@ def compute_segment(job: Job, inputs: Mapping[str, Files]) -> Files:
         n_generations=spec["n_generations"],
         afpo=Afpo.model_validate(spec["afpo"]),
         body=body,
+        morphology=Morphology.model_validate(spec["morphology"]),
     )
     return {
         POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=job.key),
@@ -204,12 +211,33 @@ def history_units() -> dict[str, str]:
     return {**HISTORY_UNITS, **{gene.name: gene.unit for gene in GENES}}
 
 
-CURVE_UNITS = {"generation": "", "best_fitness": "m", "median_fitness": "m", "n_diverged": "designs"}
+def drawn_column(operator: str) -> str:
+    """Name the column of a curve that counts an operator's draws."""
+    return f"n_drawn_{operator}"
+
+
+def rejected_column(operator: str) -> str:
+    """Name the column of a curve that counts how many of them the morphology refused."""
+    return f"n_rejected_{operator}"
+
+
+CURVE_UNITS = {
+    "generation": "",
+    "best_fitness": "m",
+    "median_fitness": "m",
+    "n_diverged": "designs",
+    **{column(operator): "designs" for operator in OPERATORS for column in (drawn_column, rejected_column)},
+}
 
 
 def _curve(before: Population, history: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Follow fitness over a segment: the best ever, and the median of each generation's children."""
+    """Follow a segment by generation: the best fitness ever, the median of the children, and each operator's draws."""
     generations = np.unique(history["generation"])
+    n_draws, operator = (history[name].reshape(len(generations), -1) for name in ("n_draws", "operator"))
+    draws = {}
+    for code, name in enumerate(OPERATORS):
+        draws[drawn_column(name)] = np.where(operator == code, n_draws, 0).sum(axis=1)
+        draws[rejected_column(name)] = np.where(operator == code, n_draws - 1, 0).sum(axis=1)
     fitness = history["fitness"].reshape(len(generations), -1)
     best_before = before.fitness.max(initial=-np.inf)
     return {
@@ -217,6 +245,7 @@ def _curve(before: Population, history: Mapping[str, npt.NDArray[Any]]) -> dict[
         "best_fitness": np.maximum(np.maximum.accumulate(fitness.max(axis=1)), best_before),
         "median_fitness": np.median(fitness, axis=1),
         "n_diverged": np.isneginf(fitness).sum(axis=1),
+        **draws,
     }
 
 

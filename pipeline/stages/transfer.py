@@ -65,7 +65,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         label = f"{chain.label}/score"
         if previous is not None:
             inputs[ADAPTED_TO] = Input(previous, (POPULATION,))
-    how = segments.how(settings)
+    how = segments.how(settings, "true_slush")
     return Item(stage=NAME, version=VERSION, label=label, spec=spec, inputs=inputs, how=how)
 
 
@@ -121,6 +121,11 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
                 if values:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
             lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
+    lines += [
+        f"{segments.trial_label(row['environment'], row['depth'], row['trial'])}: {row['status']}"
+        for row in rows
+        if row["status"] != "ok"
+    ]
     trials = [
         TrialSummary(
             name=segments.trial_label(row["environment"], row["depth"], row["trial"]),

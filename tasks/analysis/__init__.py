@@ -22,12 +22,14 @@ from tasks.analysis.paper import Row, against_paper
 from tasks.analysis.prediction import Histograms, Regression, accuracy, aggregates, histograms, members, regress
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.analysis.scores import EvolvedIn, Quantity, Scores
+from tasks.analysis.tank import Crossing, Tank, crossings, nearest_the_mean
 from tasks.analysis.uncertainty import Estimate, bootstrap, mean
 
 __all__ = [
     "Attribution",
     "Comparison",
     "Contrast",
+    "Crossing",
     "Disagreement",
     "Estimate",
     "EvolvedIn",
@@ -42,6 +44,7 @@ __all__ = [
     "Row",
     "Scores",
     "SignificanceTest",
+    "Tank",
     "Thrown",
     "TransferMatrix",
     "acceleration",
@@ -51,6 +54,7 @@ __all__ = [
     "attribute",
     "bootstrap",
     "compare",
+    "crossings",
     "disagreement",
     "draw_over_generations",
     "histograms",
@@ -62,6 +66,7 @@ __all__ = [
     "member_accelerations",
     "member_errors",
     "members",
+    "nearest_the_mean",
     "novelty",
     "phantom_thrust",
     "rank_exploiters",

@@ -2,11 +2,15 @@
 
 A link is a rectangle whose long axis is its local y and whose origin is its centre. A child's joint ties the point
 (0, parent_attachment · a_parent / 2) of the parent to (0, child_attachment · a_child / 2) of the child.
+
+A joint that is locked makes its two links parts of one rigid body. Of a body's links the one nearest the root, which
+has the lowest index, represents it: the body's frame is that link's frame.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -98,4 +102,105 @@ def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:
         x=x.astype(single),
         y=y.astype(single),
         angle=angle.astype(single),
+    )
+
+
+PassiveJoints = Literal["swing", "locked"]
+"""What a joint does whose motor is off."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBodies:
+    """How links make up rigid bodies, rounded once to the engines' precision; axis 0 is the design, axis 1 the link.
+
+    A link that is a body by itself is its own first link, at the origin of the body's frame, with shares of 1.
+    """
+
+    first_link: npt.NDArray[np.int64]
+    """(n_designs, n_links) the link that represents the body: of its links, the one nearest the root."""
+    x: Float32
+    """(n_designs, n_links) the link's centre in the body's frame [m]."""
+    y: Float32
+    """(n_designs, n_links) [m]"""
+    angle: Float32
+    """(n_designs, n_links) the link's angle in the body's frame [rad]."""
+    cos: Float32
+    """(n_designs, n_links) of that angle."""
+    sin: Float32
+    """(n_designs, n_links) of that angle."""
+    lever_x: Float32
+    """(n_designs, n_links) the link's centre less the body's centre of mass, in the body's frame [m]."""
+    lever_y: Float32
+    """(n_designs, n_links) [m]"""
+    mass_share: Float32
+    """(n_designs, n_links) the link's mass over the body's."""
+    inertia_share: Float32
+    """(n_designs, n_links) the link's moment of inertia over the body's, each about its own centre of mass."""
+    mass_over_inertia: Float32
+    """(n_designs, n_links) the link's mass over the body's moment of inertia [1/m²]."""
+    joint_x: Float32
+    """(n_designs, n_links) the link's joint in the frame of its parent's body [m]; 0 for the root."""
+    joint_y: Float32
+    """(n_designs, n_links) [m]"""
+
+    @property
+    def is_first(self) -> npt.NDArray[np.bool_]:
+        """(n_designs, n_links) whether a link represents a body: it is the root, or hangs from a joint that moves."""
+        return np.asarray(self.first_link == np.arange(N_LINKS))
+
+
+def rigid_bodies(designs: Designs, *, passive_joints: PassiveJoints) -> RigidBodies:
+    """Fuse the links that locked joints tie: those whose motor is off, where passive joints are locked.
+
+    Args:
+        designs: n_designs valid designs.
+        passive_joints: what a joint does whose motor is off.
+    """
+    n_designs, design = len(designs), np.arange(len(designs))
+    parent_anchor, child_anchor = _anchors(designs)
+    first_link = np.tile(np.arange(N_LINKS), (n_designs, 1))
+    x, y, angle, joint_x, joint_y = (np.zeros((n_designs, N_LINKS)) for _ in range(5))
+    for link in range(1, N_LINKS):
+        parent, along = designs.parent[:, link], parent_anchor[:, link]
+        above = angle[design, parent]
+        joint_x[:, link] = x[design, parent] - np.sin(above) * along
+        joint_y[:, link] = y[design, parent] + np.cos(above) * along
+        if passive_joints == "locked":
+            locked, along = ~designs.motor_on[:, link], child_anchor[:, link]
+            turned = above + designs.rest_angle[:, link]
+            first_link[:, link] = np.where(locked, first_link[design, parent], link)
+            angle[:, link] = np.where(locked, turned, 0.0)
+            x[:, link] = np.where(locked, joint_x[:, link] + np.sin(turned) * along, 0.0)
+            y[:, link] = np.where(locked, joint_y[:, link] - np.cos(turned) * along, 0.0)
+
+    def over_body(quantity: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Add up the links of each body, and give each link its body's sum."""
+        total = np.zeros((n_designs, N_LINKS))
+        for link in range(N_LINKS):
+            total[design, first_link[:, link]] += quantity[:, link]
+        return np.take_along_axis(total, first_link, axis=1)
+
+    length = designs.length_scale
+    width = 1.0 / length
+    mass = width * length  # of unit density, which cancels out
+    inertia = mass * (width**2 + length**2) / 12
+    body_mass = over_body(mass)
+    lever_x, lever_y = x - over_body(mass * x) / body_mass, y - over_body(mass * y) / body_mass
+    body_inertia = over_body(inertia + mass * (lever_x**2 + lever_y**2))  # the parallel-axis theorem
+    single = np.float32
+    rounded_angle = angle.astype(single)
+    return RigidBodies(
+        first_link=first_link,
+        x=x.astype(single),
+        y=y.astype(single),
+        angle=rounded_angle,
+        cos=np.cos(rounded_angle.astype(np.float64)).astype(single),
+        sin=np.sin(rounded_angle.astype(np.float64)).astype(single),
+        lever_x=lever_x.astype(single),
+        lever_y=lever_y.astype(single),
+        mass_share=(mass / body_mass).astype(single),
+        inertia_share=(inertia / body_inertia).astype(single),
+        mass_over_inertia=(mass / body_inertia).astype(single),
+        joint_x=joint_x.astype(single),
+        joint_y=joint_y.astype(single),
     )

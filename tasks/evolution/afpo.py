@@ -19,7 +19,17 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from tasks.design import Designs, Mutation, concatenate, crossover, mutate, random_designs
+from tasks.design import (
+    ANY_BODY,
+    Designs,
+    Morphology,
+    Mutation,
+    concatenate,
+    draw_mutants,
+    draw_random,
+    draw_recombinations,
+    random_designs,
+)
 from tasks.design.genes import Part
 from tasks.parameters import Parameters
 
@@ -115,6 +125,8 @@ class Children:
     """(n_children,) index into OPERATORS."""
     parents: Ints
     """(n_children, 2) identities; NOBODY where there is none."""
+    n_draws: Ints
+    """(n_children,) how often its operator drew until the morphology allowed the design."""
 
 
 NOBODY_YET = Population(
@@ -127,7 +139,14 @@ NOBODY_YET = Population(
 """The population before the first generation."""
 
 
-def ask(population: Population, rng: Generator, afpo: Afpo, *, body: Designs | None = None) -> Children:
+def ask(
+    population: Population,
+    rng: Generator,
+    afpo: Afpo,
+    *,
+    body: Designs | None = None,
+    morphology: Morphology = ANY_BODY,
+) -> Children:
     """Draw a generation of children; the first generation is random throughout.
 
     A mutant is of its parent's age, a recombination of the older parent's. Operators are drawn for each child alone, so
@@ -138,12 +157,15 @@ def ask(population: Population, rng: Generator, afpo: Afpo, *, body: Designs | N
         rng: source of randomness.
         afpo: the algorithm's parameters.
         body: one design whose body all children get; only controllers evolve then.
+        morphology: what bodies keep to.
     """
     n_children, n_parents = afpo.population_size, len(population.designs)
     operator = rng.choice(len(OPERATORS), size=n_children, p=afpo.shares)
     if n_parents == 0:
         operator[:] = RANDOM
-    arrays = {name: array.copy() for name, array in random_designs(n_children, rng, body=body).arrays()}
+    drawn = draw_random(operator == RANDOM, rng, body=body, morphology=morphology)
+    arrays = {name: array.copy() for name, array in drawn.designs.arrays()}
+    n_draws = drawn.n_draws.copy()
     age = np.zeros(n_children, dtype=np.int64)
     parents = np.full((n_children, 2), NOBODY, dtype=np.int64)
 
@@ -154,20 +176,34 @@ def ask(population: Population, rng: Generator, afpo: Afpo, *, body: Designs | N
     if mutants.size:
         chosen = one[mutants]
         parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
-        mutated = mutate(population.designs[chosen], rng, mutation=afpo.mutation, parts=parts)
-        _put(arrays, mutants, mutated)
+        mutated = draw_mutants(
+            population.designs[chosen], rng, mutation=afpo.mutation, parts=parts, morphology=morphology
+        )
+        _put(arrays, mutants, mutated.designs)
+        n_draws[mutants] = mutated.n_draws
         age[mutants] = population.age[chosen]
         parents[mutants, 0] = population.identity[chosen]
     recombined = np.flatnonzero(operator == CROSSOVER)
     if recombined.size:
         left, right = one[recombined], other[recombined]
-        _put(arrays, recombined, crossover(population.designs[left], population.designs[right], rng))
+        crossed = draw_recombinations(
+            population.designs[left], population.designs[right], rng, morphology=morphology
+        )
+        _put(arrays, recombined, crossed.designs)
+        n_draws[recombined] = crossed.n_draws
         age[recombined] = np.maximum(population.age[left], population.age[right])
         parents[recombined] = np.stack([population.identity[left], population.identity[right]], axis=1)
 
     identity = population.n_evaluated + np.arange(n_children)
     designs = Designs.from_arrays(arrays)
-    return Children(designs=designs, age=age, identity=identity, operator=operator.astype(np.int64), parents=parents)
+    return Children(
+        designs=designs,
+        age=age,
+        identity=identity,
+        operator=operator.astype(np.int64),
+        parents=parents,
+        n_draws=n_draws,
+    )
 
 
 def _put(arrays: Mapping[str, npt.NDArray[Any]], where: Ints, replacements: Designs) -> None:

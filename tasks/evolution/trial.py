@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.design import Designs
+from tasks.design import ANY_BODY, Designs, Morphology
 from tasks.evolution.afpo import Afpo, Children, Population, ask, tell
 from tasks.evolution.objective import Evaluation
 
@@ -22,6 +22,7 @@ HISTORY_UNITS: Mapping[str, str] = {
     "operator": "index into tasks.evolution.OPERATORS",
     "age": "generations",
     "parents": "two identities, -1 where there is none",
+    "n_draws": "draws of its operator, the last of which the morphology allowed",
     "survived": "whether it was selected in its own generation",
     "fitness": "m",
     "displacement": "m, per member",
@@ -39,6 +40,7 @@ def evolve(
     n_generations: int,
     afpo: Afpo,
     body: Designs | None = None,
+    morphology: Morphology = ANY_BODY,
 ) -> tuple[Population, History]:
     """Advance a trial by some generations.
 
@@ -50,6 +52,7 @@ def evolve(
         n_generations: how many to run.
         afpo: the algorithm's parameters.
         body: one design whose body stays; only controllers evolve then.
+        morphology: what bodies keep to.
 
     Returns:
         The trial as it is afterwards, and the history of these generations.
@@ -62,7 +65,7 @@ def evolve(
     records = []
     for generation in range(first_generation, first_generation + n_generations):
         rng = generator_of(generation)
-        children = ask(population, rng, afpo, body=body)
+        children = ask(population, rng, afpo, body=body, morphology=morphology)
         evaluation = evaluate(children.designs)
         population = tell(population, children, evaluation.fitness, rng, afpo)
         records.append(_record(generation, children, evaluation, population))
@@ -76,6 +79,7 @@ def _record(generation: int, children: Children, evaluation: Evaluation, survivo
         "operator": children.operator,
         "age": children.age,
         "parents": children.parents,
+        "n_draws": children.n_draws,
         "survived": np.isin(children.identity, survivors.identity),
         "fitness": evaluation.fitness,
         "displacement": evaluation.displacement,

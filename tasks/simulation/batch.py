@@ -17,6 +17,7 @@ from tasks.design import genes
 from tasks.design.body import KinematicTrees, kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, rotation, rows, simd
+from tasks.simulation.bodies.robots import Robots
 from tasks.simulation.compiled import compiled
 from tasks.simulation.contact import NO_VERTEX
 from tasks.simulation.drive import Drive
@@ -33,22 +34,10 @@ Indices = npt.NDArray[np.int64]
 _SOURCES = [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels]
 _advance = compiled(kernels.advance, _SOURCES, seconds=20)
 _advance_in_learned_medium = compiled(
-    learned.advancing(_advance.inner, networks.run_networks.inner), [*_SOURCES, networks, learned], seconds=20
+    learned.advancing(_advance.inner, networks.run_networks.inner, (rows.VX, rows.VY, rows.OMEGA)),
+    [*_SOURCES, networks, learned],
+    seconds=20,
 )
-
-
-QUANTITIES = {
-    "length_scale": rows.LENGTH,
-    "mass": rows.MASS,
-    "inertia": rows.INERTIA,
-    "y": rows.Y,
-    "cos": rows.COS,
-    "sin": rows.SIN,
-    "vx": rows.VX,
-    "vy": rows.VY,
-    "omega": rows.OMEGA,
-}
-"""First row of each quantity of LinkStates."""
 
 
 def discovery_order(parents: Sequence[int]) -> list[int]:
@@ -124,6 +113,8 @@ class Groups:
     def __init__(self, designs: Designs, physics: Physics, *, n_members: int, n_lanes: int) -> None:
         """Spawn n_members robots of each of n_designs designs: robot number member · n_designs + design."""
         self.n_robots = n_members * len(designs)
+        self._n_members = n_members
+        self._physics = physics
         self.n_lanes = n_lanes
         self.n_groups = -(-self.n_robots // n_lanes)
         self._block = Block(self.n_groups * rows.N_ROWS, n_lanes)
@@ -233,12 +224,21 @@ class Groups:
         """Take steps in a medium that is one network for each member: all of it in one kernel, and without a trace."""
         n_designs = self.n_robots // learned_medium.n_members
         x, out = learned_medium.room(n_designs * N_LINKS)
-        observed = np.array([QUANTITIES[name] for name in learned_medium.inputs], np.int64)
+        observed = np.array([rows.QUANTITIES[name] for name in learned_medium.inputs], np.int64)
         with np.errstate(all="ignore"):
             _advance_in_learned_medium(
                 self._block, self.blocks, world, first_step, n_steps, self._robot, n_designs, observed,
                 learned_medium.layers, learned_medium.sizes, x, out, learned_medium.between, self._no_trace,
             )  # fmt: skip
+
+    def push(self, medium: Medium) -> None:
+        """Add a medium's velocity change to every link, as the reference engine does."""
+        states = self.states(tuple(rows.QUANTITIES.values()))
+        states = states.reshape(len(rows.QUANTITIES), self._n_members, -1, N_LINKS)
+        links = LinkStates(**dict(zip(rows.QUANTITIES, states, strict=True)))
+        change = medium.velocity_change(links, self._physics)
+        velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
+        self.set_velocities(*(v.astype(np.float32).reshape(self.n_robots, N_LINKS) for v in velocities))
 
 
 def roll_out(
@@ -270,7 +270,11 @@ def roll_out_on(
     medium = environment.medium
     n_members = environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1
     learned_medium: PackedNetworks | None = getattr(medium, "networks", None)
-    groups = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes)
+    groups: Groups | Robots
+    if physics.passive_joints == "locked" or physics.link_collisions:
+        groups = Robots(designs, environment.depth, physics, n_members=n_members)
+    else:
+        groups = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes)
     world = shared_world(environment, physics)
     n_steps = n_settle + n_measure
     shape = (n_members, len(designs))
@@ -282,7 +286,7 @@ def roll_out_on(
             groups.advance_among(learned_medium, world, first, last - first)
         elif medium is not None and not isinstance(medium, Slush):
             for step in range(first, last):
-                _push(groups, medium, n_members, physics)
+                groups.push(medium)
                 groups.advance(world, step, 1, None if kept is None else kept[:, step : step + 1])
         else:
             groups.advance(world, first, last - first, None if kept is None else kept[:, first:last])
@@ -293,12 +297,3 @@ def roll_out_on(
         final=groups.poses().reshape(*shape, N_LINKS, 6),
         trace=None if kept is None else kept.reshape(*shape, n_steps, N_LINKS, 6),
     )
-
-
-def _push(groups: Groups, medium: Medium, n_members: int, physics: Physics) -> None:
-    """Add a medium's velocity change to every link, as the reference engine does."""
-    states = groups.states(tuple(QUANTITIES.values())).reshape(len(QUANTITIES), n_members, -1, N_LINKS)
-    links = LinkStates(**dict(zip(QUANTITIES, states, strict=True)))
-    change = medium.velocity_change(links, physics)
-    velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
-    groups.set_velocities(*(v.astype(np.float32).reshape(groups.n_robots, N_LINKS) for v in velocities))

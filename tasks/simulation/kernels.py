@@ -101,13 +101,17 @@ def _share(lanes: Any) -> Any:
 
 
 @inline
-def submerge(block: Any, link: int, world: Any) -> None:
-    """Drag and buoyancy of the slush on a link over one step; see tasks/world/slush.py."""
+def immersion(block: Any, link: int) -> Any:
+    """Half the rises of a link's edges, and the depth of its lowest corner; see tasks/world/slush.py."""
     length, width = 2.0 * block[HALF_HEIGHT + link], block[WIDTH + link]  # halving was exact
     rise_short, rise_long = abs(block[SIN + link]) * width / 2.0, abs(block[COS + link]) * length / 2.0
-    depth = rise_short + rise_long - block[Y + link]
-    if not any_lane(depth > 0.0):
-        return
+    return rise_short, rise_long, rise_short + rise_long - block[Y + link]
+
+
+@inline
+def slush_change(block: Any, link: int, world: Any, rise_short: Any, rise_long: Any, depth: Any) -> Any:
+    """Change of a link's velocities by drag and buoyancy of the slush over one step; see tasks/world/slush.py."""
+    length, width = 2.0 * block[HALF_HEIGHT + link], block[WIDTH + link]
     per_short = 0.5 / select(rise_short > TINY, rise_short, TINY)
     per_long = 0.5 / select(rise_long > TINY, rise_long, TINY)
     t1, t2 = _share(depth * per_short), _share(depth * per_long)
@@ -125,9 +129,17 @@ def submerge(block: Any, link: int, world: Any) -> None:
     k_r_dt = world.angular_drag * second_moment / block[INERTIA + link]
     slowed = 1.0 + k_dt * sqrt(vx * vx + vy * vy)
     lift = world.lift * area / block[MASS + link]
-    block[VX + link] = vx + (vx / slowed - vx)
-    block[VY + link] = vy + ((vy / slowed + lift) - vy)
-    block[OMEGA + link] = omega + (omega / (1.0 + k_r_dt * abs(omega)) - omega)
+    return vx / slowed - vx, (vy / slowed + lift) - vy, omega / (1.0 + k_r_dt * abs(omega)) - omega
+
+
+@inline
+def submerge(block: Any, link: int, world: Any) -> None:
+    """Add the change by the slush to a link's velocities, if it touches the slush in any lane."""
+    rise_short, rise_long, depth = immersion(block, link)
+    if any_lane(depth > 0.0):
+        dvx, dvy, domega = slush_change(block, link, world, rise_short, rise_long, depth)
+        block[VX + link], block[VY + link] = block[VX + link] + dvx, block[VY + link] + dvy
+        block[OMEGA + link] = block[OMEGA + link] + domega
 
 
 @inline

@@ -13,11 +13,17 @@ from typing import Any
 import numba
 
 from tasks.design.genes import N_LINKS
-from tasks.simulation.rows import OMEGA, VX, VY
 
 
-def advancing(advance: Any, run_networks: Any) -> Callable[..., None]:
-    """Make the kernel out of those for one step and for the networks."""
+def advancing(advance: Any, run_networks: Any, added: tuple[int, int, int]) -> Callable[..., None]:
+    """Make the kernel out of those for one step and for the networks.
+
+    Args:
+        advance: takes steps.
+        run_networks: as in tasks/simulation/networks.py.
+        added: first rows of the quantities to which go the changes of vx, vy, omega.
+    """
+    to_vx, to_vy, to_omega = added
 
     def advance_in_learned_medium(
         block: Any, blocks: Any, world: Any, first_step: int, n_steps: int, robot_of_lane: Any, n_designs: int,
@@ -53,9 +59,9 @@ def advancing(advance: Any, run_networks: Any) -> Callable[..., None]:
             for lane in range(n_groups * n_lanes):
                 numbers, member, first = _place(blocks, lane, robot_of_lane, n_designs)
                 for link in range(N_LINKS):
-                    numbers[VX + link, lane % n_lanes] += out[member, first + link, 0]
-                    numbers[VY + link, lane % n_lanes] += out[member, first + link, 1]
-                    numbers[OMEGA + link, lane % n_lanes] += out[member, first + link, 2]
+                    numbers[to_vx + link, lane % n_lanes] += out[member, first + link, 0]
+                    numbers[to_vy + link, lane % n_lanes] += out[member, first + link, 1]
+                    numbers[to_omega + link, lane % n_lanes] += out[member, first + link, 2]
             advance(block, n_groups, world, first_step + step, 1, no_trace, False)
 
     return advance_in_learned_medium

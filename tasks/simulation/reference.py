@@ -3,8 +3,10 @@
 The state of all worlds is gathered into arrays, the motors and the medium are computed for all of them at once, and
 written back; a loop over Python polygons would cost ten times as much.
 
-Box2D is deterministic but sensitive to the order in which things are made: links are created from the last to the root,
-so that the root heads Box2D's list of bodies and seeds its island; then the joints in the order of their links.
+Box2D is deterministic but sensitive to the order in which things are made: first the ground; then the rigid bodies from
+the one with the last first link to the root's, so that the root heads Box2D's list of bodies and seeds its island, each
+with a fixture per link in the order of the links; then the joints in the order of their links. (Box2D's lists then run
+backwards: a body lists its last link's fixture first, and adds up its mass in that order.)
 """
 
 from __future__ import annotations
@@ -15,16 +17,19 @@ import Box2D
 import numpy as np
 import numpy.typing as npt
 
-from tasks.design.body import KinematicTrees, kinematic_trees
+from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.drive import Drive
 from tasks.simulation.motion import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, OMEGA, VX, VY, Motion, Y
+from tasks.simulation.rigid import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, VelocityChange
 
 Float32 = npt.NDArray[np.float32]
 
 THROUGH_ONE_ANOTHER = -1
 """Box2D's group of things that never collide with each other; links belong to it, the ground does not."""
+GROUND_BIT = 1 << N_LINKS
+"""The ground's category where links collide; a link's is the bit of its number."""
 
 
 class _Bodies:
@@ -70,45 +75,105 @@ def _empty_world(physics: Physics) -> Any:
     return world
 
 
-def _link(world: Any, half_width: float, half_height: float, pose: tuple[float, float, float], physics: Physics) -> Any:
+def _body(world: Any, pose: tuple[float, float, float]) -> Any:
     x, y, angle = pose
-    body = world.CreateDynamicBody(position=(x, y), angle=angle, allowSleep=False)
+    return world.CreateDynamicBody(position=(x, y), angle=angle, allowSleep=False)
+
+
+def _add_link(body: Any, box: tuple[Any, ...], physics: Physics, **collides: int) -> None:
+    """Add a link to a body: a box of half width and half height, and its centre and angle where they are not 0."""
     body.CreatePolygonFixture(
-        box=(half_width, half_height),
+        box=box,
         density=physics.link_density,
         friction=physics.friction,
         restitution=physics.restitution,
-        groupIndex=THROUGH_ONE_ANOTHER,
+        **collides,
     )
-    return body
+
+
+def _collides(parents: npt.NDArray[np.int64], link: int, physics: Physics) -> dict[str, int]:
+    """Say what a link of a robot collides with: the ground, and its own unless they are its parent or children."""
+    if not physics.link_collisions:
+        return {"groupIndex": THROUGH_ONE_ANOTHER}
+    unjoined = (
+        other for other in range(N_LINKS) if other != link and parents[other] != link and parents[link] != other
+    )
+    return {"categoryBits": 1 << link, "maskBits": GROUND_BIT | sum(1 << other for other in unjoined)}
 
 
 class _Robot:
     """One robot in a world of its own."""
 
-    def __init__(self, trees: KinematicTrees, design: int, drive: Drive, depth: float, physics: Physics) -> None:
+    def __init__(
+        self, trees: KinematicTrees, rigid: RigidBodies, design: int, drive: Drive, depth: float, physics: Physics
+    ) -> None:
         self.world = _empty_world(physics)
         ground = self.world.CreateStaticBody(position=(0.0, -depth - GROUND_HALF_HEIGHT))
         ground.CreatePolygonFixture(
-            box=(GROUND_HALF_WIDTH, GROUND_HALF_HEIGHT), friction=physics.friction, restitution=physics.restitution
+            box=(GROUND_HALF_WIDTH, GROUND_HALF_HEIGHT),
+            friction=physics.friction,
+            restitution=physics.restitution,
+            categoryBits=GROUND_BIT,
         )
-        self.links: list[Any] = [None] * N_LINKS
-        for link in reversed(range(N_LINKS)):
-            pose = (float(trees.x[design, link]), float(trees.y[design, link]), float(trees.angle[design, link]))
-            size = (float(trees.half_width[design, link]), float(trees.half_height[design, link]))
-            self.links[link] = _link(self.world, *size, pose, physics)
-        self.joints = [
-            self.world.CreateRevoluteJoint(
-                bodyA=self.links[trees.parent[design, link]],
-                bodyB=self.links[link],
-                localAnchorA=(0.0, float(trees.parent_anchor[design, link])),
+        first_link, parents = rigid.first_link[design], trees.parent[design]
+        body_of: dict[int, Any] = {}
+        for first in reversed(np.unique(first_link).tolist()):
+            pose = (float(trees.x[design, first]), float(trees.y[design, first]), float(trees.angle[design, first]))
+            body_of[first] = _body(self.world, pose)
+            for link in np.flatnonzero(first_link == first).tolist():
+                box: tuple[Any, ...] = (float(trees.half_width[design, link]), float(trees.half_height[design, link]))
+                if link != first:
+                    centre = (float(rigid.x[design, link]), float(rigid.y[design, link]))
+                    box = (*box, centre, float(rigid.angle[design, link]))
+                _add_link(body_of[first], box, physics, **_collides(parents, link, physics))
+        self.bodies = [body_of[first] for first in sorted(body_of)]
+        """In the order of their first links."""
+        self.joints = {
+            link: self.world.CreateRevoluteJoint(
+                bodyA=body_of[first_link[parents[link]]],
+                bodyB=body_of[link],
+                localAnchorA=(float(rigid.joint_x[design, link]), float(rigid.joint_y[design, link])),
                 localAnchorB=(0.0, float(trees.child_anchor[design, link])),
                 referenceAngle=0.0,
                 enableMotor=bool(drive.motor_on[design, link]),
                 maxMotorTorque=physics.max_motor_torque,
+                collideConnected=physics.link_collisions,  # the filters above know which links a joint ties
             )
-            for link in range(1, N_LINKS)
-        ]
+            for link in sorted(body_of)
+            if link > 0
+        }
+        """By the link that hangs from each."""
+
+
+class _Robots:
+    """Many robots, whose bodies' states go to arrays over links and back."""
+
+    def __init__(self, robots: list[_Robot], rigid: RigidBodies, n_members: int) -> None:
+        self._rigid = rigid
+        self._bodies = _Bodies([body for robot in robots for body in robot.bodies])
+        self._shape = (n_members, len(rigid.first_link), N_LINKS)
+        self._is_first = np.broadcast_to(rigid.is_first, self._shape)
+        number = np.cumsum(self._is_first.ravel()).reshape(self._shape) - 1
+        self._body_of_link = np.take_along_axis(number, np.broadcast_to(rigid.first_link, self._shape), axis=2)
+
+        self._state = self._bodies.states()
+
+    def links(self) -> PlacedLinks:
+        """Read the present states of all links."""
+        self._state = self._bodies.states()
+        rotation = self._bodies.rotations()[self._body_of_link]
+        with np.errstate(invalid="ignore", over="ignore"):  # of worlds that have diverged
+            return place_links(self._rigid, self._state[self._body_of_link], rotation[..., 0], rotation[..., 1])
+
+    def push(self, links: PlacedLinks, change: VelocityChange) -> None:
+        """Add to the velocities of all bodies what a medium does to their links."""
+        with np.errstate(invalid="ignore", over="ignore"):  # of worlds that have diverged
+            of_body = body_change(self._rigid, links, change)
+            vx, vy, omega = (
+                (self._state[:, column] + added[self._is_first]).astype(np.float32)
+                for column, added in ((VX, of_body.vx), (VY, of_body.vy), (OMEGA, of_body.omega))
+            )
+        self._bodies.set_velocities(vx, vy, omega)
 
 
 def roll_out(
@@ -117,36 +182,36 @@ def roll_out(
     """Simulate designs in an environment; see :func:`tasks.simulation.simulate`."""
     n_members = environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1
     n_designs, n_steps = len(designs), n_settle + n_measure
-    shape = (n_members, n_designs, N_LINKS)
     trees = kinematic_trees(designs, density=physics.link_density)
+    rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
     drive = Drive.of(designs)
-    robots = [
-        _Robot(trees, design, drive, environment.depth, physics)
+    worlds = [
+        _Robot(trees, rigid, design, drive, environment.depth, physics)
         for _ in range(n_members)
         for design in range(n_designs)
     ]
-    bodies = _Bodies([link for robot in robots for link in robot.links])
+    robots = _Robots(worlds, rigid, n_members)
     alive = np.ones((n_members, n_designs), dtype=bool)
-    state = bodies.states().reshape(*shape, 6)
+    links = robots.links()
     kept = np.full((n_members, n_designs, n_steps, N_LINKS, 6), np.nan, np.float32) if trace else None
-    settled = state
+    settled = links.state
     for step in range(n_steps):
-        _command_motors(robots, drive, trees, state, step, physics)
+        _command_motors(worlds, drive, trees, links.state, step, physics)
         if environment.medium is not None:
-            _push(bodies, environment.medium, designs, trees, state, physics)
-        for robot, robot_alive in zip(robots, alive.flat, strict=True):
-            if robot_alive:
-                robot.world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
-                robot.world.ClearForces()
+            _push(robots, environment.medium, designs, trees, links, physics)
+        for world, world_alive in zip(worlds, alive.flat, strict=True):
+            if world_alive:
+                world.world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
+                world.world.ClearForces()
         # A world that turned non-finite is not stepped again: Box2D takes NaN in and gives NaN out, silently.
-        state = bodies.states().reshape(*shape, 6)
-        alive &= np.isfinite(state).all(axis=(2, 3))
-        state[~alive] = np.nan
+        links = robots.links()
+        alive &= np.isfinite(links.state).all(axis=(2, 3))
+        links.state[~alive] = np.nan
         if kept is not None:
-            kept[:, :, step] = state
+            kept[:, :, step] = links.state
         if step + 1 == n_settle:
-            settled = state
-    return Motion(settled=settled, final=state, trace=kept)
+            settled = links.state
+    return Motion(settled=settled, final=links.state, trace=kept)
 
 
 def _command_motors(
@@ -157,33 +222,32 @@ def _command_motors(
     parent = np.broadcast_to(np.maximum(trees.parent, 0), angle.shape)
     joint_angle = angle - np.take_along_axis(angle, parent, axis=2)
     error = drive.target_angle(step, physics.time_step) - joint_angle
-    speed = (np.float32(physics.motor_gain) * error).reshape(len(robots), N_LINKS)[:, 1:].tolist()
-    on = np.broadcast_to(drive.motor_on, angle.shape).reshape(len(robots), N_LINKS)[:, 1:].tolist()
+    speed = (np.float32(physics.motor_gain) * error).reshape(len(robots), N_LINKS).tolist()
+    on = np.broadcast_to(drive.motor_on, angle.shape).reshape(len(robots), N_LINKS).tolist()
     for robot, speeds, flags in zip(robots, speed, on, strict=True):
-        for joint, joint_speed, flag in zip(robot.joints, speeds, flags, strict=True):
-            if flag:
-                joint.motorSpeed = joint_speed
+        for link, joint in robot.joints.items():
+            if flags[link]:
+                joint.motorSpeed = speeds[link]
 
 
 def _push(
-    bodies: _Bodies, medium: Medium, designs: Designs, trees: KinematicTrees, state: Float32, physics: Physics
+    robots: _Robots, medium: Medium, designs: Designs, trees: KinematicTrees, placed: PlacedLinks, physics: Physics
 ) -> None:
-    """Add the medium's velocity change to every link."""
+    """Let the medium act on every link, and the links on their bodies."""
+    state = placed.state
     shape = state.shape[:3]
-    rotation = bodies.rotations().reshape(*shape, 2)
     links = LinkStates(
         length_scale=np.broadcast_to(designs.length_scale.astype(np.float32), shape),
         mass=np.broadcast_to(trees.mass, shape),
         inertia=np.broadcast_to(trees.inertia, shape),
         y=state[..., Y],
-        cos=rotation[..., 0],
-        sin=rotation[..., 1],
+        cos=placed.cos,
+        sin=placed.sin,
         vx=state[..., VX],
         vy=state[..., VY],
         omega=state[..., OMEGA],
     )
-    change = medium.velocity_change(links, physics)
-    bodies.set_velocities(*_pushed(links, change))
+    robots.push(placed, medium.velocity_change(links, physics))
 
 
 def _pushed(links: LinkStates, change: VelocityChange) -> tuple[Float32, Float32, Float32]:
@@ -205,12 +269,10 @@ class FreeLinks:
         self._length_scale = length_scale.astype(np.float32)
         self._mass = mass.astype(np.float32)
         self._inertia = (mass * (width**2 + length_scale**2) / 12).astype(np.float32)
-        self._bodies = _Bodies(
-            [
-                _link(self._world, w / 2, a / 2, (0.0, 0.0, 0.0), physics)
-                for w, a in zip(width, length_scale, strict=True)
-            ]
-        )
+        bodies = [_body(self._world, (0.0, 0.0, 0.0)) for _ in length_scale]
+        for body, w, a in zip(bodies, width, length_scale, strict=True):
+            _add_link(body, (w / 2, a / 2), physics, groupIndex=THROUGH_ONE_ANOTHER)
+        self._bodies = _Bodies(bodies)
 
     def step(self, state: Float32, medium: Medium | None) -> Float32:
         """Take one step from given states; what was before them is forgotten.

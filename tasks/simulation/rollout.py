@@ -69,8 +69,9 @@ def simulate(
             raise ValueError(f"{name} is {value}, expected {least} or more steps")
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
+    physics = physics or Physics()
     motion = ENGINES[engine](
-        designs, environment, physics or Physics(), n_settle=n_settle, n_measure=n_measure, trace=trace
+        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace
     )
     return _measure(motion, squeeze=not isinstance(environment, ResidualSlush))
 

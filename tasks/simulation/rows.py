@@ -47,3 +47,16 @@ _CONTACT = MOTOR_SPEED + N_JOINTS
     NORMAL_MASS_1, NORMAL_MASS_2, BIAS_1, BIAS_2, K_11, K_12, K_22, K_INVERSE_DETERMINANT,
 ) = range(_CONTACT, _CONTACT + 18 * N_LINKS, N_LINKS)
 N_ROWS = K_INVERSE_DETERMINANT + N_LINKS
+
+QUANTITIES = {
+    "length_scale": LENGTH,
+    "mass": MASS,
+    "inertia": INERTIA,
+    "y": Y,
+    "cos": COS,
+    "sin": SIN,
+    "vx": VX,
+    "vy": VY,
+    "omega": OMEGA,
+}
+"""First row of each quantity of :class:`tasks.world.LinkStates`."""

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from tasks.parameters import Parameters
@@ -31,3 +33,9 @@ class Physics(Parameters):
     """[1/s]. A motor's speed is this times the joint's angular error."""
     max_motor_torque: float = Field(default=100.0, ge=0.0, le=1e9)
     """[N·m]. [P]; the robot that was built had 30."""
+    passive_joints: Literal["swing", "locked"] = "swing"
+    """A joint whose motor is off swings freely, or is locked at its rest angle, so that its two links are parts of one
+    rigid body. [P]: locked in the robot that was built."""
+    link_collisions: bool = False
+    """Whether links that no joint ties to each other collide; all links collide with the ground. [P]: they did in the
+    robot that was built."""

@@ -1,8 +1,6 @@
 """The batch engine against pybox2d: every float of every step, with ==, on designs drawn anew each time."""
 
-import ctypes
 import hashlib
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numba
@@ -16,52 +14,12 @@ from tasks.simulation.motion import ANGLE, Motion
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
 
 DEPTHS = (0.0, 0.3, 1.0, 2.5, 9.0)
-PLATFORM = ctypes.CDLL(None)
-for _name in ("sinf", "cosf"):
-    getattr(PLATFORM, _name).argtypes, getattr(PLATFORM, _name).restype = [ctypes.c_float], ctypes.c_float
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in Python; test_batch.py has a short one")
 
 
-def platform_sines_and_cosines(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    each = angle.tolist()
-    return np.float32([PLATFORM.sinf(a) for a in each]), np.float32([PLATFORM.cosf(a) for a in each])
-
-
-def angles(seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    exponent = rng.uniform(-20, 15, 20_000)
-    return np.concatenate(
-        [
-            rng.uniform(-7, 7, 100_000),
-            rng.uniform(-150, 150, 40_000),
-            rng.choice([-1, 1], 20_000) * 2**exponent,
-            np.arange(-400, 400) * np.pi / 4,
-            [0.0, -0.0, 120.0, -120.0, np.nextafter(np.float32(120), 0), np.inf, -np.inf, np.nan],
-        ]
-    ).astype(np.float32)
-
-
-@pytest.fixture(scope="module")
-def same_libm() -> None:
-    """Equality needs the sine that the wheel calls to be glibc's with fused operations, as ours is."""
-    angle = angles(0)
-    for ours, theirs in zip(free_links.sines_and_cosines(angle), platform_sines_and_cosines(angle), strict=True):
-        if not np.array_equal(ours, theirs, equal_nan=True):
-            n = int((ours != theirs).sum())
-            pytest.skip(f"this platform's sinf or cosf differs from glibc's in {n} of {len(angle)} values")
-
-
-@pytest.fixture
-def seed() -> Iterator[int]:
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print(f"seed {seed}")  # pytest shows it if the test fails
-    yield seed
-
-
-def test_sines_and_cosines_are_the_platform_s(same_libm: None, seed: int) -> None:
-    angle = angles(seed)
-    for ours, theirs in zip(free_links.sines_and_cosines(angle), platform_sines_and_cosines(angle), strict=True):
+def test_sines_and_cosines_are_the_platform_s(same_libm: None, seed: int, sines) -> None:
+    for ours, theirs in sines(seed):
         np.testing.assert_array_equal(ours, theirs)
 
 

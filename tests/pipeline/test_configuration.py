@@ -309,5 +309,5 @@ def test_presets_are_the_files_of_the_folder(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_presets_of_this_checkout_are_found() -> None:
-    assert {"smoke", "laptop", "paper", "pontoon"} <= set(preset_names())
+    assert {"smoke", "laptop", "row", "paper", "pontoon"} <= set(preset_names())
     assert all(preset_path(name).is_file() for name in preset_names())

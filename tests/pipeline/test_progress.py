@@ -143,3 +143,18 @@ def test_on_a_terminal_a_bar_that_is_redrawn():
     assert "half way" in text
     assert "\x1b[?25l" in text and text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")  # the cursor is given back
     assert "8/8 generations (100%)" in text.splitlines()[-1] + text.splitlines()[-2]
+
+
+def test_weighted_units_that_do_not_add_up_exactly_are_a_whole_stage():
+    """Ten tenths of a stage are a rounding error short of it: it is done all the same, at 100 %, with no time left."""
+    evolve, clock = pace(total=1.0)
+    clock.now += 10
+    for _ in range(10):
+        evolve.done += 0.1
+    assert evolve.done != 1.0
+    assert str(evolve) == "1/1 generations (100%), 0.1/s, took 0:00:10"
+    evolve.done = 1.0 + 1e-12  # and as little beyond
+    assert evolve.fraction == 1.0 and evolve.seconds_left == 0.0
+    assert "took" in str(evolve)
+    evolve.done = 0.999
+    assert "left" in str(evolve)

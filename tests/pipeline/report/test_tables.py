@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from pipeline.report.family import main_line
-from pipeline.report.findings import Findings
-from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects
+from pipeline.report.findings import Candidate, Findings, TankTest
+from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
 from pipeline.report.words import interval, p_value
-from tasks.analysis import Estimate
+from tasks.analysis import Crossing, Estimate, Tank
 
 
 def words(html: str) -> str:
@@ -72,3 +72,18 @@ def test_what_is_missing_says_why_in_its_place():
     assert "no trial of this study needs networks" in suspects(nothing)
     for table in (against_paper, contrasts, retried):
         assert "is not here" in table(nothing)
+
+
+def test_the_tank_s_table_says_who_crossed_how_fast_and_why_not():
+    nan = float("nan")
+    crossed = Crossing(length=4.0, distance=12.7, travelled=12.8, crossed=True, seconds=64.0, speed=0.2)
+    slow = Crossing(length=4.0, distance=12.7, travelled=-0.3, crossed=False, seconds=nan, speed=-0.002)
+    long = Crossing(length=17.0, distance=-0.3, travelled=5.0, crossed=False, seconds=nan, speed=0.03)
+    lost = Crossing(length=nan, distance=nan, travelled=nan, crossed=False, seconds=nan, speed=nan)
+    candidates = [Candidate(0, False, 9.0, 0.2, long, slow), Candidate(3, True, 10.0, None, crossed, lost)]
+    text = words(tank_tests(Findings(tank_tests=[TankTest("Residual Slush, 2 m", Tank(), candidates)])))
+    assert "a tank of 1.17 m, filled 150 mm deep, at 70 mm for a metre of simulation: 16.7 m by 2.14 m" in text
+    assert "Residual Slush, 2 m: 1 of 2 cross, 0 on the dry floor" in text
+    assert "trial 0 9.0 0.2 17.0 – it is as long as the tank −0.3 of 12.7 m −0.1 mm/s built" in text
+    assert "✓ trial 3 10.0 – 4.0 64 s 14.0 mm/s built – it diverged" in text
+    assert tank_tests(Findings()) == ""

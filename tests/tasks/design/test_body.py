@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tasks.design import Designs, kinematic_trees, random_designs, rest_pose
+from tasks.design import Designs, kinematic_trees, random_designs, rest_pose, rigid_bodies
 
 N_DESIGNS = 300
 HALF_ULP = 2.0**-24
@@ -133,3 +133,115 @@ def test_a_body_worked_out_by_hand() -> None:
     np.testing.assert_allclose(trees.angle[0], [0, np.pi / 2, np.pi / 2, np.pi, 0, np.pi / 4], atol=1e-7)
     np.testing.assert_array_equal(trees.parent_anchor[0], np.float32([0, 1, 0.5, 0, 0, 0]))
     np.testing.assert_array_equal(trees.child_anchor[0], np.float32([0, -0.5, -0.5, -0.5, 0, 0]))
+
+
+# -- rigid bodies -----------------------------------------------------------------------------------------------------
+
+
+def random_motors(designs: Designs, rng: np.random.Generator, n_actuated: int) -> Designs:
+    on = np.zeros_like(designs.motor_on)
+    for row in on:
+        row[rng.choice(np.arange(1, 6), n_actuated, replace=False)] = True
+    return replace(designs, motor_on=on)
+
+
+def test_links_that_swing_are_bodies_of_their_own(designs: Designs) -> None:
+    for rigid in (
+        rigid_bodies(designs, passive_joints="swing"),
+        rigid_bodies(replace(designs, motor_on=np.ones_like(designs.motor_on)), passive_joints="locked"),
+    ):
+        assert rigid.is_first.all()
+        for name in ("x", "y", "angle", "sin", "lever_x", "lever_y", "joint_x"):
+            assert not getattr(rigid, name).any(), name
+        for name in ("cos", "mass_share", "inertia_share"):  # exactly: shares of 1 leave every bit as it is
+            assert (getattr(rigid, name) == 1).all(), name
+        np.testing.assert_array_equal(rigid.joint_y, kinematic_trees(designs, density=1.0).parent_anchor)
+
+
+@pytest.mark.parametrize("n_actuated", range(6))
+def test_so_many_motors_make_one_body_more(designs: Designs, n_actuated: int) -> None:
+    built = random_motors(designs, np.random.default_rng(7), n_actuated)
+    rigid = rigid_bodies(built, passive_joints="locked")
+    assert (rigid.is_first.sum(axis=1) == n_actuated + 1).all()
+    np.testing.assert_array_equal(rigid.is_first[:, 1:], built.motor_on[:, 1:])  # first links hang from motors
+    joint = ~rigid.is_first
+    parents_body = np.take_along_axis(rigid.first_link, np.maximum(built.parent, 0), axis=1)
+    np.testing.assert_array_equal(rigid.first_link[joint], parents_body[joint])
+    assert (rigid.first_link <= np.arange(6)).all()
+
+
+def test_links_lie_in_their_body_as_they_lie_at_rest(designs: Designs) -> None:
+    built = random_motors(designs, np.random.default_rng(8), 2)
+    rigid = rigid_bodies(built, passive_joints="locked")
+    x, y, angle = rest_pose(built)
+    of_body = [np.take_along_axis(q, rigid.first_link, axis=1) for q in (x, y, angle)]
+    cos, sin = np.cos(of_body[2]), np.sin(of_body[2])
+    for found, expected in (
+        (of_body[0] + cos * rigid.x - sin * rigid.y, x),
+        (of_body[1] + sin * rigid.x + cos * rigid.y, y),
+        (of_body[2] + rigid.angle, angle),
+    ):
+        # Within a body places of up to 18 m and angles of up to 5π are rounded once; two of them meet in each place.
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2 * 18 * HALF_ULP)
+
+
+def test_joints_lie_on_their_parents_body_where_they_lie_at_rest(designs: Designs) -> None:
+    built = random_motors(designs, np.random.default_rng(9), 2)
+    rigid = rigid_bodies(built, passive_joints="locked")
+    x, y, angle = rest_pose(built)
+    row = np.arange(N_DESIGNS)
+    for link in range(1, 6):
+        first = rigid.first_link[row, np.maximum(built.parent, 0)[:, link]]
+        cos, sin = np.cos(angle[row, first]), np.sin(angle[row, first])
+        joint = np.stack([
+            x[row, first] + cos * rigid.joint_x[:, link] - sin * rigid.joint_y[:, link],
+            y[row, first] + sin * rigid.joint_x[:, link] + cos * rigid.joint_y[:, link],
+        ], axis=-1)  # fmt: skip
+        on_child = along(
+            x[:, link], y[:, link], angle[:, link], built.child_attachment[:, link] * built.length_scale[:, link] / 2
+        )
+        np.testing.assert_allclose(joint, on_child, rtol=0, atol=2 * 18 * HALF_ULP)
+
+
+def test_a_bent_pair_of_links_has_the_inertia_that_steiner_gives_it() -> None:
+    # Two links of 2 m by 0.5 m. The second lies across the first's end, its own end at the joint (0, 1): its long axis
+    # points to (-1, 0), its centre is 1 m along it. All other joints have motors.
+    pair = random_designs(1, np.random.default_rng(10))
+    pair = replace(
+        pair,
+        parent=np.array([[-1, 0, 0, 0, 0, 0]]),
+        length_scale=np.full((1, 6), 2.0),
+        parent_attachment=np.array([[0, 1.0, 0, 0, 0, 0]]),
+        child_attachment=np.array([[0, -1.0, 0, 0, 0, 0]]),
+        rest_angle=np.array([[0, np.pi / 2, 0, 0, 0, 0]]),
+        motor_on=np.array([[False, False, True, True, True, True]]),
+    )
+    rigid = rigid_bodies(pair, passive_joints="locked")
+    assert rigid.first_link[0].tolist() == [0, 0, 2, 3, 4, 5]
+    own = (2**2 + 0.5**2) / 12
+    body = 2 * own + 2 * 0.5  # each centre lies √½ m from the body's, at (-½, ½)
+    for name, expected in {
+        "x": [0, -1], "y": [0, 1], "angle": [0, np.pi / 2], "cos": [1, 0], "sin": [0, 1],
+        "lever_x": [0.5, -0.5], "lever_y": [-0.5, 0.5],
+        "mass_share": [0.5, 0.5], "inertia_share": [own / body] * 2, "mass_over_inertia": [1 / body] * 2,
+    }.items():  # fmt: skip
+        np.testing.assert_allclose(getattr(rigid, name)[0, :2], expected, rtol=HALF_ULP, atol=2 * HALF_ULP)
+
+
+def test_shares_of_mass_and_inertia_keep_the_parallel_axis_theorem(designs: Designs) -> None:
+    built = random_motors(designs, np.random.default_rng(11), 2)
+    rigid = rigid_bodies(built, passive_joints="locked")
+    of = {name: getattr(rigid, name).astype(np.float64) for name in ("mass_share", "lever_x", "lever_y")}
+    squared = of["lever_x"] ** 2 + of["lever_y"] ** 2
+    parts = {
+        "mass": of["mass_share"],
+        "first moment, x": of["mass_share"] * of["lever_x"],
+        "first moment, y": of["mass_share"] * of["lever_y"],
+        "inertia": rigid.inertia_share + rigid.mass_over_inertia * squared,
+    }
+    for name, expected in (("mass", 1), ("first moment, x", 0), ("first moment, y", 0), ("inertia", 1)):
+        for first in range(6):
+            here = (rigid.first_link == first) & rigid.is_first[:, first, None]
+            total = np.where(here, parts[name], 0).sum(axis=1)[here.any(axis=1)]
+            # Six parts of at most 18 m, each of a few factors that are rounded once.
+            np.testing.assert_allclose(total, expected, rtol=0, atol=6 * 4 * 18 * HALF_ULP, err_msg=name)

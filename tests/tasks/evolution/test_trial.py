@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tasks.design import GENES, Designs, check, random_designs
+from tasks.design import GENES, Designs, Morphology, check, links_apart, random_designs
 from tasks.evolution import (
     HISTORY_UNITS,
     NOBODY_YET,
@@ -167,3 +167,33 @@ def test_a_short_trial_in_slush() -> None:
     champion = population.designs[population.champion()]
     again = simulate(champion, TrueSlush(1.0), n_settle=20, n_measure=40, engine="reference")
     assert again.displacement[0] == population.fitness.max() == history["fitness"].max()
+
+
+BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_every_design_of_a_trial_keeps_to_its_morphology(frozen: bool) -> None:
+    body = random_designs(1, np.random.default_rng(6), morphology=BUILDABLE) if frozen else None
+    _, history = evolve(
+        NOBODY_YET, long_and_fast, of_trial, first_generation=0, n_generations=12, afpo=AFPO, body=body,
+        morphology=BUILDABLE,
+    )  # fmt: skip
+    designs = Designs.from_arrays(history)
+    check(designs)
+    assert links_apart(designs).all()
+    assert (designs.motor_on.sum(axis=1) == 2).all()
+    assert (history["n_draws"] >= 1).all()
+    random = history["operator"] == RANDOM
+    if body is None:
+        assert history["n_draws"][random].mean() > 100  # 1,100 on average
+        assert 1 < history["n_draws"][history["operator"] == MUTATION].mean() < 10
+    else:
+        # A controller that evolves anew keeps the body's motors, and there is nothing to draw again.
+        assert (designs.motor_on == body.motor_on).all()
+        assert (history["n_draws"] == 1).all()
+        assert len(np.unique(designs.frequency)) > 24
+
+
+def test_nothing_is_drawn_again_where_any_body_will_do(uncut: tuple[Population, History]) -> None:
+    assert (uncut[1]["n_draws"] == 1).all()

@@ -1,0 +1,123 @@
+"""Collect garbage: what no study of a store needs, and what drivers that were killed left in /tmp.
+
+A study needs the items that its record lists, and those that its settings lead to: a study that was stopped half-way
+has no record of its last stage yet. While a study is driven nothing is removed, and where it can't be told what a study
+needs, nothing is either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from pipeline import disk
+from pipeline.cluster import session
+from pipeline.errors import PuddleError
+from pipeline.settings import Settings
+from pipeline.stage import Results
+from pipeline.stages import STAGES
+from pipeline.store import Store, StudyRecord, size_bytes
+from pipeline.study import follow, results_of
+
+
+@dataclass(frozen=True)
+class Garbage:
+    """What nothing needs."""
+
+    items: tuple[tuple[str, str], ...]
+    """Stage and key of the items that no study needs."""
+    halves: tuple[tuple[str, str], ...]
+    """Stage and key of the items whose commit never came to its end."""
+    temporary: tuple[Path, ...]
+    """Files that were on their way to their place when a process died."""
+    sessions: tuple[Path, ...]
+    """Folders of Ray's in /tmp that no driver holds any more."""
+
+
+def find_garbage(store: Store) -> Garbage:
+    """Find what nothing needs. The caller holds the store alone (:meth:`Store.lock_all`).
+
+    Raises:
+        PuddleError: where it can't be told what a study needs; says why, and what to do.
+    """
+    needed = {item for name in store.studies() for item in _needs(store, name)}
+    stages = store.stages()
+    return Garbage(
+        items=tuple((stage, key) for stage in stages for key in store.keys(stage) if (stage, key) not in needed),
+        halves=tuple((stage, key) for stage in stages for key in store.keys(stage, committed=False)),
+        temporary=tuple(sorted((store.root / "studies").rglob(".*.tmp"))),
+        sessions=tuple(session.dead()),
+    )
+
+
+def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
+    """Give stage and key of every item that a study needs."""
+    advice = f"Run study {name} again, or delete {store.root / 'studies' / name} to forget it; then collect garbage."
+    record = store.read_study(name)
+    if record is None:
+        return
+    damage: list[str] = []
+    settings = _settings(record, advice)
+    upstream: dict[str, Results] = {}
+    for stage in STAGES:
+        walks = follow(stage, settings, store, upstream, say=damage.append)
+        upstream[stage.name] = results_of(stage, walks)
+        yield from ((stage.name, manifest.key) for walk in walks for manifest in walk.manifests)
+    if damage:
+        raise PuddleError(f"{damage[0]}\nSo it can't be told what study {name} needs, and nothing is removed. {advice}")
+    yield from ((item.stage, item.key) for item in record.items)
+
+
+def _settings(record: StudyRecord, advice: str) -> Settings:
+    try:
+        return Settings.model_validate(record.settings)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise PuddleError(
+            f"study {record.name}: its settings are of another puddle ({'.'.join(map(str, first['loc']))}: "
+            f"{first['msg']}). It can't be told what it needs, and nothing is removed. {advice}"
+        ) from None
+
+
+def remove(store: Store, garbage: Garbage) -> None:
+    """Remove garbage. The caller has held the store alone since it was found."""
+    for stage, key in (*garbage.items, *garbage.halves):
+        store.remove(stage, key)
+    for path in garbage.temporary:
+        with disk.explained("removing", path):
+            disk.unlink(path)
+    session.sweep()
+
+
+def gc_lines(store: Store, garbage: Garbage, *, removed: bool, command: str) -> Iterator[str]:
+    """Say what nothing needs. Call it before it is removed: it is weighed.
+
+    Args:
+        store: that holds it.
+        garbage: what was found.
+        removed: whether it will be removed now.
+        command: the command line that removes it.
+    """
+    total = 0
+    names = store.studies()
+    yield f"{store.root}: {len(names)} studies{': ' if names else ''}{', '.join(names)}"
+    for what, items in (("that no study needs", garbage.items), ("whose commit never ended", garbage.halves)):
+        for stage in sorted({stage for stage, _ in items}):
+            sizes = [store.item_bytes(stage, key) for one, key in items if one == stage]
+            total += sum(sizes)
+            yield f"  {stage}: {len(sizes):,} items {what}, {sum(sizes) / 1e6:,.1f} MB"
+    for path in garbage.temporary:
+        total += path.lstat().st_size
+        yield f"  {path}: on its way when a process died, {path.lstat().st_size / 1e6:,.1f} MB"
+    for folder in garbage.sessions:
+        total += size_bytes(folder)
+        yield f"  {folder}: left by a driver that is dead, {size_bytes(folder) / 1e6:,.1f} MB"
+    if not any((garbage.items, garbage.halves, garbage.temporary, garbage.sessions)):
+        yield "Everything in it is needed."
+    elif removed:
+        yield f"Removed: {total / 1e6:,.1f} MB are free again."
+    else:
+        yield f"Nothing is removed yet. `{command}` removes it, and frees {total / 1e6:,.1f} MB."

@@ -1,0 +1,109 @@
+"""Verify: hash a whole store again, name what is damaged or gone, and say what will be computed again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from pipeline import disk
+from pipeline.artifacts import digest
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.progress import Progress
+from pipeline.store import Store, StudyItem
+
+
+def find_damage(store: Store, *, checked: Callable[[int], None] = lambda n_bytes: None) -> list[PuddleError]:
+    """Hash everything that a store holds, and look for what its studies list and it does not hold.
+
+    Args:
+        store: to verify.
+        checked: is told the length of everything once it has been looked at.
+
+    Returns:
+        What is wrong, empty where all is well. Damage to an item is a DamagedArtifact with its stage and key.
+    """
+    wrong = store.verify(checked=checked)
+    if all(isinstance(error, DamagedArtifact) for error in wrong):  # no links, no files of another puddle
+        for name in store.studies(recorded=False):
+            path = store.root / "studies" / name / "study.json"
+            wrong.append(DamagedArtifact(f"{path}: expected a study's record, came no file. Its results are safe; "
+                                         f"running the study again writes the file anew."))  # fmt: skip
+        for name in store.studies():
+            wrong += _lacking(store, name)
+    return wrong
+
+
+def _lacking(store: Store, name: str) -> Iterator[PuddleError]:
+    """Look for a study's items and for the report that people look at, a copy of one that the store holds."""
+    for item in _items(store, name):
+        try:
+            manifest = store.manifest(item.stage, item.key)
+        except DamagedArtifact:  # said already
+            continue
+        if manifest is None:
+            yield DamagedArtifact(
+                f"study {name}: {item.stage} {item.label}: expected item {item.key}, came none. It has to be computed "
+                f"again.", stage=item.stage, key=item.key,
+            )  # fmt: skip
+        elif item.stage == "report":
+            for file, entry in manifest.files.items():
+                path = disk.inside(store.export_path(name), file)
+                came = digest(disk.read(path, at_most=entry.n_bytes)) if path.is_file() else "no file"
+                if came != entry.sha256:
+                    yield DamagedArtifact(
+                        f"{path}: expected SHA-256 {entry.sha256}, came {came}. It is a copy of what the store holds: "
+                        f"running study {name} puts it back."
+                    )
+
+
+def _items(store: Store, name: str) -> Sequence[StudyItem]:
+    try:
+        record = store.read_study(name)
+    except DamagedArtifact:  # said already
+        return ()
+    return record.items if record else ()
+
+
+def damaged_items(wrong: Sequence[PuddleError]) -> set[tuple[str, str]]:
+    """Return stage and key of the items among what is wrong."""
+    damage = [error for error in wrong if isinstance(error, DamagedArtifact)]
+    return {(error.stage, error.key) for error in damage if error.stage and error.key}
+
+
+def verify_lines(
+    store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
+) -> tuple[list[str], bool]:
+    """Verify a store, for a person.
+
+    Args:
+        store: to verify.
+        discard: whether to forget the damaged items. The caller then holds the store alone.
+        progress: the terminal.
+        how_to_run: gives the command line that runs a command, for messages.
+
+    Returns:
+        Lines: what is wrong, one each, and what mends it; and whether all is well.
+    """
+    n_bytes = store.size_bytes()
+    with progress.stage("verify", unit="MB", total=n_bytes / 1e6) as bar:
+        wrong = find_damage(store, checked=lambda n_checked: bar.advance(n_checked / 1e6))
+    n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
+    if not wrong:
+        return [f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."], True
+    lines = [str(error) for error in wrong]
+    lines.append(f"{store.root}: {len(wrong)} things are wrong; {n_items:,} items were looked at.")
+    if damaged := damaged_items(wrong):
+        used = [
+            (f"  study {name}: {item.stage} {item.label}", (item.stage, item.key))
+            for name in store.studies()
+            for item in _items(store, name)
+            if (item.stage, item.key) in damaged
+        ]
+        lines += ["To be computed again, and nothing else:", *(line for line, _ in used)]
+        lines += [f"  of no study: {stage} {key}" for stage, key in sorted(damaged - {item for _, item in used})]
+        if discard:
+            for stage, key in damaged:
+                store.discard(stage, key)
+            lines.append(f"They are discarded: `{how_to_run('study')}` computes them again.")
+        else:
+            lines.append(f"`{how_to_run('verify')} --discard` forgets them; `{how_to_run('study')}` makes them again.")
+    return lines, False

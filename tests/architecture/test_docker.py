@@ -1,0 +1,160 @@
+"""The containers' files agree with the project: versions, files, commands, and what is open to whom."""
+
+import re
+import shlex
+import tomllib
+import warnings
+from pathlib import Path
+
+import pytest
+import typer
+import yaml
+
+from pipeline.cli import app
+from pipeline.configuration import PRESETS
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)  # Ray's, about pydantic
+    from ray.scripts.scripts import cli as ray_cli
+
+ROOT = Path(__file__).parents[2]
+DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
+COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text())
+KUBERNETES = {part["kind"]: part for part in yaml.safe_load_all((ROOT / "docker" / "kuberay.yaml").read_text())}
+CONSTRAINTS = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().split() if "==" in line)
+
+
+def instructions(name: str) -> list[str]:
+    return re.findall(rf"^{name} (.+)$", DOCKERFILE.replace("\\\n", " "), flags=re.M)
+
+
+def commands() -> list[list[str]]:
+    """Give every command line that a container runs, those of shells taken apart."""
+    given = [service["command"] for service in COMPOSE["services"].values() if "command" in service]
+    given.append(KUBERNETES["Job"]["spec"]["template"]["spec"]["containers"][0]["command"])
+    found = []
+    for words in given:
+        if words[0] == "sh":
+            parts = words[2].replace("$$(cat /run/secrets/postgres_password)", "x").split("&&")
+            found += [shlex.split(part.strip().removeprefix("exec ")) for part in parts]
+        else:
+            found.append(words)
+    return found
+
+
+def test_what_the_image_copies_is_there_and_not_ignored():
+    allowed = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    copied = [source.removeprefix("./") for line in instructions("COPY") for source in line.split()[:-1]]
+    assert copied
+    for source in copied:
+        assert (ROOT / source).exists() and source in allowed
+    assert allowed == set(copied)
+
+
+def test_the_image_has_the_versions_that_were_tried_and_no_root():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    (base,) = instructions("FROM")
+    lowest, highest = re.findall(r"3\.(\d+)", project["requires-python"])
+    assert int(lowest) <= int(re.search(r"python:3\.(\d+)", base)[1]) < int(highest)
+    installs = [line for line in instructions("RUN") if "pip install" in line]
+    assert all("constraints.txt" in line for line in installs)
+    assert "TORCH_BUILD" in installs[0] and f"torch=={CONSTRAINTS['torch']}" in project["dependencies"]
+    assert {re.match(r"[\w-]+", one)[0] for one in project["optional-dependencies"]["server"]} <= set(CONSTRAINTS)
+    assert instructions("USER") == ["puddle"]
+    assert KUBERNETES["RayCluster"]["spec"]["rayVersion"] == CONSTRAINTS["ray"]
+
+
+def test_every_option_of_every_command_exists():
+    known = {"ray": ray_cli, "puddle": typer.main.get_command(app)}
+    checked = 0
+    for program, *words in commands():
+        if program not in known:
+            assert program == "mlflow"
+            continue
+        command = known[program].commands[words[0]]
+        options = {option for parameter in command.params for option in parameter.opts}
+        for word in words[1:]:
+            if word.startswith("--"):
+                assert word.partition("=")[0] in options, word
+                checked += 1
+    assert checked > 15
+
+
+def test_mlflows_options_exist():
+    from mlflow.cli import cli
+
+    (words,) = [words for words in commands() if words[0] == "mlflow"]
+    options = {option for parameter in cli.commands["server"].params for option in parameter.opts}
+    assert {word for word in words if word.startswith("--")} <= options
+
+
+def test_presets_that_they_name_exist():
+    names = re.findall(r"PRESET:-(\w+)", (ROOT / "docker" / "compose.yaml").read_text())
+    names += re.findall(r"name: PRESET, value: (\w+)", (ROOT / "docker" / "kuberay.yaml").read_text())
+    assert len(names) == 2
+    assert all((PRESETS / f"{name}.yaml").exists() for name in names)
+
+
+def test_compose_is_closed_and_whole():
+    """The parts of the compose specification that a slip would break."""
+    assert set(COMPOSE) <= {"name", "services", "networks", "volumes", "secrets", "x-puddle", "x-ray"}
+    known = {"image", "build", "init", "networks", "environment", "secrets", "shm_size", "command", "healthcheck",
+             "restart", "depends_on", "volumes", "ports"}  # fmt: skip
+    for name, service in COMPOSE["services"].items():
+        assert set(service) <= known, name
+        assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
+        assert set(service["networks"]) <= set(COMPOSE["networks"])
+        assert set(service.get("secrets", ())) <= set(COMPOSE["secrets"])
+        assert all(mount.partition(":")[0] in COMPOSE["volumes"] for mount in service.get("volumes", []))
+        for needed, condition in service.get("depends_on", {}).items():
+            assert condition == {"condition": "service_healthy"} and "healthcheck" in COMPOSE["services"][needed]
+        secret = [name for name in service.get("environment", {}) if re.search("TOKEN|PASSWORD", name)]
+        assert all(name.endswith(("_PATH", "_FILE")) for name in secret)  # a file's name, never what is in it
+    for ray_node in ("head", "worker", "driver"):
+        service = COMPOSE["services"][ray_node]
+        assert service["environment"]["RAY_AUTH_MODE"] == "token"
+        assert service["environment"]["RAY_AUTH_TOKEN_PATH"] == "/run/secrets/ray_token"
+        assert "ray_token" in service["secrets"]
+    assert COMPOSE["services"]["driver"]["restart"] == "no"
+
+
+def test_secrets_are_not_kept():
+    assert "/docker/secrets/" in (ROOT / ".gitignore").read_text().splitlines()
+    for secret in COMPOSE["secrets"].values():
+        assert secret["file"].startswith("secrets/")
+
+
+@pytest.mark.parametrize("group", ["head", "worker"])
+def test_kuberay_has_what_its_definition_requires(group):
+    cluster = KUBERNETES["RayCluster"]
+    assert cluster["apiVersion"] == "ray.io/v1" and cluster["metadata"]["name"] == "puddle"
+    spec = cluster["spec"]
+    assert set(spec) <= {"rayVersion", "headGroupSpec", "workerGroupSpecs"}
+    groups = [spec["headGroupSpec"]] if group == "head" else spec["workerGroupSpecs"]
+    for one in groups:
+        assert {"rayStartParams", "template"} <= set(one)
+        assert all(isinstance(value, str) for value in one["rayStartParams"].values())  # a map of strings
+        options = {option for parameter in ray_cli.commands["start"].params for option in parameter.opts}
+        assert {f"--{name}" for name in one["rayStartParams"]} <= options
+        secured(one["template"]["spec"])
+        if group == "worker":
+            assert one["groupName"] and 0 <= one["minReplicas"] <= one["replicas"] <= one["maxReplicas"]
+
+
+def test_the_driver_is_a_job_on_the_cluster_that_is_defined():
+    job = KUBERNETES["Job"]["spec"]["template"]["spec"]
+    assert KUBERNETES["Job"]["apiVersion"] == "batch/v1" and job["restartPolicy"] in ("OnFailure", "Never")
+    secured(job)
+    (driver,) = job["containers"]
+    assert "puddle-head-svc:6379" in driver["command"][2]  # KubeRay names the head's service after the cluster
+    assert {mount["name"] for mount in driver["volumeMounts"]} == {volume["name"] for volume in job["volumes"]}
+    (claim,) = [v["persistentVolumeClaim"]["claimName"] for v in job["volumes"] if "persistentVolumeClaim" in v]
+    assert claim == KUBERNETES["PersistentVolumeClaim"]["metadata"]["name"]
+
+
+def secured(pod: dict) -> None:
+    assert pod["securityContext"]["runAsNonRoot"] and pod["automountServiceAccountToken"] is False
+    for container in pod["containers"]:
+        environment = {one["name"]: one for one in container["env"]}
+        assert environment["RAY_AUTH_MODE"]["value"] == "token"
+        assert environment["RAY_AUTH_TOKEN"]["valueFrom"]["secretKeyRef"] == {"name": "puddle-token", "key": "token"}

@@ -1,0 +1,54 @@
+"""What the tests of equality share: fresh seeds, and a look at the platform's sine."""
+
+import ctypes
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from tasks.simulation import free_links
+
+PLATFORM = ctypes.CDLL(None)
+for _name in ("sinf", "cosf"):
+    getattr(PLATFORM, _name).argtypes, getattr(PLATFORM, _name).restype = [ctypes.c_float], ctypes.c_float
+
+Pairs = list[tuple[np.ndarray, np.ndarray]]
+
+
+def _sines(seed: int) -> Pairs:
+    """Our sines and the platform's, and the same of cosines."""
+    rng = np.random.default_rng(seed)
+    exponent = rng.uniform(-20, 15, 20_000)
+    angle = np.concatenate(
+        [
+            rng.uniform(-7, 7, 100_000),
+            rng.uniform(-150, 150, 40_000),
+            rng.choice([-1, 1], 20_000) * 2**exponent,
+            np.arange(-400, 400) * np.pi / 4,
+            [0.0, -0.0, 120.0, -120.0, np.nextafter(np.float32(120), 0), np.inf, -np.inf, np.nan],
+        ]
+    ).astype(np.float32)
+    each = angle.tolist()
+    theirs = np.float32([PLATFORM.sinf(a) for a in each]), np.float32([PLATFORM.cosf(a) for a in each])
+    return list(zip(free_links.sines_and_cosines(angle), theirs, strict=True))
+
+
+@pytest.fixture(scope="session")
+def sines() -> Callable[[int], Pairs]:
+    return _sines
+
+
+@pytest.fixture(scope="session")
+def same_libm() -> None:
+    """Equality needs the sine that the wheel calls to be glibc's with fused operations, as ours is."""
+    for ours, theirs in _sines(0):
+        if not np.array_equal(ours, theirs, equal_nan=True):
+            n = int((ours != theirs).sum())
+            pytest.skip(f"this platform's sinf or cosf differs from glibc's in {n} of {len(ours)} values")
+
+
+@pytest.fixture
+def seed() -> Iterator[int]:
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print(f"seed {seed}")  # pytest shows it if the test fails
+    yield seed

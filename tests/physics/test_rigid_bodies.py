@@ -1,0 +1,182 @@
+"""Links that fuse and links that collide, in the reference engine: against Newton, Archimedes and each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.design import Designs, Morphology, kinematic_trees, random_designs
+from tasks.design.morphology import separation
+from tasks.simulation import simulate
+from tasks.world import DryLand, Physics, TrueSlush
+from tasks.world.slush import submerged_part
+
+DT, G = 1 / 60, 9.8
+EPS32 = 2.0**-24
+SKINS, SLOP = 0.02, 0.005
+"""Box2D 2.3, b2Settings.h: two polygons keep their skins of 0.01 m apart, less a slop."""
+X, Y, ANGLE, VX, VY, OMEGA = range(6)
+BUILT = Physics(max_motor_torque=30.0, passive_joints="locked", link_collisions=True)
+BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
+
+
+@pytest.fixture(scope="module")
+def buildable() -> Designs:
+    return random_designs(16, np.random.default_rng(51), morphology=BUILDABLE)
+
+
+def trace_of(designs: Designs, environment: DryLand | TrueSlush, n_steps: int, physics: Physics) -> np.ndarray:
+    trace = simulate(
+        designs, environment, n_settle=0, n_measure=n_steps, engine="reference", trace=True, physics=physics
+    ).trace
+    assert trace is not None
+    return trace.astype(np.float64)
+
+
+def locked(designs: Designs) -> Designs:
+    """Without motors: a single rigid body, where passive joints are locked."""
+    return replace(designs, motor_on=np.zeros_like(designs.motor_on))
+
+
+def gaps(designs: Designs, state: np.ndarray, *, joined: bool) -> np.ndarray:
+    """(..., 10 or so) separation of every pair of links that a joint ties, or does not; NaN for the other pairs."""
+    half = np.stack([0.5 / designs.length_scale, designs.length_scale / 2], axis=-1)[:, None]
+    pose = [state[..., X], state[..., Y], np.cos(state[..., ANGLE]), np.sin(state[..., ANGLE])]
+    links = np.concatenate([np.stack(pose, axis=-1), np.broadcast_to(half, (*state.shape[:3], 2))], axis=-1)
+    found = []
+    for j in range(6):
+        for i in range(j):
+            gap = separation(links[:, :, i].reshape(-1, 6), links[:, :, j].reshape(-1, 6)).reshape(state.shape[:2])
+            found.append(np.where((designs.parent[:, j] == i)[:, None] == joined, gap, np.nan))
+    return np.stack(found, axis=-1)
+
+
+def test_where_every_joint_is_actuated_nothing_is_fused() -> None:
+    designs = random_designs(12, np.random.default_rng(52))
+    designs = replace(designs, motor_on=np.ones_like(designs.motor_on))
+    for environment in (DryLand(0.5), TrueSlush(2.0)):
+        one, other = (trace_of(designs, environment, 240, Physics(passive_joints=p)) for p in ("swing", "locked"))
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_locked_robot_falls_as_one(buildable: Designs) -> None:
+    n_steps = 60
+    trace = trace_of(locked(buildable), DryLand(100.0), n_steps, BUILT)
+    n = np.arange(1, n_steps + 1)[:, None]
+    trees = kinematic_trees(buildable, density=1.0)
+    assert np.abs(trace[..., OMEGA]).max() == 0
+    assert np.ptp(trace[..., ANGLE], axis=1).max() == 0
+    # Symplectic Euler: v = -g dt n, y = y0 - g dt² n (n + 1) / 2; a rounding of up to 15 m a step.
+    np.testing.assert_allclose(trace[..., VY], np.broadcast_to(-G * DT * n, trace.shape[:3]), rtol=n_steps * EPS32)
+    fallen = -G * DT**2 * n * (n + 1) / 2
+    np.testing.assert_allclose(trace[..., Y], trees.y[:, None] + fallen, rtol=0, atol=2 * n_steps * EPS32 * 15)
+    np.testing.assert_allclose(trace[..., X], np.broadcast_to(trees.x[:, None], trace.shape[:3]), atol=2 * EPS32 * 15)
+
+
+def test_links_of_a_body_keep_their_places_whatever_happens(buildable: Designs) -> None:
+    trace = trace_of(locked(buildable), TrueSlush(1.0), 300, BUILT)
+    across = trace[..., X : Y + 1] - trace[:, :, :1, X : Y + 1]
+    distance = np.hypot(across[..., 0], across[..., 1])
+    # Places within 30 m, a few roundings each.
+    assert np.ptp(distance, axis=1).max() < 8 * EPS32 * 30
+    assert np.ptp(trace[..., ANGLE] - trace[:, :, :1, ANGLE], axis=1).max() < 4 * EPS32 * 20
+    assert np.ptp(trace[..., ANGLE], axis=1).max() > 0.5  # they do tumble
+
+
+def test_a_fused_body_floats_where_its_weight_and_its_moments_balance(buildable: Designs) -> None:
+    # Drag dies away with speed, so that a robot bobs on, ever less: means over its last ten seconds.
+    n_steps = 4800
+    designs = locked(buildable)
+    state = trace_of(designs, TrueSlush(50.0), n_steps, BUILT)[:, -600:]
+    length = np.broadcast_to(designs.length_scale[:, None], state.shape[:3])
+    area, _ = submerged_part(length, state[..., Y], np.cos(state[..., ANGLE]), np.sin(state[..., ANGLE]))
+    # Archimedes: 6 kg of slush of 1.25 kg/m² are displaced, and half of what bobs over and under cancels.
+    np.testing.assert_allclose(area.sum(axis=2).mean(axis=1), 6 / 1.25, rtol=2e-3)
+    # And about the centre of mass there is no moment: the buoyancy of 6 kg would turn it about a lever of 0.02 m.
+    lever = state[..., X] - state[..., X].mean(axis=2, keepdims=True)
+    moment = (area * lever).sum(axis=2).mean(axis=1)
+    assert np.abs(moment).max() < 0.02 * 6 / 1.25
+    assert np.abs(np.cos(state[..., ANGLE])).min() < 0.999  # not all of them upright, where it would be nothing
+
+
+def stack() -> Designs:
+    """Two links, the upper one falling onto the lower one along its side: links 0 and 2 of a chain that folds.
+
+    Link 0 stands upright; link 1 goes on from its top, bent over to the right; link 2 hangs from link 1's far end by a
+    free joint, level at first, pointing back to link 0, which it hits when it swings down. The others follow link 2.
+    """
+    design = random_designs(1, np.random.default_rng(53))
+    half = np.pi / 2
+    return replace(
+        design,
+        parent=np.array([[-1, 0, 1, 2, 2, 2]]),
+        length_scale=np.array([[3.0, 1.5, 3.0, 1.0, 1.0, 1.0]]),
+        parent_attachment=np.array([[0, 1, 1, 1, 1, 1]]),
+        child_attachment=np.array([[0, -1, -1, 0, 0, 0]]),
+        rest_angle=np.array([[0, -half, 2.0, 0, half / 2, -half / 2]]),
+        motor_on=np.zeros((1, 6), dtype=bool),
+    )
+
+
+@pytest.mark.parametrize("collisions", [False, True])
+def test_unjoined_links_do_not_pass_through_each_other(collisions: bool) -> None:
+    design = stack()
+    physics = Physics(link_collisions=collisions)
+    trace = trace_of(design, DryLand(0.0), 240, physics)
+    deepest = np.nanmin(gaps(design, trace, joined=False)[..., :3])  # pairs (0, 1), (0, 2), (1, 2); joined ones NaN
+    if collisions:
+        fastest = np.abs(trace[..., VX : VY + 1]).max() + np.abs(trace[..., OMEGA]).max() * 1.5
+        assert deepest > SKINS - 2 * SLOP - fastest * DT  # what one step may enter before it is pushed out
+        assert deepest < SKINS + 0.05  # they did meet
+    else:
+        assert deepest < -0.3  # a link is a third of a metre thick: right through
+
+
+def test_built_robots_stay_out_of_themselves(buildable: Designs) -> None:
+    trace = trace_of(buildable, TrueSlush(2.0), 1200, BUILT)
+    unjoined = gaps(buildable, trace, joined=False)
+    # Three position sweeps leave a crash or a squeeze by motors a little overlap, for a while.
+    fastest = np.abs(trace[..., VX : VY + 1]).max() + np.abs(trace[..., OMEGA]).max() * 1.5
+    assert np.nanmin(unjoined) > -fastest * DT
+    assert np.nanquantile(unjoined, 1e-3) > -SKINS
+    # Through one another, the same robots are in each other all the time.
+    through = trace_of(buildable, TrueSlush(2.0), 1200, BUILT.model_copy(update={"link_collisions": False}))
+    assert np.nanmin(gaps(buildable, through, joined=False)) < -0.2
+
+
+def test_joined_links_do_not_collide() -> None:
+    # A chain whose links overlap by a fifth of a metre or more at every joint, gently bent by its motors: neighbours
+    # but one never meet. If joined links collided they would burst apart.
+    design = random_designs(4, np.random.default_rng(54))
+    design = replace(
+        design,
+        parent=np.tile(np.arange(-1, 5), (4, 1)),
+        length_scale=np.full((4, 6), 2.0),
+        parent_attachment=np.full((4, 6), 0.8),
+        child_attachment=np.full((4, 6), -0.8),
+        rest_angle=np.zeros((4, 6)),
+        motion_range=np.full((4, 6), 0.2),
+        motor_on=np.array([[False, *on] for on in np.eye(5, dtype=bool)[:4]]),
+    )
+    for passive in ("swing", "locked"):
+        with_, without = (
+            trace_of(design, DryLand(100.0), 200, Physics(gravity=0.0, passive_joints=passive, link_collisions=on))
+            for on in (True, False)
+        )
+        assert np.nanmax(gaps(design, without, joined=True)) < -0.05  # they overlap all the time
+        assert np.nanmin(gaps(design, without, joined=False)) > SKINS
+        np.testing.assert_array_equal(with_, without)
+        assert np.ptp(with_[..., ANGLE], axis=1).max() > 0.1  # and they do move
+
+
+def test_motors_between_fused_bodies_do_not_move_the_centre_of_mass(buildable: Designs) -> None:
+    n_steps = 120
+    designs = replace(buildable, frequency=np.full(16, 0.3))
+    physics = BUILT.model_copy(update={"gravity": 0.0})
+    trace = trace_of(designs, DryLand(100.0), n_steps, physics)
+    centre = trace[..., X : Y + 1].mean(axis=2)
+    # Impulses on two bodies are equal and opposite up to the rounding of momenta within 6 kg · 30 m/s, eight sweeps a
+    # step; their sum drifts as a walk of that many steps, and over the time that is left.
+    walk = np.sqrt(n_steps * 8) * EPS32 * 30 * n_steps * DT
+    assert np.abs(centre - centre[:, :1]).max() < 10 * walk
+    assert np.abs(trace[..., X] - trace[:, :1, :, X]).max() > 0.2  # the links do move

@@ -1,0 +1,73 @@
+"""Schedules that can be worked out by hand, the paper's own on a thousand cores, and what a result costs the driver."""
+
+import pytest
+
+from pipeline.configuration import load, preset_path
+from pipeline.forecast import Rates, schedule, schedule_lines, seconds_of_a_result
+from pipeline.schedule import TASK_SECONDS, Work, play
+from pipeline.settings import Settings
+from pipeline.stages import STAGES, evolve
+
+QUIET = Rates(
+    throw=0.01,
+    iteration=10.0,
+    generation={"true_slush": 0.01, "dry_land": 0.012, "residual_slush": 7.5, "single_member": 0.6},
+    population_size=64,
+    selection=0.002,
+    bytes_per_design=150.0,
+)
+"""Core-seconds of the paper's generation and the like on the README's machine."""
+
+
+def test_one_core_does_one_thing_after_another():
+    played = play([[Work(1, 1, 10.0)] * 2, [Work(1, 1, 5.0)]], 1, driver_seconds=0.0)
+    assert played.seconds == pytest.approx(25 + 3 * TASK_SECONDS)
+    assert played.critical_seconds == 20
+    assert played.busy == pytest.approx(1, abs=1e-3)
+
+
+def test_no_number_of_cores_gets_below_the_longest_chain():
+    chains = [[Work(1, 1, 10.0)] * 3] * 4
+    played = play(chains, 1000, driver_seconds=0.5)
+    # Four results at a time queue for the driver: the last waits for the other three, round after round.
+    assert played.seconds == pytest.approx(3 * (10 + TASK_SECONDS) + 0.5 * 6, abs=0.01)
+    assert played.busy == pytest.approx(120 / (1000 * played.seconds))
+    assert played.driver_busy == pytest.approx(6 / played.seconds)
+
+
+def test_a_split_piece_uses_as_many_cores_as_it_has_batches():
+    whole, split = Work(1, 1, 100 * 8.0), Work(100, 8, 1.0, 0.1)
+    assert whole.core_seconds == split.core_seconds
+    assert play([[whole]], 8, driver_seconds=0.0).busy == pytest.approx(1 / 8, rel=1e-3)
+    played = play([[split]], 8, driver_seconds=0.0)
+    assert played.busy == pytest.approx(1 / 1.1, rel=1e-2)  # the selections between are nobody's
+    assert played.critical_seconds == pytest.approx(110)
+    beside = play([[split], [split]], 8, driver_seconds=0.0)
+    assert beside.busy > 0.97  # where one selects, the other's batches run
+
+
+def test_the_heaviest_chain_goes_first():
+    light, heavy = [Work(1, 1, 1.0)] * 3, [Work(1, 1, 10.0)] * 3
+    assert play([light, light, heavy], 2, driver_seconds=0.0).seconds == pytest.approx(30, abs=1.1)
+
+
+def test_the_papers_evolution_keeps_a_thousand_cores_busy_in_the_grain_of_its_preset():
+    paper = load(Settings, preset_path("paper"), ())
+    whole = paper.model_copy(update={"work": paper.work.model_copy(update={"designs_per_batch": None})})
+    played = schedule(paper, evolve.STAGE, {}, QUIET, 1000, 0.02)
+    coarse = schedule(whole, evolve.STAGE, {}, QUIET, 1000, 0.02)
+    assert played.busy > 0.8 > 0.2 > coarse.busy
+    assert played.seconds < coarse.seconds / 5
+    assert played.seconds < 1.25 * 100 * 1000 * 7.5 / 1000  # all the ensemble's core-seconds on all cores
+    advice = schedule_lines(whole, {}, QUIET, 1000, 0.02)[-1]
+    assert "310 trials alone keep 10% of 1,000 cores busy" in advice
+    assert f"--set work.designs_per_batch={paper.work.designs_per_batch}" in advice
+    lines = schedule_lines(paper, {}, QUIET, 1000, 0.02)
+    assert f"work.designs_per_batch={paper.work.designs_per_batch} is right here" in lines[-1]
+    assert [line.split()[0] for line in lines[3:9]] == [stage.name for stage in STAGES][:6]
+
+
+def test_what_a_result_costs_is_measured_on_the_disk_and_leaves_nothing(tmp_path):
+    smoke = load(Settings, preset_path("smoke"), ())
+    assert 0 < seconds_of_a_result(smoke, tmp_path) < 10
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,192 @@
+"""`puddle verify`, `puddle gc` and `puddle doctor` as a person uses them, on a store with a study that is done."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from pipeline import doctor, gc
+from pipeline.cli import main
+from pipeline.cluster import session
+from pipeline.configuration import parse
+from pipeline.errors import PuddleError
+from pipeline.settings import Settings
+from pipeline.store import Store
+
+SETTINGS = """name: tiny
+grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 1}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 4, afpo: {population_size: 4}}
+transfer: {n_generations: 2}
+assess: {n_designs: 8}
+work: {generations_per_item: 2, engine: reference}
+"""
+
+
+def call(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as exit_info:
+        main(list(arguments))
+    return int(exit_info.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory) -> Path:
+    """A folder with a settings file, and a store with its study."""
+    folder = tmp_path_factory.mktemp("done")
+    (folder / "tiny.yaml").write_text(SETTINGS)
+    options = ["--settings", str(folder / "tiny.yaml"), "--store", str(folder / "store")]
+    assert call("study", "--workers", "0", *options) == 0
+    return folder
+
+
+@pytest.fixture
+def options(done, tmp_path) -> list[str]:
+    """Options for a copy of it."""
+    shutil.copytree(done, tmp_path, dirs_exist_ok=True)
+    return ["--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store")]
+
+
+@pytest.fixture
+def store(options) -> Store:
+    return Store.open(Path(options[-1]), create=False)
+
+
+def n_items(store: Store) -> int:
+    return sum(1 for stage in store.stages() for _ in store.keys(stage))
+
+
+# -- verify ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_store_that_is_well_verifies(options, store, capsys):
+    assert call("verify", *options) == 0
+    assert f"{n_items(store)} items" in capsys.readouterr().out
+
+
+def test_damage_is_named_discarded_and_mended(options, store, capsys):
+    (path,) = list(store.root.glob("items/evolve/*/*/history.parquet"))[:1]
+    good = path.read_bytes()
+    path.write_bytes(good[:-1] + b"?")
+    assert call("verify", *options) == 1
+    said = capsys.readouterr().out
+    assert str(path) in said and "study tiny: evolve dry_land/1m/trial-0#" in said and "verify --settings" in said
+    assert path.exists()
+    assert call("verify", "--discard", *options) == 1
+    assert not path.exists() and "`puddle study --settings" in capsys.readouterr().out
+    assert call("study", "--workers", "0", *options) == 0
+    assert path.read_bytes() == good
+    assert call("verify", *options) == 0
+
+
+def test_a_report_that_was_edited_is_noticed(options, store, capsys):
+    (store.export_path("tiny") / "index.html").write_text("better")
+    assert call("verify", *options) == 1
+    said = capsys.readouterr().out
+    assert "index.html: expected SHA-256" in said and "puts it back" in said and "computed again" not in said
+    assert call("study", "--workers", "0", *options) == 0
+    assert call("verify", *options) == 0
+
+
+# -- gc --------------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_that_a_study_needs_is_garbage(options, store, capsys):
+    assert call("gc", "--remove", "--store", str(store.root)) == 0
+    assert "that no study needs" not in capsys.readouterr().out
+    assert call("verify", *options) == 0
+
+
+def test_what_no_study_needs_is_listed_then_removed(options, store, capsys):
+    before = n_items(store)
+    assert call("study", "--workers", "0", *options, "--set", "seed=2") == 0
+    said = capsys.readouterr().err
+    assert "study tiny had other settings until now (seed: 1 → 2). Its report will be replaced" in said
+    both = n_items(store)
+    assert both > before
+    half = store.root / "items" / "evolve" / "00" / ("0" * 64)
+    half.mkdir(parents=True)
+    (half / ".history.parquet.tmp").write_bytes(b"half")
+    assert call("gc", "--store", str(store.root)) == 0
+    said = capsys.readouterr().out
+    assert "items that no study needs" in said and "whose commit never ended" in said and "gc --store" in said
+    assert n_items(store) == both and half.exists()
+    assert call("gc", "--remove", "--store", str(store.root)) == 0
+    assert "MB are free again" in capsys.readouterr().out
+    assert n_items(store) == before and not half.exists()
+    assert call("verify", *options) == 0
+    assert call("gc", "--store", str(store.root)) == 0
+    assert "that no study needs" not in capsys.readouterr().out
+
+
+def test_a_study_that_was_stopped_half_way_keeps_what_it_has(options, store):
+    record = store.read_study("tiny")
+    chosen = {**record.settings, "evolution": {**record.settings["evolution"], "n_generations": 8}}
+    store.write_study("tiny", chosen, ())  # as a driver does before the first piece: it lists none
+    evolved = [item.key for item in record.items if item.stage == "evolve"]
+    found = {key for _, key in gc.find_garbage(store).items}
+    assert evolved and not found & set(evolved)  # its first four generations are those of the longer study
+    assert found >= {item.key for item in record.items if item.stage == "report"}
+
+
+def test_nothing_is_removed_while_a_study_is_driven_or_can_not_be_read(options, store, capsys):
+    with store.lock_study("other"):
+        assert call("gc", "--remove", "--store", str(store.root)) == 2
+    assert "study other is driven by process" in capsys.readouterr().err
+    with store.lock_all(), pytest.raises(PuddleError, match="`puddle gc` is removing"), store.lock_study("tiny"):
+        pass
+    (store.root / "studies" / "tiny" / "study.json").write_text("{}")
+    assert call("gc", "--remove", "--store", str(store.root)) == 2
+    assert "study.json" in capsys.readouterr().err
+    assert n_items(store) == sum(1 for _ in store.root.glob("items/*/*/*/manifest.json"))
+
+
+def test_folders_of_dead_drivers_are_swept(options, store, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(session, "PLACE", tmp_path)
+    dead = tmp_path / "puddle-12345678"
+    dead.mkdir()
+    (dead / "lock").touch()
+    stranger = tmp_path / "puddle-stranger"
+    stranger.mkdir()
+    assert call("gc", "--store", str(store.root)) == 0
+    said = capsys.readouterr().out
+    assert f"{dead}: left by a driver that is dead" in said and str(stranger) not in said and dead.exists()
+    assert call("gc", "--remove", "--store", str(store.root)) == 0
+    assert not dead.exists() and stranger.exists()
+
+
+# -- doctor ----------------------------------------------------------------------------------------------------------
+
+
+def verdicts(store: Path, **how) -> dict[str, doctor.Finding]:
+    settings = parse(Settings, SETTINGS, name="tiny")
+    return {finding.what: finding for finding in doctor.examine(settings, store, n_workers=how.get("n_workers", 0))}
+
+
+def test_the_doctor_examines_a_machine_on_which_the_tests_run(options, capsys):
+    assert call("doctor", "--workers", "0", *options) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(line.startswith(("ok ", "warn ", "      ")) for line in lines)
+    for what in ("python", "versions", "processor", "memory", "disk", "store", "temporary", "loopback", "engine"):
+        assert any(what in line for line in lines), what
+
+
+def test_the_doctor_finds_what_is_wrong(store, tmp_path, monkeypatch):
+    monkeypatch.setattr(doctor, "SPARE_BYTES", 1e18)
+    monkeypatch.setattr(doctor, "BYTES_PER_WORKER", 1e15)
+    monkeypatch.setenv("RAY_ADDRESS", "head:6379")
+    constraints = tmp_path / "constraints.txt"
+    constraints.write_text("numpy==0.1\nBox2D==2.3.10\n")
+    monkeypatch.setattr(doctor, "CONSTRAINTS", constraints)
+    monkeypatch.setattr(doctor, "_ray", lambda: doctor.Finding("ok", "ray", "not asked"))
+    with store.lock_study("tiny"):
+        found = verdicts(store.root, n_workers=1)
+    assert found["disk"].verdict == "fail" and "puddle gc" in found["disk"].advice
+    assert found["memory"].verdict == "fail" and "--workers 0" in found["memory"].advice
+    assert found["versions"].verdict == "warn" and "numpy" in found["versions"].found
+    assert found["ports"].verdict == "warn" and "RAY_ADDRESS=head:6379" in found["ports"].found
+    assert "study tiny is driven by process" in found["store"].found
+
+
+def test_the_doctor_refuses_a_disk_whose_locks_do_not_lock(tmp_path, monkeypatch):
+    monkeypatch.setattr(doctor.disk, "try_lock", lambda path: 0)
+    assert verdicts(tmp_path)["store"].verdict == "fail"

@@ -1,0 +1,124 @@
+"""The tank: crossings of robots whose way is known beforehand, and the champion that is nearest the mean."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.analysis import Tank, crossings, nearest_the_mean
+from tasks.design import Designs, random_designs
+from tasks.simulation import OK, Rollouts
+
+DT = 0.1
+N_SETTLE = 3
+TANK = Tank(length=2.0, depth=0.2, scale=0.1, seconds=40.0)  # 20 m by 2 m to the robot, 400 steps
+
+
+def upright(n_designs: int) -> Designs:
+    """Robots whose links are all 1 m by 1 m."""
+    designs = random_designs(n_designs, np.random.default_rng(71))
+    return replace(designs, length_scale=np.ones((n_designs, 6)))
+
+
+def rolled_out(x: np.ndarray, angle: np.ndarray | float = 0.0) -> Rollouts:
+    """Rollouts whose links are at given (n_designs, n_steps, 6) places along the tank."""
+    trace = np.zeros((*x.shape, 6), dtype=np.float32)
+    trace[..., 0], trace[..., 2] = x, angle
+    n = len(x)
+    return Rollouts(np.zeros(n), np.zeros(n), np.full(n, OK), trace)
+
+
+def gliding(speed: float, apart: float, n_steps: int = N_SETTLE + 400) -> np.ndarray:
+    """(1, n_steps, 6) places of links in a row, `apart` from each other, let go at the settled state's time."""
+    time = (np.arange(n_steps) - (N_SETTLE - 1)) * DT
+    return (speed * time[:, None] + apart * np.arange(6))[None]
+
+
+def cross(x: np.ndarray, designs: Designs | None = None, angle: np.ndarray | float = 0.0):
+    return crossings(designs or upright(len(x)), rolled_out(x, angle), TANK, n_settle=N_SETTLE, time_step=DT)
+
+
+def test_the_paper_s_tank_is_this_large_to_the_robot() -> None:
+    tank = Tank()
+    assert tank.simulated_length == pytest.approx(16.714, abs=1e-3)
+    assert tank.simulated_depth == pytest.approx(2.143, abs=1e-3)
+    assert tank.n_steps(1 / 60) == 9000
+
+
+def test_a_robot_that_glides_has_crossed_when_its_front_has_come_to_the_end() -> None:
+    (found,) = cross(gliding(speed=0.5, apart=1.0))  # 5 m between centres, half a link at each end
+    assert found.length == pytest.approx(6.0)
+    assert found.distance == pytest.approx(14.0)
+    assert found.crossed
+    assert found.seconds == pytest.approx(14.0 / 0.5, abs=DT)
+    assert found.travelled == pytest.approx(14.0, abs=0.5 * DT)
+    assert found.speed == pytest.approx(0.5, rel=1e-6)
+
+
+def test_a_robot_that_is_too_slow_has_not_crossed() -> None:
+    (found,) = cross(gliding(speed=0.3, apart=1.0))
+    assert not found.crossed
+    assert np.isnan(found.seconds)
+    assert found.travelled == pytest.approx(0.3 * 40)
+    assert found.speed == pytest.approx(0.3)
+
+
+def test_a_link_that_reaches_ahead_takes_nobody_across() -> None:
+    x = gliding(speed=0.0, apart=1.0)
+    x[0, N_SETTLE + 100 :, 5] += 30  # its front is far beyond the end; its centre of mass has moved 5 m
+    (found,) = cross(x)
+    assert not found.crossed
+    assert found.travelled == pytest.approx(5.0)
+
+
+def test_who_goes_back_has_not_crossed() -> None:
+    (found,) = cross(gliding(speed=-1.0, apart=1.0))
+    assert not found.crossed
+    assert found.travelled == pytest.approx(-40.0)
+
+
+def test_a_robot_as_long_as_the_tank_does_not_cross_it() -> None:
+    (found,) = cross(gliding(speed=1.0, apart=4.0))
+    assert found.length == pytest.approx(21.0)
+    assert found.distance < 0
+    assert not found.crossed
+
+
+def test_length_is_from_corner_to_corner() -> None:
+    designs = replace(upright(1), length_scale=np.full((1, 6), 2.0))
+    flat, upright_, tilted = (
+        cross(gliding(0.0, apart=0.0), designs, angle)[0].length for angle in (np.pi / 2, 0.0, np.pi / 4)
+    )
+    assert (flat, upright_) == (pytest.approx(2.0), pytest.approx(0.5))
+    assert tilted == pytest.approx((2.0 + 0.5) / np.sqrt(2))
+
+
+def test_who_diverges_touches_no_other() -> None:
+    x = np.concatenate([gliding(0.5, 1.0), gliding(0.5, 1.0)])
+    x[0, N_SETTLE + 7 :] = np.nan
+    lost, found = cross(x)
+    assert not lost.crossed
+    assert np.isnan(lost.travelled)
+    assert found.crossed
+
+
+def test_a_trace_of_another_length_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"trace has shape \(1, 100, 6, 6\), expected \(1, 403, \.\.\.\)"):
+        cross(gliding(0.5, 1.0, n_steps=100))
+    with pytest.raises(ValueError, match="no trace"):
+        crossings(upright(1), replace(rolled_out(gliding(0.5, 1.0)), trace=None), TANK, n_settle=3, time_step=DT)
+
+
+@pytest.mark.parametrize(
+    ("scores", "chosen"),
+    [
+        ([1.0, 2.0, 9.0], 1),  # mean 4
+        ([3.0, 5.0, 4.0], 2),
+        ([3.0, 5.0], 0),  # as near: the first
+        ([np.nan, 7.0, np.nan], 1),
+        ([np.nan, np.nan], None),
+        ([], None),
+    ],
+)
+def test_the_champion_to_build_is_the_nearest_the_mean(scores: list[float], chosen: int | None) -> None:
+    assert nearest_the_mean(np.array(scores)) == chosen

@@ -1,0 +1,126 @@
+"""Links apart: the separating axes against a polygon clipper, what merely touches, and draws that find nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from tasks.design import DesignError, Designs, Morphology, links_apart, random_designs, rest_pose
+from tasks.design.morphology import MOST_AT_ONCE, until_apart
+
+
+def rectangles(designs: Designs, design: int) -> list[shapely.Polygon]:
+    x, y, angle = (of[design] for of in rest_pose(designs))
+    found = []
+    for link, a in enumerate(designs.length_scale[design]):
+        box = shapely.box(-0.5 / a, -a / 2, 0.5 / a, a / 2)
+        c, s = np.cos(angle[link]), np.sin(angle[link])
+        found.append(shapely.affinity.affine_transform(box, [c, -s, s, c, x[link], y[link]]))
+    return found
+
+
+def clipped_overlap(designs: Designs, design: int) -> float:
+    """Largest area that two links share that no joint ties [m²]."""
+    boxes, parent = rectangles(designs, design), designs.parent[design]
+    return max(
+        boxes[i].intersection(boxes[j]).area for j in range(6) for i in range(j) if parent[j] != i
+    )  # fmt: skip
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**63 - 1))
+def test_links_are_apart_where_a_polygon_clipper_finds_no_common_area(seed: int) -> None:
+    designs = random_designs(8, np.random.default_rng(seed))
+    # Straight chains of which most are apart, so that both answers are asked for.
+    straight = replace(
+        designs,
+        parent=np.tile(np.arange(-1, 5), (8, 1)),
+        parent_attachment=np.ones((8, 6)),
+        child_attachment=-np.ones((8, 6)),
+        rest_angle=designs.rest_angle / 4,
+    )
+    for some in (designs, straight):
+        for design, apart in enumerate(links_apart(some)):
+            overlap = clipped_overlap(some, design)
+            assert apart == (overlap == 0) or overlap < 1e-12  # of a hair's breadth both may be said
+
+
+def upright_columns(gap: float) -> Designs:
+    """Six upright links of 1 m by 1 m, from left to right, the third one a gap right of the root's right edge [m].
+
+    Link 1 lies across the root, so that it carries links 2 and on to the right; its other children lie 10 m away.
+    """
+    design = random_designs(1, np.random.default_rng(3))
+    # Link 1: horizontal, 3 m long, its centre at the root's centre. Its long axis points to (-1, 0).
+    # Links 2 and 3 hang on it at ∓(1 + gap) m; 4 and 5 hang from 3 by long ends, clear of everything.
+    return replace(
+        design,
+        parent=np.array([[-1, 0, 1, 2, 3, 4]]),
+        length_scale=np.array([[1.0, 3.0, 1.0, 3.0, 3.0, 3.0]]),
+        parent_attachment=np.array([[0, 0, -(1 + gap) / 1.5, 1, 1, 1]]),
+        child_attachment=np.array([[0, 0, 0, -1, -1, -1]]),
+        rest_angle=np.array([[0, np.pi / 2, -np.pi / 2, 0, 0, 0]]),
+    )
+
+
+@pytest.mark.parametrize(("gap", "apart"), [(0.1, True), (1e-6, True), (0.0, True), (-1e-6, False), (-0.1, False)])
+def test_links_that_touch_do_not_overlap(gap: float, apart: bool) -> None:
+    design = upright_columns(gap)
+    x, _, _ = rest_pose(design)
+    assert x[0, 2] - x[0, 0] == pytest.approx(1 + gap, abs=1e-12)
+    # Links 3, 4, 5 stand on top of 2 and miss the cross-bar, which is a third of a metre thick.
+    assert links_apart(design)[0] == apart
+
+
+def test_draws_go_on_until_every_design_is_apart() -> None:
+    good, bad = upright_columns(0.1), upright_columns(-0.1)
+    asked = np.zeros(3, dtype=np.int64)
+    succeeds_at = np.array([1, 5, 40])
+
+    def draw(which: np.ndarray) -> Designs:
+        numbers = np.empty(len(which), dtype=np.int64)
+        for place, index in enumerate(which):
+            asked[index] += 1
+            numbers[place] = asked[index]
+        ok = numbers >= succeeds_at[which]
+        return Designs(**{name: np.where(ok if a.ndim == 1 else ok[:, None], a, getattr(bad, name))
+                          for name, a in good.arrays()})  # fmt: skip
+
+    drawn = until_apart(draw, np.ones(3, dtype=bool))
+    assert links_apart(drawn.designs).all()
+    assert drawn.n_draws.tolist() == [1, 5, 40]
+
+
+def test_what_is_not_wanted_keeps_its_first_draw() -> None:
+    bad = upright_columns(-0.1)
+    drawn = until_apart(lambda which: bad[np.zeros(len(which), int)], np.zeros(4, dtype=bool))
+    assert drawn.n_draws.tolist() == [1] * 4
+    assert not links_apart(drawn.designs).any()
+
+
+def test_draws_end() -> None:
+    bad, good = upright_columns(-0.1), upright_columns(0.1)
+    n_asked = 0
+
+    def draw(which: np.ndarray) -> Designs:
+        nonlocal n_asked
+        n_asked += len(which)
+        assert len(which) <= MOST_AT_ONCE
+        return bad[np.zeros(len(which), int)]
+
+    with pytest.raises(DesignError, match="design 0: links that no joint ties overlap at rest in each of 1000 draws"):
+        until_apart(draw, np.ones(2, dtype=bool), max_draws=1000)
+    assert n_asked == 2000
+    instead = until_apart(draw, np.ones(2, dtype=bool), max_draws=1000, otherwise=good[[0, 0]])
+    assert links_apart(instead.designs).all()
+    assert instead.n_draws.tolist() == [1001, 1001]
+
+
+@pytest.mark.parametrize("setting", [{"n_actuated": 6}, {"n_actuated": -1}, {"unjoined_links": "near"}])
+def test_impossible_morphologies_are_refused_by_name(setting: dict) -> None:
+    with pytest.raises(ValidationError, match=next(iter(setting))):
+        Morphology(**setting)

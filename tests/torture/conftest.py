@@ -1,0 +1,71 @@
+"""What the torture shares: the nursery, which forks drivers that may die in milliseconds, and a place for stores."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+HERE = Path(__file__).parent
+
+
+class Nursery:
+    """The process of tests/torture/nursery.py."""
+
+    def __init__(self, size: str) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, str(HERE / "nursery.py"), size],
+            env={**os.environ, "PYTHONPATH": str(HERE.parents[1]), "OMP_NUM_THREADS": "1"},
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+    def _answer(self) -> dict[str, Any]:
+        line = self._process.stdout.readline()
+        assert line, "the nursery is dead"
+        return json.loads(line)
+
+    def ask(self, **command: Any) -> dict[str, Any]:
+        """Have a command carried out by a child."""
+        self._process.stdin.write(json.dumps(command) + "\n")
+        self._process.stdin.flush()
+        return self._answer()
+
+    def drive(self, root: Path, **command: Any) -> dict[str, Any]:
+        """Drive the study in a store; return what the driver noted, and how it ended."""
+        told = self.ask(roots=[str(root)], **command)
+        return {**told["answers"][0], **told}
+
+    def finish(self, roots: Sequence[Path], **command: Any) -> list[dict[str, Any]]:
+        """Drive the study in some stores, which should be well afterwards."""
+        told = self.ask(roots=[str(root) for root in roots], **command)
+        assert told["status"] == 0, told["traceback"]
+        for answer in told["answers"]:
+            assert "error" not in answer, answer["error"]
+            assert answer["wrong"] == []
+        return told["answers"]
+
+    def close(self) -> None:
+        self._process.stdin.close()
+        assert self._process.wait(timeout=30) == 0
+
+
+@pytest.fixture(scope="session")
+def nursery(request: pytest.FixtureRequest) -> Iterator[Nursery]:
+    one = Nursery("large" if request.config.getoption("--torture") else "small")
+    try:
+        yield one
+    finally:
+        one.close()
+
+
+@pytest.fixture
+def place() -> Iterator[Callable[[], Path]]:
+    """Give folders for stores, in memory where there is room: thousands are made."""
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(prefix="puddle-torture-", dir=memory if memory.is_dir() else None) as top:
+
+        yield lambda: Path(tempfile.mkdtemp(dir=top))

@@ -1,0 +1,215 @@
+"""The nursery: a process that forks drivers, so that each can die, run out of disk or lose power in milliseconds.
+
+Run as a script (the fixture ``nursery`` does), it reads one JSON command a line on stdin, forks a child that carries
+it out, and answers with one JSON line: what the child said, and how it ended. The children are real drivers: they plan,
+read, verify and commit a whole study through pipeline.driver, in a store of their own. Only the science is looked up:
+every piece was computed once, when the nursery started, and its bytes stay the same. It holds no threads, so that
+forking it is sound.
+"""
+
+from __future__ import annotations
+
+import functools
+import gc
+import json
+import os
+import resource
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import volatile
+import yaml
+
+import pipeline.study
+from pipeline import disk
+from pipeline.artifacts import digest
+from pipeline.cluster import serial_cluster
+from pipeline.configuration import parse
+from pipeline.driver import drive
+from pipeline.errors import PuddleError
+from pipeline.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.stages.report import PAGE
+from pipeline.store import Store
+from pipeline.verify import find_damage, verify_lines
+
+TINY = {
+    "name": "tiny",
+    "throws": {"n_throws": 2, "n_steps": 20},
+    "network": {"hidden_layers": 1, "width": 4},
+    "training": {"n_iterations": 10, "batch_size": 16},
+    "ensemble": {"n_members": 2},
+    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [], "n_trials": 1},
+    "rollout": {"n_settle": 5, "n_measure": 20},
+    "evolution": {"n_generations": 4, "afpo": {"population_size": 4}},
+    "transfer": {"n_generations": 2, "adapted_environments": ["dry_land"]},
+    "assess": {"n_designs": 8},
+    "work": {"throws_per_item": 2, "generations_per_item": 2, "engine": "reference"},
+}
+"""A study of real pieces, as cheap as can be."""
+
+FULL = TINY | {
+    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [1.0], "n_trials": 1},
+    "ensemble": {"n_members": 1},
+}
+"""One that trains a network too."""
+
+STUDIES = {"tiny": TINY, "full": FULL}
+
+N_OF_PAGE = {"small": 3, "large": None}
+"""Files kept of the report: it has dozens, which are all alike to the store."""
+
+
+class Quiet:
+    """A terminal and a tracker that keep what they are told: neither is what is put to the test."""
+
+    def __init__(self, said: list[str]) -> None:
+        self.said = said
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
+
+    def stage(self, name: str, **counts: Any) -> Quiet:
+        return self
+
+    def __enter__(self) -> Quiet:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def advance(self, work: float) -> None: ...
+
+    def mirror(self, *runs: Any) -> None: ...
+
+
+def run_study(settings: Settings, root: Path, terminal: Quiet) -> None:
+    """Drive the study in a store, as `puddle study --workers 0` does."""
+    drive(
+        settings,
+        STAGES,
+        store=Store.open(root, create=True),
+        open_cluster=serial_cluster,
+        tracker=terminal,
+        progress=terminal,
+        how_to_run=lambda name: f"puddle {name}",
+    )
+
+
+def tree(root: Path) -> dict[str, str]:
+    """Give the SHA-256 of every file in a store but its locks, which hold nothing."""
+    return {
+        str(path.relative_to(root)): digest(path.read_bytes())
+        for path in sorted(root.rglob("*"))
+        if path.is_file() and path.suffix != ".lock"
+    }
+
+
+# -- one child -------------------------------------------------------------------------------------------------------
+
+
+def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, Any]]) -> None:
+    """Carry out a command, noting of each store what happened as it happens."""
+    if "file_bytes" in command:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (command["file_bytes"],) * 2)
+    if "without" in command:
+        fsync, of_folders = disk.fsync, command["without"] == "fsync of folders"
+        disk.fsync = lambda path: None if path.is_dir() == of_folders else fsync(path)
+    for root in map(Path, command["roots"]):
+        if command.get("discard"):
+            verify_lines(Store.open(root, create=False), discard=True, progress=Quiet([]), how_to_run=str)
+        answers.append({"computed": [], "committed": [], "said": []})
+        volatile.arm(command.get("fault"), root.parent)
+        study(settings, root, answers[-1])
+        if command.get("fault", {}).get("at") == "end":
+            volatile.strike()
+
+
+def study(settings: Settings, root: Path, answer: dict[str, Any]) -> None:
+    """Be a driver, and then look at the store."""
+
+    def looked_up(compute: Callable[..., Any], job: Any, *rest: Any) -> Any:
+        answer["computed"].append(job.key)
+        return look_up(compute, job, *rest)
+
+    def noted(store: Store, stage: str, key: str, *rest: Any, **record: Any) -> Any:
+        manifest = commit(store, stage, key, *rest, **record)
+        answer["committed"].append(key)
+        return manifest
+
+    look_up, commit = pipeline.study.compute_item, Store.commit
+    pipeline.study.compute_item, Store.commit = looked_up, noted
+    try:
+        run_study(settings, root, Quiet(answer["said"]))
+    except PuddleError as error:
+        answer["error"] = str(error)
+    finally:
+        pipeline.study.compute_item, Store.commit = look_up, commit
+    answer["effects"] = list(volatile.effects())
+    answer["tree"] = tree(root)
+    is_store = (root / "store.json").exists()  # or there was no room even for that
+    answer["wrong"] = [str(error) for error in find_damage(Store.open(root, create=False))] if is_store else []
+
+
+def fork(command: dict[str, Any], settings: Settings) -> dict[str, Any]:
+    """Fork a child, wait for its end, and return what it had noted."""
+    reading, writing = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        gc.disable()
+        answers: list[dict[str, Any]] = []
+
+        def end(code: int, **more: Any) -> None:
+            with os.fdopen(writing, "w") as pipe:
+                json.dump({"answers": answers, **more}, pipe)
+            os._exit(code)
+
+        volatile.at_death(functools.partial(end, volatile.DEAD))
+        try:
+            child(command, settings, answers)
+        except BaseException:
+            end(1, traceback=traceback.format_exc())
+        end(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        said = pipe.read()
+    _, status = os.waitpid(pid, 0)
+    return {**json.loads(said), "status": os.waitstatus_to_exitcode(status)}
+
+
+def main(size: str) -> None:
+    """Compute the study, say so, and serve commands until stdin ends."""
+    compute, cache = pipeline.study.compute_item, {}
+
+    def keeping(how: Callable[..., Any], job: Any, *rest: Any) -> Any:
+        if job.key not in cache:
+            files = compute(how, job, *rest)[0]
+            kept = sorted(files, key=lambda name: name != PAGE)[: N_OF_PAGE[size]] if PAGE in files else files
+            cache[job.key] = {name: files[name] for name in kept}
+        return cache[job.key], 1.0
+
+    @functools.cache
+    def ready(name: str) -> Settings:
+        settings = parse(Settings, yaml.safe_dump(STUDIES[name]), name=name)
+        with tempfile.TemporaryDirectory() as folder:
+            run_study(settings, Path(folder) / "store", Quiet([]))
+        gc.freeze()
+        return settings
+
+    pipeline.study.compute_item = keeping
+    volatile.watch(disk)
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # whatever else prints, prints elsewhere
+    for line in sys.stdin:
+        command = json.loads(line)
+        if "settings" in command:
+            print(json.dumps({"settings": STUDIES[command["settings"]]}), file=answers, flush=True)
+            continue
+        print(json.dumps(fork(command, ready(command.get("study", "tiny")))), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

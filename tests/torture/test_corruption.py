@@ -1,0 +1,180 @@
+"""No damaged file is accepted: reading refuses it by name, `puddle verify` finds it, and it alone is made again.
+
+The store holds a whole study: tables, weights, designs, figures, manifests, the study's record and its report. Loose
+files, which a person may edit, can't be sealed: a damaged design or settings file is refused with its name and field,
+or is another valid one; of settings, the study then says which ones changed.
+"""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.configuration import load
+from pipeline.design_file import read_design
+from pipeline.driver import _differences
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.settings import Settings
+from pipeline.store import Store
+from pipeline.verify import damaged_items, find_damage
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def pristine(nursery, tmp_path_factory):
+    """A store with a study that is done."""
+    root = tmp_path_factory.mktemp("pristine") / "store"
+    nursery.finish([root], study="full")
+    return root
+
+
+@pytest.fixture
+def store(pristine, place) -> Store:
+    """A copy to be damaged."""
+    root = place() / "store"
+    shutil.copytree(pristine, root)
+    return Store.open(root, create=False)
+
+
+def files_of(root: Path) -> list[Path]:
+    return sorted(path for path in root.rglob("*") if path.is_file() and path.suffix != ".lock")
+
+
+def damage(path: Path, others: list[Path], rng: np.random.Generator) -> list[Path]:
+    """Damage a file, or swap it with another; return the files that are not what they were."""
+    good = path.read_bytes()
+    kind = rng.choice(["flip", "flip", "flip", "cut", "more", "zeros", "gone", "folder", "swap"])
+    if kind == "folder" and "items" not in path.parts:
+        kind = "gone"  # a folder where the report should be is somebody's: the study says so and stops
+    bad = bytearray(good)
+    match kind:
+        case "flip":
+            bit = int(rng.integers(8 * len(good)))
+            bad[bit // 8] ^= 1 << bit % 8
+        case "cut":
+            del bad[int(rng.integers(len(good))) :]
+        case "more":
+            bad += rng.bytes(int(rng.integers(1, 100)))
+        case "zeros":
+            begin = int(rng.integers(len(good)))
+            bad[begin : begin + 512] = bytes(len(bad[begin : begin + 512]))
+        case "gone" | "folder":
+            path.unlink()
+            if kind == "folder":
+                path.mkdir()
+            return [path]
+        case "swap":
+            other = others[int(rng.integers(len(others)))]
+            theirs = other.read_bytes()
+            path.write_bytes(theirs)
+            other.write_bytes(good)
+            return [path, other] if theirs != good else []
+    path.write_bytes(bad)
+    return [path] if bad != good else []
+
+
+def mend(path: Path, good: bytes) -> None:
+    if path.is_dir():
+        path.rmdir()
+    path.write_bytes(good)
+
+
+def named(bad: list[Path], said: list[str]) -> bool:
+    """Tell whether messages name the damaged files: of an item one of them, where its manifest is gone the item."""
+    folders = {path.parent: [str(other) for other in bad if other.parent == path.parent] for path in bad}
+    gone = [path.parent.name for path in bad if path.name == "manifest.json" and not path.exists()]
+    return all(any(word in line for line in said for word in [*words, *gone]) for words in folders.values())
+
+
+def test_every_damage_is_found_and_named(torture, store):
+    files = [path for path in files_of(store.root) if path.name != "store.json"]
+    good = {path: path.read_bytes() for path in files}
+    n_of: dict[str, int] = {}
+    for rng in torture.attempts(1000, 50_000):
+        bad = damage(files[int(rng.integers(len(files)))], files, rng)
+        said = [str(error) for error in find_damage(store)]
+        assert named(bad, said), (bad, said)
+        for path in bad:
+            n_of[path.suffix] = n_of.get(path.suffix, 0) + 1
+            mend(path, good[path])
+    assert find_damage(store) == []
+    torture.note(", ".join(f"{number:,} {suffix}" for suffix, number in sorted(n_of.items())) + ": all named")
+
+
+def test_no_damaged_item_is_read(torture, store):
+    items = [(stage, key) for stage in store.stages() for key in store.keys(stage)]
+    for rng in torture.attempts(300, 10_000):
+        stage, key = items[int(rng.integers(len(items)))]
+        files = files_of(store._item(stage, key))
+        good = {path: path.read_bytes() for path in files}
+        bad = damage(files[int(rng.integers(len(files)))], files, rng)
+        gone = any(path.name == "manifest.json" and not path.exists() for path in bad)
+        if gone:  # then it never happened
+            assert store.manifest(stage, key) is None
+        elif bad:
+            with pytest.raises(DamagedArtifact) as told:
+                for name in store.manifest(stage, key).files:
+                    store.read(store.manifest(stage, key), name)
+            assert (told.value.stage, told.value.key) == (stage, key)
+            assert any(str(path) in str(told.value) for path in bad)
+        for path in bad:
+            mend(path, good[path])
+
+
+def test_only_what_is_damaged_is_computed_again(torture, nursery, pristine, place):
+    (undisturbed,) = nursery.finish([pristine], study="full")
+    whole = Store.open(pristine, create=False)
+    keys, n_damaged = {key for stage in whole.stages() for key in whole.keys(stage)}, 0
+    for rng in torture.attempts(40, 2000):
+        root = place() / "store"
+        shutil.copytree(pristine, root)
+        files = [path for path in files_of(root) if path.name != "store.json"]
+        for path in rng.choice(files, size=int(rng.integers(1, 6)), replace=False):
+            if path.is_file():
+                damage(path, [other for other in files if other.is_file()], rng)
+        store = Store.open(root, create=False)
+        wrong = {key for _, key in damaged_items(find_damage(store))}
+        wrong |= keys - {key for stage in store.stages() for key in store.keys(stage)}  # if the record is damaged too
+        (answer,) = nursery.finish([root], study="full", discard=True)
+        assert set(answer["computed"]) == wrong
+        assert answer["tree"] == undisturbed["tree"]
+        n_damaged += len(wrong)
+        shutil.rmtree(root)
+    torture.note(f"{n_damaged:,} damaged items computed again, and no other")
+
+
+def test_a_store_whose_mark_is_damaged_is_refused(torture, store):
+    path = store.root / "store.json"
+    good, others = path.read_bytes(), files_of(store.root / "studies")
+    for rng in torture.attempts(100, 2000):
+        shutil.copy(others[0], others[0].with_suffix(".copy"))
+        if path in damage(path, [others[0].with_suffix(".copy")], rng):
+            with pytest.raises(PuddleError, match=str(store.root)):
+                Store.open(store.root, create=False)
+            mend(path, good)
+
+
+@pytest.mark.parametrize("name", ["docs/design.json", "configs/smoke.yaml"])
+def test_a_damaged_loose_file_is_refused_by_name_or_means_something_else(torture, tmp_path, name):
+    def read(path: Path):
+        if path.suffix == ".json":
+            return {name: array.tolist() for name, array in read_design(path).arrays()}
+        return load(Settings, path).model_dump(mode="json")
+
+    good, path = (ROOT / name).read_bytes(), tmp_path / Path(name).name
+    meant, n_refused, n_other = read(ROOT / name), 0, 0
+    for rng in torture.attempts(500, 10_000):
+        bad = bytearray(good)
+        bit = int(rng.integers(8 * len(good)))
+        bad[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(bad if rng.random() < 0.8 else good[: int(rng.integers(len(good)))])
+        try:
+            means = read(path)
+        except PuddleError as error:
+            assert str(path) in str(error)
+            n_refused += 1
+        else:
+            n_other += bool(_differences(meant, means))
+    torture.note(f"{n_refused:,} refused by name, {n_other:,} valid and different, the rest in a comment or a space")

@@ -1,0 +1,293 @@
+"""Hostile input: nothing in it is executed, nothing outside the store is touched, and memory stays bounded.
+
+A store, a settings file or a design may come from a stranger, who can seal documents and hash files as puddle does.
+"""
+
+import contextlib
+import io
+import json
+import pickle
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.artifacts import decode_arrays, decode_table, encode_sealed, encode_table, key_of
+from pipeline.configuration import load
+from pipeline.design_file import read_design
+from pipeline.errors import PuddleError
+from pipeline.gc import find_garbage
+from pipeline.manifest import MANIFEST_SCHEMA, Manifest, decode_manifest
+from pipeline.settings import Settings
+from pipeline.store import STUDY_SCHEMA, Store
+from pipeline.verify import find_damage
+
+ROOT = Path(__file__).parents[2]
+MEGABYTE = 2**20
+
+
+@contextlib.contextmanager
+def memory_below(n_bytes: int):
+    """Check that this process never needs so much more than it has now."""
+    Path("/proc/self/clear_refs").write_text("5")  # sets the peak back to what is used now
+    before = _peak()
+    yield
+    assert _peak() - before < n_bytes
+
+
+def _peak() -> int:
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+    return 1024 * int(line.split()[1])
+
+
+@pytest.fixture
+def sentinel(tmp_path):
+    """A file that appears where hostile input is executed."""
+    path = tmp_path / "executed"
+    yield path
+    assert not path.exists()
+
+
+class Bomb:
+    """A pickle that runs a command."""
+
+    def __init__(self, sentinel: Path) -> None:
+        self.sentinel = sentinel
+
+    def __reduce__(self):
+        return (open, (str(self.sentinel), "w"))
+
+
+# -- texts -----------------------------------------------------------------------------------------------------------
+
+LINES = [
+    "name: x", "name: ../../etc", "name: /etc/passwd", "name: 'a\\0b'", f"name: {'x' * 100_000}", "seed: 1", "seed: 1",
+    "evolution: {n_generations: 1e999}", "evolution: {n_generations: !!int 3}", "grid: {depths: [.inf, -.inf, .nan]}",
+    "run: !!python/object/apply:os.system ['touch SENTINEL']", "run: !!python/name:os.system", "? [1, 2]\n: 3",
+    "run: !!python/object/new:subprocess.Popen [['touch', 'SENTINEL']]", "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]",
+    "<<: {seed: 3}", "grid: {depths: " + "[" * 5000, "{" * 5000, "seed: " + "9" * 100_000, "--- \n---", "%YAML 9.9",
+    "\x00", "\ufeff", "\ud7ff", "\t- x", "key: |\n  " + "y" * 1000, "seed: 0x1F", "name: yes", "- " * 2000, "'" * 999,
+    "throws: {n_throws: 99999999999999999999}", "__class__: {__init__: 1}", "work: {engine: __import__('os')}",
+]  # fmt: skip
+
+
+def test_settings_of_hostile_lines(torture, tmp_path, sentinel):
+    path, n_read = tmp_path / "hostile.yaml", 0
+    lines = [line.replace("SENTINEL", str(sentinel)) for line in LINES]
+    with memory_below(300 * MEGABYTE):
+        for rng in torture.attempts(300, 20_000):
+            chosen = rng.choice(len(lines), size=int(rng.integers(1, 6)))
+            path.write_text("\n".join(lines[index] for index in chosen), errors="surrogatepass")
+            try:
+                load(Settings, path)
+                n_read += 1
+            except PuddleError as error:
+                assert str(path) in str(error) and len(str(error)) < 20_000
+    torture.note(f"{n_read:,} were harmless; the rest were refused by file and line")
+
+
+@pytest.mark.parametrize("kind", ["deep", "long", "number", "twice", "pickle", "endless"])
+def test_a_hostile_design_is_refused_by_name(kind, tmp_path, sentinel):
+    path = tmp_path / "design.json"
+    match kind:
+        case "deep":
+            path.write_text('{"a": ' + "[" * 500_000)
+        case "long":
+            with path.open("wb") as file:
+                file.truncate(8 * 2**30)
+        case "number":
+            path.write_text((ROOT / "docs/design.json").read_text().replace("0.26311942665854743", "9" * 10_000))
+        case "twice":
+            path.write_text((ROOT / "docs/design.json").read_text().replace('"version"', '"frequency": 1, "version"'))
+        case "pickle":
+            path.write_bytes(pickle.dumps(Bomb(sentinel)))
+            sentinel.unlink(missing_ok=True)
+        case "endless":
+            path = Path("/dev/zero")
+    with memory_below(300 * MEGABYTE), pytest.raises(PuddleError, match=str(path)):
+        read_design(path)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=20)
+    | st.sampled_from(["..", "/etc/passwd", "a/../b", "x\0y", "é" * 300, "0" * 64]),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=12,
+)  # fmt: skip
+
+
+def test_a_manifest_that_a_stranger_sealed(torture):
+    n_examples = torture.times(300, 3000)
+
+    @settings(max_examples=n_examples, deadline=None, database=None)
+    @given(body=st.fixed_dictionaries({}, optional=dict.fromkeys(
+        ("stage", "key", "identity", "files", "digest", "environment", "record"), JSON)))  # fmt: skip
+    def check(body):
+        data = encode_sealed(body, schema=MANIFEST_SCHEMA, version=1)
+        with contextlib.suppress(PuddleError):
+            assert isinstance(decode_manifest(data, stage="evolve", key="0" * 64, source="it"), Manifest)
+
+    check()
+
+
+# -- stores ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pristine(nursery, tmp_path_factory):
+    root = tmp_path_factory.mktemp("pristine") / "store"
+    nursery.finish([root])
+    return root
+
+
+@pytest.fixture
+def canary(tmp_path):
+    """A folder outside the store, which stays as it is."""
+    folder = tmp_path / "canary"
+    folder.mkdir()
+    for name in ("manifest.json", "study.json", "index.html", "file"):
+        (folder / name).write_text(f"{name} of somebody")
+    before = {path: (path.read_text(), path.stat().st_mtime_ns) for path in folder.iterdir()}
+    yield folder
+    assert {path: (path.read_text(), path.stat().st_mtime_ns) for path in folder.iterdir()} == before
+
+
+def test_links_in_a_store_are_refused_and_not_followed(torture, nursery, pristine, place, canary):
+    n_refused = 0
+    for rng in torture.attempts(40, 1000):
+        root = place() / "store"
+        shutil.copytree(pristine, root)
+        everything = sorted(root.rglob("*"))
+        path = everything[int(rng.integers(len(everything)))]
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        path.symlink_to(canary if rng.random() < 0.5 else canary / "file")
+        told = nursery.drive(root, discard=bool(rng.random() < 0.3))
+        refused = told.get("error") or told.get("traceback", "")
+        assert "symbolic link" in refused and str(path) in refused, (path, told)
+        n_refused += 1
+        shutil.rmtree(root)
+    torture.note(f"{n_refused} links refused by name")
+
+
+HOSTILE_NAMES = [
+    "..", "../../../canary", "/etc", "a/b", "a\0b", "A", "", "x" * 300, ".", "~", "évil", "-rf", 7, None, [], {}
+]  # fmt: skip
+
+
+def test_a_study_record_that_a_stranger_sealed(torture, pristine, place, canary):
+    for rng in torture.attempts(60, 3000):
+        root = place() / "store"
+        shutil.copytree(pristine, root)
+        whole = json.loads((root / "studies" / "tiny" / "study.json").read_text())
+        body = {name: whole[name] for name in ("name", "settings", "items")}
+        hostile = HOSTILE_NAMES[int(rng.integers(len(HOSTILE_NAMES)))]
+        match rng.choice(["name", "settings", "items", "stage", "label", "key", "folder"]):
+            case "name" | "settings" | "items" as field:
+                body[field] = hostile
+            case "folder" if isinstance(hostile, str) and 0 < len(hostile) < 200 and not set(hostile) & set("/\0."):
+                shutil.copytree(root / "studies" / "tiny", root / "studies" / hostile)
+            case "stage" | "label" | "key" as field:
+                body["items"][0][["stage", "label", "key"].index(field)] = hostile
+        (root / "studies" / "tiny" / "study.json").write_bytes(encode_sealed(body, schema=STUDY_SCHEMA, version=1))
+        store = Store.open(root, create=False)
+        for ask in (find_damage, find_garbage):
+            with contextlib.suppress(PuddleError):
+                ask(store)
+        shutil.rmtree(root)
+
+
+# -- formats ---------------------------------------------------------------------------------------------------------
+
+FUZZ = """
+import sys, resource
+import numpy as np
+from pipeline.artifacts import decode_arrays, decode_table, encode_arrays, encode_table
+from pipeline.errors import PuddleError
+resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30,) * 2)
+seed, n = map(int, sys.argv[1:])
+rng = np.random.default_rng(seed)
+x = rng.normal(size=(200, 3))
+columns = {"x": x, "n": np.arange(200), "word": np.array(["a", "bc"] * 100)}
+formats = [
+    (encode_table(columns, schema="t", version=1, producer=""), decode_table),
+    (encode_arrays({"w": x, "b": x[0]}, schema="t", version=1, producer=""), decode_arrays),
+]
+n_refused = 0
+for _ in range(n):
+    good, decode = formats[rng.integers(2)]
+    bad = bytearray(good)
+    for _ in range(rng.integers(1, 4)):
+        near_an_end = rng.choice([rng.integers(16), len(bad) - 1 - rng.integers(600)])
+        where = rng.integers(len(bad)) if rng.random() < 0.5 else near_an_end
+        bad[where : where + rng.integers(1, 9)] = rng.choice([b"\\xff" * 8, b"\\x7f" * 4, b"\\0" * 8, rng.bytes(4)])
+    try:
+        decode(bytes(bad), schema="t", version=1, source="it")
+    except PuddleError as error:
+        assert str(error).startswith("it")
+        n_refused += 1
+print(n_refused, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def test_headers_and_pages_that_lie(torture):
+    """In a process of its own: a decoder that crashes would take the tests with it."""
+    n, n_refused, peak = 0, 0, 0
+    for rng in torture.attempts(1, 20):
+        done = subprocess.run(
+            [sys.executable, "-c", FUZZ, str(rng.integers(2**32)), "2000"], cwd=ROOT, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr[-2000:]
+        refused, kilobytes = map(int, done.stdout.split())
+        n, n_refused, peak = n + 2000, n_refused + refused, max(peak, kilobytes)
+        assert kilobytes < 2 * 2**20
+    torture.note(f"{n_refused:,} of {n:,} files refused, the others read as they were; at most {peak / 1e3:.0f} MB")
+
+
+def test_a_table_that_would_fill_the_memory(tmp_path):
+    """A few megabytes stand for 8 GB of zeros."""
+    honest = encode_table({"x": np.zeros(4)}, schema="t", version=1, producer="")
+    sink = io.BytesIO()
+    zeros = pa.table({"x": np.zeros(2**24)}, schema=pq.read_schema(io.BytesIO(honest)))
+    with pq.ParquetWriter(sink, zeros.schema, compression="zstd") as writer:
+        for _ in range(64):
+            writer.write_table(zeros)
+    assert len(sink.getvalue()) < 8 * MEGABYTE
+    with memory_below(300 * MEGABYTE), pytest.raises(PuddleError, match=r"it: .*8589934592 bytes of memory"):
+        decode_table(sink.getvalue(), schema="t", version=1, source="it")
+
+
+def test_a_pickle_is_not_opened(sentinel):
+    bomb = pickle.dumps(Bomb(sentinel))
+    for decode in (decode_table, decode_arrays):
+        with pytest.raises(PuddleError, match=r"^it: expected"):
+            decode(bomb, schema="t", version=1, source="it")
+
+
+def test_a_manifest_as_long_as_a_disk(pristine, place):
+    root = place() / "store"
+    shutil.copytree(pristine, root)
+    store = Store.open(root, create=False)
+    stage = store.stages()[0]
+    path = store._item(stage, next(store.keys(stage))) / "manifest.json"
+    with path.open("wb") as file:
+        file.truncate(20 * 2**30)  # a hole: it takes no room
+    with memory_below(200 * MEGABYTE):
+        assert any(str(path) in str(error) and "at most" in str(error) for error in find_damage(store))
+
+
+def test_an_identity_that_is_not_its_keys(pristine):
+    identity = {"stage": "evolve"}
+    body = {"stage": "evolve", "key": "0" * 64, "identity": identity, "files": {"a": {"sha256": "", "bytes": 0}}}
+    data = encode_sealed({**body, "environment": {}, "record": {}}, schema=MANIFEST_SCHEMA, version=1)
+    assert key_of(identity) != "0" * 64
+    with pytest.raises(PuddleError, match="expected evolve 0000"):
+        decode_manifest(data, stage="evolve", key="0" * 64, source="it")
+
+

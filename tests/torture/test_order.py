@@ -1,0 +1,109 @@
+"""A result does not depend on how many workers there are, in which order they end, or how work is cut into batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.cluster import Cluster, Outcome, Ticket, ray_cluster, serial_cluster
+from pipeline.configuration import parse
+from pipeline.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.store import Store
+from pipeline.study import follow, results_of, run_stage
+
+TINY = """
+name: tiny
+throws: {n_throws: 6, n_steps: 20}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 20, batch_size: 64}
+ensemble: {n_members: 2}
+grid: {depths: [1.0], single_member_depths: [1.0], n_trials: 2}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 4, afpo: {population_size: 6}}
+transfer: {n_generations: 3}
+assess: {n_designs: 12}
+work: {throws_per_item: 2, generations_per_item: 2, engine: reference}
+"""
+
+N_STAGES = 5
+"""All that compute in many pieces; the analyses and the page are one piece each and read these."""
+
+
+class Shuffled:
+    """A cluster whose finished work comes in random order: whatever has ended is held back, and dealt like cards."""
+
+    def __init__(self, cluster: Cluster, n_cores: float, rng: np.random.Generator) -> None:
+        self.n_cores = n_cores
+        self.out_of_order = 0
+        self._cluster, self._rng = cluster, rng
+        self._held: list[tuple[Ticket, Outcome]] = []
+        self.share, self.submit = cluster.share, cluster.submit
+
+    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
+        while (done := self._cluster.next_done(timeout=0.5 if self._held else None)) is not None:
+            self._held.append(done)
+        if not self._held:
+            return None
+        dealt = self._held.pop(self._rng.integers(len(self._held)))
+        self.out_of_order += any(ticket.number < dealt[0].number for ticket, _ in self._held)
+        return dealt
+
+
+class NoBar:
+    def advance(self, work: float) -> None: ...
+
+
+def digests(settings: Settings, store: Store, cluster) -> dict[str, list[str]]:
+    upstream, found = {}, {}
+    for stage in STAGES[:N_STAGES]:
+        walks = follow(stage, settings, store, upstream, say=print)
+        run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=print)
+        upstream[stage.name] = results_of(stage, walks)
+        assert not upstream[stage.name].set_aside
+        for label, manifests in upstream[stage.name].done.items():
+            found[f"{stage.name}/{label}"] = [manifest.digest for manifest in manifests]
+    return found
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory) -> dict[str, list[str]]:
+    with serial_cluster() as cluster:
+        store = Store.open(tmp_path_factory.mktemp("expected") / "store", create=True)
+        found = digests(parse(Settings, TINY, name="tiny"), store, cluster)
+    assert len(found) > 20
+    return found
+
+
+def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path):
+    """One process that deals with eight pieces at a time, and gives them back as chance has it."""
+    n_out_of_order = 0
+    for number, rng in enumerate(torture.attempts(1, 100)):
+        settings = cut(rng)
+        with serial_cluster() as serial:
+            cluster = Shuffled(serial, rng.choice([1, 2, 8]) if number else 8, rng)
+            assert digests(settings, Store.open(tmp_path / str(number), create=True), cluster) == expected
+            n_out_of_order += cluster.out_of_order
+    assert n_out_of_order
+    torture.note(f"{n_out_of_order:,} pieces overtook others")
+
+
+def cut(rng: np.random.Generator) -> Settings:
+    """Cut generations into batches of some size, up to one that holds all."""
+    return parse(Settings, TINY, name="tiny", overrides=(f"work.designs_per_batch={rng.integers(1, 8)}",))
+
+
+def test_the_same_bytes_from_two_workers(expected, torture, local_ray, tmp_path):
+    (rng,) = torture.attempts(1, 1)
+    store = Store.open(tmp_path / "store", create=True)
+    assert digests(parse(Settings, TINY, name="tiny"), store, Shuffled(local_ray, 2, rng)) == expected
+
+
+@pytest.mark.parametrize("n_workers", [1, 2, 8])
+def test_the_same_bytes_from_any_number_of_workers(n_workers, expected, torture, tmp_path):
+    if not torture.large:
+        pytest.skip("in large numbers only: each worker that starts takes core-seconds")
+    with ray_cluster("local", n_workers=n_workers) as ray:
+        for number, rng in enumerate(torture.attempts(1, 5)):
+            store = Store.open(tmp_path / str(number), create=True)
+            assert digests(cut(rng), store, Shuffled(ray, n_workers, rng)) == expected

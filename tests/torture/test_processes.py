@@ -1,0 +1,289 @@
+"""Drivers as processes of their own: how they end, who else they let in, what they listen on.
+
+Every process of a driver is found by a mark in its environment, which children inherit: it does not matter who its
+parent is by now.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import ipaddress
+import os
+import pty
+import re
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+import pytest
+
+from pipeline.store import Store
+
+ROOT = Path(__file__).parents[2]
+
+TINY = """
+name: tiny
+throws: {n_throws: 6, n_steps: 20}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 20, batch_size: 64}
+ensemble: {n_members: 2}
+grid: {depths: [1.0], single_member_depths: [], n_trials: 1}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 4, afpo: {population_size: 4}}
+transfer: {n_generations: 2}
+assess: {n_designs: 8}
+work: {throws_per_item: 2, generations_per_item: 2, engine: reference}
+"""
+
+ENDLESS = ("--set", "evolution.n_generations=1000000", "--set", "grid.environments=[dry_land]")
+"""A study that needs no networks, begins to evolve at once and does not end by itself."""
+
+
+@dataclass
+class Driver:
+    """A `puddle` of its own, with a mark."""
+
+    process: subprocess.Popen
+    mark: str
+    log: Path
+    terminal: int | None = None
+
+    def family(self) -> list[psutil.Process]:
+        """Find every process that began in this driver, itself included."""
+        found = []
+        for process in psutil.process_iter():
+            with contextlib.suppress(psutil.Error, OSError):
+                if process.environ().get("PUDDLE_MARK") == self.mark and process.status() != psutil.STATUS_ZOMBIE:
+                    found.append(process)
+        return found
+
+    def said(self) -> str:
+        return self.log.read_text(errors="replace")
+
+
+@contextlib.contextmanager
+def driver(
+    folder: Path, *words: str, command: str = "study", store: str = "store", terminal: bool = False
+) -> Iterator[Driver]:
+    """Start a study, or one stage; kill what is left of it at the end."""
+    folder.mkdir(exist_ok=True)
+    settings, log, mark = folder / "tiny.yaml", folder / f"{secrets.token_hex(4)}.log", secrets.token_hex(16)
+    settings.write_text(TINY)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("RAY_", "PUDDLE_"))}
+    environment |= {"PUDDLE_MARK": mark, "PYTHONPATH": str(ROOT), "TERM": "xterm"}
+    puddle = [sys.executable, "-m", "pipeline", command, "--settings", str(settings), "--store", str(folder / store)]
+    ours, theirs = pty.openpty() if terminal else (None, None)
+
+    def prepare() -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # whoever runs the tests may ignore it
+        os.setsid()
+        if theirs is not None:
+            fcntl.ioctl(theirs, termios.TIOCSCTTY, 0)
+
+    with log.open("wb") as sink:
+        out = theirs if terminal else sink
+        process = subprocess.Popen([*puddle, *words], stdout=out, stderr=out, env=environment, preexec_fn=prepare)
+    if theirs is not None:
+        os.close(theirs)
+    one = Driver(process, mark, log, ours)
+    try:
+        yield one
+    finally:
+        for left in one.family():
+            with contextlib.suppress(psutil.NoSuchProcess):
+                left.kill()
+        process.wait()
+        if ours is not None:
+            with contextlib.suppress(OSError):
+                os.close(ours)
+
+
+def seconds_until_gone(one: Driver, at_most: float) -> float:
+    begin = time.monotonic()
+    while one.family():
+        left = [f"{process.pid} {process.name()}" for process in one.family()]
+        assert time.monotonic() - begin < at_most, f"after {at_most} s still there: {left}"
+        one.process.poll()
+        time.sleep(0.05)
+    return time.monotonic() - begin
+
+
+def sessions() -> set[Path]:
+    return set(Path("/tmp").glob("puddle-*/lock"))
+
+
+# -- 8: stopping -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("way", ["SIGINT", "SIGTERM", "closed terminal", "SIGKILL"])
+def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
+    """At random moments, while Ray starts and after: gone within 5 s, 15 s where the driver had no chance to say so."""
+    at_most = 15.0 if way == "SIGKILL" else 5.0
+    slowest = 0.0
+    for number, rng in enumerate(torture.attempts(1, 40)):
+        folder = tmp_path / str(number)
+        with driver(folder, *ENDLESS, "--workers", "1", terminal=way == "closed terminal") as one:
+            time.sleep(rng.uniform(0.0, 15.0))
+            assert one.process.poll() is None, one.said()
+            spoke = "starting the cluster" in one.said()
+            if way == "closed terminal":
+                os.close(one.terminal)
+            else:
+                one.process.send_signal(signal.Signals[way])
+            slowest = max(slowest, seconds_until_gone(one, at_most))
+            code = one.process.wait()
+            if way in ("SIGINT", "SIGTERM") and spoke:
+                assert code == 128 + signal.Signals[way], one.said()
+                assert not re.search(r"Traceback|SIG\w+ received|\*\*\*", one.said()), one.said()
+            if way == "SIGINT" and spoke:
+                assert "the same command goes on from there" in one.said()
+        if (folder / "store" / "store.json").exists():
+            assert Store.open(folder / "store", create=False).verify() == []
+    torture.note(f"the slowest took {slowest:.1f} s")
+
+
+def test_the_next_start_sweeps_what_a_killed_driver_and_its_keeper_left(tmp_path: Path):
+    with driver(tmp_path / "a", *ENDLESS, "--workers", "1") as one:
+        (keeper,) = wait_for(lambda: [p for p in one.family() if "keeper.py" in " ".join(p.cmdline())])
+        (lock,) = wait_for(lambda: [p for p in sessions() if str(p.parent) in keeper.cmdline()])
+        wait_for(lambda: [p for p in one.family() if p.name() == "raylet"])
+        for killed in (keeper, one.process):  # the keeper first: nobody is left to tidy up
+            killed.kill()
+        one.process.wait()
+        # An orphan as Ray would leave one, and a bystander with another session's token.
+        orphan = {"PUDDLE_MARK": one.mark, "RAY_AUTH_TOKEN_PATH": str(lock.parent / "token")}
+        left = subprocess.Popen(["sleep", "600"], env=orphan)
+        bystander = subprocess.Popen(["sleep", "600"], env=orphan | {"RAY_AUTH_TOKEN_PATH": "/tmp/puddle-other/token"})
+        try:
+            assert lock.exists()
+            from pipeline.cluster.session import sweep
+
+            alive = sessions() - {lock}
+            sweep()
+            assert not lock.parent.exists() and sessions() >= alive - {p for p in alive if not p.exists()}
+            assert left.wait(10) == -signal.SIGKILL and bystander.poll() is None
+        finally:
+            for child in (left, bystander):
+                child.kill()
+                child.wait()
+
+
+def wait_for(find, seconds: float = 60.0):
+    end = time.monotonic() + seconds
+    while not (found := find()):
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    return found
+
+
+# -- 7: company ------------------------------------------------------------------------------------------------------
+
+
+def test_a_second_driver_is_refused_with_the_firsts_identity(tmp_path: Path):
+    with driver(tmp_path, *ENDLESS, "--workers", "0") as first:
+        wait_for(lambda: list(tmp_path.glob("store/items/evolve/*/*/manifest.json")))
+        with driver(tmp_path, *ENDLESS, "--workers", "0") as second:
+            assert second.process.wait(60) == 2
+            said = second.said()
+        assert f"study tiny is driven by process {first.process.pid} on {socket.gethostname()} since 20" in said
+        assert "Wait for its end, or stop it" in said and "finished work is kept" in said
+
+
+def digests(folder: Path, *words: str, store: str = "store") -> str:
+    command = [sys.executable, "-m", "pipeline", "status", "--digests", "--settings", str(folder / "tiny.yaml")]
+    ran = subprocess.run(
+        [*command, "--store", str(folder / store), *words],
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return ran.stdout
+
+
+def test_processes_at_once_on_one_store_and_one_database(torture, tmp_path: Path):
+    """Eight drivers, two studies that share work, one store, one MLflow: no error, and each study as if alone."""
+    n_drivers, command = (8, "study") if torture.large else (4, "evolve")
+    shared = ("--workers", "0", *(() if torture.large else ("--set", "grid.environments=[dry_land]")))
+    studies = [
+        (*shared, "--set", "name=one", "--set", "evolution.n_generations=6"),
+        (*shared, "--set", "name=two", "--set", "evolution.n_generations=12"),
+    ]
+    alone = []
+    for number, words in enumerate(studies):
+        with driver(tmp_path, *words, command=command, store=f"alone-{number}") as one:
+            assert one.process.wait(300) == 0, one.said()
+        alone.append(digests(tmp_path, *words[2:], store=f"alone-{number}"))
+    assert alone[0] and set(alone[0].splitlines()) < set(alone[1].splitlines())
+    for attempt, _ in enumerate(torture.attempts(1, 10)):
+        store = f"together-{attempt}"
+        with contextlib.ExitStack() as stack:
+            drivers = []
+            for number in range(n_drivers):
+                words = studies[number % 2]
+                drivers.append(stack.enter_context(driver(tmp_path, *words, command=command, store=store)))
+            codes = [one.process.wait(600) for one in drivers]
+            for code, one in zip(codes, drivers, strict=True):  # the first of each study drives, the rest are refused
+                assert code == 0 or (code == 2 and "is driven by" in one.said()), one.said()
+                assert "MLflow" not in one.said() and "Traceback" not in one.said(), one.said()
+            assert 0 in codes[0::2] and 0 in codes[1::2]
+        for words, expected in zip(studies, alone, strict=True):
+            assert digests(tmp_path, *words[2:], store=store) == expected
+        assert Store.open(tmp_path / store, create=False).verify() == []
+
+
+# -- 10: network -----------------------------------------------------------------------------------------------------
+
+
+def is_loopback(host: str) -> bool:
+    address = ipaddress.ip_address(host)
+    return (getattr(address, "ipv4_mapped", None) or address).is_loopback
+
+
+def test_a_run_listens_on_the_loopback_alone_and_talks_to_nobody_else(torture, tmp_path: Path):
+    seen: set[str] = set()
+    n_looks = 0
+    words = () if torture.large else ("--set", "grid.environments=[dry_land]")
+    with driver(tmp_path, *words, "--workers", "2", command="study" if torture.large else "evolve") as one:
+        while one.process.poll() is None:
+            for process in one.family():
+                with contextlib.suppress(psutil.Error):
+                    for found in process.net_connections("inet"):
+                        seen.add(process.name())
+                        ends = [end for end in (found.laddr, found.raddr) if end]
+                        assert all(is_loopback(end.ip) for end in ends), (process.cmdline(), found)
+            n_looks += 1
+            time.sleep(0.1)
+        assert one.process.returncode == 0, one.said()
+    assert {"gcs_server", "raylet"} <= seen and n_looks > 10
+    torture.note(f"{n_looks} looks at the sockets of {len(seen)} kinds of processes")
+
+
+def in_a_machine_without_network(*command: str) -> list[str]:
+    """A network namespace of its own, where the loopback is all there is."""
+    return ["unshare", "--net", "--map-root-user", "sh", "-c", 'ip link set lo up && exec "$@"', "sh", *command]
+
+
+def test_a_study_completes_on_a_machine_without_network(torture, tmp_path: Path):
+    look = [sys.executable, "-c", "import socket; socket.create_connection(('192.0.2.1', 9), 2)"]
+    try:
+        refused = subprocess.run(in_a_machine_without_network(*look), capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip("no unshare here")
+    if "Network is unreachable" not in refused.stderr:
+        pytest.skip(f"no network namespace to be had here: {refused.stderr.strip().splitlines()[-1:]}")
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    study = [sys.executable, "-m", "pipeline", "study" if torture.large else "collect", "--workers", "1"]
+    words = in_a_machine_without_network(*study, "--settings", f"{tmp_path}/tiny.yaml", "--store", f"{tmp_path}/store")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    ran = subprocess.run(
+        words, env={**environment, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=280
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert "MLflow" not in ran.stderr

@@ -1,0 +1,89 @@
+"""A pytest plugin that takes out one guard while the test that should miss it runs."""
+
+import os
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import pytest
+
+import pipeline.artifacts
+import pipeline.manifest
+import tasks.residual.training
+from pipeline import disk
+from pipeline.manifest import Manifest
+from pipeline.store import Store
+
+STORE, ARTIFACTS = "tests/pipeline/test_store.py::test_", "tests/pipeline/test_artifacts.py::test_"
+
+
+def unread(store: Store, manifest: Manifest, name: str) -> bytes:
+    """Read a file as it is."""
+    return (store._item(manifest.stage, manifest.key) / name).read_bytes()
+
+
+def unsealed(data: bytes, *, schema: str, version: int, source: str) -> dict:
+    """Read a document as it is."""
+    value = pipeline.artifacts.decode_json(data, source)
+    return {name: inner for name, inner in value.items() if name not in ("schema", "version", "sha256")}
+
+
+def everything_is_finite() -> SimpleNamespace:
+    return SimpleNamespace(isfinite=lambda value: True)
+
+
+def in_place(path, data: bytes) -> None:
+    """Write a file where it stays, half of it or all."""
+    disk.write(path, data)
+    disk.fsync(path)
+    disk.fsync(path.parent)
+
+
+def always(path, **how) -> int:
+    """Open a lock file, and take it whoever has it."""
+    return os.open(path, os.O_RDWR | os.O_CREAT)
+
+
+GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
+    "hash of a file": (
+        STORE + "no_flipped_bit_is_accepted[history.parquet]",
+        lambda patch: patch.setattr(Store, "read", unread),
+    ),
+    "seal of a manifest": (
+        STORE + "no_flipped_bit_is_accepted[manifest.json]",
+        lambda patch: patch.setattr(pipeline.manifest, "decode_sealed", unsealed),
+    ),
+    "label of a table": (
+        ARTIFACTS + "a_flipped_bit_never_changes_a_value_silently[arrays]",
+        lambda patch: patch.setattr(pipeline.artifacts, "_check_label", lambda *said: None),
+    ),
+    "temporary file": (
+        STORE + "a_study_record_is_the_old_or_the_new_one",
+        lambda patch: patch.setattr(disk, "place", in_place),
+    ),
+    "lock of a study": (
+        STORE + "a_study_has_one_driver_which_is_named_to_a_second",
+        lambda patch: patch.setattr(disk, "try_lock", always),
+    ),
+    "refusal of links": (
+        STORE + "symbolic_links_are_refused_at_every_level[1]",
+        lambda patch: patch.setattr(disk, "inside", lambda root, *parts: root.joinpath(*parts)),
+    ),
+    "equality of what is computed twice": (
+        STORE + "a_result_computed_twice_must_be_equal",
+        lambda patch: patch.setattr("pipeline.store.refuse_other_content", lambda kept, new: None),
+    ),
+    "check that a training's loss is finite": (
+        "tests/tasks/residual/test_training.py::test_data_that_are_not_finite_end_a_training_by_name[nan]",
+        lambda patch: patch.setattr(tasks.residual.training, "_finite", lambda loss, *where: loss.item()),
+    ),
+    "refusal of numbers that are not finite": (
+        ARTIFACTS + "what_json_has_no_exact_form_for_is_refused",
+        lambda patch: patch.setattr(pipeline.artifacts, "math", everything_is_finite()),
+    ),
+}
+
+
+@pytest.fixture(autouse=True)
+def without_its_guard(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    (take_out,) = (take for test, take in GUARDS.values() if request.node.nodeid.startswith(test))
+    take_out(monkeypatch)
