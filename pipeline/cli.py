@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -238,6 +239,54 @@ def simulate(
     )
     for line in lines:
         typer.echo(line)
+
+
+@app.command()
+def fabricate(
+    design: Annotated[Path | None, typer.Argument(help="A design file (design.json).")] = None,
+    study: Annotated[str | None, typer.Option("--study", help="Or a study, whose proposed champion is taken.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="The kit's folder: a new one, or a kit to replace.")] = Path("kit"),
+    settings: Annotated[Path | None, typer.Option("--settings", help="A file of the kit's own settings.")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Change one: kit.servo=mg90s, kit.bed_mm=[180,180,180].")
+    ] = None,
+    preset: Annotated[str, typer.Option("--preset", help="How a design file is simulated.")] = "pontoon",
+    store: StorePath = DEFAULT_STORE,
+    tracking_uri: TrackingUri = None,
+) -> None:
+    """Make the kit of a robot: parts to print, a bill, drawings, the scale's physics, the servos' timeline.
+
+    The exit code is 1 where something speaks against building it.
+    """
+    from pipeline.configuration import load, parse
+    from pipeline.fabrication.choices import FabricationSettings
+    from pipeline.fabrication.command import fabricate as make
+    from pipeline.settings import Settings
+    from pipeline.tracking import open_tracker
+
+    if (design is None) == (study is None):
+        raise PuddleError("expected a design file or --study NAME, one of them: `puddle fabricate design.json`")
+    choices = tuple(overrides or ())
+    chosen = (
+        load(FabricationSettings, settings, choices)
+        if settings is not None
+        else parse(FabricationSettings, "", name="the kit's settings", overrides=choices)
+    )
+    shared = Chosen(preset, None, (), store)
+    opened = shared.open_store(create=study is None)
+    if study is None:
+        of_study = shared.settings()
+    elif (record := opened.read_study(study)) is None:
+        raise PuddleError(f"--study: {store} holds no study of the name {study!r}")
+    else:
+        of_study = Settings.model_validate_json(json.dumps(record.settings))
+    with _interruptible():
+        made = make(design, of_study, chosen, out, store=opened,
+                    tracker=open_tracker(opened.root, tracking_uri, say=_to_stderr))
+    for line in made.lines:
+        typer.echo(line)
+    if made.faults:
+        raise typer.Exit(INCOMPLETE)
 
 
 @app.command()
