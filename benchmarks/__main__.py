@@ -37,8 +37,8 @@ def main() -> None:
     """Measure, print, write."""
     console = Console(width=118)
     figures: list[Figure] = []
-    for measure in (engines.first_call, engines.steps, engines.packing, engines.two_processes, networks.inference,
-                    networks.generation):  # fmt: skip
+    for measure in (engines.first_call, engines.steps, engines.bodies, engines.packing, engines.two_processes,
+                    networks.inference, networks.generation):  # fmt: skip
         console.print(f"[dim]{measure.__doc__}[/dim]")
         figures += measure()
     table = Table(title=f"One core of {machine()['cpu']}")

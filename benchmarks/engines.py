@@ -15,9 +15,10 @@ import numpy as np
 
 from benchmarks import obvious
 from benchmarks.measure import Figure, seconds
-from tasks.design import Designs, random_designs
-from tasks.design.body import kinematic_trees
+from tasks.design import Designs, Morphology, random_designs
+from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.simulation import batch, reference, simulate
+from tasks.simulation.bodies.robots import Robots
 from tasks.simulation.drive import Drive
 from tasks.simulation.lanes import widest
 from tasks.world import DryLand, Environment, Physics, Slush, TrueSlush
@@ -27,11 +28,14 @@ N_DESIGNS = 64
 N_STEPS = 1400
 N_ROUNDS = 7
 PHYSICS = Physics()
+AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torque=30.0)
+"""Of the robot that was built: rigid bodies that collide."""
+BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
 
-def designs() -> Designs:
+def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it is frozen)
     """Draw a generation of designs, always the same."""
-    return random_designs(N_DESIGNS, np.random.default_rng(64))
+    return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
 
 
 def first_call() -> list[Figure]:
@@ -64,17 +68,25 @@ def _batch(designs: Designs, environment: Environment) -> float:
     return seconds(lambda: groups.advance(world, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
 
 
-def _bare_steps(designs: Designs, environment: Environment, n_steps: int) -> float:
+def _batch_of_bodies(designs: Designs, environment: Environment) -> float:
+    robots = Robots(designs, environment.depth, AS_BUILT, n_members=1)
+    world = batch.shared_world(environment, AS_BUILT)
+    return seconds(lambda: robots.advance(world, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
+
+
+def _bare_steps(designs: Designs, environment: Environment, n_steps: int, physics: Physics = PHYSICS) -> float:
     """pybox2d's own Step of 64 worlds and nothing else."""
-    trees, drive = kinematic_trees(designs, density=PHYSICS.link_density), Drive.of(designs)
+    trees, drive = kinematic_trees(designs, density=physics.link_density), Drive.of(designs)
+    rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
     worlds = [
-        reference._Robot(trees, design, drive, environment.depth, PHYSICS).world for design in range(len(designs))
+        reference._Robot(trees, rigid, design, drive, environment.depth, physics).world
+        for design in range(len(designs))
     ]
 
     def run() -> None:
         for _ in range(n_steps):
             for world in worlds:
-                world.Step(PHYSICS.time_step, PHYSICS.velocity_iterations, PHYSICS.position_iterations)
+                world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
 
     return seconds(run) / len(designs) / n_steps * 1e6
 
@@ -116,6 +128,26 @@ def steps() -> list[Figure]:
             Figure(f"the obvious script, d = {depth:g}", script, unit),
             Figure(f"Step alone over batch, d = {depth:g}", _over(bare, ours), "times", 20.0, at_least=True),
             Figure(f"obvious script over batch, d = {depth:g}", _over(script, ours), "times", 400.0, at_least=True),
+        ]
+    return figures
+
+
+def bodies() -> list[Figure]:
+    """Step 64 robots of rigid bodies that collide, with two motors each: the batch engine and pybox2d."""
+    figures = []
+    population = designs(BUILDABLE)
+    _batch_of_bodies(population, DryLand(0.0))
+    for depth in (0.0, 9.0):
+        environment = TrueSlush(depth)
+        ours, bare = [], []
+        for _ in range(N_ROUNDS):
+            ours.append(_batch_of_bodies(population, environment))
+            bare.append(_bare_steps(population, environment, 200, AS_BUILT))
+        unit = "µs per robot and step"
+        figures += [
+            Figure(f"batch engine, bodies, d = {depth:g}", ours, unit),
+            Figure(f"pybox2d's Step alone, bodies, d = {depth:g}", bare, unit),
+            Figure(f"Step alone over batch, bodies, d = {depth:g}", _over(bare, ours), "times", 3.0, at_least=True),
         ]
     return figures
 

@@ -215,7 +215,7 @@ def simulate(
     design: Annotated[Path, typer.Argument(help="A design file (design.json).")],
     environment: Annotated[str, typer.Option("--environment", help="dry_land, true_slush or residual_slush.")],
     depth: Annotated[float, typer.Option("--depth", help="Of the ground below the surface [m].")],
-    out: Annotated[Path | None, typer.Option("--out", help="A GIF to film the robot in.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="A .gif or .mp4 to film the robot in.")] = None,
     preset: Preset = DEFAULT_PRESET,
     settings: SettingsFile = None,
     overrides: Overrides = None,

@@ -15,7 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.artifacts import Json, encode_table, key_of
+from pipeline.errors import PuddleError
 from pipeline.manifest import Manifest
+from pipeline.report import render_gif, render_mp4, replay_of
+from pipeline.report.replay import STEPS_PER_SECOND
 from pipeline.schedule import Schedule, Work, play
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Chain, Results, Stage
@@ -27,7 +30,7 @@ from tasks.design import random_designs
 from tasks.evolution import NOBODY_YET, Evaluation, ask, evolve, tell
 from tasks.residual import OBSERVATION, initial_states, simulate_throws
 from tasks.simulation import simulate
-from tasks.world import Environment, ResidualSlush
+from tasks.world import DryLand, Environment, ResidualSlush
 
 if TYPE_CHECKING:
     from tasks.residual.ensemble import Ensemble
@@ -57,6 +60,8 @@ class Rates:
     population_size: int
     selection: float
     """Asking and telling, a generation's part that is not simulation [s]."""
+    picture: float
+    """Of a film, as GIF and as MP4."""
     bytes_per_design: float
     """What a trial's history keeps of each evaluated design [bytes]."""
 
@@ -98,6 +103,7 @@ def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
         generation=generation,
         population_size=settings.evolution.afpo.population_size,
         selection=_time_of_selection(settings),
+        picture=_time_of_picture(settings),
         bytes_per_design=bytes_per_design(settings),
     )
 
@@ -132,7 +138,9 @@ def _price(stage: Stage, chain: Chain, rates: Rates) -> float:
             return rates.rollout("true_slush") + rates.rollout("residual_slush")
         case "analyses":
             return float(chain.spec["n_rollouts"]) * rates.rollout(chain.spec["world"])
-    return 0.0  # the report: seconds, whatever the study
+        case "pictures":
+            return rates.picture
+    raise ValueError(f"stage {stage.name}: its work is counted in {stage.unit}, which has no price")
 
 
 def _seconds(function: Callable[[], object]) -> float:
@@ -150,20 +158,23 @@ def _time_of_throw(settings: Settings) -> float:
 
 
 def _time_of_iteration(settings: Settings) -> float:
-    from tasks.residual.training import train_member
+    from tasks.residual.training import NoDevice, train_member
 
     throws = settings.throws.model_copy(update={"n_throws": N_CALIBRATION_THROWS})
     starts = initial_states(throws, np.random.default_rng(0))
     transitions = simulate_throws(starts, throws.n_steps, settings.slush, settings.physics)
     times: list[float] = []
-    train_member(
-        transitions,
-        settings.network,
-        settings.training.model_copy(update={"n_iterations": 2 * N_CALIBRATION_ITERATIONS}),
-        seed=0,
-        member=0,
-        on_progress=lambda iteration, loss: times.append(time.perf_counter()),
-    )
+    try:
+        train_member(
+            transitions,
+            settings.network,
+            settings.training.model_copy(update={"n_iterations": 2 * N_CALIBRATION_ITERATIONS}),
+            seed=0,
+            member=0,
+            on_progress=lambda iteration, loss: times.append(time.perf_counter()),
+        )
+    except NoDevice as missing:
+        raise PuddleError(f"{missing}: what a GPU does can be timed only where there is one") from None
     return (times[-1] - times[N_CALIBRATION_ITERATIONS - 1]) / N_CALIBRATION_ITERATIONS
 
 
@@ -212,7 +223,7 @@ def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
 
 
 def _time_of_selection(settings: Settings) -> float:
-    afpo, rng = settings.evolution.afpo, np.random.default_rng(0)
+    afpo, morphology, rng = settings.evolution.afpo, settings.evolution.morphology, np.random.default_rng(0)
 
     def selection() -> object:
         children = ask(NOBODY_YET, rng, afpo, morphology=morphology)
@@ -221,6 +232,26 @@ def _time_of_selection(settings: Settings) -> float:
         return tell(population, more, rng.normal(size=afpo.population_size), rng, afpo)
 
     return _seconds(selection)
+
+
+def _time_of_picture(settings: Settings) -> float:
+    """Film a random design for a second."""
+    design = random_designs(1, np.random.default_rng(0))
+    rollouts = simulate(
+        design, DryLand(0.0), n_settle=0, n_measure=STEPS_PER_SECOND, engine=settings.work.engine, trace=True
+    )
+    assert rollouts.trace is not None
+    replay = replay_of(
+        design,
+        rollouts.trace[0],
+        title="a film",
+        environment="dry_land",
+        world="Dry Land",
+        depth=0.0,
+        has_medium=False,
+        n_settle=0,
+    )
+    return _seconds(lambda: (render_gif([replay]), render_mp4([replay]))) / len(replay.frames)
 
 
 def bytes_per_design(settings: Settings) -> float:

@@ -11,12 +11,12 @@ import numpy as np
 from pipeline import disk
 from pipeline.design_file import read_design
 from pipeline.errors import PuddleError
+from pipeline.report import render_gif, render_mp4, replay_of
 from pipeline.report.data import ENVIRONMENTS as STYLES
-from pipeline.report.gif import render_gif
-from pipeline.report.replay import replay_of
 from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import MissingInputs
 from pipeline.stages import STAGES
+from pipeline.stages.analyses.films import median_member
 from pipeline.stages.segments import WEIGHTS, segment_spec, world_inputs, world_of
 from pipeline.store import Store
 from pipeline.study import survey
@@ -24,6 +24,9 @@ from tasks.evolution import evaluate
 from tasks.simulation import OK, simulate
 
 WORLDS = tuple(name for name in ENVIRONMENTS if name != "single_member")
+
+FORMATS = {".gif": render_gif, ".mp4": render_mp4}
+"""How a film is made, by the end of its file's name."""
 
 
 def simulate_design(
@@ -42,7 +45,7 @@ def simulate_design(
         path: of the design file.
         environment: dry_land, true_slush or residual_slush.
         depth: of the ground [m].
-        out: where to put a GIF, if anywhere; in Residual Slush it shows the first member's world.
+        out: where to put a GIF or an MP4, if anywhere; in Residual Slush, of the median member's world.
         settings: how long the design is watched, and which networks residual_slush means.
         open_store: gives the store that holds the networks.
         how_to_run: gives the command line that runs a stage, for messages.
@@ -54,8 +57,9 @@ def simulate_design(
     if environment not in WORLDS:
         raise PuddleError(f"--environment: expected one of {', '.join(WORLDS)}, came {environment!r}")
     world = cast(EnvironmentName, environment)
-    if out is not None and (out.suffix.lower() != ".gif" or not out.parent.is_dir()):
-        raise PuddleError(f"--out: expected a file name that ends in .gif, in a folder that exists, came {out}")
+    if out is not None and (out.suffix.lower() not in FORMATS or not out.parent.is_dir()):
+        ends = " or ".join(FORMATS)
+        raise PuddleError(f"--out: expected a file name that ends in {ends}, in a folder that exists, came {out}")
     spec = segment_spec(settings, stage="simulate", environment=world, world=world, depth=depth, trial=0)
     files = {}
     if world == "residual_slush":
@@ -89,18 +93,22 @@ def simulate_design(
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
         lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
     if out is not None and rollouts.trace is not None:
-        trace = rollouts.trace[0, 0] if world == "residual_slush" else rollouts.trace[0]
+        trace, words = rollouts.trace[0], STYLES[world].label
+        if world == "residual_slush":
+            member = median_member(rollouts.displacement[:, 0])
+            trace, words = rollouts.trace[member, 0], f"{words} (member {member})"
         replay = replay_of(
             design,
             trace,
             title=path.stem,
             environment=world,
-            world=STYLES[world].label,
+            world=words,
             depth=depth,
             has_medium=world != "dry_land",
+            imagined=world == "residual_slush",
             n_settle=settings.rollout.n_settle,
         )
         with disk.explained("writing the film", out):
-            out.write_bytes(render_gif([replay]))
+            out.write_bytes(FORMATS[out.suffix.lower()]([replay]))
         lines.append(f"  filmed in {out}")
     return lines

@@ -84,7 +84,7 @@ class Item:
     """All that changes the result, inputs apart: settings used, seed, what it is."""
     inputs: Mapping[str, Input]
     how: Spec = field(default_factory=dict)
-    """What does not change the result: engine, size of batches."""
+    """What does not change the result: engine, size of batches, ``n_gpus`` that it occupies."""
 
     @cached_property
     def identity(self) -> Mapping[str, Json]:

@@ -237,6 +237,13 @@ class _Dispatcher:
     def _submit(self, walk: Walk) -> None:
         item = _next_item(self._stage, self._settings, walk, self._upstream)
         contents = [self._contents(source) for source in item.inputs.values()]
+        n_gpus = float(item.how.get("n_gpus", 0))
+        if n_gpus and not self._cluster.n_gpus:  # Ray would wait for one for ever
+            raise PuddleError(
+                f"{item.stage} of {item.label} is to run on a GPU, and there is none here. Expected one that torch or "
+                f"Ray finds; give --address of a cluster that has one, or choose cores (--set training.device=cpu: "
+                f"other low bits, so other networks)."
+            )
         ticket = self._cluster.submit(
             compute_item,
             self._stage.compute,
@@ -244,6 +251,7 @@ class _Dispatcher:
             tuple(item.inputs),
             *contents,
             n_cores=0.0 if _is_batched(item) else 1.0,
+            n_gpus=n_gpus,
             name=f"{item.stage} {item.label}",
         )
         self._running[ticket] = (walk, item)

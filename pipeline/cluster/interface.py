@@ -65,13 +65,19 @@ class Cluster(Protocol):
         """Cores that the cluster has now."""
 
     @property
+    def n_gpus(self) -> float:
+        """GPUs that the cluster has now."""
+
+    @property
     def n_running(self) -> int:
         """Calls submitted whose outcome has not been taken yet."""
 
     def share(self, value: Any) -> Handle:
         """Put a large immutable value, such as an ensemble's weights, once for many calls."""
 
-    def submit(self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = "") -> Ticket:
+    def submit(
+        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
+    ) -> Ticket:
         """Queue ``function(*args)``. An argument (not something inside one) may be a :class:`Handle`.
 
         A function that only waits for its own :func:`spread` takes ``n_cores=0``; each of those is a process, so a

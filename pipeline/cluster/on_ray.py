@@ -76,6 +76,12 @@ class _Ray:
         return float(ray.cluster_resources().get("CPU", 0.0))
 
     @property
+    def n_gpus(self) -> float:
+        import ray
+
+        return float(ray.cluster_resources().get("GPU", 0.0))
+
+    @property
     def n_running(self) -> int:
         return len(self._running)
 
@@ -84,9 +90,11 @@ class _Ray:
 
         return Handle(ray.put(value))
 
-    def submit(self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = "") -> Ticket:
+    def submit(
+        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
+    ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
-        reference = _remote_call(n_cores, ticket.name).remote(function, *references(args))
+        reference = _remote_call(n_cores, ticket.name, n_gpus).remote(function, *references(args))
         self._running[reference] = ticket
         return ticket
 
@@ -263,9 +271,10 @@ def _remote_function() -> Any:
     return ray.remote(_call)  # once: Ray sends each remote function to every worker that runs it
 
 
-def _remote_call(n_cores: float, name: str) -> Any:
+def _remote_call(n_cores: float, name: str, n_gpus: float = 0.0) -> Any:
     return _remote_function().options(
         num_cpus=n_cores,
+        num_gpus=n_gpus,
         name=name,
         max_retries=N_INFRASTRUCTURE_RETRIES,
         retry_exceptions=False,

@@ -28,14 +28,25 @@ class _Serial:
         self._waiting: deque[tuple[Ticket, Callable[..., Any], tuple[Any, ...]]] = deque()
 
     @property
+    def n_gpus(self) -> float:
+        from tasks.residual.training import n_cuda_devices  # torch takes a second to import
+
+        return float(n_cuda_devices())
+
+    @property
     def n_running(self) -> int:
         return len(self._waiting)
 
     def share(self, value: Any) -> Handle:
         return Handle(value)
 
-    def submit(  # n_cores: there is one
-        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, name: str = ""  # noqa: ARG002
+    def submit(  # n_cores, n_gpus: a call has what there is
+        self,
+        function: Callable[..., Any],
+        *args: Any,
+        n_cores: float = 1.0,  # noqa: ARG002
+        n_gpus: float = 0.0,  # noqa: ARG002
+        name: str = "",
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
         self._waiting.append((ticket, function, references(args)))

@@ -1,5 +1,4 @@
-"""The kit on the bench: what its servos must give, whether it floats, how they are told to move; and what speaks against.
-"""
+"""The kit on the bench: what its servos must give, whether it floats, how they are told to move, and what is wrong."""
 
 from __future__ import annotations
 
@@ -43,7 +42,8 @@ class Simulated:
     duration: float
     """That it took [s of simulation]."""
     torque: npt.NDArray[np.float64]
-    """(n_steps, n_joints) given by the simulated motors [N·m of simulation]."""
+    """(n_steps, n_joints) given by the simulated motors once the robot had settled [N·m of simulation]. Settling is left
+    out: there the motors jump to their gait, which the bench's timeline does not."""
     speed: npt.NDArray[np.float64]
     """(n_steps, n_joints) [rad/s of simulation]."""
 
@@ -102,8 +102,8 @@ def run(
         displacement=float(rollouts.displacement[0]),
         com_displacement=float(rollouts.com_displacement[0]),
         duration=n_measure * physics.time_step,
-        torque=rollouts.motor_torque[0][:, list(joints)].astype(np.float64),
-        speed=trace[:, list(joints), OMEGA] - trace[:, parent, OMEGA],
+        torque=rollouts.motor_torque[0][n_settle:, list(joints)].astype(np.float64),
+        speed=trace[n_settle:, list(joints), OMEGA] - trace[n_settle:, parent, OMEGA],
     )
 
 
@@ -135,16 +135,20 @@ def bench_of(
         )  # fmt: skip
     floating = floating_of(kit, fluid_density=settings.scaling.fluid_density)
     calibration = calibration_of(kit, servo)
-    timeline, refused = None, []
+    timeline: Timeline | None = None
+    refused: list[Finding] = []
     if calibration is not None:
         try:
             timeline = timeline_of(design, settings.playback, time_scale=scales.time)
             pulses(timeline, calibration)
         except TimelineError as error:
             timeline = None
-            refused.append(Finding("timeline", "fault", "servos", f"the servos can't play this gait: {error}. {SLOWER}"))
+            refused = [Finding("timeline", "fault", "servos", f"they can't play this gait: {error}. {SLOWER}")]
     found = [*refused, *_of_loads(loads, servo, simulated), *_of_floating(floating)]
-    return Bench(scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline, tuple(found))
+    return Bench(
+        scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
+        tuple(found),
+    )  # fmt: skip
 
 
 SLOWER = "It is slower with --set scaling.law=kept_frequencies; or choose a faster servo (--set kit.servo=...)"
@@ -152,7 +156,7 @@ SLOWER = "It is slower with --set scaling.law=kept_frequencies; or choose a fast
 
 def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
     """Give what a servo of the data sheet, mounted as in the kit, would need: a first guess."""
-    servos = []
+    servos: list[ServoCalibration] = []
     for drive in kit.drives:
         reach = servo.us_per_rad * (drive.joint.motion_range + SPARE)
         for side in drive.sides(kit.settings.servos_per_joint):
@@ -178,9 +182,9 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
         if load.use > 1:
             found.append(Finding(
                 "torque", "fault", where,
-                f"the servo can't do it: at the worst instant the run asks for {load.use:.2f} times what a {servo.name} "
-                f"can give (up to {load.peak_torque:.2f} N·m, up to {load.peak_speed:.1f} rad/s; it has "
-                f"{servo.stall_torque_nm:.2f} N·m at rest and {servo.no_load_speed_rad_s:.1f} rad/s unloaded). {SLOWER}",
+                f"the servo can't do it: at the worst instant the run asks for {load.use:.2f} times what a "
+                f"{servo.name} can give (up to {load.peak_torque:.2f} N·m, up to {load.peak_speed:.1f} rad/s; it has "
+                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded). {SLOWER}",
             ))  # fmt: skip
         if load.stall_share > HOT:
             found.append(Finding(

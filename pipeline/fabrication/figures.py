@@ -48,7 +48,7 @@ def _torque(design: Designs, bench: Bench) -> tuple[Figure, str]:
 
 def timeline_figure(bench: Bench) -> Drawing | Missing:
     """Draw the beginning of the timeline."""
-    return finish("timeline", "Joint angles on the bench", partial(_timeline, bench))
+    return finish("gait", "Joint angles on the bench", partial(_timeline, bench))
 
 
 def _timeline(bench: Bench) -> tuple[Figure, str]:

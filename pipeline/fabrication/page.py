@@ -63,7 +63,7 @@ def render_kit(
         "findings": _findings(findings),
         "parts": _parts(kit),
         "bill": _bill(kit),
-        "scale": _scale(kit, bench, drawings["torque"], law, physics, slush_density, frequency),
+        "scale": _scale(bench, drawings["torque"], law, physics, slush_density, frequency),
         "timeline": _timeline(bench, drawings["timeline"]),
         "folder": escape(folder),
         "chosen": f"<details><summary>Settings</summary><pre><code>{escape(settings_yaml)}</code></pre></details>",
@@ -89,8 +89,8 @@ def _findings(findings: Sequence[Finding]) -> str:
     if not findings:
         return "<p>Nothing.</p>"
     items = "".join(
-        f'<li class="{finding.severity}"><b>{finding.severity}</b> · {escape(finding.where)}: {escape(finding.message)}</li>'
-        for finding in findings
+        f'<li class="{found.severity}"><b>{found.severity}</b> · {escape(found.where)}: {escape(found.message)}</li>'
+        for found in findings
     )
     return f'<ul class="found">{items}</ul>'
 
@@ -120,8 +120,7 @@ def _bill(kit: Kit) -> str:
 
 
 def _scale(
-    kit: Kit, bench: Bench, figure: Drawing | Missing, law: str, physics: Physics, slush_density: float,
-    frequency: float,
+    bench: Bench, figure: Drawing | Missing, law: str, physics: Physics, slush_density: float, frequency: float
 ) -> str:  # fmt: skip
     scales, servo, floating = bench.scales, bench.servo, bench.floating
     limit = physics.max_motor_torque * scales.torque
@@ -153,10 +152,10 @@ def _scale(
         "simulation) are those of kept frequencies, which the study's virtual tank assumes too. The other law is one "
         "setting away: <code>--set scaling.law=…</code>.</p>",
         _table(["", "in simulation", "on the bench"], units, "left"),
-        f"<p>A {escape(servo.name)} has {servo.stall_torque_nm:.2f} N·m at rest and {servo.no_load_speed_rad_s:.1f} rad/s "
-        f"unloaded, at {servo.voltage_v:g} V; {bench.servos_per_joint} at each joint. That is "
-        f"{max(stall, limit) / max(min(stall, limit), 1e-12):.1f} times {weaker} than the simulated motor's limit at this "
-        f"scale{': where the simulated robot was too weak, on dry land say, this one may not be' if stall > limit else ''}"
+        f"<p>A {escape(servo.name)} has {servo.stall_torque_nm:.2f} N·m at rest and "
+        f"{servo.no_load_speed_rad_s:.1f} rad/s unloaded, at {servo.voltage_v:g} V; {bench.servos_per_joint} at each "
+        f"joint. That is {max(stall, limit) / max(min(stall, limit), 1e-12):.1f} times {weaker} than the simulated "
+        f"motor's limit at this scale{': where the simulated robot was too weak, on dry land say, this one may not be' if stall > limit else ''}"
         f".</p>",
         _table(["each servo of", "torque, at most [N·m]", "torque, on average [N·m]", "speed, at most [rad/s]",
                 "margin, at the worst instant", "of the run at the simulated limit"], loads) if loads else "",

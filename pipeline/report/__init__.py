@@ -6,7 +6,8 @@ To add a figure: draw it in the module of its subject, list it in figures.py, an
 from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
 from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
-from pipeline.report.gif import render_gif, write_gif
+from pipeline.report.gif import render_gif
+from pipeline.report.mp4 import render_mp4
 from pipeline.report.page import render_page
 from pipeline.report.replay import Replay, replay_of
 
@@ -20,7 +21,7 @@ __all__ = [
     "TrialResult",
     "draw_all",
     "render_gif",
+    "render_mp4",
     "render_page",
     "replay_of",
-    "write_gif",
 ]

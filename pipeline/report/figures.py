@@ -24,7 +24,7 @@ def draw_all(report: StudyReport) -> dict[str, Drawing | Missing]:
 FIGURES: dict[str, tuple[str, Callable[[StudyReport], tuple[Figure, str]]]] = {
     "transfer_at_depth": ("Transfer at the deepest depth", transfer_at_depth),
     "transfer_across_depths": ("Transfer across depths", transfer_across_depths),
-    "attribution": ("Whose fault the gap is", attribution),
+    "attribution": ("The gap by body and controller", attribution),
     "transfer_matrix": ("Transfer between depths", transfer_matrix),
     "data_set": ("The data set", data_set),
     "prediction_accuracy": ("Prediction accuracy", partial(prediction_accuracy, n_columns=2)),

@@ -32,10 +32,10 @@ def gallery(replays: Sequence[Replay]) -> str:
         (replay.depth, EXEMPLARS.index(environment), index)
         for index, replay in enumerate(replays)
         for environment in EXEMPLARS
-        if replay.environment == environment
+        if replay.environment == environment and replay.in_true_slush
     )
     if not shown:
-        return absent("The gallery", "no champion evolved with residuals or on Dry Land has been filmed yet")
+        return absent("The gallery", "no champion evolved with residuals or on Dry Land has been filmed in slush yet")
     cards = []
     for depth, group in groupby(shown, key=lambda entry: entry[0]):
         films = "".join(_film(replays[index], index) for _, _, index in group)
@@ -62,14 +62,16 @@ def viewer(replays: Sequence[Replay]) -> str:
     if not replays:
         return absent("The replay viewer", "no champion’s motion has been kept yet")
     numbered = sorted(enumerate(replays), key=lambda item: item[1].depth)
-    # The first thing to see is what the study is about: a robot evolved with residuals, where they matter most.
-    chosen, _ = max(numbered, key=lambda item: (item[1].environment == "residual_slush", item[1].depth))
+    # The first thing to see is what the study is about: a robot evolved with residuals, where they matter most, and
+    # beside what it does what it promised.
+    chosen, _ = max(numbered, key=lambda item: _interest(item[1]))
     overlays = dict.fromkeys(overlay.label for replay in replays for overlay in replay.overlays)
     colors = "".join(f'<option value="{escape(label)}">{escape(label)}</option>' for label in overlays)
     pushes = any(replay.push is not None for replay in replays)
     return f"""<div class="viewer" id="viewer">
 <div class="bar"><label class="grow">Robot <select id="choice">{_groups(numbered, chosen)}</select></label>
-<label class="grow">Beside it <select id="beside"><option value="" selected>nothing</option>
+<label class="grow">Beside it <select id="beside"><option value="">nothing</option>
+<option value="twin" selected>the same robot, in its other world</option>
 {_groups(numbered, None)}</select></label></div>
 <canvas id="stage" role="img" aria-label="A robot moving in its world"></canvas>
 <div class="bar below"><button id="play" type="button">Play</button>
@@ -85,7 +87,23 @@ def viewer(replays: Sequence[Replay]) -> str:
 </div>
 <p class="small">The root link, whose way is measured, is darker and bears a black dot; joints are white dots. The
 number is how far the root has come since the clock started, once the robot had
-settled.{_overlay_words(overlays)}</p>"""
+settled.{_twin_words(replays)}{_overlay_words(overlays)}</p>"""
+
+
+def _interest(replay: Replay) -> tuple[bool, bool, float]:
+    return replay.environment == "residual_slush", replay.in_true_slush, replay.depth
+
+
+def _twin_words(replays: Sequence[Replay]) -> str:
+    if all(replay.in_true_slush for replay in replays):
+        return ""
+    words = " Beside what a robot does in True Slush stands what it promised where it evolved."
+    if any(replay.imagined for replay in replays):
+        words += (
+            " Of an ensemble that is the world of the member that promises the median (the lower of two); slush that "
+            "is only imagined has a dashed surface, and its push is what the member imagines."
+        )
+    return words
 
 
 def _overlay_words(overlays: Iterable[str]) -> str:
@@ -107,9 +125,13 @@ def _groups(numbered: Sequence[tuple[int, Replay]], chosen: int | None) -> str:
 
 def _choices(numbered: Iterable[tuple[int, Replay]], chosen: int | None) -> str:
     return "".join(
-        f'<option value="{index}"{" selected" if index == chosen else ""}>{escape(replay.title)}</option>'
+        f'<option value="{index}"{" selected" if index == chosen else ""}>{escape(_choice(replay))}</option>'
         for index, replay in numbered
     )
+
+
+def _choice(replay: Replay) -> str:
+    return replay.title if replay.in_true_slush else f"{replay.title}: in {replay.world}"
 
 
 def script(replays: Sequence[Replay]) -> str:

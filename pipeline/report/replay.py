@@ -49,6 +49,7 @@ class Replay:
         world: where it is seen, in words.
         depth: of the ground below y = 0 [m].
         has_medium: whether something fills the world below y = 0.
+        imagined: whether that is what networks make of it; its surface is then dashed.
         length_scale: (n_links,) long axis of each link [m]; its width is the reciprocal.
         parent: (n_links,) index of each link's parent, -1 for the root.
         parent_attachment: (n_links,) joint's place on the parent's long axis [half heights].
@@ -70,6 +71,7 @@ class Replay:
     fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME
     overlays: tuple[Overlay, ...] = ()
     push: npt.NDArray[np.float64] | None = None
+    imagined: bool = False
 
     def __post_init__(self) -> None:
         shape = self.frames.shape[:2]
@@ -81,6 +83,11 @@ class Replay:
                 )
         if self.push is not None and self.push.shape != (*shape, 2):
             raise ValueError(f"replay {self.title!r}: push has shape {self.push.shape}, expected {(*shape, 2)}")
+
+    @property
+    def in_true_slush(self) -> bool:
+        """Whether it shows what the robot truly does in slush."""
+        return self.has_medium and not self.imagined
 
     @property
     def duration(self) -> float:
@@ -112,6 +119,7 @@ def replay_of(
     depth: float,
     has_medium: bool,
     n_settle: int,
+    imagined: bool = False,
     overlays: tuple[Overlay, ...] = (),
     push: npt.NDArray[np.float64] | None = None,
 ) -> Replay:
@@ -126,6 +134,7 @@ def replay_of(
         depth: of the ground [m].
         has_medium: whether something fills the world below y = 0.
         n_settle: steps at the start that are left out, as they are from the displacement; 0 shows them.
+        imagined: whether networks make up what fills it.
         overlays: of the frames, see :func:`at_frames`.
         push: of the frames.
 
@@ -153,6 +162,7 @@ def replay_of(
         frames=frames,
         overlays=overlays,
         push=push,
+        imagined=imagined,
     )
 
 
@@ -175,6 +185,7 @@ class EncodedReplay(TypedDict):
     world: str
     depth: float
     hasMedium: bool
+    imagined: bool
     fps: float
     lengthScale: list[float]
     parent: list[int]
@@ -208,6 +219,7 @@ def encode(replay: Replay) -> EncodedReplay:
         world=replay.world,
         depth=replay.depth,
         hasMedium=replay.has_medium,
+        imagined=replay.imagined,
         fps=replay.fps,
         lengthScale=[round(float(length), 4) for length in replay.length_scale],
         parent=[int(parent) for parent in replay.parent],

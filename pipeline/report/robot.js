@@ -125,8 +125,14 @@ const robots = (() => {
       context.fillStyle = color("slush");
       context.fillRect(0, surface, box.width, box.height - surface);
       context.globalAlpha = 1;
-      context.fillStyle = color("surface");
-      context.fillRect(0, surface - 1, box.width, 2);
+      context.strokeStyle = color("surface");
+      context.lineWidth = 2;
+      context.setLineDash(replay.imagined ? [10, 6] : []); // a medium that is only imagined has a dashed surface
+      context.beginPath();
+      context.moveTo(0, surface);
+      context.lineTo(box.width, surface);
+      context.stroke();
+      context.setLineDash([]);
     }
     if (ground < box.height) {
       context.fillStyle = color("ground");
@@ -260,7 +266,10 @@ const robots = (() => {
     context.fillStyle = color("ink");
     context.textAlign = "left";
     context.font = "13px system-ui, sans-serif";
-    context.fillText("in " + replay.world + ", " + replay.depth + " m", 12, 12);
+    context.fillText("in " + replay.world + ", " + replay.depth + " m", 12, 10);
+    context.fillStyle = color("soft");
+    context.fillText(replay.title, 12, 28);
+    context.fillStyle = color("ink");
     context.textAlign = "right";
     context.font = "600 18px system-ui, sans-serif";
     context.fillText(metres(links[0][0] - replay.start, 1), box.width - 12, 9);

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -60,10 +61,14 @@ def against_paper(findings: Findings) -> str:
             table += f"<details><summary>{len(folded)} {name}{gist}</summary>{rest}</details>"
     return (
         f'<div id="against_paper"><h3>Against the paper: {_verdicts(rows)}</h3>{table}'
-        '<p class="small">A number agrees where the paper’s lies in the 95 % prediction interval of this run: the '
-        "range into which a repeat of this run with the paper’s number of trials would fall. Fewer "
-        "trials than the paper’s "
-        "make large p-values easy and small ones hard, so what they fail to show is not comparable.</p></div>"
+        '<p class="small">Under this run’s number stands its 95 % interval: how well these trials or designs know it '
+        "(of means Student’s t, of ratios and regressions the bootstrap, which draws whole trials). A number agrees "
+        "where the paper’s lies in the wider 95 % prediction interval, under “Why”: the range into which a repeat of "
+        "this run with as many trials as the paper’s would fall. What the paper gives as a range over members agrees "
+        "where this run’s median member is in it; the ratio of deviations where its whole interval is above 1. A t "
+        "test agrees where its p is on the paper’s side of the paper’s "
+        "threshold; fewer trials than the paper’s make large p-values easy and small ones hard, so what they fail to "
+        "show is not comparable.</p></div>"
     )
 
 
@@ -79,11 +84,16 @@ def _paper_cells(row: Row) -> list[str]:
     kind = row.verdict.replace(" ", "-")
     return [
         f"{escape(row.what)}<small>{escape(row.source)}</small>",
-        escape(row.paper),
-        escape(row.this_run),
+        _minus(escape(row.paper)),
+        _minus(escape(row.this_run) + (f"<small>{escape(row.interval)}</small>" if row.interval else "")),
         f'<span class="verdict {kind}"><span aria-hidden="true">{MARKS[row.verdict]}</span> {row.verdict}</span>',
-        escape(row.why),
+        _minus(escape(row.why)),
     ]
+
+
+def _minus(text: str) -> str:
+    """Write the minus of numbers as such."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "−", text)
 
 
 # -- tests ------------------------------------------------------------------------------------------------------------

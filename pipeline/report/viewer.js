@@ -80,10 +80,12 @@
     context.fillRect(state.time / duration() * width - 1, 0, 2, height);
     const ramp = [0, 0.25, 0.5, 0.75, 1].map((share) => heat(share)).join(", ");
     const unit = shown[0].overlays.find((overlay) => overlay.label === label).unit;
-    const legend = control("legend"), text = [darkest, most].map((value) => value.toPrecision(2) + " " + unit).join(" ");
+    const scale = " " + darkest.toPrecision(2) + " " + unit + " or more. Line: mean over links, up to " + most.toPrecision(2) + " " + unit + ".";
+    const which = shown.length > 1 ? " Solid: in " + shown[0].world + "; dashed: in " + shown[1].world + "." : "";
+    const legend = control("legend"), text = scale + which;
     if (legend.dataset.text !== text) {
       legend.dataset.text = text;
-      legend.replaceChildren("0 ", Object.assign(document.createElement("span"), { className: "ramp" }), " " + darkest.toPrecision(2) + " " + unit + " or more. Line: mean over links, up to " + most.toPrecision(2) + " " + unit + ".");
+      legend.replaceChildren("0 ", Object.assign(document.createElement("span"), { className: "ramp" }), text);
       legend.querySelector(".ramp").style.background = "linear-gradient(to right, " + ramp + ")";
     }
   }
@@ -120,9 +122,15 @@
     draw();
   }
 
+  // The same robot in its other world: where it evolved, or True Slush. One that evolved in True Slush has none.
+  function twinOf(one) {
+    return replays.find((other) => other !== one && ["title", "environment", "depth"].every((name) => other[name] === one[name]));
+  }
+
   function choose() {
-    const chosen = [control("choice").value, control("beside").value].filter((value) => value !== "");
-    state.panes = chosen.map((value) => replays[Number(value)]);
+    const one = replays[Number(control("choice").value)], beside = control("beside").value;
+    const other = beside === "twin" ? twinOf(one) : beside && replays[Number(beside)];
+    state.panes = other ? [one, other] : [one];
     state.time = 0;
     draw();
   }

@@ -20,7 +20,7 @@ it has no rows or lacks something; {} if all is there. Lengths in m unless said.
                          adapted, best, imagined, gap, lost_to_controller, lost_to_body, controller_share, body_share,
                          recovered_zero_shot, recovered_adapted, recovered_of_dry_land
     paper.parquet        a row per number of the paper: what, paper, source, this_run, verdict ("agrees", "differs",
-                         "not comparable"), why, value
+                         "not comparable"), why, value, interval (its 95 % interval in words), low, high
 ``members``, from networks and throws:
     phantom_thrust.parquet  a row per member: member, the estimate thrust [m/s²] (needs no True Slush)
     member_errors.parquet   on the throws held out, a row per member, component, band and immersion: member,
@@ -43,7 +43,7 @@ the one that the page films (where none survives True Slush, of the best where i
                          [deviations], component (of OBSERVATION; "" unknown), departure and thrust (n_members numbers
                          each, m/s²)
     worlds.parquet       a row per world in links: world, member (whose world it is, -1 for nobody's: of an ensemble,
-                         the member that promises most), trial, displacement, disagreement (mean), share_novel
+                         the member that promises the median), trial, displacement, disagreement (mean), share_novel
                          (novelty above 1), thrust (n_members numbers: mean departure along x)
     member_errors.parquet   as of ``members``, along the rollouts of all the arm's champions in True Slush
 ``tank/<environment>/<depth>m``, the champions of one arm and which to build, where the settings have a tank:
@@ -76,7 +76,7 @@ from pipeline.tables import Columns, csv_of
 from tasks.analysis import Tank
 from tasks.analysis.prediction import mean_less_deviations
 
-NAME, VERSION = "analyse", 1
+NAME, VERSION = "analyse", 2
 
 STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS, TANK = (
     "statistics", "members", "transfer-matrix", "exploiters", "instruments", "tank"
@@ -260,20 +260,21 @@ Report = tuple[list[str], dict[str, float]]
 def _report_statistics(files: Files) -> Report:
     """Set the paper's numbers beside this run's; ratios and regressions are what studies are compared by."""
     paper = read_table(files, "paper")
-    rows = list(zip(*(paper[name].tolist() for name in ("what", "paper", "this_run", "verdict")), strict=True))
-    lines = [f"{'':<58} {'paper':>14} {'this run':>16}"]
+    names = ("what", "paper", "this_run", "interval", "verdict")
+    rows = list(zip(*(paper[name].tolist() for name in names), strict=True))
+    lines = [f"{'':<58} {'paper':>14} {'this run':>12} {'(95 %)':<18}"]
     lines += [
-        f"{what:<58} {said:>14} {here:>16}  {verdict}"
-        for what, said, here, verdict in rows
+        f"{what:<58} {said:>14} {here:>12} {f'({interval})' if interval else '':<18} {verdict}"
+        for what, said, here, interval, verdict in rows
         if not what.startswith(("Student", "the built robot"))
     ]
-    tests = [verdict for what, _, _, verdict in rows if what.startswith("Student")]
+    tests = [verdict for what, *_, verdict in rows if what.startswith("Student")]
     counts = ", ".join(f"{tests.count(verdict)} {verdict}" for verdict in ("agrees", "differs", "not comparable"))
     lines.append(f"of the paper's {len(tests)} t tests: {counts}")
     metrics = {f"paper.n_{verdict}": float((paper["verdict"] == verdict).sum()) for verdict in ("agrees", "differs")}
     gaps = read_table(files, "attribution")
-    names = ("evolved_in", "depth", "recovered_zero_shot", "recovered_adapted")
-    for arm, depth, *ratios in zip(*(gaps[name].tolist() for name in names), strict=True):
+    recovered = ("evolved_in", "depth", "recovered_zero_shot", "recovered_adapted")
+    for arm, depth, *ratios in zip(*(gaps[name].tolist() for name in recovered), strict=True):
         for name, ratio in zip(("zero_shot", "adapted"), ratios, strict=True):
             metrics[f"ratio_to_true_slush.{name}.{arm}.{depth:g}m"] = ratio
     accuracy = read_table(files, "regressions")

@@ -1,4 +1,4 @@
-"""report: the page that a person looks at, with the curves, the table of transfer and moving robots."""
+"""report: the page that a person looks at, its figures as SVG and PNG, and its moving robots as GIF and MP4."""
 
 from __future__ import annotations
 
@@ -7,40 +7,40 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
-from pipeline.artifacts import decode_json, decode_table
-from pipeline.design_file import design_from
+from pipeline.artifacts import decode_json, decode_table, encode_json
 from pipeline.manifest import Manifest
 from pipeline.provenance import environment as provenance
-from pipeline.report import Drawing, Replay, draw_all, render_gif, render_page, replay_of
-from pipeline.report.data import ENVIRONMENTS, Digest, Draws, ResidualError, StudyReport, TrialResult
-from pipeline.report.replay import Overlay, at_frames
-from pipeline.settings import EnvironmentName, Settings
+from pipeline.report import Drawing, Replay, draw_all, render_gif, render_mp4, render_page
+from pipeline.report.data import Digest, Draws, ResidualError, StudyReport, TrialResult
+from pipeline.report.mp4 import FPS
+from pipeline.report.replay import STEPS_PER_SECOND
+from pipeline.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
 from pipeline.stages import segments
-from pipeline.stages.analyse import arm_label, read_table, tank_label
 from pipeline.stages.collect import data_set
 from pipeline.stages.findings import HISTORIES, findings
+from pipeline.stages.proposed import proposal_files, proposed, tank_replays
+from pipeline.stages.replays import arms_of, replays_of
 from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
 from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
-from tasks.analysis import acceleration, link_states
-from tasks.design import Designs
 from tasks.evolution import OPERATORS
-from tasks.simulation import OK, simulate
-from tasks.world import DryLand, TrueSlush
 
 NAME, VERSION = "report", 3
 
-PAGE, REPLAY = "index.html", "replay.gif"
+PAGE, FILMS = "index.html", "films"
+"""Label of the page's work, which is also its file; beginning of the labels of the films'."""
 
-MOST_STEPS_IN_TANK = 60 * 60
-"""Of the films of the tank; a minute of a robot that goes nowhere is enough."""
+TOGETHER = "replay"
+"""File name, without suffix, of the film that shows two robots: the best with residuals above the best without."""
 
-N_REPLAYS_IN_GIF = 2
-"""Robots in the moving picture: the best with residuals above the best without."""
+CONTENTS = "films.json"
+"""What each film shows; empty where no champion of the arm could be filmed."""
+
+PICTURES_OF_PAGE = 2500
+"""About what the page costs, as pictures of a film."""
 
 
 def reads(settings: Settings) -> tuple[str, ...]:
@@ -50,21 +50,46 @@ def reads(settings: Settings) -> tuple[str, ...]:
 
 
 def plan(settings: Settings) -> Sequence[Chain]:
-    """One page."""
-    spec = {"settings": settings.model_dump(mode="json", exclude={"work"})}
-    return [Chain(label=PAGE, units=(1,), spec=spec)]
+    """One page, the films of every arm, and the film of two robots."""
+    whole = settings.model_dump(mode="json", exclude={"work"})
+    trials = settings.grid.trials()
+    seen = {name: whole[name] for name in ("physics", "slush", "rollout")}
+    pictures = settings.rollout.n_measure * FPS / STEPS_PER_SECOND
+    deepest = max(settings.grid.depths)
+
+    def films(label: str, of: Sequence[tuple[Any, float, int]], n_films: int, *, together: bool) -> Chain:
+        spec = {**seen, "trials": [list(trial) for trial in of], "together": together}
+        return Chain(f"{FILMS}/{label}", (n_films * pictures,), spec)
+
+    page = {"settings": whole, "trials": [list(trial) for trial in trials]}
+    chains = [Chain(PAGE, (PICTURES_OF_PAGE,), page)]
+    for environment, depth in arms_of(trials):
+        arm = [trial for trial in trials if trial[:2] == (environment, depth)]
+        n_films = 1 if environment == "true_slush" else 2
+        chains.append(films(f"{environment}/{depth:g}m", arm, n_films, together=False))
+    both = [trial for name in ("residual_slush", "dry_land") for trial in trials if trial[:2] == (name, deepest)]
+    return [*chains, films("together", both or [t for t in trials if t[1] == deepest], 2, together=True)]
 
 
 def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
-    """Specify the page: the small files of all that is done, and the names of what was set aside."""
+    """Specify films by their champions and worlds; the page by the small files of all that is done, too."""
     inputs: dict[str, Input] = {}
+    for environment, depth, number in chain.spec["trials"]:
+        label = segments.trial_label(environment, depth, number)
+        if label in upstream["transfer"].done:
+            scored = upstream["transfer"].done[label][-1]
+            inputs[f"transfer/{label}"] = Input(scored, tuple(n for n in (SCORE, CHAMPION) if n in scored.files))
+    if any(row[0] in RESIDUAL_ENVIRONMENTS for row in chain.spec["trials"]):
+        with suppress(MissingInputs):  # where a member is missing there are no residual worlds to film
+            inputs |= segments.world_inputs(settings, "residual_slush", 0, upstream)
+    how = {"engine": settings.work.engine, "designs_per_batch": None}
+    if chain.label != PAGE:
+        return Item(NAME, VERSION, chain.label, chain.spec, inputs, how)
     for label, (member,) in upstream["train"].done.items():
         inputs[f"train/{label}"] = Input(member, (ERRORS,))
     for label, trial in upstream["evolve"].done.items():
         for number, segment in enumerate(trial):
             inputs[f"evolve/{label}/{number:04d}"] = Input(segment, (segments.CURVE,))
-    for label, trial in upstream["transfer"].done.items():
-        inputs[f"transfer/{label}"] = Input(trial[-1], tuple(n for n in (SCORE, CHAMPION) if n in trial[-1].files))
     for label, (analysis,) in upstream["analyse"].done.items():
         inputs[f"analyse/{label}"] = Input(analysis, tuple(analysis.files))
     if settings.needs_ensemble:
@@ -79,12 +104,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         if name in reads(settings)
     ]
     spec = {**chain.spec, "set_aside": set_aside, "digests": digests, "made_with": dict(provenance())}
-    return Item(NAME, VERSION, chain.label, spec, inputs, how={"engine": settings.work.engine})
-
-
-def replay_name(replay: Replay) -> str:
-    """Name the moving picture of one robot; the store wants no second dot in a name."""
-    return f"replay-{replay.environment}-{replay.depth:g}m".replace(".", "_") + ".gif"
+    return Item(NAME, VERSION, chain.label, spec, inputs, how)
 
 
 def _family_inputs(settings: Settings, upstream: Upstream) -> dict[str, Input]:
@@ -99,13 +119,37 @@ def _family_inputs(settings: Settings, upstream: Upstream) -> dict[str, Input]:
 
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
-    """Draw the page, and one moving picture."""
+    """Draw the page, or make films."""
+    return _page(job, inputs) if "settings" in job.spec else _films(job, inputs)
+
+
+def _films(job: Job, inputs: Mapping[str, Files]) -> Files:
+    """Make a GIF and an MP4 of each replay, or of those in True Slush above one another; and list them."""
+    replays = replays_of(job.spec, job.how, inputs)
+    named = {film_name(replay): [replay] for replay in replays}
+    if job.spec["together"]:
+        above = sorted((r for r in replays if r.in_true_slush), key=lambda r: r.environment != "residual_slush")
+        named = {TOGETHER: above[:2]} if above else {}
+    files: dict[str, bytes] = {}
+    for name, shown in named.items():
+        files |= {f"{name}.gif": render_gif(shown), f"{name}.mp4": render_mp4(shown)}
+    listed = {name: [f"{one.title}, in {one.world}, {one.depth:g} m" for one in shown] for name, shown in named.items()}
+    return {**files, CONTENTS: encode_json(listed)}
+
+
+def film_name(replay: Replay) -> str:
+    """Name the film of one robot; the store wants no dot in a name."""
+    world = "" if replay.in_true_slush else "-at-home"
+    return f"{TOGETHER}-{replay.environment}-{replay.depth:g}m".replace(".", "_") + world
+
+
+def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
+    """Draw the page and its figures."""
     settings = Settings.model_validate(job.spec["settings"])
     trials = [result for row in settings.grid.trials() if (result := _trial_result(row, inputs)) is not None]
-    replays = _replays(settings, trials, inputs, job.how["engine"])
-    proposed = _proposed(settings, inputs)
-    in_tank = [film for row in proposed for film in _tank_replays(settings, row, inputs, job.how["engine"])]
-    found = findings(inputs, assessed_depth=settings.assessed_depth, tank=settings.tank)
+    rows = proposed(settings, inputs)
+    replays = replays_of({**job.spec["settings"], "trials": job.spec["trials"]}, job.how, inputs)
+    in_tank = [film for row in rows for film in tank_replays(settings, row, inputs, job.how["engine"])]
     report = StudyReport(
         name=settings.name,
         title=f"Robots evolved for slush: {settings.name}",
@@ -114,23 +158,17 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         trials=trials,
         residual_errors=_residual_errors(inputs),
         replays=[*replays, *in_tank],
-        findings=found,
+        findings=findings(inputs, assessed_depth=settings.assessed_depth, tank=settings.tank),
         draws=_draws(inputs),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],
         set_aside=[*job.spec["set_aside"], *_without_champion(settings, inputs)],
     )
     drawings = draw_all(report)
-    files = {PAGE: render_page(report, drawings).encode()}
+    files = {PAGE: render_page(report, drawings).encode(), **proposal_files(rows, inputs)}
     for drawing in drawings.values():
         if isinstance(drawing, Drawing):
             files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
-    for replay in replays:
-        files[replay_name(replay)] = render_gif([replay])
-    for environment, depth, trial in proposed:
-        files[proposal_name(environment, depth)] = _champion_file(inputs, environment, depth, trial)
-    if replays:
-        files[REPLAY] = render_gif(_for_the_gif(replays))
     return files
 
 
@@ -210,162 +248,24 @@ def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:
     return rows
 
 
-def _zero_shot(trial: TrialResult) -> float:
-    """How far a champion got in True Slush; -inf if it diverged."""
-    return trial.zero_shot if trial.zero_shot is not None and np.isfinite(trial.zero_shot) else -np.inf
-
-
-def _replays(
-    settings: Settings, trials: Sequence[TrialResult], inputs: Mapping[str, Files], engine: Any
-) -> list[Replay]:
-    """Film the best zero-shot champion of every arm in True Slush, deepest first."""
-    best: dict[tuple[float, str], TrialResult] = {}
-    for trial in trials:
-        arm = (trial.depth, trial.environment)
-        if _zero_shot(trial) > (_zero_shot(best[arm]) if arm in best else -np.inf):
-            best[arm] = trial
-    replays = []
-    for (depth, environment), trial in sorted(best.items(), key=lambda entry: -entry[0][0]):
-        label = segments.trial_label(environment, depth, trial.trial)
-        design = design_from(decode_json(inputs[f"transfer/{label}"][CHAMPION], label), label)
-        rollouts = simulate(
-            design,
-            TrueSlush(depth=depth, slush=settings.slush),
-            n_settle=settings.rollout.n_settle,
-            n_measure=settings.rollout.n_measure,
-            engine=engine,
-            trace=True,
-            physics=settings.physics,
-        )
-        assert rollouts.trace is not None and rollouts.status[0] == OK
-        replays.append(
-            replay_of(
-                design,
-                rollouts.trace[0],
-                title=f"Evolved {ENVIRONMENTS[trial.environment].evolved}, trial {trial.trial}",
-                environment=environment,
-                world="True Slush",
-                depth=depth,
-                has_medium=True,
-                n_settle=settings.rollout.n_settle,
-                overlays=_overlays(settings, inputs.get(f"analyse/{arm_label(environment, depth)}", {}), trial.trial),
-                push=_push(settings, design, rollouts.trace),
-            )
-        )
-    return replays
-
-
-LAID_OVER = (
-    ("disagreement", "what the members disagree about", "m/s²", 0.0),
-    ("novelty", "distance from the throws", "× usual", 1.0),
-)
-"""Column of the instruments' links, what the page calls it, its unit, and what the darkest colour is at least: within
-the usual distance a state is not new."""
-
-
-def _overlays(settings: Settings, instruments: Files, trial: int) -> tuple[Overlay, ...]:
-    """Read what the instruments say of the champion's links in True Slush; nothing where they filmed no one."""
-    if not instruments:
-        return ()
-    worlds, links = read_table(instruments, "worlds"), read_table(instruments, "links")
-    if not ((worlds["world"] == "true_slush") & (worlds["trial"] == trial)).any():
-        return ()
-    here = links["world"] == "true_slush"
-    n_links = int(links["link"].max()) + 1
-    return tuple(
-        Overlay(label, unit, at_frames(links[column][here].reshape(-1, n_links), settings.rollout.n_settle), least)
-        for column, label, unit, least in LAID_OVER
-        if np.isfinite(links[column][here]).any()
-    )
-
-
-def _push(settings: Settings, design: Designs, trace: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-    """Compute how the slush speeds up each link at each frame: (n_frames, n_links, 2) [m/s²]."""
-    links = link_states(design, trace, settings.physics)
-    return at_frames(acceleration(settings.slush, links, settings.physics)[0, ..., :2], settings.rollout.n_settle)
-
-
-def proposal_name(environment: str, depth: float) -> str:
-    """Name the design file of the champion of an arm that is proposed for building."""
-    return f"proposed-{environment}-{depth:g}m".replace(".", "_") + ".json"
-
-
-def _proposed(settings: Settings, inputs: Mapping[str, Files]) -> list[tuple[EnvironmentName, float, int]]:
-    """Find each arm's champion that is proposed for building: environment, depth and trial; none without a tank."""
-    found = []
-    for environment, depth in dict.fromkeys(trial[:2] for trial in settings.grid.trials()):
-        files = inputs.get(f"analyse/{tank_label(environment, depth)}", {})
-        table = read_table(files, "tank") if files else {"trial": np.array([]), "proposed": np.array([], dtype=bool)}
-        found += [(environment, depth, int(trial)) for trial in table["trial"][table["proposed"]]]
-    return found
-
-
-def _champion_file(inputs: Mapping[str, Files], environment: str, depth: float, trial: int) -> bytes:
-    return inputs[f"transfer/{segments.trial_label(environment, depth, trial)}"][CHAMPION]
-
-
-def _tank_replays(
-    settings: Settings, proposed: tuple[EnvironmentName, float, int], inputs: Mapping[str, Files], engine: Any
-) -> list[Replay]:
-    """Film a proposed champion in the tank and on its dry floor. They show a tank, so they are of no environment."""
-    assert settings.tank is not None
-    environment, depth, trial = proposed
-    label = segments.trial_label(environment, depth, trial)
-    design = design_from(decode_json(_champion_file(inputs, environment, depth, trial), label), label)
-    tank, n_settle = settings.tank, settings.rollout.n_settle
-    replays = []
-    for world, words in (
-        (TrueSlush(depth=tank.simulated_depth, slush=settings.slush), "the tank"),
-        (DryLand(depth=0.0), "the drained tank"),
-    ):
-        rollouts = simulate(
-            design,
-            world,
-            n_settle=n_settle,
-            n_measure=min(tank.n_steps(settings.physics.time_step), MOST_STEPS_IN_TANK),
-            engine=engine,
-            trace=True,
-            physics=settings.physics,
-        )
-        if rollouts.status[0] == OK:
-            assert rollouts.trace is not None
-            replays.append(
-                replay_of(
-                    design,
-                    rollouts.trace[0],
-                    title=f"To build: evolved {ENVIRONMENTS[environment].evolved}, trial {trial}, in {words}",
-                    environment="",
-                    world=words,
-                    depth=round(world.depth, 2),
-                    has_medium=isinstance(world, TrueSlush),
-                    n_settle=n_settle,
-                )
-            )
-    return replays
-
-
-def _for_the_gif(replays: Sequence[Replay]) -> list[Replay]:
-    """Choose the robots at the greatest depth evolved with residuals and without, where both are there."""
-    deepest = [replay for replay in replays if replay.depth == replays[0].depth]
-    wanted = [r for name in ("residual_slush", "dry_land") for r in deepest if r.environment == name]
-    return wanted[:N_REPLAYS_IN_GIF] or deepest[:1]
-
-
 def summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Put the page where a person finds it."""
-    if PAGE not in results.done:
-        return Summary(lines=[f"no page: {results.set_aside.get(PAGE, 'it is not made yet')}"])
-    (page,) = results.done[PAGE]
-    files = {name: store.read(page, name) for name in page.files}
+    """Put the page, the figures and the films where a person finds them."""
+    files = {
+        name: store.read(done, name) for (done,) in results.done.values() for name in done.files if name != CONTENTS
+    }
     folder = store.export(settings.name, files)
-    lines = [str(folder / PAGE), *(f"{folder / name}: a robot to build" for name in files if name.endswith(".json"))]
-    return Summary(lines=lines, artifacts=files, of_study=True)
+    no_page = f"no page: {results.set_aside.get(PAGE, 'it is not made yet')}"
+    # MLflow shows both kinds of films, and a GIF is ten times an MP4: it gets the one GIF that tells the story.
+    artifacts = {name: data for name, data in files.items() if not name.endswith(".gif") or name == f"{TOGETHER}.gif"}
+    lines = [f"{folder / PAGE}" if PAGE in files else no_page]
+    lines += [f"{folder / name}: a robot to build" for name in files if name.endswith(".json")]
+    return Summary(lines=lines, artifacts=artifacts, of_study=True)
 
 
 STAGE = Stage(
     name=NAME,
     version=VERSION,
-    unit="pages",
+    unit="pictures",
     reads=reads,
     plan=plan,
     item=item,

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pipeline.artifacts import decode_table, encode_arrays, encode_table
 from pipeline.manifest import Manifest
 from pipeline.settings import Settings
-from pipeline.stage import Chain, Files, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.stage import Chain, Files, Item, Job, Results, Spec, Stage, Summary, TrialSummary, Upstream
 from pipeline.stages.collect import data_set, read_transitions
 from pipeline.stages.segments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_label
 from pipeline.store import Store
@@ -51,7 +51,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
             units=(settings.training.n_iterations,),
             spec={
                 "network": settings.network.model_dump(mode="json"),
-                "training": settings.training.model_dump(mode="json"),
+                "training": _spec_of(settings.training),
                 "seed": settings.seed,
                 "member": member,
             },
@@ -60,9 +60,15 @@ def plan(settings: Settings) -> Sequence[Chain]:
     ]
 
 
+def _spec_of(training: Training) -> Spec:
+    """Say what a member follows from: a GPU's low bits are its own. A core goes without saying, as in older stores."""
+    return training.model_dump(mode="json", exclude={"device"} if training.device == "cpu" else None)
+
+
 def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
     """Specify a member's training: it reads every chunk of throws."""
-    return Item(stage=NAME, version=VERSION, label=chain.label, spec=chain.spec, inputs=data_set(upstream["collect"]))
+    how = {"n_gpus": 1} if settings.training.device == "cuda" else {}
+    return Item(NAME, VERSION, chain.label, chain.spec, data_set(upstream["collect"]), how)
 
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> Files:

@@ -4,7 +4,7 @@ When does a number agree? The paper's number comes from a sample as this run's d
 where it lies within this run's 95 % prediction interval, the range into which a repeat of this run with the paper's
 number of trials would fall: the 95 % interval of this run's figure, with both arms widened by √(1 + n / n_paper), since
 variances add and go as 1/n. What the paper gives as a range over members agrees where this run's median member is in
-it.
+it. What it states without a number, that single members vary more, agrees or differs where the whole interval does.
 
 When does a statement of a t test agree? With "p < 0.0001": where this run's p is as small, in the same direction. With
 "insignificant (p > 0.01)": where this run's p is above 0.01. Fewer trials than the paper's make large p-values easy and
@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ from numpy.random import Generator
 from tasks.analysis.comparison import BEST, Arm, ratio, student
 from tasks.analysis.prediction import Regression, mean_less_deviations
 from tasks.analysis.scores import Scores
-from tasks.analysis.uncertainty import Estimate, finite, mean
+from tasks.analysis.uncertainty import Estimate, Float64, bootstrap, finite, is_constant, mean
 
 Verdict = Literal["agrees", "differs", "not comparable"]
 Claim = Literal["less", "greater", "no difference"]
@@ -126,6 +127,11 @@ class Row:
     why: str
     value: float | None = None
     """This run's, in the unit of ``what``; a p-value for a statement."""
+    interval: str = ""
+    """The 95 % interval of this run's number, as ``this_run`` writes it; empty where there is none."""
+    low: float | None = None
+    high: float | None = None
+    """Its ends."""
 
 
 def against_paper(scores: Scores, accuracy: Sequence[Regression], *, rng: Generator) -> tuple[Row, ...]:
@@ -138,7 +144,7 @@ def against_paper(scores: Scores, accuracy: Sequence[Regression], *, rng: Genera
     """
     rows = [_mean_row(scores, arm, *stated) for arm, stated in MEANS.items()]
     rows += [_ratio_row(scores, arm, *stated, rng) for arm, stated in RATIOS.items()]
-    rows += [_variation_row(scores)]
+    rows += [_variation_row(scores, rng)]
     rows += [_range_row(accuracy, figure, *stated) for figure, stated in RANGES.items()]
     rows += [_aggregate_row(accuracy, *key, *stated) for key, stated in AGGREGATES.items()]
     rows += [_statement_row(scores, statement, depth) for statement in STATEMENTS for depth in statement.depths]
@@ -168,14 +174,14 @@ def name_of(arm: Arm) -> str:
 def _mean_row(scores: Scores, arm: Arm, stated: float, source: str) -> Row:
     values = finite(scores.values(*arm, DEPTH))
     what = f"{name_of(arm)} at {DEPTH:g} m [m]"
-    return _number_row(what, stated, "{:.1f}", source, mean(values), len(values), N_TRIALS, "trials")
+    return _number_row(what, stated, "{:z.1f}", source, mean(values), len(values), N_TRIALS, "trials")
 
 
 def _ratio_row(scores: Scores, arm: Arm, stated: float, source: str, rng: Generator) -> Row:
     part, whole = finite(scores.values(*arm, DEPTH)), finite(scores.values(*BEST, DEPTH))
     what = f"{name_of(arm)} / {name_of(BEST)} at {DEPTH:g} m"
     n = min(len(part), len(whole))
-    return _number_row(what, stated, "{:.0%}", source, ratio(part, whole, rng=rng), n, N_TRIALS, "trials")
+    return _number_row(what, stated, "{:z.0%}", source, ratio(part, whole, rng=rng), n, N_TRIALS, "trials")
 
 
 def _aggregate_row(
@@ -184,8 +190,8 @@ def _aggregate_row(
     what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
     of = next((row for row in accuracy if row.name == predictor), None)
     if of is None:
-        return Row(what, f"{stated:.2f}", source, "-", "not comparable", "accuracy was not assessed")
-    return _number_row(what, stated, "{:.2f}", source, getattr(of, figure), of.n, N_DESIGNS, "designs")
+        return Row(what, f"{stated:z.2f}", source, "-", "not comparable", "accuracy was not assessed")
+    return _number_row(what, stated, "{:z.2f}", source, getattr(of, figure), of.n, N_DESIGNS, "designs")
 
 
 _FIGURE = {"r": "Pearson's R", "slope": "slope"}
@@ -207,14 +213,26 @@ def _number_row(
         f"a repeat with {n_paper} {unit} would give {form.format(low)} to {form.format(high)}, "
         f"judged by the spread of this run's {n}"
     )
-    return Row(what, paper, source, form.format(found.value), "agrees" if agrees else "differs", why, found.value)
+    this_run, verdict = form.format(found.value), _agrees(agrees)
+    return Row(what, paper, source, this_run, verdict, why, found.value, *_interval(found, form))
+
+
+def _agrees(holds: bool) -> Verdict:
+    return "agrees" if holds else "differs"
+
+
+def _interval(found: Estimate, form: str) -> tuple[str, float | None, float | None]:
+    """Write an estimate's interval, and give its ends."""
+    if found.low is None or found.high is None:
+        return "", None, None
+    return f"{form.format(found.low)} to {form.format(found.high)}", found.low, found.high
 
 
 def _range_row(
     accuracy: Sequence[Regression], figure: Literal["r", "slope"], low: float, high: float, source: str
 ) -> Row:
     what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
-    paper = f"{low:.2f} to {high:.2f}"
+    paper = f"{low:z.2f} to {high:z.2f}"
     each = [getattr(row, figure).value for row in accuracy if row.name.startswith("member ")]
     known = [value for value in each if value is not None]
     if not known:
@@ -222,24 +240,48 @@ def _range_row(
         return Row(what, paper, source, "-", "not comparable", why)
     median = float(np.median(known))
     inside = low <= median <= high
-    why = f"the median of {len(known)} members is {median:.2f}"
-    this_run = f"{min(known):.2f} to {max(known):.2f}"
-    return Row(what, paper, source, this_run, "agrees" if inside else "differs", why, median)
+    why = f"the median of {len(known)} members is {median:z.2f}"
+    this_run = f"{min(known):z.2f} to {max(known):z.2f}"
+    return Row(what, paper, source, this_run, _agrees(inside), why, median)
 
 
-def _variation_row(scores: Scores) -> Row:
+def _variation_row(scores: Scores, rng: Generator) -> Row:
     """Say whether champions of single members differ more from each other than those of the ensemble."""
     what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
     paper, source = "above 1", '"very high variation in fitness across independent trials", Evolution'
     single, ensemble = (
         finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush")
     )
-    if min(len(single), len(ensemble)) < 2 or ensemble.std() == 0:
+    if min(len(single), len(ensemble)) < 2 or is_constant(ensemble):
         why = f"{len(single)} and {len(ensemble)} trials, expected 2 or more of both, not all equal"
         return Row(what, paper, source, "-", "not comparable", why)
-    found = float(single.std(ddof=1) / ensemble.std(ddof=1))
-    why = f"{len(single)} and {len(ensemble)} trials; the paper gives no number"
-    return Row(what, paper, source, f"{found:.2f}", "agrees" if found > 1 else "differs", why, found)
+    # A deviation is a function of the means of x and x², once x is centred so that no digits are lost.
+    moments = [np.stack((x - x.mean(), (x - x.mean()) ** 2), axis=1) for x in (single, ensemble)]
+    spread = "the ensemble's champions all go equally far"
+    found = bootstrap(partial(_deviations_ratio, len(single), len(ensemble)), *moments, rng=rng, undefined=spread)[0]
+    assert found.value is not None
+    trials, this_run = f"{len(single)} and {len(ensemble)} trials", f"{found.value:z.2f}"
+    if found.low is None or found.high is None:
+        return Row(what, paper, source, this_run, "not comparable", f"{trials}: {found.reason}", found.value)
+    verdict, why = _above_one(found.low, found.high)
+    return Row(what, paper, source, this_run, verdict, f"{trials}: {why}", found.value, *_interval(found, "{:z.2f}"))
+
+
+def _above_one(low: float, high: float) -> tuple[Verdict, str]:
+    """Hold an interval against a statement without a number."""
+    if low > 1:
+        return "agrees", "the whole interval is above 1"
+    if high < 1:
+        return "differs", "the whole interval is below 1"
+    return "not comparable", "the interval holds 1, too few to tell"
+
+
+def _deviations_ratio(n: int, m: int, single: Float64, ensemble: Float64) -> Float64:
+    """Divide the sample deviations of n and m values, given (..., 2) means of x and x²: (..., 1)."""
+    variances = [
+        size / (size - 1) * (means[..., 1] - means[..., 0] ** 2) for size, means in ((n, single), (m, ensemble))
+    ]
+    return np.sqrt(variances[0] / np.where(variances[1] > 0, variances[1], np.nan))[..., None]
 
 
 def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:

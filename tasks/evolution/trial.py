@@ -10,7 +10,7 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.design import ANY_BODY, Designs, Morphology
-from tasks.evolution.afpo import Afpo, Children, Population, ask, tell
+from tasks.evolution.afpo import OPERATORS, Afpo, Children, Population, ask, tell
 from tasks.evolution.objective import Evaluation
 
 History = dict[str, npt.NDArray[Any]]
@@ -19,7 +19,7 @@ History = dict[str, npt.NDArray[Any]]
 HISTORY_UNITS: Mapping[str, str] = {
     "generation": "",
     "identity": "running number within the trial",
-    "operator": "index into tasks.evolution.OPERATORS",
+    "operator": ", ".join(f"{code} {name}" for code, name in enumerate(OPERATORS)),
     "age": "generations",
     "parents": "two identities, -1 where there is none",
     "n_draws": "draws of its operator, the last of which the morphology allowed",

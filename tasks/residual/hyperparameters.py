@@ -50,6 +50,9 @@ class Training(Parameters):
     """Take the loss on residuals divided by their deviation; in SI units only the largest components would count."""
     held_out: float = Field(default=0.1, gt=0.0, lt=1.0)
     """Share of the throws kept for validation; whole throws, because the steps of one resemble each other."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """What trains: a core, or a GPU a member. They differ in the last bits, and so in the network that comes of it:
+    hence it is chosen here and not taken as found, for one settings file has to mean one study on every machine."""
 
     @model_validator(mode="after")
     def _decays(self) -> Self:

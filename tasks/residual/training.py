@@ -32,6 +32,10 @@ class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a r
     """The loss of a member is no longer a number; says which member and when."""
 
 
+class NoDevice(RuntimeError):  # noqa: N818 (what is the case)
+    """There is no such device for torch here; says which was asked for, and what torch has."""
+
+
 @dataclass(frozen=True, eq=False)
 class TrainedMember:
     """One network, how it learned, and how wrong it is on throws that it never saw."""
@@ -85,6 +89,11 @@ def validation_rows(throw: Int64, share: float, *, seed: int) -> npt.NDArray[np.
     return held_out_rows(throw, share, generator(seed, "held out"))
 
 
+def n_cuda_devices() -> int:
+    """Count the CUDA devices that torch can use here."""
+    return torch.cuda.device_count() if torch.cuda.is_available() else 0
+
+
 def train_member(
     transitions: Transitions,
     architecture: Architecture,
@@ -92,10 +101,9 @@ def train_member(
     *,
     seed: int,
     member: int,
-    device: str = "cpu",
     on_progress: Callable[[int, float], None] | None = None,
 ) -> TrainedMember:
-    """Train one network on one thread, or on a CUDA device.
+    """Train one network on one thread, or on a CUDA device, as ``training`` says; the data stay there.
 
     Args:
         transitions: the data set.
@@ -103,13 +111,16 @@ def train_member(
         training: how it learns.
         seed: of the study; it decides which throws are held out.
         member: which of the ensemble, 0 or more; with the seed it decides the rest.
-        device: where torch computes; the data stay there.
         on_progress: called with the iterations done and the minibatch's loss after each.
 
     Raises:
+        NoDevice: there is no CUDA device for torch here.
         TrainingDiverged: the loss is no longer finite.
         ValueError: there are fewer than two throws.
     """
+    if training.device == "cuda" and not n_cuda_devices():
+        built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
+        raise NoDevice(f"training.device is 'cuda', but torch {torch.__version__}, which {built}, finds no CUDA device")
     held_out = validation_rows(transitions.throw, training.held_out, seed=seed)
     to_learn, to_validate = np.flatnonzero(~held_out), np.flatnonzero(held_out)
     standardisation = Standardisation.of(
@@ -121,11 +132,11 @@ def train_member(
     def standardised(rows: npt.NDArray[np.intp]) -> Tensor:
         observation = standardisation.standard_observation(transitions.observation[rows])
         residual = standardisation.standard_residual(transitions.residual[rows])
-        return torch.from_numpy(np.concatenate((observation, residual), axis=1)).to(device)
+        return torch.from_numpy(np.concatenate((observation, residual), axis=1)).to(training.device)
 
     torch_seed = int(generator(seed, "member", member).integers(2**63))
-    with _deterministic(torch_seed, torch.device(device)):
-        network = ResidualNetwork(architecture).to(device)
+    with _deterministic(torch_seed, torch.device(training.device)):
+        network = ResidualNetwork(architecture).to(training.device)
         validation_set = standardised(to_validate)
         curve = _fit(network, standardised(to_learn), validation_set, training, member, on_progress)
         predicted = _predict(network, validation_set[:, : len(OBSERVATION)]).cpu().numpy()

@@ -1,7 +1,8 @@
 """The batch engine: many robots at once, one per lane, with the bits of the reference engine.
 
 Designs are packed into groups of as many robots as the machine's vectors have lanes, and a compiled kernel steps group
-after group. One thread: a study runs one process per core.
+after group. Robots whose passive joints are locked or whose links collide have a kernel of their own, without lanes:
+see tasks/simulation/bodies. One thread: a study runs one process per core.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,11 +35,22 @@ Indices = npt.NDArray[np.int64]
 
 _SOURCES = [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels]
 _advance = compiled(kernels.advance, _SOURCES, seconds=20)
-_advance_in_learned_medium = compiled(
-    learned.advancing(_advance.inner, networks.run_networks.inner, (rows.VX, rows.VY, rows.OMEGA)),
-    [*_SOURCES, networks, learned],
-    seconds=20,
-)
+_advance_kernel, _run_networks = _advance.inner, networks.run_networks.inner
+
+
+def advance_lanes_among_networks(
+    block: Any, blocks: Any, world: Any, first_step: int, n_steps: int, robot_of_lane: Any, n_designs: int,
+    observed: Any, layers: Any, sizes: Any, x: Any, out: Any, between: Any, no_trace: Any,
+) -> None:  # fmt: skip
+    """Take steps with all robots, each in its member's medium; see learned.py, networks.py and the engine's kernel."""
+    for taken in range(n_steps):
+        learned.observe(blocks, robot_of_lane, n_designs, observed, x)
+        _run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
+        learned.add(blocks, robot_of_lane, n_designs, out, rows.VX, rows.VY, rows.OMEGA)
+        _advance_kernel(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
+
+
+_advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, networks, learned], seconds=20)
 
 
 def discovery_order(parents: Sequence[int]) -> list[int]:
@@ -219,14 +232,13 @@ class Groups:
                 place = self._place_of_robot()[mine, None, :, None]
                 kept[mine] = np.take_along_axis(states[: mine.stop - mine.start], place, axis=2)
 
-
     def advance_among(self, learned_medium: PackedNetworks, world: World, first_step: int, n_steps: int) -> None:
         """Take steps in a medium that is one network for each member: all of it in one kernel, and without a trace."""
         n_designs = self.n_robots // learned_medium.n_members
         x, out = learned_medium.room(n_designs * N_LINKS)
         observed = np.array([rows.QUANTITIES[name] for name in learned_medium.inputs], np.int64)
         with np.errstate(all="ignore"):
-            _advance_in_learned_medium(
+            _advance_among_networks(
                 self._block, self.blocks, world, first_step, n_steps, self._robot, n_designs, observed,
                 learned_medium.layers, learned_medium.sizes, x, out, learned_medium.between, self._no_trace,
             )  # fmt: skip

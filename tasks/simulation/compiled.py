@@ -45,10 +45,15 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
     """Compile a kernel on its first call, or take it from the cache.
 
     Args:
-        function: the kernel.
+        function: the kernel. A closure has another key in numba's cache in every process, and would never be found.
         sources: the modules whose code or constants go into it.
         seconds: about how long compilation takes, for a word to whoever waits.
+
+    Raises:
+        ValueError: the kernel is a closure.
     """
+    if function.__closure__ is not None:
+        raise ValueError(f"{function.__qualname__} is a closure, expected a function of a module")
     if numba.config.DISABLE_JIT:
         return Kernel(function, lambda: None)
     digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in sources).encode()).hexdigest()

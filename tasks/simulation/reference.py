@@ -26,8 +26,8 @@ from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush,
 
 Float32 = npt.NDArray[np.float32]
 
-THROUGH_ONE_ANOTHER = -1
-"""Box2D's group of things that never collide with each other; links belong to it, the ground does not."""
+MEETS_THE_GROUND_ALONE = {"groupIndex": -1}
+"""Filter of links that pass through one another: things of a negative group never collide; the ground is not of it."""
 GROUND_BIT = 1 << N_LINKS
 """The ground's category where links collide; a link's is the bit of its number."""
 
@@ -80,7 +80,7 @@ def _body(world: Any, pose: tuple[float, float, float]) -> Any:
     return world.CreateDynamicBody(position=(x, y), angle=angle, allowSleep=False)
 
 
-def _add_link(body: Any, box: tuple[Any, ...], physics: Physics, **collides: int) -> None:
+def _add_link(body: Any, box: tuple[Any, ...], physics: Physics, collides: dict[str, int]) -> None:
     """Add a link to a body: a box of half width and half height, and its centre and angle where they are not 0."""
     body.CreatePolygonFixture(
         box=box,
@@ -91,10 +91,17 @@ def _add_link(body: Any, box: tuple[Any, ...], physics: Physics, **collides: int
     )
 
 
+def _link(world: Any, half_width: float, half_height: float, pose: tuple[float, float, float], physics: Physics) -> Any:
+    """Make a link that is a body by itself and passes through all others."""
+    body = _body(world, pose)
+    _add_link(body, (half_width, half_height), physics, MEETS_THE_GROUND_ALONE)
+    return body
+
+
 def _collides(parents: npt.NDArray[np.int64], link: int, physics: Physics) -> dict[str, int]:
     """Say what a link of a robot collides with: the ground, and its own unless they are its parent or children."""
     if not physics.link_collisions:
-        return {"groupIndex": THROUGH_ONE_ANOTHER}
+        return MEETS_THE_GROUND_ALONE
     unjoined = (
         other for other in range(N_LINKS) if other != link and parents[other] != link and parents[link] != other
     )
@@ -125,7 +132,7 @@ class _Robot:
                 if link != first:
                     centre = (float(rigid.x[design, link]), float(rigid.y[design, link]))
                     box = (*box, centre, float(rigid.angle[design, link]))
-                _add_link(body_of[first], box, physics, **_collides(parents, link, physics))
+                _add_link(body_of[first], box, physics, _collides(parents, link, physics))
         self.bodies = [body_of[first] for first in sorted(body_of)]
         """In the order of their first links."""
         self.joints = {
@@ -145,20 +152,19 @@ class _Robot:
         """By the link that hangs from each."""
 
 
-class _Robots:
-    """Many robots, whose bodies' states go to arrays over links and back."""
+class _Links:
+    """The links of many robots: arrays over links from the states of their bodies, and back."""
 
     def __init__(self, robots: list[_Robot], rigid: RigidBodies, n_members: int) -> None:
         self._rigid = rigid
         self._bodies = _Bodies([body for robot in robots for body in robot.bodies])
-        self._shape = (n_members, len(rigid.first_link), N_LINKS)
-        self._is_first = np.broadcast_to(rigid.is_first, self._shape)
-        number = np.cumsum(self._is_first.ravel()).reshape(self._shape) - 1
-        self._body_of_link = np.take_along_axis(number, np.broadcast_to(rigid.first_link, self._shape), axis=2)
-
+        shape = (n_members, len(rigid.first_link), N_LINKS)
+        self._is_first = np.broadcast_to(rigid.is_first, shape)
+        number = np.cumsum(self._is_first.ravel()).reshape(shape) - 1
+        self._body_of_link = np.take_along_axis(number, np.broadcast_to(rigid.first_link, shape), axis=2)
         self._state = self._bodies.states()
 
-    def links(self) -> PlacedLinks:
+    def place(self) -> PlacedLinks:
         """Read the present states of all links."""
         self._state = self._bodies.states()
         rotation = self._bodies.rotations()[self._body_of_link]
@@ -185,36 +191,36 @@ def roll_out(
     trees = kinematic_trees(designs, density=physics.link_density)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
     drive = Drive.of(designs)
-    worlds = [
+    robots = [
         _Robot(trees, rigid, design, drive, environment.depth, physics)
         for _ in range(n_members)
         for design in range(n_designs)
     ]
-    robots = _Robots(worlds, rigid, n_members)
+    links = _Links(robots, rigid, n_members)
     alive = np.ones((n_members, n_designs), dtype=bool)
-    links = robots.links()
+    placed = links.place()
     kept = np.full((n_members, n_designs, n_steps, N_LINKS, 6), np.nan, np.float32) if trace else None
     torque = np.zeros((n_members, n_designs, n_steps, N_LINKS), np.float32) if trace else None
-    settled = links.state
+    settled = placed.state
     for step in range(n_steps):
-        _command_motors(worlds, drive, trees, links.state, step, physics)
+        _command_motors(robots, drive, trees, placed.state, step, physics)
         if environment.medium is not None:
-            _push(robots, environment.medium, designs, trees, links, physics)
-        for world, world_alive in zip(worlds, alive.flat, strict=True):
-            if world_alive:
-                world.world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
-                world.world.ClearForces()
+            _push(links, environment.medium, designs, trees, placed, physics)
+        for robot, robot_alive in zip(robots, alive.flat, strict=True):
+            if robot_alive:
+                robot.world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
+                robot.world.ClearForces()
         # A world that turned non-finite is not stepped again: Box2D takes NaN in and gives NaN out, silently.
-        links = robots.links()
-        alive &= np.isfinite(links.state).all(axis=(2, 3))
-        links.state[~alive] = np.nan
+        placed = links.place()
+        alive &= np.isfinite(placed.state).all(axis=(2, 3))
+        placed.state[~alive] = np.nan
         if kept is not None:
-            kept[:, :, step] = links.state
+            kept[:, :, step] = placed.state
         if torque is not None:
-            torque[:, :, step] = _motor_torques(worlds, physics).reshape(n_members, n_designs, N_LINKS)
+            torque[:, :, step] = _motor_torques(robots, physics).reshape(n_members, n_designs, N_LINKS)
         if step + 1 == n_settle:
-            settled = links.state
-    return Motion(settled=settled, final=links.state, trace=kept, motor_torque=torque)
+            settled = placed.state
+    return Motion(settled=settled, final=placed.state, trace=kept, motor_torque=torque)
 
 
 def _motor_torques(robots: list[_Robot], physics: Physics) -> Float32:
@@ -243,12 +249,12 @@ def _command_motors(
 
 
 def _push(
-    robots: _Robots, medium: Medium, designs: Designs, trees: KinematicTrees, placed: PlacedLinks, physics: Physics
+    links: _Links, medium: Medium, designs: Designs, trees: KinematicTrees, placed: PlacedLinks, physics: Physics
 ) -> None:
     """Let the medium act on every link, and the links on their bodies."""
     state = placed.state
     shape = state.shape[:3]
-    links = LinkStates(
+    states = LinkStates(
         length_scale=np.broadcast_to(designs.length_scale.astype(np.float32), shape),
         mass=np.broadcast_to(trees.mass, shape),
         inertia=np.broadcast_to(trees.inertia, shape),
@@ -259,7 +265,7 @@ def _push(
         vy=state[..., VY],
         omega=state[..., OMEGA],
     )
-    robots.push(placed, medium.velocity_change(links, physics))
+    links.push(placed, medium.velocity_change(states, physics))
 
 
 def _pushed(links: LinkStates, change: VelocityChange) -> tuple[Float32, Float32, Float32]:
@@ -281,10 +287,12 @@ class FreeLinks:
         self._length_scale = length_scale.astype(np.float32)
         self._mass = mass.astype(np.float32)
         self._inertia = (mass * (width**2 + length_scale**2) / 12).astype(np.float32)
-        bodies = [_body(self._world, (0.0, 0.0, 0.0)) for _ in length_scale]
-        for body, w, a in zip(bodies, width, length_scale, strict=True):
-            _add_link(body, (w / 2, a / 2), physics, groupIndex=THROUGH_ONE_ANOTHER)
-        self._bodies = _Bodies(bodies)
+        self._bodies = _Bodies(
+            [
+                _link(self._world, w / 2, a / 2, (0.0, 0.0, 0.0), physics)
+                for w, a in zip(width, length_scale, strict=True)
+            ]
+        )
 
     def step(self, state: Float32, medium: Medium | None) -> Float32:
         """Take one step from given states; what was before them is forgotten.

@@ -58,7 +58,7 @@ def test_the_image_has_the_versions_that_were_tried_and_no_root():
     assert int(lowest) <= int(re.search(r"python:3\.(\d+)", base)[1]) < int(highest)
     installs = [line for line in instructions("RUN") if "pip install" in line]
     assert all("constraints.txt" in line for line in installs)
-    assert "TORCH_BUILD" in installs[0] and f"torch=={CONSTRAINTS['torch']}" in project["dependencies"]
+    assert "TORCH_INDEX" in installs[0] and f"torch=={CONSTRAINTS['torch']}" in project["dependencies"]
     assert {re.match(r"[\w-]+", one)[0] for one in project["optional-dependencies"]["server"]} <= set(CONSTRAINTS)
     assert instructions("USER") == ["puddle"]
     assert KUBERNETES["RayCluster"]["spec"]["rayVersion"] == CONSTRAINTS["ray"]

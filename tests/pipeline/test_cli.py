@@ -82,12 +82,13 @@ def test_a_study_from_the_command_line(study, capsys, tmp_path):
 
 def test_simulate_reports_every_world_and_films(study, design, capsys, tmp_path):
     for world in ("dry_land", "true_slush", "residual_slush"):
-        out = tmp_path / f"{world}.gif"
+        film = "mp4" if world == "residual_slush" else "gif"
+        out = tmp_path / f"{world}.{film}"
         arguments = (str(design), "--environment", world, "--depth", "1", "--out", str(out))
         assert call("simulate", *arguments, *study) == 0
         said = capsys.readouterr().out
         assert "root" in said and "whole robot" in said and str(out) in said
-        assert out.read_bytes().startswith(b"GIF89a")
+        assert out.read_bytes()[:12].endswith(b"ftypisom") if film == "mp4" else out.read_bytes().startswith(b"GIF89a")
     assert "members" in said  # of the last world
 
 

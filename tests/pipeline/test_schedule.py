@@ -14,6 +14,7 @@ QUIET = Rates(
     generation={"true_slush": 0.01, "dry_land": 0.012, "residual_slush": 7.5, "single_member": 0.6},
     population_size=64,
     selection=0.002,
+    picture=0.02,
     bytes_per_design=150.0,
 )
 """Core-seconds of the paper's generation and the like on the README's machine."""

@@ -5,6 +5,7 @@ import json
 import duckdb
 import numpy as np
 import polars
+import pyarrow.parquet
 import pytest
 
 from pipeline.artifacts import canonical_json
@@ -69,6 +70,8 @@ def test_histories_hold_every_design_and_other_readers_read_them(settings, study
         assert history["generation"].to_list() == [g for g in range(n_generations) for _ in range(n_designs)]
         assert history["identity"].to_list() == list(range(n_generations * n_designs))
         assert set(history["operator"]) <= set(range(len(OPERATORS)))
+        said = json.loads(pyarrow.parquet.read_schema(path).metadata[b"puddle"])
+        assert said["units"]["operator"] == "0 random, 1 mutation, 2 crossover"  # so that a reader needs no source
         displacement = history["displacement"].to_numpy()
         assert displacement.shape == history["com_displacement"].to_numpy().shape == (len(history), n_members)
         expected = displacement.mean(axis=1) - settings.ensemble.disagreement_penalty * displacement.std(axis=1)

@@ -1,5 +1,6 @@
 """The middleware, with real stages on tiny settings: the same bytes however it runs, and from wherever it stops."""
 
+import contextlib
 import dataclasses
 import os
 import signal
@@ -101,6 +102,33 @@ def test_batches_of_designs_on_ray_give_the_same_bytes(serial_run, local_ray, tm
     store = Store.open(tmp_path / "store", create=True)
     batched = run(settings, store, local_ray, STAGES[:3])
     assert digests(batched) == {k: v for k, v in digests(upstream).items() if k.split("/")[0] in batched}
+
+
+def test_what_trains_is_a_part_of_what_a_member_is(serial_run):
+    """A GPU's low bits are its own: its members are others, and its tasks ask for one. A core goes without saying."""
+    _, upstream = serial_run
+    train = next(stage for stage in STAGES if stage.name == "train")
+
+    def specified(*overrides):
+        settings = tiny(*overrides)
+        return train.item(settings, train.plan(settings)[0], 0, None, upstream)
+
+    core, gpu = specified("training.device=cpu"), specified("training.device=cuda")
+    assert "device" not in core.spec["training"] and gpu.spec["training"]["device"] == "cuda"
+    assert (core.key, core.how) == (upstream["train"].done["member-00"][0].key, {})
+    assert gpu.key != core.key and gpu.how == {"n_gpus": 1}
+
+
+@pytest.mark.parametrize("kind", ["serial", "ray"])
+def test_a_gpu_that_is_not_there_is_said_at_once(kind, request, serial_run):
+    """Ray would wait for one for ever."""
+    store, _ = serial_run
+    with contextlib.ExitStack() as stack:
+        cluster = request.getfixturevalue("local_ray") if kind == "ray" else stack.enter_context(serial_cluster())
+        if cluster.n_gpus:
+            pytest.skip("there is a GPU")
+        with pytest.raises(PuddleError, match=r"train of member-00 is to run on a GPU, and there is none.*device=cpu"):
+            run(tiny("training.device=cuda"), store, cluster, STAGES[:2])
 
 
 def test_an_edited_setting_redoes_what_depends_on_it_and_nothing_else(serial_run):

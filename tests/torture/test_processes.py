@@ -132,7 +132,7 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
     for number, rng in enumerate(torture.attempts(1, 40)):
         folder = tmp_path / str(number)
         with driver(folder, *ENDLESS, "--workers", "1", terminal=way == "closed terminal") as one:
-            time.sleep(rng.uniform(0.0, 15.0))
+            time.sleep(rng.uniform(0.0, 15.0 if torture.large else 6.0))
             assert one.process.poll() is None, one.said()
             spoke = "starting the cluster" in one.said()
             if way == "closed terminal":

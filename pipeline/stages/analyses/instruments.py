@@ -16,6 +16,7 @@ from pipeline.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.stage import Files, Job, Spec
 from pipeline.stages import segments
 from pipeline.stages.analyses.champions import Champion, champions, ensemble_of, roll_out, true_slush
+from pipeline.stages.analyses.films import NOBODY, Filmed, best_of, film_at_home, home_of
 from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.stages.collect import TRANSITIONS, read_transitions
 from pipeline.tables import Columns, columns_of, text
@@ -39,7 +40,7 @@ from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.residual import OBSERVATION, Transitions
 from tasks.seeding import generator
-from tasks.world import EnsembleMedium, Environment, Physics, Slush
+from tasks.world import EnsembleMedium, Physics, Slush
 
 N_TRIES = 32
 """Times that each champion is tried again: its loss is then known to a fifth of the tries' deviation."""
@@ -143,9 +144,7 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
     designs = concatenate([of.design for of in arm])
     in_slush = roll_out(job, true_slush(spec, spec["depth"]), designs, trace=True)
     assert in_slush.trace is not None
-    scored = [of.zero_shot for of in arm]
-    survives = bool(np.isfinite(scored).any())
-    best = int(np.nanargmax(scored if survives else [of.predicted for of in arm]))
+    best, survives = best_of(arm)
     moved = _moved(in_slush.displacement, in_slush.com_displacement)
     rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
     if why := str(spec["no_networks"]):
@@ -155,10 +154,11 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
     errors = member_errors(ensemble, Slush.model_validate(spec["slush"]), links, physics)
     learned, _ = _transitions(spec, inputs)
     index = thrown(learned.observation, learned.throw)
-    films = [Filmed("true_slush", -1, scored[best], in_slush.trace[best : best + 1])] if survives else []
+    champion, traced = arm[best], in_slush.trace[best : best + 1]
+    films = [Filmed(champion, "true_slush", NOBODY, champion.zero_shot, traced)] if survives else []
     if spec["environment"] != "true_slush":
-        films.append(_film_at_home(job, inputs, arm[best]))
-    seen = [_look(film, arm[best], ensemble, index, physics) for film in films]
+        films.append(film_at_home(spec, job.how, champion, _members(inputs)))
+    seen = [_look(film, ensemble, index, physics) for film in films]
     lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
     lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
     reasons = dict.fromkeys(("links", "worlds"), "; ".join(lacking)) if lacking else {}
@@ -175,17 +175,8 @@ def _arm_tables(
     }
 
 
-def _member_names(inputs: Mapping[str, Files]) -> list[str]:
-    return sorted(name for name in inputs if name.startswith("member-"))
-
-
-def _home(job: Job, inputs: Mapping[str, Files], champion: Champion) -> Environment:
-    """Give the world that a champion evolved in: of single_member, its own member's."""
-    members = _member_names(inputs)
-    if champion.environment == "single_member":
-        members = [members[champion.trial % len(members)]]
-    world = {**job.spec, "world": champion.environment}
-    return segments.world_of(world, {name: inputs[name] for name in members})
+def _members(inputs: Mapping[str, Files]) -> dict[str, Files]:
+    return {name: files for name, files in inputs.items() if name.startswith("member-")}
 
 
 def _moved(displacement: npt.NDArray[np.float64], com_displacement: npt.NDArray[np.float64]) -> list[Moved]:
@@ -200,7 +191,7 @@ def _champion_row(
     if champion.environment in RESIDUAL_ENVIRONMENTS and job.spec["no_networks"]:
         nowhere, loss = Moved(np.nan, np.nan, np.nan), Estimate.missing(job.spec["no_networks"])
         return ChampionRow(champion.trial, best, nowhere, slush, champion.predicted, np.nan, loss, np.nan, 0, 0)
-    world = _home(job, inputs, champion)
+    world = home_of(job.spec, champion, _members(inputs))
     at_home = segments.score(job.spec, job.how, world, champion.design)
     (home,) = _moved(at_home.displacement.mean(axis=1), at_home.com_displacement.mean(axis=1))
 
@@ -228,19 +219,6 @@ def _champion_row(
 
 
 @dataclass(frozen=True, eq=False)
-class Filmed:
-    """A rollout of the best champion."""
-
-    world: str
-    member: int
-    """Whose world it is; -1 where it is nobody's."""
-    displacement: float
-    """[m]"""
-    trace: npt.NDArray[np.float32]
-    """(1, n_steps, n_links, 6)"""
-
-
-@dataclass(frozen=True, eq=False)
 class Seen:
     """What the instruments say of a rollout."""
 
@@ -249,23 +227,9 @@ class Seen:
     novelty: Novelty
 
 
-def _film_at_home(job: Job, inputs: Mapping[str, Files], champion: Champion) -> Filmed:
-    """Film a champion where it evolved; of an ensemble, in the world of the member that promises most."""
-    rollouts = roll_out(job, _home(job, inputs, champion), champion.design, trace=True)
-    assert rollouts.trace is not None
-    if champion.environment not in RESIDUAL_ENVIRONMENTS:
-        return Filmed(champion.environment, -1, float(rollouts.displacement[0]), rollouts.trace)
-    promised = rollouts.displacement[:, 0]
-    k = int(np.nanargmax(promised)) if np.isfinite(promised).any() else 0
-    n_members = len(_member_names(inputs))
-    member = champion.trial % n_members if champion.environment == "single_member" else k
-    return Filmed(champion.environment, member, float(promised[k]), rollouts.trace[k])
-
-
-def _look(
-    film: Filmed, champion: Champion, ensemble: EnsembleMedium, throws: Thrown, physics: Physics
-) -> Seen:
+def _look(film: Filmed, ensemble: EnsembleMedium, throws: Thrown, physics: Physics) -> Seen:
     """Map disagreement and novelty along a rollout."""
+    champion = film.champion
     said = disagreement(champion.design, film.trace, ensemble, physics)
     new = novelty(link_states(champion.design, film.trace, physics), throws)
     known = new.novelty[np.isfinite(new.novelty)]

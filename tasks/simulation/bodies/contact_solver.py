@@ -94,9 +94,7 @@ def initialize_velocity_constraint(contact: Any, body_a: Any, body_b: Any, resti
         point[NORMAL_MASS] = 1.0 / _effective_mass(body_a, body_b, rnA, rnB, rnA, rnB)
         rtA, rtB = rA_x * tangent_y - rA_y * tangent_x, rB_x * tangent_y - rB_y * tangent_x
         point[TANGENT_MASS] = 1.0 / _effective_mass(body_a, body_b, rtA, rtB, rtA, rtB)
-        dv_x, dv_y = _relative_velocity(
-            point, body_a[V_X], body_a[V_Y], body_a[W], body_b[V_X], body_b[V_Y], body_b[W]
-        )
+        dv_x, dv_y = _relative_velocity(point, body_a[V_X], body_a[V_Y], body_a[W], body_b[V_X], body_b[V_Y], body_b[W])
         v_rel = normal_x * dv_x + normal_y * dv_y
         point[BIAS] = select(v_rel < -VELOCITY_THRESHOLD, -(restitution * v_rel), 0.0)
 

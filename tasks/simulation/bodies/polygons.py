@@ -163,12 +163,17 @@ def collide_polygons(contact: Any, body_a: Any, box_a: Any, body_b: Any, box_b: 
         if any_lane(separation_b > TOTAL_RADIUS):
             return
         flip = any_lane(separation_b > RELATIVE_TOLERANCE * separation_a + ABSOLUTE_TOLERANCE)
+    store_whole(contact, FACE_B, 1 if flip else 0)
     if flip:
         body_1, box_1, body_2, box_2, edge_1 = body_b, box_b, body_a, box_a, edge_b
     else:
         body_1, box_1, body_2, box_2, edge_1 = body_a, box_a, body_b, box_b, edge_a
-    store_whole(contact, FACE_B, 1 if flip else 0)
+    _clip_to_manifold(contact, body_1, box_1, edge_1, body_2, box_2, flip)
 
+
+@inline
+def _clip_to_manifold(contact: Any, body_1: Any, box_1: Any, edge_1: Any, body_2: Any, box_2: Any, flip: bool) -> None:
+    """b2CollidePolygons goes on: clip the edge of box 2 that faces the reference edge of box 1 to that edge's sides."""
     first = find_incident_edge(box_1, edge_1, body_2, box_2)
     second = (first + 1) % 4
     x0, y0 = box_2[WORLD_VERTEX_X + first], box_2[WORLD_VERTEX_Y + first]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -35,15 +37,24 @@ _SOURCES = [
     body_rows, records, polygons, broad_phase, contact_solver, revolute_joint, island, step,
 ]  # fmt: skip
 _advance = compiled(step.advance_bodies, _SOURCES, seconds=30)
-_advance_in_learned_medium = compiled(
-    learned.advancing(
-        _advance.inner,
-        networks.run_networks.inner,
-        (body_rows.CHANGE_VX, body_rows.CHANGE_VY, body_rows.CHANGE_OMEGA),
-    ),
-    [*_SOURCES, networks, learned],
-    seconds=30,
-)
+_advance_kernel, _run_networks = _advance.inner, networks.run_networks.inner
+
+
+def advance_bodies_among_networks(
+    block: Any, blocks: Any, world: Any, first_step: int, n_steps: int, robot_of_lane: Any, n_designs: int,
+    observed: Any, layers: Any, sizes: Any, x: Any, out: Any, between: Any, no_trace: Any,
+) -> None:  # fmt: skip
+    """Take steps with all robots, each in its member's medium; see learned.py, networks.py and the engine's kernel."""
+    for taken in range(n_steps):
+        learned.observe(blocks, robot_of_lane, n_designs, observed, x)
+        _run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
+        learned.add(
+            blocks, robot_of_lane, n_designs, out, body_rows.CHANGE_VX, body_rows.CHANGE_VY, body_rows.CHANGE_OMEGA
+        )
+        _advance_kernel(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
+
+
+_advance_among_networks = compiled(advance_bodies_among_networks, [*_SOURCES, networks, learned], seconds=30)
 
 
 class Robots:
@@ -92,7 +103,7 @@ class Robots:
         x, out = learned_medium.room(n_designs * N_LINKS)
         observed = np.array([rows.QUANTITIES[name] for name in learned_medium.inputs], np.int64)
         with np.errstate(all="ignore"):
-            _advance_in_learned_medium(
+            _advance_among_networks(
                 self._block, self.blocks, world, first_step, n_steps, np.arange(self.n_robots), n_designs, observed,
                 learned_medium.layers, learned_medium.sizes, x, out, learned_medium.between, self._no_trace,
             )  # fmt: skip

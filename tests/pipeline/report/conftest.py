@@ -71,6 +71,14 @@ def dry_replay(rollout) -> Replay:
     )
 
 
+@pytest.fixture(scope="session")
+def promised(slush_replay) -> Replay:
+    """The same robot as a member has it: twice as far."""
+    frames = slush_replay.frames.copy()
+    frames[..., 0] += np.linspace(0.0, frames[-1, 0, 0] - frames[0, 0, 0], len(frames))[:, None]
+    return replace(slush_replay, frames=frames, world="Residual Slush (member 1)", imagined=True)
+
+
 def trial(environment: str, depth: float, number: int, predicted: float, zero_shot: float, adapted=None) -> TrialResult:
     return TrialResult(
         environment=environment,
@@ -141,7 +149,7 @@ def findings() -> Findings:
 
 
 @pytest.fixture(scope="session")
-def study(slush_replay, dry_replay, findings) -> StudyReport:
+def study(slush_replay, dry_replay, promised, findings) -> StudyReport:
     """Two depths; at 9 m True Slush has the mean 12, Dry Land −1, Residual Slush 9, a single member 3."""
     trials = [
         trial("true_slush", 9.0, 0, 11.0, 11.0),
@@ -167,7 +175,13 @@ def study(slush_replay, dry_replay, findings) -> StudyReport:
         settings_yaml="depths: [1, 9]\n",
         trials=trials,
         residual_errors=errors,
-        replays=[dry_replay, slush_replay, replace(slush_replay, depth=9.0)],
+        replays=[
+            replace(slush_replay, title="Without", environment="dry_land"),
+            slush_replay,
+            replace(slush_replay, depth=9.0),
+            replace(promised, depth=9.0),
+            dry_replay,
+        ],
         findings=findings,
         digests=[Digest("evolve", "true_slush 9 m trial 0", "ab" * 32)],
         seconds={"evolve": 125.0},

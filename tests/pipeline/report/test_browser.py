@@ -214,6 +214,7 @@ def test_the_viewer_scrubs(opened):
 
 
 def test_two_robots_stand_side_by_side_or_above_one_another(opened):
+    choose(opened, "beside", "")
     alone = opened.picture("#stage").shape
     choose(opened, "beside", "0")
     together = opened.picture("#stage")
@@ -222,6 +223,25 @@ def test_two_robots_stand_side_by_side_or_above_one_another(opened):
     assert together.shape[1] == alone[1]
     halves = np.array_split(together, 2, axis=1 if wide else 0)
     assert all(len(np.unique(half.reshape(-1, 3), axis=0)) > 20 for half in halves)  # a robot in each, not a blank
+
+
+def test_what_it_promised_stands_beside_what_it_does(opened):
+    """Unless told otherwise, for a robot that has been filmed in two worlds; one that has not stands alone."""
+    choose(opened, "choice", "1")  # it has been filmed in True Slush alone
+    alone = opened.picture("#stage")
+    choose(opened, "choice", "3")
+    choose(opened, "beside", "")
+    promised = opened.picture("#stage")
+    choose(opened, "beside", "twin")
+    both = opened.picture("#stage")
+    wide = opened.evaluate("innerWidth") > 600
+    first, second = np.array_split(both, 2, axis=1 if wide else 0)
+    assert (first.shape == second.shape) and (first != second).any()
+    assert (both.shape[0] > alone.shape[0]) != wide
+    choose(opened, "overlay", "disagreement")
+    said = opened.evaluate("document.getElementById('legend').textContent")
+    assert "Solid: in Residual Slush (member 1); dashed: in True Slush." in said
+    assert promised.shape == alone.shape
 
 
 def test_overlays_colour_links_and_the_line_below_follows(opened):

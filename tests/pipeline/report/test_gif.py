@@ -8,18 +8,8 @@ import pytest
 from PIL import Image, ImageColor
 
 from pipeline.report.data import ENVIRONMENTS
-from pipeline.report.gif import (
-    FRAME,
-    GROUND,
-    LANE_HEIGHT,
-    SKY,
-    SLUSH,
-    WIDTH,
-    _robot_colors,
-    link_outline,
-    render_gif,
-    write_gif,
-)
+from pipeline.report.film import GROUND, LANE_HEIGHT, SKY, SLUSH, SURFACE, WIDTH, _robot_colors, link_outline
+from pipeline.report.gif import FPS, render_gif
 
 
 def count(picture: Image.Image, color: str | tuple[int, int, int]) -> int:
@@ -32,8 +22,8 @@ def test_two_robots_above_one_another(slush_replay, dry_replay):
     data = render_gif([slush_replay, dry_replay])
     picture = Image.open(io.BytesIO(data))
     assert picture.size == (WIDTH, 2 * LANE_HEIGHT)
-    assert picture.n_frames == int(slush_replay.duration / FRAME) + 1  # the longer of the two
-    assert picture.info["duration"] == FRAME * 1000
+    assert picture.n_frames == int(slush_replay.duration * FPS) + 1  # the longer of the two
+    assert picture.info["duration"] == 1000 / FPS
     assert picture.info["loop"] == 0
     upper, lower = (picture.crop((0, top, WIDTH, top + LANE_HEIGHT)) for top in (0, LANE_HEIGHT))
     assert count(upper, SLUSH) > 0.2 * WIDTH * LANE_HEIGHT
@@ -43,9 +33,18 @@ def test_two_robots_above_one_another(slush_replay, dry_replay):
     assert count(lower, ENVIRONMENTS["dry_land"].color) > 200
 
 
-def test_the_same_bytes_each_time(dry_replay, tmp_path):
-    write_gif([dry_replay], tmp_path / "a.gif")
-    assert (tmp_path / "a.gif").read_bytes() == render_gif([dry_replay])
+def test_the_same_bytes_each_time(dry_replay):
+    assert render_gif([dry_replay]) == render_gif([dry_replay])
+
+
+def test_slush_that_is_only_imagined_has_a_dashed_surface(slush_replay):
+    """Dashes of 10 pixels in 16."""
+    real, imagined = (
+        count(Image.open(io.BytesIO(render_gif([replace(slush_replay, imagined=of)]))), SURFACE)
+        for of in (False, True)
+    )
+    assert real >= WIDTH
+    assert imagined / real == pytest.approx(10 / 16, abs=0.05)
 
 
 def test_twenty_seconds_stay_small(slush_replay, dry_replay):

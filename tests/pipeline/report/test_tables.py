@@ -87,3 +87,10 @@ def test_the_tank_s_table_says_who_crossed_how_fast_and_why_not():
     assert "trial 0 9.0 0.2 17.0 – it is as long as the tank −0.3 of 12.7 m −0.1 mm/s built" in text
     assert "✓ trial 3 10.0 – 4.0 64 s 14.0 mm/s built – it diverged" in text
     assert tank_tests(Findings()) == ""
+
+
+def test_an_interval_stands_under_the_number_and_minus_signs_are_true(findings):
+    html = against_paper(findings)
+    row = next(row for row in findings.against_paper if row.what == "True Slush at 9 m [m]")
+    assert f'data-column="This run">{row.this_run}<small>{row.interval}</small>' in html
+    assert 'data-column="Paper">−0.8<' in html

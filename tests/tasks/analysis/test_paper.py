@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from tasks.analysis import Estimate, Regression, Scores, against_paper
 from tasks.analysis.paper import AGGREGATES, MEANS, PHYSICAL, RANGES, RATIOS, STATEMENTS
@@ -184,3 +185,47 @@ def test_single_members_that_vary_less_differ():
     assert rows_of(like_the_paper())[name].value == pytest.approx(4.0)
     calm = with_arm(like_the_paper(), "single_member", 9.0, zero_shot=(4.0, 0.5))
     assert rows_of(calm)[name].verdict == "differs"
+
+
+def test_the_interval_is_this_runs_own_and_lies_in_that_of_a_repeat():
+    """Of a mean Student's t: 4.8 ± t(9) · 1 / √10. The paper's number may lie between the two intervals and agree."""
+    row = rows_of(like_the_paper())["Dry Land adapted at 9 m [m]"]
+    half = stats.t.ppf(0.975, 9) / math.sqrt(10)
+    assert (row.low, row.high) == pytest.approx((4.8 - half, 4.8 + half))
+    assert row.interval == "4.1 to 5.5"
+    best = 13.6 - 1.2 * half  # beyond the interval, within the repeat's, which is √2 as wide
+    row = rows_of(like_the_paper(best=best))["True Slush at 9 m [m]"]
+    assert row.verdict == "agrees" and row.high < 13.6
+
+
+def test_every_number_of_a_whole_run_has_an_interval_and_nothing_else_has():
+    found = rows_of(like_the_paper(), accuracy())
+    with_interval = {what for what, row in found.items() if row.interval}
+    numbers = {what for what, row in found.items() if row.value is not None and not what.startswith("Student")}
+    assert with_interval == numbers - {f"{figure} of the members, at 9 m" for figure in ("Pearson's R", "slope")}
+    for what in with_interval:
+        assert found[what].low < found[what].value < found[what].high
+
+
+def test_too_few_trials_for_an_interval():
+    row = rows_of(like_the_paper(n=1))["True Slush at 9 m [m]"]
+    assert (row.verdict, row.interval, row.low) == ("not comparable", "", None)
+
+
+def test_the_ratio_of_deviations_is_that_of_the_samples():
+    row = next(row for what, row in rows_of(like_the_paper()).items() if what.startswith("deviation"))
+    assert row.value == pytest.approx(4.0, rel=1e-12)  # 4.0 and 1.0
+    assert row.verdict == "agrees" and row.low > 1
+
+
+@pytest.mark.parametrize(
+    ("single", "ensemble", "n", "verdict"),
+    [(4, 1, 10, "agrees"), (1, 4, 10, "differs"), (1.2, 1, 10, "not comparable"), (4, 1, 2, "not comparable")],
+)
+def test_more_variation_is_judged_by_its_whole_interval(single, ensemble, n, verdict):
+    rows = [("single_member", single), ("residual_slush", ensemble)]
+    z = np.concatenate([spread(5.0, sd, n) for _, sd in rows])
+    arms = np.repeat([arm for arm, _ in rows], n)
+    scores = Scores(arms, np.full(2 * n, 9.0), np.tile(np.arange(n), 2), np.full(2 * n, NAN), z, z)
+    row = next(row for what, row in rows_of(scores).items() if what.startswith("deviation"))
+    assert (row.verdict, row.value) == (verdict, pytest.approx(single / ensemble))

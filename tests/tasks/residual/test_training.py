@@ -6,7 +6,15 @@ import torch
 from pydantic import ValidationError
 
 from tasks.residual import Architecture, Throws, Training, Transitions, initial_states, low_speed_bias, simulate_throws
-from tasks.residual.training import TrainingDiverged, held_out_rows, learning_rate, mean_loss, train_member
+from tasks.residual.training import (
+    NoDevice,
+    TrainingDiverged,
+    held_out_rows,
+    learning_rate,
+    mean_loss,
+    n_cuda_devices,
+    train_member,
+)
 from tasks.seeding import generator
 from tasks.world import Physics, Slush
 
@@ -208,3 +216,18 @@ def test_a_learning_rate_that_explodes_ends_a_training_by_name():
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         Training(**wrong)
+
+
+@pytest.mark.skipif(n_cuda_devices() > 0, reason="there is a CUDA device")
+def test_a_device_that_is_not_there_is_named(thrown):
+    on_gpu = SHORT.model_copy(update={"device": "cuda"})
+    with pytest.raises(NoDevice, match=r"training.device is 'cuda', but torch \d.*finds no CUDA device"):
+        train_member(thrown, SMALL, on_gpu, seed=0, member=0)
+
+
+@pytest.mark.skipif(n_cuda_devices() == 0, reason="there is no CUDA device")
+def test_a_gpu_gives_the_same_bytes_twice(thrown):
+    on_gpu = SHORT.model_copy(update={"device": "cuda"})
+    once, again = (train_member(thrown, SMALL, on_gpu, seed=0, member=0).arrays() for _ in range(2))
+    for name, array in once.items():
+        assert np.isfinite(array).all() and array.tobytes() == again[name].tobytes()

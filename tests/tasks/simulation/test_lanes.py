@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 from numba.core.errors import TypingError
 
 from tasks.simulation import simd  # noqa: F401 (teaches numba what lanes are)
+from tasks.simulation.compiled import compiled
 from tasks.simulation.lanes import (
     ALIGNMENT,
     Block,
@@ -189,3 +190,13 @@ def test_an_edit_of_a_module_that_a_kernel_calls_is_not_served_from_the_cache(tm
     assert run(10) == (20.0, False)
     assert run(30) == (60.0, True)
     assert run(10) == (20.0, False)
+
+
+def test_a_closure_is_no_kernel():
+    shift = 1.0
+
+    def shifted(block):
+        block[0] = block[0] + shift
+
+    with pytest.raises(ValueError, match=r"shifted is a closure, expected a function of a module"):
+        compiled(shifted, [], seconds=1)

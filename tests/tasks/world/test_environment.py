@@ -60,4 +60,6 @@ def test_the_base_simulators_constants() -> None:
         "restitution": 0.0,
         "motor_gain": 10.0,
         "max_motor_torque": 100.0,
+        "passive_joints": "swing",
+        "link_collisions": False,
     }

@@ -1,0 +1,87 @@
+"""The champion of each arm that is proposed for building: its design file, and its films in the tank.
+
+Part of the stage report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pipeline.artifacts import decode_json
+from pipeline.design_file import design_from
+from pipeline.report.data import ENVIRONMENTS
+from pipeline.report.replay import Replay, replay_of
+from pipeline.settings import EnvironmentName, Settings
+from pipeline.stage import Files
+from pipeline.stages import segments
+from pipeline.stages.analyse import read_table, tank_label
+from pipeline.stages.transfer import CHAMPION
+from tasks.simulation import OK, simulate
+from tasks.world import DryLand, TrueSlush
+
+Row = tuple[EnvironmentName, float, int]
+"""Environment, depth [m] and number of a trial."""
+
+MOST_STEPS_IN_TANK = 60 * 60
+"""Of the films of the tank; a minute of a robot that goes nowhere is enough."""
+
+
+def proposed(settings: Settings, inputs: Mapping[str, Files]) -> list[Row]:
+    """Find each arm's champion that is proposed for building; none without a tank."""
+    found: list[Row] = []
+    for environment, depth in dict.fromkeys(trial[:2] for trial in settings.grid.trials()):
+        files = inputs.get(f"analyse/{tank_label(environment, depth)}")
+        if files:
+            table = read_table(files, "tank")
+            found += [(environment, depth, int(trial)) for trial in table["trial"][table["proposed"]]]
+    return found
+
+
+def proposal_files(rows: list[Row], inputs: Mapping[str, Files]) -> Files:
+    """Give the design files of proposed champions, named by their arms; the store wants no second dot in a name."""
+    return {
+        f"proposed-{row[0]}-{row[1]:g}m".replace(".", "_") + ".json": _champion_file(row, inputs) for row in rows
+    }
+
+
+def _champion_file(row: Row, inputs: Mapping[str, Files]) -> bytes:
+    return inputs[f"transfer/{segments.trial_label(*row)}"][CHAMPION]
+
+
+def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engine: Any) -> list[Replay]:
+    """Film a proposed champion in the tank and on its dry floor. They show a tank, so they are of no environment."""
+    assert settings.tank is not None
+    environment, _, trial = row
+    label = segments.trial_label(*row)
+    design = design_from(decode_json(_champion_file(row, inputs), label), label)
+    tank, n_settle = settings.tank, settings.rollout.n_settle
+    replays = []
+    for world, words in (
+        (TrueSlush(depth=tank.simulated_depth, slush=settings.slush), "the tank"),
+        (DryLand(depth=0.0), "the drained tank"),
+    ):
+        rollouts = simulate(
+            design,
+            world,
+            n_settle=n_settle,
+            n_measure=min(tank.n_steps(settings.physics.time_step), MOST_STEPS_IN_TANK),
+            engine=engine,
+            trace=True,
+            physics=settings.physics,
+        )
+        if rollouts.status[0] == OK:
+            assert rollouts.trace is not None
+            replays.append(
+                replay_of(
+                    design,
+                    rollouts.trace[0],
+                    title=f"To build: evolved {ENVIRONMENTS[environment].evolved}, trial {trial}, in {words}",
+                    environment="",
+                    world=words,
+                    depth=round(world.depth, 2),
+                    has_medium=isinstance(world, TrueSlush),
+                    n_settle=n_settle,
+                )
+            )
+    return replays

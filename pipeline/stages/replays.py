@@ -1,0 +1,107 @@
+"""From an arm's films to what the page shows: replays, with what the instruments say of them laid over.
+
+Part of the stage report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.report.data import ENVIRONMENTS
+from pipeline.report.replay import Overlay, Replay, at_frames, replay_of
+from pipeline.settings import RESIDUAL_ENVIRONMENTS
+from pipeline.stage import Files, Spec
+from pipeline.stages.analyse import arm_label, read_table
+from pipeline.stages.analyses.champions import champions, ensemble_of
+from pipeline.stages.analyses.films import NOBODY, Filmed, film_arm
+from tasks.analysis import acceleration, link_states
+from tasks.world import Medium, Physics, Slush
+
+LAID_OVER = (
+    ("disagreement", "what the members disagree about", "m/s²", 0.0),
+    ("novelty", "distance from the throws", "× usual", 1.0),
+)
+"""Column of the instruments' links, what the page calls it, its unit, and what the darkest colour is at least: within
+the usual distance a state is not new."""
+
+
+def arms_of(trials: Sequence[tuple[Any, float, int]]) -> list[tuple[str, float]]:
+    """List environment and depth of every arm, deepest first."""
+    return sorted(dict.fromkeys((environment, depth) for environment, depth, _ in trials), key=lambda arm: -arm[1])
+
+
+def replays_of(spec: Spec, how: Spec, inputs: Mapping[str, Files]) -> list[Replay]:
+    """Film the best champion of every arm, in True Slush and where it evolved, deepest first.
+
+    Args:
+        spec: physics, slush, rollout, and trials.
+        how: the engine.
+        inputs: ``transfer/<trial>``, every ``member-<n>`` or none, and ``analyse/<arm>`` where there is something to
+            lay over.
+    """
+    networks = {name: files for name, files in inputs.items() if name.startswith("member-")}
+    replays = []
+    for environment, depth in arms_of(spec["trials"]):
+        arm = champions([row for row in spec["trials"] if tuple(row[:2]) == (environment, depth)], inputs)
+        said = inputs.get(f"analyse/{arm_label(environment, depth)}", {})
+        films = film_arm(spec, how, arm, networks)
+        replays += [_replay(spec, film, _overlays(spec, film, said), networks) for film in films]
+    return replays
+
+
+def _replay(spec: Spec, film: Filmed, overlays: tuple[Overlay, ...], networks: Mapping[str, Files]) -> Replay:
+    champion, style = film.champion, ENVIRONMENTS[film.champion.environment]  # type: ignore[index]  # one of its names
+    return replay_of(
+        champion.design,
+        film.trace[0],
+        title=f"Evolved {style.evolved}, trial {champion.trial}",
+        environment=champion.environment,
+        world=_words(film),
+        depth=champion.depth,
+        has_medium=film.world != "dry_land",
+        imagined=film.world in RESIDUAL_ENVIRONMENTS,
+        n_settle=spec["rollout"]["n_settle"],
+        overlays=overlays,
+        push=_push(spec, film, networks),
+    )
+
+
+def _words(film: Filmed) -> str:
+    """Name the world of a film; both kinds of residual worlds are Residual Slush as a member has it."""
+    if film.world in RESIDUAL_ENVIRONMENTS:
+        return f"Residual Slush (member {film.member})"
+    return ENVIRONMENTS[film.world].label  # type: ignore[index]
+
+
+def _overlays(spec: Spec, film: Filmed, instruments: Files) -> tuple[Overlay, ...]:
+    """Read what the instruments say of the champion's links in this world; nothing where they saw another."""
+    if not instruments:
+        return ()
+    worlds, links = read_table(instruments, "worlds"), read_table(instruments, "links")
+    here = (worlds["world"] == film.world) & (worlds["trial"] == film.champion.trial)
+    if not (here & (worlds["member"] == film.member)).any():
+        return ()
+    of = links["world"] == film.world
+    n_links = int(links["link"].max()) + 1
+    return tuple(
+        Overlay(label, unit, at_frames(links[column][of].reshape(-1, n_links), spec["rollout"]["n_settle"]), least)
+        for column, label, unit, least in LAID_OVER
+        if np.isfinite(links[column][of]).any()
+    )
+
+
+def _push(spec: Spec, film: Filmed, networks: Mapping[str, Files]) -> npt.NDArray[np.float64] | None:
+    """Compute how the medium, or the member that stands for it, speeds up each link: (n_frames, n_links, 2) [m/s²]."""
+    if film.world == "dry_land":
+        return None
+    medium: Medium = Slush.model_validate(spec["slush"])
+    if film.member != NOBODY:
+        name = sorted(networks)[film.member]
+        medium = ensemble_of({name: networks[name]})
+    physics = Physics.model_validate(spec["physics"])
+    change = acceleration(medium, link_states(film.champion.design, film.trace, physics), physics)
+    return at_frames(change[0, ..., :2], spec["rollout"]["n_settle"])
