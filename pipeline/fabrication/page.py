@@ -145,7 +145,8 @@ def _scale(
          f"{load.margin:.1f}×", f"{load.saturated:.0%}"]
         for load in bench.loads
     ]  # fmt: skip
-    weaker = "stronger" if stall > limit else "weaker"
+    ratio, weaker = max(stall, limit) / max(min(stall, limit), 1e-12), "stronger" if stall > limit else "weaker"
+    unlike = ": where the simulated robot was too weak, on dry land say, this one may not be" if stall > limit else ""
     said = [
         f"<p>{escape(LAWS[law])}</p>",
         "<p>The paper gives the length's scale and not the time's; its runs of up to 150 s over 1.17 m (16.7 m of "
@@ -154,9 +155,8 @@ def _scale(
         _table(["", "in simulation", "on the bench"], units, "left"),
         f"<p>A {escape(servo.name)} has {servo.stall_torque_nm:.2f} N·m at rest and "
         f"{servo.no_load_speed_rad_s:.1f} rad/s unloaded, at {servo.voltage_v:g} V; {bench.servos_per_joint} at each "
-        f"joint. That is {max(stall, limit) / max(min(stall, limit), 1e-12):.1f} times {weaker} than the simulated "
-        f"motor's limit at this scale{': where the simulated robot was too weak, on dry land say, this one may not be' if stall > limit else ''}"
-        f".</p>",
+        f"joint. That is {ratio:.1f} times {weaker} than the simulated "
+        f"motor's limit at this scale{unlike}.</p>",
         _table(["each servo of", "torque, at most [N·m]", "torque, on average [N·m]", "speed, at most [rad/s]",
                 "margin, at the worst instant", "of the run at the simulated limit"], loads) if loads else "",
         _figure(figure),
@@ -182,8 +182,8 @@ def _floating(bench: Bench, physics: Physics, slush_density: float) -> str:
     )
     return (
         f"<p>{1000 * floating.mass_kg:.0f} g against {1e6 * floating.sealed_m3:.0f} cm³. {lies} The simulated robot "
-        f"has {simulated:.0%} under; where the two differ, weights or foam bring them together. By itself, {flooded}. In "
-        f"the simulation buoyancy never tips a robot over; on the bench it may lie at another angle.</p>"
+        f"has {simulated:.0%} under; where the two differ, weights or foam bring them together. By itself, {flooded}. "
+        f"In the simulation buoyancy never tips a robot over; on the bench it may lie at another angle.</p>"
     )
 
 
@@ -192,10 +192,11 @@ def _members(bench: Bench) -> str:
         return "<p>No ensemble is at hand for this design, so what its members disagree by is not known.</p>"
     found, scales = bench.members, bench.scales
     each = ", ".join(f"{value:+.1f}" for value in found.displacement)
+    mean_cm, deviation_cm = 100 * found.mean * scales.length, 100 * found.deviation * scales.length
     return (
-        f"<p>The study's {len(found.displacement)} networks promise {found.mean:+.2f} ± {found.deviation:.2f} m for this "
-        f"design ({each}), that is {100 * found.mean * scales.length:+.0f} ± {100 * found.deviation * scales.length:.0f} "
-        f"cm on the bench: σ is what they disagree by, and the least doubt to have.</p>"
+        f"<p>The study's {len(found.displacement)} networks promise {found.mean:+.2f} ± {found.deviation:.2f} m for "
+        f"this design ({each}), that is {mean_cm:+.0f} ± {deviation_cm:.0f} cm on the bench: σ is what they disagree by, "
+        f"and the least doubt to have.</p>"
     )
 
 
@@ -209,7 +210,8 @@ def _timeline(bench: Bench, figure: Drawing | Missing) -> str:
             for s in bench.calibration.servos
         ]  # fmt: skip
         said.append(_table(["servo of", "channel", "centre [µs]", "direction", "µs/rad", "limits [µs]", "reach"], rows))
-        said.append("<p>From the data sheet, to be measured on yours: <a href='calibration.yaml'>calibration.yaml</a>.</p>")
+        said.append("<p>From the data sheet, to be measured on yours: "
+                    "<a href='calibration.yaml'>calibration.yaml</a>.</p>")
     if bench.timeline is not None:
         said.append("<p>At 50 Hz, angles and pulses: <a href='timeline.json'>timeline.json</a>, "
                     "<a href='timeline.csv'>timeline.csv</a>.</p>")
