@@ -17,7 +17,6 @@ import pytest
 
 from pipeline.cluster import Cluster, ray_cluster
 from tasks.design import N_LINKS, Designs
-from tasks.design import N_LINKS, Designs
 
 
 @pytest.fixture(scope="session")

@@ -42,8 +42,8 @@ class Simulated:
     duration: float
     """That it took [s of simulation]."""
     torque: npt.NDArray[np.float64]
-    """(n_steps, n_joints) given by the simulated motors [N·m of simulation], once the robot has settled: until then they
-    jump to their gait, which the bench's timeline does not."""
+    """(n_steps, n_joints) given by the simulated motors [N·m of simulation], once the robot has settled: until
+    then they jump to their gait, which the bench's timeline does not."""
     speed: npt.NDArray[np.float64]
     """(n_steps, n_joints) [rad/s of simulation]."""
 

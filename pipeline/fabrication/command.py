@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import yaml
 
@@ -19,6 +22,10 @@ from pipeline.tracking import Run, Tracker
 from tasks.design import DesignError
 from tasks.fabrication.cad import MissingCadError, require_cad
 from tasks.world import TrueSlush
+
+if TYPE_CHECKING:  # the CAD kernel, which takes ten seconds to import
+    from tasks.fabrication.checks import Finding
+    from tasks.fabrication.scaling import JointLoad
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 """Where the guides are, in a checkout; a kit takes a copy along."""
@@ -62,7 +69,7 @@ def fabricate(
     except MissingCadError as error:
         raise PuddleError(str(error)) from None
     check_place(out)
-    # The CAD kernel takes ten seconds to import: only once everything else is well.
+    # Late, for the same reason: only once everything else is well.
     from pipeline.fabrication.bench import bench_of, run
     from pipeline.fabrication.exports import exports
     from pipeline.fabrication.figures import timeline_figure, torque_figure
@@ -111,6 +118,7 @@ def fabricate(
     metrics |= {f"margin.joint_{load.joint}": load.margin for load in bench.loads}
     if source.members is not None:
         metrics |= {"ensemble_mean": source.members.mean, "ensemble_deviation": source.members.deviation}
+    metrics = {name: value for name, value in metrics.items() if isfinite(value)}
     said: dict[str, Json] = {
         "name": source.name,
         "origin": source.origin,
@@ -123,7 +131,7 @@ def fabricate(
     return Made(_lines(out, found, bench.loads, kit.mass_g), faults)
 
 
-def _lines(out: Path, found: list, loads: tuple, mass_g: float) -> list[str]:  # type: ignore[type-arg]
+def _lines(out: Path, found: Sequence[Finding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:
     lines = [f"{finding.severity:<8} {finding.where}: {finding.message}" for finding in found]
     lines += [f"joint {load.joint}: the servo has {load.margin:.1f} times what the run asks for" for load in loads]
     return [*lines, f"The kit, {mass_g:.0f} g of robot: {out / 'index.html'}"]
@@ -145,4 +153,4 @@ def _mirror(
         inputs={"design": key}, outputs={path: digest(content) for path, content in files.items() if "/" in path},
         artifacts={f"kit/{path}": content for path, content in kept.items()}, status="FINISHED",
     )  # fmt: skip
-    tracker.mirror(replace(study), stage)
+    tracker.mirror(study, stage)

@@ -116,7 +116,7 @@ def _bill(kit: Kit) -> str:
         for line in kit.bill
     ]  # fmt: skip
     rows.append(["<b>all of it</b>", "", "", f"<b>{kit.mass_g:.0f}</b>", "without screws and cables"])
-    return _table(["what", "count", "length [mm]", "mass [g]", ""], rows, "plain")
+    return _table(["what", "count", "length [mm]", "mass [g]", ""], rows)
 
 
 def _scale(
@@ -157,8 +157,8 @@ def _scale(
         f"{servo.no_load_speed_rad_s:.1f} rad/s unloaded, at {servo.voltage_v:g} V; {bench.servos_per_joint} at each "
         f"joint. That is {ratio:.1f} times {weaker} than the simulated "
         f"motor's limit at this scale{unlike}.</p>",
-        _table(["each servo of", "torque, at most [N·m]", "torque, on average [N·m]", "speed, at most [rad/s]",
-                "margin, at the worst instant", "of the run at the simulated limit"], loads) if loads else "",
+        _table(["each servo of", "most torque [N·m]", "mean [N·m]", "most speed [rad/s]", "least margin",
+                "simulated motor at its limit"], loads) if loads else "",
         _figure(figure),
         _floating(bench, physics, slush_density),
         _members(bench),
@@ -195,8 +195,8 @@ def _members(bench: Bench) -> str:
     mean_cm, deviation_cm = 100 * found.mean * scales.length, 100 * found.deviation * scales.length
     return (
         f"<p>The study's {len(found.displacement)} networks promise {found.mean:+.2f} ± {found.deviation:.2f} m for "
-        f"this design ({each}), that is {mean_cm:+.0f} ± {deviation_cm:.0f} cm on the bench: σ is what they disagree by, "
-        f"and the least doubt to have.</p>"
+        f"this design ({each}), that is {mean_cm:+.0f} ± {deviation_cm:.0f} cm on the bench: σ is what they disagree "
+        f"by, and the least doubt to have.</p>"
     )
 
 

@@ -49,7 +49,7 @@ def proposed(settings: Settings, store: Store) -> Source:
     upstream = survey(settings, STAGES, store, say=lambda line: None)
     rows = [row for row in read_scores(settings, upstream["transfer"], store) if row.get("zero_shot") is not None]
     if not rows:
-        raise PuddleError(f"study {settings.name!r}: no champion has been scored in True Slush yet; `puddle study` does")
+        raise PuddleError(f"study {settings.name!r}: no champion is scored in True Slush yet; `puddle study` does that")
     arms = sorted({(row["environment"], row["depth"]) for row in rows}, key=lambda a: (a[0] != "residual_slush", -a[1]))
     environment, depth = arms[0]
     arm = [row for row in rows if (row["environment"], row["depth"]) == (environment, depth)]
@@ -62,8 +62,8 @@ def proposed(settings: Settings, store: Store) -> Source:
     design = design_from(decode_json(store.read(upstream["transfer"].chain(label)[-1], CHAMPION), label), label)
     origin = (
         f"The champion of trial {row['trial']} of study {settings.name}, evolved in "
-        f"{environment.replace('_', ' ')} of {depth:g} m: it gets {row['zero_shot']:+.2f} m in True Slush, the nearest to the mean of {len(arm)} champions, "
-        f"{scores.mean():+.2f} m."
+        f"{environment.replace('_', ' ')} of {depth:g} m: it gets {row['zero_shot']:+.2f} m in True Slush, the "
+        f"nearest to the mean of {len(arm)} champions, {scores.mean():+.2f} m."
     )
     return Source(design, f"{settings.name}-trial-{row['trial']}", origin, settings, depth,
                   _members(settings, upstream, store, design, depth))

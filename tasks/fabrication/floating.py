@@ -1,7 +1,7 @@
 """Floating: the robot's mass against the water that it displaces, and how deep it lies.
 
-The draught is that of the rest pose, upright as drawn: in the simulation buoyancy acts at each link's centre, so that it
-never tips a robot over. On the bench it does, until the centre of buoyancy is below or above the centre of mass.
+The draught is that of the rest pose, upright as drawn: in the simulation buoyancy acts at each link's centre, so that
+it never tips a robot over. On the bench it does, until the centre of buoyancy is below or above the centre of mass.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ for the same ratio of the robot's density to the fluid's.
 
 The other choice keeps the simulation's frequencies, one second for one second. Gravity and buoyancy keep their size,
 while inertia and drag are λ times weaker beside them than in the simulation: the robot moves as if through a thinner
-slush, slowly. What torque the simulation asked, scaled as M g L, is then an upper bound. The paper does not say which it
-chose; its runs of up to 150 s for 16.7 m of simulation are those of kept frequencies. Froude's law is the default,
+slush, slowly. What torque the simulation asked, scaled as M g L, is then an upper bound. The paper does not say which
+it chose; its runs of up to 150 s for 16.7 m of simulation are those of kept frequencies. Froude's law is the default,
 because under it alone the simulated motion is a prediction.
 """
 
@@ -113,8 +113,8 @@ class JointLoad:
 def line_use(torque: Floats, speed: Floats, servo: Servo) -> Floats:
     """Give the share of a servo's straight torque–speed line that is used.
 
-    A motor that drives loses torque with speed; one that is driven (torque against the motion) does not, so that braking
-    costs its torque alone. The speed itself must be within the no-load speed in either case.
+    A motor that drives loses torque with speed; one that is driven (torque against the motion) does not, so that
+    braking costs its torque alone. The speed itself must be within the no-load speed in either case.
 
     Args:
         torque: (...) [N·m].
