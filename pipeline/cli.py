@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -238,6 +239,97 @@ def simulate(
     )
     for line in lines:
         typer.echo(line)
+
+
+@app.command()
+def fabricate(
+    design: Annotated[Path | None, typer.Argument(help="A design file (design.json).")] = None,
+    study: Annotated[str | None, typer.Option("--study", help="Or a study, whose proposed champion is taken.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="The kit's folder: a new one, or a kit to replace.")] = Path("kit"),
+    settings: Annotated[Path | None, typer.Option("--settings", help="A file of the kit's own settings.")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Change one: kit.servo=mg90s, kit.bed_mm=[180,180,180].")
+    ] = None,
+    preset: Annotated[str, typer.Option("--preset", help="How a design file is simulated.")] = "pontoon",
+    store: StorePath = DEFAULT_STORE,
+    tracking_uri: TrackingUri = None,
+) -> None:
+    """Make the kit of a robot: parts to print, a bill, drawings, the scale's physics, the servos' timeline.
+
+    The exit code is 1 where something speaks against building it.
+    """
+    from pipeline.configuration import load, parse
+    from pipeline.fabrication.choices import FabricationSettings
+    from pipeline.fabrication.command import fabricate as make
+    from pipeline.settings import Settings
+    from pipeline.tracking import open_tracker
+
+    if (design is None) == (study is None):
+        raise PuddleError("expected a design file or --study NAME, one of them: `puddle fabricate design.json`")
+    choices = tuple(overrides or ())
+    chosen = (
+        load(FabricationSettings, settings, choices)
+        if settings is not None
+        else parse(FabricationSettings, "", name="the kit's settings", overrides=choices)
+    )
+    shared = Chosen(preset, None, (), store)
+    opened = shared.open_store(create=study is None)
+    if study is None:
+        of_study = shared.settings()
+    elif (record := opened.read_study(study)) is None:
+        raise PuddleError(f"--study: {store} holds no study of the name {study!r}")
+    else:
+        of_study = Settings.model_validate_json(json.dumps(record.settings))
+    with _interruptible():
+        made = make(design, of_study, chosen, out, store=opened,
+                    tracker=open_tracker(opened.root, tracking_uri, say=_to_stderr))
+    for line in made.lines:
+        typer.echo(line)
+    if made.faults:
+        raise typer.Exit(INCOMPLETE)
+
+
+@app.command()
+def drive(
+    timeline: Annotated[
+        Path | None, typer.Argument(help="A kit that `puddle fabricate` made, or a timeline (timeline.json).")
+    ] = None,
+    port: Annotated[str | None, typer.Option("--port", help="Of the servo controller: /dev/ttyACM0, COM3.")] = None,
+    list_ports: Annotated[bool, typer.Option("--list-ports", help="List this machine's serial ports.")] = False,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="Of the servos; calibration.yaml beside the timeline else.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but talk to a controller.")] = False,
+    duration: Annotated[
+        float | None, typer.Option("--duration", min=0.0, help="Stop after so many seconds.")
+    ] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until stopped.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Move without asking first.")] = False,
+    log: Annotated[Path | None, typer.Option("--log", help="Where to write what was sent (Parquet).")] = None,
+    baud: Annotated[int, typer.Option("--baud", min=300, max=200_000, help="Of a wired port; USB has none.")] = 115200,
+    baud_detection: Annotated[
+        bool, typer.Option("--baud-detection", help="The controller is set to detect the baud rate: send 0xAA first.")
+    ] = False,
+) -> None:
+    """Move a robot's servos through a timeline, and bring them back to rest whatever happens (docs/servo.md)."""
+    from pipeline.drive import command
+
+    if list_ports:
+        for line in command.port_lines():
+            typer.echo(line)
+        return
+    if timeline is None:
+        raise PuddleError("expected a kit or a timeline to play: `puddle drive kit --port ...`, or --list-ports")
+    wish = command.Wish(timeline, calibration, port, dry_run, duration, loop, log, baud, baud_detection)
+    if not command.drive(wish, confirm=lambda question: yes or _confirmed(question), say=typer.echo):
+        raise typer.Exit(INTERRUPTED)
+
+
+def _confirmed(question: str) -> bool:
+    try:
+        return typer.confirm(question)
+    except typer.Abort:  # Ctrl-C, or nobody there to answer
+        return False
 
 
 @app.command()

@@ -28,3 +28,6 @@ class Motion:
     """(n_members, n_designs, n_links, 6) states at the end."""
     trace: Float32 | None
     """(n_members, n_designs, n_steps, n_links, 6) states after each step, if asked for."""
+    motor_torque: Float32 | None = None
+    """(n_members, n_designs, n_steps, n_links) what each joint's motor gave in each step, on the child link [N·m], 0
+    where there is no motor. Of the reference engine alone, with the trace."""

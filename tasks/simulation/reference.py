@@ -200,6 +200,7 @@ def roll_out(
     alive = np.ones((n_members, n_designs), dtype=bool)
     placed = links.place()
     kept = np.full((n_members, n_designs, n_steps, N_LINKS, 6), np.nan, np.float32) if trace else None
+    torque = np.zeros((n_members, n_designs, n_steps, N_LINKS), np.float32) if trace else None
     settled = placed.state
     for step in range(n_steps):
         _command_motors(robots, drive, trees, placed.state, step, physics)
@@ -215,9 +216,20 @@ def roll_out(
         placed.state[~alive] = np.nan
         if kept is not None:
             kept[:, :, step] = placed.state
+        if torque is not None:
+            torque[:, :, step] = _motor_torques(robots, physics).reshape(n_members, n_designs, N_LINKS)
         if step + 1 == n_settle:
             settled = placed.state
-    return Motion(settled=settled, final=placed.state, trace=kept)
+    return Motion(settled=settled, final=placed.state, trace=kept, motor_torque=torque)
+
+
+def _motor_torques(robots: list[_Robot], physics: Physics) -> Float32:
+    """Read what the motors gave in the last step; (n_robots, n_links) [N·m]."""
+    torque = np.zeros((len(robots), N_LINKS), np.float32)
+    for row, robot in zip(torque, robots, strict=True):
+        for link, joint in robot.joints.items():
+            row[link] = joint.GetMotorTorque(1.0 / physics.time_step)
+    return torque
 
 
 def _command_motors(

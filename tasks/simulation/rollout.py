@@ -36,6 +36,9 @@ class Rollouts:
     trace: npt.NDArray[np.float32] | None
     """(n_designs, n_steps, n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s] after each step; links in the
     design's own order. None unless asked for."""
+    motor_torque: npt.NDArray[np.float32] | None = None
+    """(n_designs, n_steps, n_links) what each joint's motor gave in each step, on the child link [N·m]. With the trace,
+    of the reference engine alone; None otherwise."""
 
 
 def simulate(
@@ -87,4 +90,5 @@ def _measure(motion: Motion, *, squeeze: bool) -> Rollouts:
     if squeeze:
         root, whole, status = root[0], whole[0], status[0]
     trace = motion.trace if motion.trace is None or not squeeze else motion.trace[0]
-    return Rollouts(displacement=root, com_displacement=whole, status=status, trace=trace)
+    torque = motion.motor_torque if motion.motor_torque is None or not squeeze else motion.motor_torque[0]
+    return Rollouts(displacement=root, com_displacement=whole, status=status, trace=trace, motor_torque=torque)

@@ -1,0 +1,170 @@
+"""``puddle drive``: from a timeline file to moving servos, and the words around it."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.drive.interface import DryRun, ServoDriver
+from pipeline.drive.log import DriveLog
+from pipeline.drive.player import STARTING, Moment, Player, stopped_by_signals
+from pipeline.errors import PuddleError
+from pipeline.timeline_file import read_calibration, read_timeline
+from tasks.fabrication.calibration import ServoCalibration
+from tasks.fabrication.timeline import FRAMES_PER_SECOND, TimelineError, pulses
+
+TIMELINE, CALIBRATION = "timeline.json", "calibration.yaml"
+"""Names of the files in a kit."""
+
+FRAMES_BETWEEN_LINES = 5
+"""The live line is written ten times a second."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the user asked for."""
+
+    timeline: Path
+    """A timeline, or the folder of a kit."""
+    calibration: Path | None = None
+    """Beside the timeline, unless given."""
+    port: str | None = None
+    dry_run: bool = False
+    duration: float | None = None
+    """[s]"""
+    loop: bool = False
+    log: Path | None = None
+    baud: int = 115200
+    baud_detection: bool = False
+
+
+def port_lines() -> list[str]:
+    """List this machine's serial ports, a Maestro's marked."""
+    from serial.tools.list_ports import comports
+
+    from pipeline.drive.maestro import PRODUCT_IDS, VENDOR_ID
+
+    lines = []
+    for port in sorted(comports(), key=lambda one: one.device):
+        ours = port.vid == VENDOR_ID and port.pid in PRODUCT_IDS
+        lines.append(f"{port.device}  {port.description}{'  <- a Maestro' if ours else ''}")
+    maestro = "A Maestro shows two ports; its Command Port, for --port, is usually the first."
+    return [*lines, maestro] if lines else ["No serial port. Is the controller plugged in?"]
+
+
+def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], None]) -> bool:
+    """Play a timeline.
+
+    Args:
+        wish: what the user asked for.
+        confirm: puts a question to the user, and says whether the answer is yes.
+        say: shows a line.
+
+    Returns:
+        Whether it came to its end; False where the user said no, or stopped it.
+
+    Raises:
+        PuddleError: files that are none, a port that fails, a controller that errs; the servos are safe, or the
+            message says that they are not.
+    """
+    path = wish.timeline / TIMELINE if wish.timeline.is_dir() else wish.timeline
+    timeline = read_timeline(path)
+    calibrated_by = wish.calibration or path.with_name(CALIBRATION)
+    servos = read_calibration(calibrated_by)
+    try:
+        wanted = pulses(timeline, servos)
+    except TimelineError as error:
+        raise PuddleError(f"{path} with {calibrated_by}: {error}. Nothing was moved.") from None
+    log_path = wish.log or Path(f"drive-{datetime.now():%Y%m%d-%H%M%S}.parquet")
+    if log_path.exists():
+        raise PuddleError(f"--log: {log_path} is there already. Choose another name.")
+    with contextlib.closing(open_driver(wish)) as driver:
+        for line in _plan(servos.servos, wanted, wish, driver):
+            say(line)
+        if not wish.dry_run and not confirm("Move the servos?"):
+            say("Nothing was moved.")
+            return False
+        return _play(driver, servos.servos, wanted, wish, log_path, say)
+
+
+def open_driver(wish: Wish) -> ServoDriver:
+    """Open the controller that the user names: the place to name another kind."""
+    if wish.dry_run:
+        return DryRun()
+    if wish.port is None:
+        raise PuddleError("--port: expected the controller's port (`puddle drive --list-ports`), or --dry-run")
+    from pipeline.drive.maestro import open_maestro
+
+    return open_maestro(wish.port, baud=wish.baud, baud_detection=wish.baud_detection)
+
+
+def _plan(
+    servos: Sequence[ServoCalibration],
+    wanted: npt.NDArray[np.float64],
+    wish: Wish,
+    driver: ServoDriver,
+) -> Iterator[str]:
+    """Say what is about to happen."""
+    for servo, column in zip(servos, wanted.T, strict=True):
+        angles = sorted(np.degrees(servo.angle(pulse)) for pulse in (column.min(), column.max()))
+        yield (
+            f"  joint {servo.joint} on channel {servo.channel}: {angles[0]:+.0f}° to {angles[1]:+.0f}°, "
+            f"{column.min():.0f} to {column.max():.0f} µs"
+        )
+    length = (len(wanted) - 1) / FRAMES_PER_SECOND
+    until = f", over and over, {f'for {wish.duration:g} s' if wish.duration else 'until Ctrl-C'}" if wish.loop else ""
+    if wish.duration is not None and not wish.loop:
+        until = f", stopped after {min(wish.duration, length):g} s"
+    yield f"{length:g} s of timeline on {driver.name}{until}."
+    yield (
+        f"At first the servos jump to neutral, from wherever they are, and stay there for {STARTING:g} s. Keep fingers "
+        f"out of the joints and the servos' power switch in reach. Ctrl-C brings them back to neutral and switches "
+        f"them off; a second one switches them off at once."
+    )
+
+
+def _play(
+    driver: ServoDriver,
+    servos: Sequence[ServoCalibration],
+    wanted: npt.NDArray[np.float64],
+    wish: Wish,
+    log_path: Path,
+    say: Callable[[str], None],
+) -> bool:
+    log = DriveLog(log_path)
+    with contextlib.ExitStack() as stack:
+        stack.callback(log.close)
+        stop = stack.enter_context(stopped_by_signals())
+        player = Player(driver, servos, log, stop, show=live_line(servos))
+        try:
+            ended = player.play(wanted, loop=wish.loop, duration=wish.duration)
+        except (PuddleError, OSError) as error:
+            raise PuddleError(f"{error}\nThe servos: {player.parting}. What was sent is in {log_path}.") from error
+    say(f"{ended[0].upper()}{ended[1:]}. The servos: {player.parting}.")
+    say(f"The latest command was {1000 * player.worst_lateness:.1f} ms late. What was sent is in {log_path}.")
+    return not stop.asked
+
+
+def live_line(servos: Sequence[ServoCalibration]) -> Callable[[Moment], None]:
+    """Give what shows the run as it goes: one line of a terminal, rewritten; nothing elsewhere."""
+    if not sys.stderr.isatty():
+        return lambda moment: None
+    count = 0
+
+    def show(moment: Moment) -> None:
+        nonlocal count
+        count += 1
+        if count % FRAMES_BETWEEN_LINES == 1:
+            angles = "  ".join(f"joint {s.joint} {np.degrees(moment.angles[s.channel]):+6.1f}°" for s in servos)
+            line = f"\r{moment.time:7.1f} s  {angles}  late {1000 * moment.lateness:5.1f} ms  (Ctrl-C stops) "
+            sys.stderr.write(line)
+            sys.stderr.flush()
+
+    return show

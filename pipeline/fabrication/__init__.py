@@ -1,0 +1,1 @@
+"""Fabrication's files: what a kit's folder holds."""

@@ -1,0 +1,211 @@
+"""The kit on the bench: what its servos must give, whether it floats, how they are told to move, and what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import radians
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.fabrication.choices import FabricationSettings
+from tasks.design import Designs
+from tasks.fabrication.calibration import Calibration, ServoCalibration
+from tasks.fabrication.checks import Finding
+from tasks.fabrication.floating import Floating, floating_of
+from tasks.fabrication.kit import Kit
+from tasks.fabrication.scaling import HOT, JointLoad, Scales, joint_loads, scales_of
+from tasks.fabrication.servos import Servo, servo_named
+from tasks.fabrication.timeline import Timeline, TimelineError, pulses, timeline_of
+from tasks.simulation import OK, Rollouts, simulate
+from tasks.simulation.motion import OMEGA
+from tasks.world import Environment, Physics
+
+SPARE = radians(5.0)
+"""Beyond a joint's range that its servo may still be sent."""
+
+OFTEN = 0.05
+"""Share of the run in which the simulated motors may be at their limit before it is said."""
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """The run that the kit's physics is drawn from."""
+
+    world: str
+    """Where, in words."""
+    displacement: float
+    """Of the root [m of simulation]."""
+    com_displacement: float
+    """Of the whole robot [m of simulation]."""
+    duration: float
+    """That it took [s of simulation]."""
+    torque: npt.NDArray[np.float64]
+    """(n_steps, n_joints) given by the simulated motors [N·m of simulation], once the robot has settled: until
+    then they jump to their gait, which the bench's timeline does not."""
+    speed: npt.NDArray[np.float64]
+    """(n_steps, n_joints) [rad/s of simulation]."""
+
+
+@dataclass(frozen=True)
+class Members:
+    """The same design under every member of a study's ensemble."""
+
+    displacement: tuple[float, ...]
+    """Of the root [m of simulation]."""
+
+    @property
+    def mean(self) -> float:
+        """μ [m of simulation]."""
+        return float(np.mean(self.displacement))
+
+    @property
+    def deviation(self) -> float:
+        """σ, what the members disagree by [m of simulation]."""
+        return float(np.std(self.displacement))
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """All that is known of a kit beside its parts."""
+
+    scales: Scales
+    servo: Servo
+    servos_per_joint: int
+    simulated: Simulated | None
+    """None where the rollout diverged."""
+    loads: tuple[JointLoad, ...]
+    floating: Floating
+    members: Members | None
+    calibration: Calibration | None
+    """None where no joint is driven."""
+    timeline: Timeline | None
+    """None where the servos can't play it; a finding says why."""
+    findings: tuple[Finding, ...]
+
+
+def run(
+    design: Designs, world: Environment, *, label: str, physics: Physics, n_settle: int, n_measure: int
+) -> Simulated | None:
+    """Simulate a design with the reference engine, which alone says what its motors gave."""
+    rollouts: Rollouts = simulate(
+        design, world, n_settle=n_settle, n_measure=n_measure, engine="reference", trace=True, physics=physics
+    )
+    if rollouts.status[0] != OK or rollouts.trace is None or rollouts.motor_torque is None:
+        return None
+    joints = driven(design)
+    parent = [int(design.parent[0, joint]) for joint in joints]
+    trace = rollouts.trace[0].astype(np.float64)
+    return Simulated(
+        world=label,
+        displacement=float(rollouts.displacement[0]),
+        com_displacement=float(rollouts.com_displacement[0]),
+        duration=n_measure * physics.time_step,
+        torque=rollouts.motor_torque[0][n_settle:, list(joints)].astype(np.float64),
+        speed=trace[n_settle:, list(joints), OMEGA] - trace[n_settle:, parent, OMEGA],
+    )
+
+
+def driven(design: Designs) -> tuple[int, ...]:
+    """List a design's driven joints."""
+    return tuple(int(joint) for joint in np.flatnonzero(design.motor_on[0]) if joint > 0)
+
+
+def bench_of(
+    design: Designs,
+    kit: Kit,
+    settings: FabricationSettings,
+    simulated: Simulated | None,
+    members: Members | None,
+    physics: Physics,
+) -> Bench:
+    """Work out how a kit will do."""
+    servo = servo_named(settings.kit.servo)
+    simulated_mass = physics.link_density * design.parent.shape[1]  # a link has 1 m²
+    scales = scales_of(
+        settings.scaling, length=settings.kit.scale_mm_per_m / 1000, mass_kg=kit.mass_g / 1000,
+        simulated_mass_kg=simulated_mass,
+    )  # fmt: skip
+    loads: list[JointLoad] = []
+    if simulated is not None:
+        loads = joint_loads(
+            driven(design), simulated.torque, simulated.speed, scales=scales, servo=servo,
+            servos_per_joint=settings.kit.servos_per_joint, max_motor_torque=physics.max_motor_torque,
+        )  # fmt: skip
+    floating = floating_of(kit, fluid_density=settings.scaling.fluid_density)
+    calibration = calibration_of(kit, servo)
+    timeline: Timeline | None = None
+    refused: list[Finding] = []
+    if calibration is not None:
+        try:
+            timeline = timeline_of(design, settings.playback, time_scale=scales.time)
+            pulses(timeline, calibration)
+        except TimelineError as error:
+            timeline = None
+            refused = [Finding("timeline", "fault", "servos", f"they can't play this gait: {error}. {SLOWER}")]
+    found = [*refused, *_of_loads(loads, servo, simulated), *_of_floating(floating)]
+    return Bench(
+        scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
+        tuple(found),
+    )  # fmt: skip
+
+
+SLOWER = "It is slower with --set scaling.law=kept_frequencies; or choose a faster servo (--set kit.servo=...)"
+
+
+def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
+    """Give what a servo of the data sheet, mounted as in the kit, would need: a first guess."""
+    servos: list[ServoCalibration] = []
+    for drive in kit.drives:
+        reach = servo.us_per_rad * (drive.joint.motion_range + SPARE)
+        for side in drive.sides(kit.settings.servos_per_joint):
+            servos.append(ServoCalibration(
+                joint=drive.joint.link,
+                channel=len(servos),
+                centre_us=servo.neutral_us,
+                direction=kit.direction(drive.joint.link, side),
+                us_per_rad=round(servo.us_per_rad, 3),
+                min_us=round(max(servo.min_pulse_us, servo.neutral_us - reach), 1),
+                max_us=round(min(servo.max_pulse_us, servo.neutral_us + reach), 1),
+                max_speed=round(servo.no_load_speed_rad_s, 3),
+            ))  # fmt: skip
+    return Calibration(servos=tuple(servos)) if servos else None
+
+
+def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | None) -> list[Finding]:
+    if simulated is None:
+        return [Finding("torque", "fault", "joints", "the simulation diverged: what the joints need is not known")]
+    found = []
+    for load in loads:
+        where = f"joint {load.joint}"
+        if load.use > 1:
+            found.append(Finding(
+                "torque", "fault", where,
+                f"the servo can't do it: at the worst instant the run asks for {load.use:.2f} times what a "
+                f"{servo.name} can give (up to {load.peak_torque:.2f} N·m, up to {load.peak_speed:.1f} rad/s; it has "
+                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded). {SLOWER}",
+            ))  # fmt: skip
+        if load.stall_share > HOT:
+            found.append(Finding(
+                "heat", "warning", where,
+                f"it asks for {load.stall_share:.0%} of the stall torque on average; above {HOT:.0%} a hobby servo "
+                f"overheats within minutes",
+            ))  # fmt: skip
+        if load.saturated > OFTEN:
+            found.append(Finding(
+                "saturation", "note", where,
+                f"the simulated motor was at its own limit in {load.saturated:.0%} of the run: a stronger servo moves "
+                f"otherwise there",
+            ))  # fmt: skip
+    return found
+
+
+def _of_floating(floating: Floating) -> list[Finding]:
+    if floating.sealed_share > 1:
+        return [Finding("floating", "warning", "robot", "it sinks: it weighs more than the fluid that it displaces, "
+                        f"{floating.sealed_share:.2f} times; the simulated one floats")]
+    if floating.flooded_share > 1:
+        return [Finding("floating", "warning", "robot", "it floats while its pockets are dry and sinks once they are "
+                        f"full (then {floating.flooded_share:.2f} of what it displaces): seal them")]
+    return []

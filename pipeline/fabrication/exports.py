@@ -1,0 +1,95 @@
+"""Exports: a kit as files, for the printer, the shop, the bench and other CAD programs.
+
+The same kit gives the same bytes.
+
+::
+
+    robot.png  drawing.svg  drawing.pdf  drawing.png  bill.csv  robot.step
+    print/PART.stl  print/PART.3mf      one piece each, lying on the bed as it is best printed
+    cad/PART.step                       one piece each, in its place in the robot
+    profiles/PART.dxf                   outline, bores and pockets of one copy of a part
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from matplotlib.colors import to_rgb
+
+from pipeline.fabrication.drawing import PART_COLOURS, assembly_drawing
+from pipeline.fabrication.formats import dxf, step, stl, three_mf
+from pipeline.fabrication.picture import Colour, Shown, picture
+from tasks.fabrication.features import Feature
+from tasks.fabrication.kit import Kit
+from tasks.fabrication.parts import Mesh, mesh_of, on_bed
+
+BOUGHT_COLOURS: dict[str, Colour] = {
+    "servo": (62, 62, 70),
+    "horn": (214, 188, 96),
+    "rod": (196, 200, 206),
+    "pin": (196, 200, 206),
+}
+
+
+def write_exports(kit: Kit, folder: Path, *, title: str) -> list[Path]:
+    """Write a kit's files into a folder, which is made if need be.
+
+    Args:
+        kit: what to write.
+        folder: into which.
+        title: of the drawing.
+
+    Returns:
+        The files, relative to the folder.
+    """
+    written = []
+    for name, content in exports(kit, title=title).items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+        written.append(Path(name))
+    return written
+
+
+def exports(kit: Kit, *, title: str) -> dict[str, bytes]:
+    """Make a kit's files, by name."""
+    meshes = [mesh_of(part.solid) for part in kit.parts]
+    files = {"robot.png": _picture(kit, meshes), "bill.csv": bill_csv(kit)}
+    files |= {f"drawing.{form}": content for form, content in assembly_drawing(kit, title).items()}
+    everything = [(part.name, part.solid) for part in kit.parts] + [(item.name, item.solid) for item in kit.bought]
+    files["robot.step"] = step(everything, "robot")
+    for part, mesh in zip(kit.parts, meshes, strict=True):
+        lying = on_bed(part, mesh)
+        files[f"print/{part.name}.stl"] = stl(lying)
+        files[f"print/{part.name}.3mf"] = three_mf([(part.name, lying)])
+        files[f"cad/{part.name}.step"] = step([(part.name, part.solid)], part.name)
+    for (body, side), features in kit.features.items():
+        cuts = [Feature("cut", "cut", cut, 0.0, kit.settings.thickness_mm) for cut in kit.splits[body].cuts]
+        files[f"profiles/part-{body + 1}-{side}.dxf"] = dxf(kit.profiles[body], features, cuts)
+    return files
+
+
+def bill_csv(kit: Kit) -> bytes:
+    """Give the bill of materials as CSV."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["kind", "item", "count", "length_mm", "mass_g", "note"])
+    for line in kit.bill:
+        length = "" if line.length_mm is None else f"{line.length_mm:.1f}"
+        mass = "" if line.mass_g is None else f"{line.mass_g:.1f}"
+        rows.writerow([line.kind, line.item, line.count, length, mass, line.note])
+    return text.getvalue().encode()
+
+
+def _picture(kit: Kit, meshes: list[Mesh]) -> bytes:
+    parts: list[Colour] = []
+    for colour in PART_COLOURS:
+        red, green, blue = (round(255 * c) for c in to_rgb(colour))
+        parts.append((red, green, blue))
+    shown = [Shown(mesh, parts[part.body % len(parts)]) for part, mesh in zip(kit.parts, meshes, strict=True)]
+    shown += [Shown(mesh_of(item.solid), BOUGHT_COLOURS[item.kind]) for item in kit.bought]
+    kinds = dict.fromkeys(item.kind for item in kit.bought if item.kind in ("servo", "rod"))
+    legend = [(body.name, parts[body.index % len(parts)]) for body in kit.mechanism.bodies]
+    return picture(shown, [*legend, *((kind, BOUGHT_COLOURS[kind]) for kind in kinds)])

@@ -1,0 +1,71 @@
+"""A kit's folder: written whole under its name, or not at all; and never over anything but another kit."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from pipeline import disk
+from pipeline.artifacts import Json, check_format, decode_json, encode_json
+from pipeline.errors import PuddleError
+
+SCHEMA, VERSION = "puddle.kit", 1
+MARK = "kit.json"
+"""What makes a folder a kit: its schema, what it is of, and the SHA-256 of every other file."""
+
+
+def check_place(folder: Path) -> None:
+    """Refuse a place that holds anything but a kit.
+
+    Raises:
+        PuddleError: says what is there.
+    """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise PuddleError(f"{folder}: expected a new folder or a kit, came a file or a link. Choose another: --out")
+    if not folder.exists():
+        if not folder.parent.is_dir():
+            raise PuddleError(f"{folder}: expected a place in a folder that exists; {folder.parent} does not")
+        return
+    names = sorted(path.name for path in folder.iterdir())
+    if not names:
+        return
+    if MARK not in names:
+        raise PuddleError(f"{folder}: expected a new folder or a kit, found {', '.join(names[:3])} and no {MARK}. "
+                          f"Choose another: --out")
+    check_format(decode_json(disk.read(folder / MARK), str(folder / MARK)), schema=SCHEMA, version=VERSION,
+                 source=str(folder / MARK))
+
+
+def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]) -> None:
+    """Write a kit's files and its mark beside the place, and then put them there at once.
+
+    Raises:
+        PuddleError: the place holds something else, or the disk fails; what was there before is still there.
+    """
+    check_place(folder)
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())}
+    mark = encode_json({**said, "schema": SCHEMA, "version": VERSION, "files": digests})
+    new = folder.with_name(f".{folder.name}.{os.getpid()}.new")
+    old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
+    with disk.explained("writing the kit", folder):
+        try:
+            for name, content in {**files, MARK: mark}.items():
+                path = new / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                disk.write(path, content)
+                disk.fsync(path)
+            if folder.exists():
+                disk.rename(folder, old)
+            try:
+                disk.rename(new, folder)
+            except OSError:
+                if old.exists():
+                    disk.rename(old, folder)
+                raise
+            disk.fsync(folder.parent)
+        finally:
+            shutil.rmtree(new, ignore_errors=True)
+            shutil.rmtree(old, ignore_errors=True)

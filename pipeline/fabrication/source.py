@@ -1,0 +1,88 @@
+"""Which design a kit is of: a file, or the champion of a study that the paper would have built."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.artifacts import decode_json
+from pipeline.design_file import design_from
+from pipeline.errors import PuddleError
+from pipeline.fabrication.bench import Members
+from pipeline.settings import EnvironmentName, Settings
+from pipeline.stage import MissingInputs, Results
+from pipeline.stages import STAGES, segments
+from pipeline.stages.segments import WEIGHTS
+from pipeline.stages.transfer import CHAMPION, read_scores
+from pipeline.store import Store
+from pipeline.study import survey
+from tasks.analysis.tank import nearest_the_mean
+from tasks.design import Designs
+from tasks.simulation import OK, simulate
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A design and where it comes from."""
+
+    design: Designs
+    name: str
+    origin: str
+    """In words."""
+    settings: Settings
+    """Of the study, or those that a design file is simulated under."""
+    depth: float
+    """Where it is simulated [m]."""
+    members: Members | None
+
+
+def proposed(settings: Settings, store: Store) -> Source:
+    """Take the champion nearest the mean True Slush score of a study's trials. Paper, "Physical Validation".
+
+    Of the study's arms, Residual Slush comes first, and its deepest depth.
+
+    Raises:
+        PuddleError: no champion has been scored, or none survived.
+    """
+    upstream = survey(settings, STAGES, store, say=lambda line: None)
+    rows = [row for row in read_scores(settings, upstream["transfer"], store) if row.get("zero_shot") is not None]
+    if not rows:
+        raise PuddleError(f"study {settings.name!r}: no champion is scored in True Slush yet; `puddle study` does that")
+    arms = sorted({(row["environment"], row["depth"]) for row in rows}, key=lambda a: (a[0] != "residual_slush", -a[1]))
+    environment, depth = arms[0]
+    arm = [row for row in rows if (row["environment"], row["depth"]) == (environment, depth)]
+    scores = np.array([row["zero_shot"] for row in arm])
+    chosen = nearest_the_mean(scores)
+    if chosen is None:
+        raise PuddleError(f"study {settings.name!r}: no champion survived True Slush")
+    row = arm[chosen]
+    label = segments.trial_label(environment, depth, row["trial"])
+    design = design_from(decode_json(store.read(upstream["transfer"].chain(label)[-1], CHAMPION), label), label)
+    origin = (
+        f"The champion of trial {row['trial']} of study {settings.name}, evolved in "
+        f"{environment.replace('_', ' ')} of {depth:g} m: it gets {row['zero_shot']:+.2f} m in True Slush, the "
+        f"nearest to the mean of {len(arm)} champions, {scores.mean():+.2f} m."
+    )
+    return Source(design, f"{settings.name}-trial-{row['trial']}", origin, settings, depth,
+                  _members(settings, upstream, store, design, depth))
+
+
+def _members(
+    settings: Settings, upstream: Mapping[str, Results], store: Store, design: Designs, depth: float
+) -> Members | None:
+    """Simulate a design under every member of the study's ensemble, where there is one."""
+    world: EnvironmentName = "residual_slush"
+    try:
+        inputs = segments.world_inputs(settings, world, 0, upstream)
+    except (MissingInputs, KeyError):
+        return None
+    files = {name: {WEIGHTS: store.read(source.manifest, WEIGHTS)} for name, source in inputs.items()}
+    spec = segments.segment_spec(settings, stage="fabricate", environment=world, world=world, depth=depth, trial=0)
+    rollouts = simulate(
+        design, segments.world_of(spec, files), **spec["rollout"], engine=settings.work.engine, physics=settings.physics
+    )
+    if not (rollouts.status == OK).all():
+        return None
+    return Members(tuple(float(value) for value in rollouts.displacement[:, 0]))

@@ -1,0 +1,68 @@
+"""The bill of materials: what to print, what to buy, and what to cut to which length."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+
+from tasks.fabrication.drives import Drive
+from tasks.fabrication.features import horn_seat_mm, longest_screw, plate_mm, sinking_mm
+from tasks.fabrication.parts import Part, pin_length_mm
+from tasks.fabrication.rods import Layers
+from tasks.fabrication.settings import KitSettings
+
+
+@dataclass(frozen=True)
+class BillLine:
+    """One line of the bill."""
+
+    kind: str
+    """print, servo, screw, rod or pin."""
+    item: str
+    count: int
+    length_mm: float | None
+    """To cut to, of a rod or pin."""
+    mass_g: float | None
+    """Of all of them; screws are not counted."""
+    note: str
+
+
+def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, settings: KitSettings) -> list[BillLine]:
+    """List what a kit is made of."""
+    lines = [
+        BillLine("print", part.name, 1, None, part.mass_g,
+                 f"PLA, {settings.infill:.0%} infill, on its {'face' if part.face_down else 'back'}")
+        for part in parts
+    ]
+    screws: Counter[tuple[str, str]] = Counter()
+    n_servos = n_pins = 0
+    for drive in drives:
+        servo, n = drive.servo, settings.servos_per_joint
+        n_servos, n_pins = n_servos + n, n_pins + 2 - n
+        ear = longest_screw(servo.ear_thickness_mm + plate_mm(drive))
+        screws[f"{servo.ear_screw_name} × {ear}", "ears"] += n * len(drive.ear_holes())
+        web = horn_seat_mm(drive, settings) - sinking_mm(drive, settings)
+        horn = longest_screw(web + drive.horn.thickness_mm)
+        screws[f"{drive.horn.screw_name} × {horn}", "horn"] += n * len(drive.horn_holes())
+        screws[servo.centre_screw_name, "centre of the horn, comes with the servo"] += n
+    if n_servos:
+        servo = drives[0].servo
+        lines.append(BillLine("servo", f"{servo.name} with a {settings.horn} horn", n_servos, None,
+                              n_servos * servo.mass_g, f"{servo.spline_teeth} teeth, {servo.voltage_v:g} V"))
+    lines += [BillLine("screw", item, n, None, None, note) for (item, note), n in sorted(screws.items())]
+    lengths: Counter[float] = Counter()
+    for body, rods in enumerate(layers.rods):
+        lengths[round(layers.rod_length_mm(body, settings), 1)] += len(rods)
+    for length, count in sorted(lengths.items(), reverse=True):
+        if count:
+            lines.append(_steel("rod", length, count, settings, "through both pontoons, glued"))
+    if n_pins:
+        lines.append(_steel("pin", pin_length_mm(settings), n_pins, settings, "turns in the part with the wider bore"))
+    return lines
+
+
+def _steel(kind: str, length: float, n: int, settings: KitSettings, note: str) -> BillLine:
+    grams = settings.steel_density_g_cm3 * pi * settings.rod_mm**2 / 4 * length / 1000 * n
+    return BillLine(kind, f"stainless steel rod, {settings.rod_mm:g} mm", n, length, grams, note)

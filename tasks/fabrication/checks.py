@@ -1,0 +1,265 @@
+"""Findings: what is wrong with a kit, or worth knowing, said before anybody prints it.
+
+A fault means that the robot can't be built or would break itself; a warning, that it can, but with a drawback.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import degrees, pi
+from typing import Literal
+
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from tasks.design import N_LINKS
+from tasks.fabrication.drives import Drive
+from tasks.fabrication.features import Feature
+from tasks.fabrication.rigid import Mechanism, Pose, moved
+from tasks.fabrication.rods import Layers
+from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.splits import Split, bed_mm
+
+Severity = Literal["fault", "warning", "note"]
+
+VARIANT_MOTORS = 2
+"""Actuated joints of the physical variant. Paper, "Manufacturing"."""
+OVERLAP_MM2 = 0.01
+"""Less is rounding."""
+ROUNDING_MM = 1e-6
+YOUNG_PA = 193e9
+"""Of stainless steel 304."""
+TWIST_LIMIT = pi / 18
+"""By which one pontoon may lag behind the other at the servo's full torque before it is said [rad]."""
+NECK_STEP_MM = 0.25
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing to know of a kit."""
+
+    name: str
+    """What kind of thing."""
+    severity: Severity
+    where: str
+    message: str
+
+
+def findings_of(
+    mechanism: Mechanism,
+    drives: Sequence[Drive],
+    outlines: Sequence[Polygon],
+    layers: Layers,
+    splits: Sequence[Split],
+    features: Mapping[tuple[int, str], Sequence[Feature]],
+    settings: KitSettings,
+) -> tuple[Finding, ...]:
+    """Check a kit.
+
+    Args:
+        mechanism: n parts.
+        drives: one for every joint that turns.
+        outlines: of the parts, bosses and fillets included.
+        layers: with every part's rods.
+        splits: every part's pieces.
+        features: of every part's copies, by its index and side.
+        settings: what the kit was made with.
+
+    Returns:
+        Faults first, then warnings, then notes.
+    """
+    found = [
+        *_not_of_the_variant(mechanism),
+        *_travel(drives),
+        *_cradles(mechanism, drives),
+        *_shared_room(drives),
+        *_walls(mechanism, outlines, features, settings),
+        *_necks(mechanism, outlines, settings),
+        *_collisions(mechanism, outlines, layers, settings),
+        *_rods(mechanism, drives, layers, settings),
+        *_bed(mechanism, splits, settings),
+    ]
+    return tuple(sorted(found, key=lambda finding: ("fault", "warning", "note").index(finding.severity)))
+
+
+def _not_of_the_variant(mechanism: Mechanism) -> Iterator[Finding]:
+    n = len(mechanism.joints)
+    if n != VARIANT_MOTORS:
+        yield Finding("not of the variant", "warning", "design",
+                      f"{n} motors are on, the physical variant has {VARIANT_MOTORS}; joints whose motor is off swing "
+                      f"freely in the main experiments, but are locked here")  # fmt: skip
+    for first, second in combinations(range(N_LINKS), 2):
+        if mechanism.parent_link[second] != first:
+            area = mechanism.links[first].intersection(mechanism.links[second]).area
+            if area > OVERLAP_MM2:
+                yield Finding("not of the variant", "warning", f"links {first} and {second}",
+                              f"overlap by {area:.0f} mm² at rest without being joined; the variant forbids that")
+
+
+def _travel(drives: Sequence[Drive]) -> Iterator[Finding]:
+    for drive in drives:
+        asked, half = drive.joint.motion_range, drive.servo.travel_rad / 2
+        if asked > half:
+            yield Finding("servo's travel", "fault", f"joint {drive.joint.link}",
+                          f"swings ±{degrees(asked):.0f}°, servo {drive.servo.name} turns ±{degrees(half):.0f}°")
+
+
+def _cradles(mechanism: Mechanism, drives: Sequence[Drive]) -> Iterator[Finding]:
+    for drive in drives:
+        width = mechanism.link_size[drive.carrier_link][0]
+        out = drive.cradle.difference(mechanism.bodies[drive.carrier].outline).area
+        if drive.cradle_width_mm > width:
+            yield Finding("cradle wider than its link", "warning", f"joint {drive.joint.link}",
+                          f"the cradle is {drive.cradle_width_mm:.1f} mm wide, link {drive.carrier_link} "
+                          f"{width:.1f}; a boss of {out:.0f} mm² stands out")
+        elif out > OVERLAP_MM2:
+            yield Finding("cradle stands out", "note", f"joint {drive.joint.link}",
+                          f"a boss of {out:.0f} mm² stands out of {mechanism.bodies[drive.carrier].name}")
+
+
+def _shared_room(drives: Sequence[Drive]) -> Iterator[Finding]:
+    """Two drives in one part whose hollows meet."""
+    for a, b in combinations(drives, 2):
+        for body in {a.carrier, a.driven} & {b.carrier, b.driven}:
+            rooms = [d.pocket if d.carrier == body else d.recess for d in (a, b)]
+            shared = rooms[0].intersection(rooms[1]).area
+            if shared > OVERLAP_MM2:
+                apart = ((a.joint.at[0] - b.joint.at[0]) ** 2 + (a.joint.at[1] - b.joint.at[1]) ** 2) ** 0.5
+                yield Finding("servos in one place", "fault", f"joints {a.joint.link} and {b.joint.link}",
+                              f"are {apart:.1f} mm apart on part {body + 1}; their hollows share {shared:.0f} mm²")
+
+
+def _walls(
+    mechanism: Mechanism,
+    outlines: Sequence[Polygon],
+    features: Mapping[tuple[int, str], Sequence[Feature]],
+    settings: KitSettings,
+) -> Iterator[Finding]:
+    """Between two hollows, and between a hollow and the outside."""
+    for (body, side), cut in features.items():
+        thin: dict[tuple[str, str], float] = {}
+
+        def note(key: tuple[str, str], wall: float, thin: dict[tuple[str, str], float] = thin) -> None:
+            thin[key] = min(wall, thin.get(key, wall))
+
+        for a, b in combinations(cut, 2):
+            overlap_in_z = min(a.high_mm, b.high_mm) - max(a.low_mm, b.low_mm)
+            meet = a.group == b.group and a.outline.distance(b.outline) < ROUNDING_MM
+            if overlap_in_z > 0 and not meet:
+                note((f"{a.label} ({a.group})", f"{b.label} ({b.group})"), a.outline.distance(b.outline))
+        edge = outlines[body].boundary
+        for feature in cut:
+            if feature.label != "cable":
+                wall = feature.outline.distance(edge) if outlines[body].contains(feature.outline) else 0.0
+                note((f"{feature.label} ({feature.group})", "the outside"), wall)
+        for (first, second), wall in thin.items():
+            if wall < settings.min_wall_mm:
+                yield Finding("wall too thin", "fault", f"{mechanism.bodies[body].name}, {side}",
+                              f"{wall:.2f} mm between {first} and {second}, expected {settings.min_wall_mm:g} or more")
+
+
+def _necks(mechanism: Mechanism, outlines: Sequence[Polygon], settings: KitSettings) -> Iterator[Finding]:
+    """Places where a part would come apart if so much were taken from either side."""
+    for body, outline in zip(mechanism.bodies, outlines, strict=True):
+        width = 0.0
+        while width < settings.min_neck_mm:
+            width += NECK_STEP_MM
+            left = outline.buffer(-width / 2)
+            pieces = [piece for piece in getattr(left, "geoms", [left]) if piece.area > settings.min_neck_mm**2]
+            if len(pieces) != 1:
+                severity: Severity = "fault" if width <= settings.min_wall_mm else "warning"
+                yield Finding("narrow neck", severity, body.name,
+                              f"it is {width:.1f} mm wide at its narrowest, expected {settings.min_neck_mm:g} or more")
+                break
+
+
+def _collisions(
+    mechanism: Mechanism, outlines: Sequence[Polygon], layers: Layers, settings: KitSettings
+) -> Iterator[Finding]:
+    """Parts that lie in one layer, in the gait and anywhere in their joints' ranges."""
+    for a, b in combinations(mechanism.bodies, 2):
+        if layers.outer[a.index] != layers.outer[b.index]:
+            continue
+        still = outlines[a.index].buffer(settings.sweep_clearance_mm)
+        where, passing = f"{a.name} and {b.name}", outlines[b.index]
+        joints = " and ".join(f"joint {joint.link}" for joint, _ in mechanism.path(a.index, b.index))
+        if outlines[a.index].intersection(passing).area > OVERLAP_MM2:
+            yield Finding("parts collide", "fault", where,
+                          f"overlap by {outlines[a.index].intersection(passing).area:.0f} mm² at rest")
+            continue
+        in_gait = _deepest(still, passing, mechanism.poses_in_gait(a.index, b.index))
+        if in_gait > OVERLAP_MM2:
+            yield Finding("parts collide", "fault", where,
+                          f"meet in the gait, through {joints}: by {in_gait:.0f} mm² with a clearance of "
+                          f"{settings.sweep_clearance_mm:g} mm")
+            continue
+        in_range = _deepest(still, passing, mechanism.poses_in_range(a.index, b.index))
+        if in_range > OVERLAP_MM2:
+            yield Finding("parts collide", "warning", where,
+                          f"miss one another in the gait but meet elsewhere in the ranges of {joints}, by "
+                          f"{in_range:.0f} mm²: move one joint at a time only near rest")
+
+
+def _deepest(still: BaseGeometry, passing: BaseGeometry, poses: Sequence[Pose]) -> float:
+    return max((still.intersection(moved(passing, pose)).area for pose in poses), default=0.0)
+
+
+def _rods(
+    mechanism: Mechanism, drives: Sequence[Drive], layers: Layers, settings: KitSettings
+) -> Iterator[Finding]:
+    for body, rods in zip(mechanism.bodies, layers.rods, strict=True):
+        if not rods:
+            swept = " that no other part sweeps" if layers.outer[body.index] else ""
+            yield Finding("no room for rods", "fault", body.name, f"it has no place{swept} for a rod with a wall of "
+                          f"{settings.wall_mm:g} mm")  # fmt: skip
+        elif len(rods) < settings.rods_per_part:
+            yield Finding("few rods", "warning", body.name,
+                          f"there is room for {len(rods)} of {settings.rods_per_part} rods; its copies twist more")
+    if settings.servos_per_joint == 1:
+        for drive in drives:
+            twist = lag_rad(drive, layers, settings)
+            if twist > TWIST_LIMIT:
+                said = f"{degrees(twist):.0f}°" if twist < pi / 2 else "more than 90°"
+                yield Finding("rods give way", "warning", f"joint {drive.joint.link}",
+                              f"at the servo's full torque, half of it at the other pontoon, that pontoon lags "
+                              f"by {said}; servos_per_joint: 2 or thicker rods help")
+
+
+def lag_rad(drive: Drive, layers: Layers, settings: KitSettings) -> float:
+    """Give the angle at a joint by which the pontoon without a servo lags when half of the full torque is used there.
+
+    A rod clamped at both ends resists a sideways shift of its ends with 12 E I / L³ over its free length L; rods at
+    distances r from the joint's axis resist a turn about it with the sum of that times r². Both parts' rods give way.
+    """
+    inertia = pi * (settings.rod_mm / 1000) ** 4 / 64
+    lag = 0.0
+    for body in (drive.carrier, drive.driven):
+        free = (layers.rod_length_mm(body, settings) - 2 * settings.thickness_mm) / 1000
+        sideways = 12 * YOUNG_PA * inertia / free**3
+        reach2 = sum((x - drive.joint.at[0]) ** 2 + (y - drive.joint.at[1]) ** 2 for x, y in layers.rods[body]) / 1e6
+        if reach2 == 0.0:
+            return float("inf")
+        lag += drive.servo.stall_torque_nm / 2 / (sideways * reach2)
+    return lag
+
+
+def _bed(mechanism: Mechanism, splits: Sequence[Split], settings: KitSettings) -> Iterator[Finding]:
+    width, depth = bed_mm(settings)
+    if settings.thickness_mm > settings.bed_mm[2]:
+        yield Finding("larger than the bed", "fault", "every part",
+                      f"is {settings.thickness_mm:g} mm high, the printer {settings.bed_mm[2]:g}")
+    for body, split in zip(mechanism.bodies, splits, strict=True):
+        if len(split.pieces) > 1 or not split.fits:
+            whole = split.whole
+            low_x, low_y, high_x, high_y = whole.bounds
+            size = (f"it is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, "
+                    f"the bed {width:.0f} × {depth:.0f} inside its margin")
+            if split.fits:
+                yield Finding("larger than the bed", "note", body.name,
+                              f"{size}: split into {len(split.pieces)} pieces that slide together along the "
+                              f"extrusion; glue them")
+            else:
+                yield Finding("larger than the bed", "fault", body.name,
+                              f"{size}: no straight cut across a link that misses servos and rods makes its pieces fit")

@@ -1,0 +1,204 @@
+"""Features: what is cut out of a part, as outlines in the plane between two heights.
+
+Heights are from the part's back (0) to its face (the thickness), which looks at the other layer. The same list makes
+the solid, its analytic volume, the DXF and the check of walls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from shapely import Point as ShapelyPoint
+from shapely import Polygon, unary_union
+from shapely.geometry.base import BaseGeometry
+
+from tasks.fabrication.drives import Drive
+from tasks.fabrication.rigid import Point
+from tasks.fabrication.settings import KitSettings
+
+ARC_SEGMENTS = 64
+"""Chords for a quarter of a circle: their area misses the circle's by 1 part in 10,000."""
+NOTCH_DEPTH_MM = 5.0
+"""Of the cable's way out, in the rim of the pocket."""
+PILOT = 0.85
+"""Of a self-tapping screw's diameter: the hole that it cuts its thread into."""
+CLEAR_MM = 0.4
+"""Added to a screw's diameter where it passes freely."""
+HEAD = 2.0
+"""Of a screw's diameter: its head, nearly."""
+HEAD_CLEAR_MM = 1.0
+"""Added to a head's diameter where it and the driver pass."""
+WEB_MM = 6.0
+"""Of plastic under the heads of the horn's screws, where there is room to sink them."""
+SCREW_LENGTHS_MM = (4, 5, 6, 8, 10, 12, 14, 16, 18, 20, 22, 25, 30, 35, 40, 50, 60)
+"""That are sold."""
+
+
+class KitError(ValueError):
+    """Settings that no part can be made with: names them, what was expected and what came."""
+
+
+@dataclass(frozen=True, eq=False)
+class Feature:
+    """Something cut out."""
+
+    label: str
+    group: str
+    """Features of one group may meet; those of two may not."""
+    outline: Polygon
+    low_mm: float
+    high_mm: float
+    circle: tuple[Point, float] | None = None
+    """Centre and radius, if it is round."""
+
+
+def bore(label: str, group: str, at: Point, diameter: float, low: float, high: float) -> Feature:
+    """Give a round feature."""
+    outline = ShapelyPoint(at).buffer(diameter / 2, quad_segs=ARC_SEGMENTS)
+    return Feature(label, group, outline, low, high, (at, diameter / 2))
+
+
+def plate_mm(drive: Drive) -> float:
+    """Give the thickness of the plate that the ears are screwed to: what the case is higher than its ears."""
+    return drive.servo.height_mm - drive.servo.ear_bottom_mm - drive.servo.ear_thickness_mm
+
+
+def check_room_between(drives: Sequence[Drive], settings: KitSettings) -> None:
+    """Refuse pontoons so close that their inner layers, or the servos that stand out of them, would meet.
+
+    Raises:
+        KitError: says how much room is left.
+    """
+    out = max((drive.servo.height_mm - settings.thickness_mm for drive in drives), default=0.0)
+    layers = 2 * settings.thickness_mm + settings.layer_gap_mm if drives else settings.thickness_mm
+    room = settings.pitch_mm + settings.thickness_mm - 2 * layers - 2 * max(out, 0.0)
+    if room <= 0.0:
+        raise KitError(f"pitch_mm is {settings.pitch_mm:g}: two layers of {settings.thickness_mm:g} mm a pontoon "
+                       f"and their servos leave {room:.1f} mm between the pontoons, expected more than 0")
+
+
+def cradle_features(drive: Drive, settings: KitSettings) -> list[Feature]:
+    """Cut the servo's pocket, its ears' screws and its cable's ways out into the part that carries it.
+
+    Raises:
+        KitError: the part is too thin for the servo.
+    """
+    servo, group, thickness = drive.servo, f"servo of joint {drive.joint.link}", settings.thickness_mm
+    floor = thickness - plate_mm(drive)
+    if floor < servo.ear_thickness_mm + NOTCH_DEPTH_MM:
+        raise KitError(f"thickness_mm is {thickness:g}: servo {servo.name} needs at least "
+                       f"{plate_mm(drive) + servo.ear_thickness_mm + NOTCH_DEPTH_MM:g}")
+    features = [
+        Feature("pocket", group, drive.pocket, 0.0, floor),
+        Feature("case", group, drive.case, floor, thickness),
+    ]
+    features += [
+        bore("ear screw", group, at, PILOT * servo.ear_screw_mm, floor, thickness) for at in drive.ear_holes()
+    ]
+    features += [Feature("cable", group, way, 0.0, NOTCH_DEPTH_MM) for way in drive.cable_ways]
+    return features
+
+
+def horn_features(drive: Drive, settings: KitSettings) -> list[Feature]:
+    """Cut the horn's recess and its screws' holes into the part that it turns.
+
+    Raises:
+        KitError: the part is too thin for the horn.
+    """
+    horn, group, thickness = drive.horn, f"horn of joint {drive.joint.link}", settings.thickness_mm
+    seat = horn_seat_mm(drive, settings)
+    if seat < WEB_MM:
+        raise KitError(f"thickness_mm is {thickness:g}: the horn of servo {drive.servo.name} needs at least "
+                       f"{thickness - seat + WEB_MM:g}")
+    at = drive.joint.at
+    if horn.kind == "disc":
+        features = [bore("horn", group, at, 2 * drive.recess_radius_mm, seat, thickness)]
+    else:
+        half = horn.arm_width_mm / 2 + drive.clearance_mm
+        long, wide = (reach + drive.clearance_mm for reach in horn.reach_mm)
+        features = [
+            Feature("horn", group, drive.placed(-long, long, half), seat, thickness),
+            Feature("horn", group, drive.placed(-half, half, wide), seat, thickness),
+            bore("horn", group, at, horn.hub_mm + 2 * drive.clearance_mm, seat, thickness),
+        ]
+    through = HEAD * drive.servo.centre_screw_mm + HEAD_CLEAR_MM
+    features.append(bore("centre screw", group, at, through, 0.0, seat))
+    sunk = sinking_mm(drive, settings)
+    for hole in drive.horn_holes():
+        features.append(bore("horn screw", group, hole, horn.screw_mm + CLEAR_MM, sunk, seat))
+        if sunk > 0.0:
+            features.append(bore("screw head", group, hole, HEAD * horn.screw_mm + CLEAR_MM, 0.0, sunk))
+    return features
+
+
+def horn_seat_mm(drive: Drive, settings: KitSettings) -> float:
+    """Give the height of the recess' floor, on which the horn's top lies."""
+    return settings.thickness_mm - (drive.horn.top_mm - settings.layer_gap_mm)
+
+
+def sinking_mm(drive: Drive, settings: KitSettings) -> float:
+    """Give how deep the heads of the horn's screws are sunk from the back; 0 if the centre screw's hole is too near."""
+    horn = drive.horn
+    between = horn.screw_radius_mm - (HEAD * horn.screw_mm + CLEAR_MM) / 2
+    between -= (HEAD * drive.servo.centre_screw_mm + HEAD_CLEAR_MM) / 2
+    return horn_seat_mm(drive, settings) - WEB_MM if between >= settings.min_wall_mm else 0.0
+
+
+def pin_feature(drive: Drive, settings: KitSettings, *, turning: bool) -> Feature:
+    """Cut the bore of the pin that stands for a servo in the pontoon that has none."""
+    clearance = settings.pivot_clearance_mm if turning else settings.rod_clearance_mm
+    group = f"pin of joint {drive.joint.link}"
+    return bore("pin", group, drive.joint.at, settings.rod_mm + clearance, 0.0, settings.thickness_mm)
+
+
+def features_of(
+    body: int, side: str, drives: Sequence[Drive], rods: Sequence[Point], settings: KitSettings
+) -> tuple[Feature, ...]:
+    """List all that is cut out of one copy of a part.
+
+    Args:
+        body: index of the part.
+        side: the pontoon, left or right.
+        drives: of the whole robot.
+        rods: this part's.
+        settings: of the kit.
+    """
+    features: list[Feature] = []
+    for drive in drives:
+        if body not in (drive.carrier, drive.driven):
+            continue
+        carries = drive.carrier == body
+        if side in drive.sides(settings.servos_per_joint):
+            features += cradle_features(drive, settings) if carries else horn_features(drive, settings)
+        else:
+            features.append(pin_feature(drive, settings, turning=not carries))
+    for number, rod in enumerate(rods, 1):
+        diameter = settings.rod_mm + settings.rod_clearance_mm
+        features.append(bore("rod", f"rod {number}", rod, diameter, 0.0, settings.thickness_mm))
+    return tuple(features)
+
+
+def volume_mm3(area: float, outline: BaseGeometry, features: Sequence[Feature], thickness: float) -> float:
+    """Give the volume of a part analytically, layer by layer between the heights where a feature begins or ends.
+
+    Args:
+        area: of the outline, exactly [mm²].
+        outline: as a polygon.
+        features: cut out of it.
+        thickness: of the part.
+    """
+    heights = sorted({0.0, thickness, *(f.low_mm for f in features), *(f.high_mm for f in features)})
+    volume = area * thickness
+    for low, high in pairwise(heights):
+        here = [f.outline for f in features if f.low_mm <= low and f.high_mm >= high]
+        volume -= (high - low) * unary_union(here).intersection(outline).area if here else 0.0
+    return float(volume)
+
+
+def longest_screw(reach_mm: float) -> int:
+    """Give the longest screw that is sold and no longer than a reach [mm]."""
+    return max((length for length in SCREW_LENGTHS_MM if length <= reach_mm), default=SCREW_LENGTHS_MM[0])
+
+

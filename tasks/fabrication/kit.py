@@ -1,0 +1,125 @@
+"""A kit: everything that is known of the robot to be built from one design. Paper, "Manufacturing".
+
+Needs the optional packages of CAD; see :mod:`tasks.fabrication.cad`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from shapely import unary_union
+
+from tasks.design import Designs
+from tasks.design.genes import check
+from tasks.fabrication.bill import BillLine, bill_of
+from tasks.fabrication.checks import Finding, findings_of
+from tasks.fabrication.drives import Drive, drives_of
+from tasks.fabrication.features import Feature, check_room_between, features_of
+from tasks.fabrication.parts import SIDES, Bought, Part, bought_of, parts_of
+from tasks.fabrication.profile import Profile, profile_of
+from tasks.fabrication.rigid import Mechanism, mechanism_of
+from tasks.fabrication.rods import Layers, keep_out, layers_of, rod_circles
+from tasks.fabrication.servos import Sense
+from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.splits import Split, split_of
+
+
+@dataclass(frozen=True, eq=False)
+class Kit:
+    """A robot to be built."""
+
+    settings: KitSettings
+    mechanism: Mechanism
+    """Rigid bodies and turning joints."""
+    drives: tuple[Drive, ...]
+    """One for every turning joint, in order of their child links."""
+    profiles: tuple[Profile, ...]
+    """Of every body."""
+    layers: Layers
+    splits: tuple[Split, ...]
+    features: dict[tuple[int, str], tuple[Feature, ...]]
+    """What is cut out of every body's copy, by its index and side."""
+    parts: tuple[Part, ...]
+    """Pieces to print."""
+    bought: tuple[Bought, ...]
+    """Servos, horns, rods and pins, in their places."""
+    findings: tuple[Finding, ...]
+    """Faults first."""
+    bill: tuple[BillLine, ...]
+
+    @property
+    def faults(self) -> tuple[Finding, ...]:
+        """The findings that speak against building it."""
+        return tuple(finding for finding in self.findings if finding.severity == "fault")
+
+    @property
+    def mass_g(self) -> float:
+        """Of the whole robot: prints, servos and steel; without screws and cables."""
+        return sum(line.mass_g for line in self.bill if line.mass_g is not None)
+
+    @property
+    def hull_mm3(self) -> float:
+        """Volume of both pontoons' outlines, hollows included [mm³]."""
+        area: float = sum(profile.face.area for profile in self.profiles)
+        return 2 * self.settings.thickness_mm * area
+
+    @property
+    def printed_mm3(self) -> float:
+        """Volume of the plastic's outside: what displaces water when every hollow is flooded, servos apart [mm³]."""
+        return sum(part.volume_mm3 for part in self.parts)
+
+    def direction(self, joint: int, side: str) -> Sense:
+        """Give 1 if longer pulses turn a joint's child link counter-clockwise, seen with x to the right; else -1.
+
+        Args:
+            joint: number of its child link.
+            side: the pontoon of the servo, left or right.
+        """
+        drive = next(drive for drive in self.drives if drive.joint.link == joint)
+        return drive.direction(carrier_is_outer=self.layers.outer[drive.carrier], side=side)
+
+
+def build_kit(design: Designs, settings: KitSettings) -> Kit:
+    """Make a design's parts and check them.
+
+    Args:
+        design: one valid design; joints whose motor is off are locked at rest.
+        settings: scale, servo, clearances, printer.
+
+    Raises:
+        DesignError: the design is not valid.
+        ServoError: the library has no such servo or horn.
+        KitError: no part can be made with these settings.
+        SolidError: the CAD kernel made something else than it was told.
+    """
+    check(design)
+    mechanism = mechanism_of(design, settings)
+    drives = drives_of(mechanism, settings)
+    check_room_between(drives, settings)
+    profiles = tuple(profile_of(mechanism, drives, body.index, settings) for body in mechanism.bodies)
+    outlines = [profile.polygon for profile in profiles]
+    layers = layers_of(mechanism, drives, outlines, settings)
+    splits, features, parts = [], {}, []
+    for body in mechanism.bodies:
+        bores = rod_circles(layers.rods[body.index], (settings.rod_mm + settings.rod_clearance_mm) / 2)
+        taken = unary_union([keep_out(drives, body.index), bores])
+        split = split_of(mechanism, body.index, outlines[body.index], taken, settings)
+        splits.append(split)
+        for side in SIDES:
+            cut = features_of(body.index, side, drives, layers.rods[body.index], settings)
+            features[body.index, side] = cut
+            name = f"part-{body.index + 1}-{side}"
+            parts += parts_of(name, body.index, side, profiles[body.index], cut, split, layers, settings)
+    return Kit(
+        settings=settings,
+        mechanism=mechanism,
+        drives=drives,
+        profiles=profiles,
+        layers=layers,
+        splits=tuple(splits),
+        features=features,
+        parts=tuple(parts),
+        bought=tuple(bought_of(drives, layers, settings)),
+        findings=findings_of(mechanism, drives, outlines, layers, splits, features, settings),
+        bill=tuple(bill_of(parts, drives, layers, settings)),
+    )

@@ -1,0 +1,158 @@
+"""Splits: where a part larger than the print bed is cut, and the dovetail that joins it again.
+
+A cut goes across one link. It follows a dovetail like that of a jigsaw puzzle, so that the pieces slide together along
+the extrusion and hold in the plane; glue does the rest. What the cut removes is the clearance between the pieces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+
+import numpy as np
+from shapely import LineString, Point, Polygon, affinity
+from shapely.geometry.base import BaseGeometry
+
+from tasks.fabrication.rigid import Mechanism
+from tasks.fabrication.settings import KitSettings
+
+STEP_MM = 3.0
+"""Between the cuts that are tried along a link."""
+MAX_CUTS = 12
+"""More than any design of six links needs on a bed of 100 mm."""
+LONGEST = 1.3
+"""Of a cut, in the link's width; a longer one runs into another link."""
+OVERRUN_MM = 1.0
+"""By which a cut goes beyond the outline."""
+ROUNDING_MM = 1e-6
+NECK, HEAD, DEPTH = 0.32, 0.46, 0.28
+"""Of a dovetail: its narrowest and widest place and its depth, as shares of the cut's length."""
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """A part's pieces."""
+
+    whole: Polygon
+    """The part's outline."""
+    cuts: tuple[BaseGeometry, ...]
+    """What is removed between pieces."""
+    pieces: tuple[Polygon, ...]
+    """Outlines, in order along x; one if the part is whole."""
+    fits: bool
+    """Whether every piece lies on the bed."""
+
+
+def bed_mm(settings: KitSettings) -> tuple[float, float]:
+    """Give the width and depth of the bed without its margins."""
+    width, depth, _ = settings.bed_mm
+    return (width - 2 * settings.bed_margin_mm, depth - 2 * settings.bed_margin_mm)
+
+
+def turn_to_fit(shape: BaseGeometry, width: float, depth: float) -> float | None:
+    """Give the least turn [°, 0 to 179] by which a shape fits a rectangle, or None if none does."""
+    hull = np.array(shape.convex_hull.exterior.coords)
+    turn = np.radians(np.arange(180))
+    across = hull @ np.array([np.cos(turn), -np.sin(turn)])
+    along = hull @ np.array([np.sin(turn), np.cos(turn)])
+    fits = np.flatnonzero((np.ptp(across, axis=0) <= width) & (np.ptp(along, axis=0) <= depth))
+    return float(fits[0]) if fits.size else None
+
+
+def split_of(
+    mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGeometry, settings: KitSettings
+) -> Split:
+    """Cut a part until every piece fits the bed, or as far as that is possible.
+
+    Args:
+        mechanism: the parts.
+        body: index of this part.
+        outline: its outline.
+        keep_off: pockets, recesses and bores, which no cut may touch.
+        settings: of the bed and the cut's clearance.
+    """
+    width, depth = bed_mm(settings)
+    pieces, fits = [outline], True
+    cuts: list[BaseGeometry] = []
+    while True:
+        large = [piece for piece in pieces if turn_to_fit(piece, width, depth) is None]
+        if not large:
+            break
+        best = _best_cut(large[0], mechanism, body, keep_off, settings) if len(cuts) < MAX_CUTS else None
+        if best is None:
+            fits = False
+            break
+        cut, halves = best
+        pieces.remove(large[0])
+        pieces.extend(halves)
+        cuts.append(cut)
+    pieces.sort(key=lambda piece: (piece.centroid.x, piece.centroid.y))
+    return Split(outline, tuple(cuts), tuple(pieces), fits)
+
+
+def _size(shape: BaseGeometry, settings: KitSettings) -> float:
+    """Say how large a shape is against the bed: 1 fills it."""
+    corners = np.array(shape.minimum_rotated_rectangle.exterior.coords)
+    sides = sorted(np.hypot(*(corners[1:3] - corners[:2]).T))
+    bed = sorted(bed_mm(settings))
+    return max(float(sides[0]) / bed[0], float(sides[1]) / bed[1])
+
+
+def _best_cut(
+    piece: Polygon, mechanism: Mechanism, body: int, keep_off: BaseGeometry, settings: KitSettings
+) -> tuple[BaseGeometry, list[Polygon]] | None:
+    """Find the cut that leaves the smallest larger half."""
+    best, least = None, np.inf
+    clear = keep_off.buffer(settings.wall_mm)
+    for link in mechanism.bodies[body].links:
+        width, height = mechanism.link_size[link]
+        x, y = mechanism.link_centre[link]
+        angle = mechanism.link_angle[link]
+        for along in np.arange(-height / 2 + STEP_MM, height / 2, STEP_MM):
+            centre = (x - sin(angle) * along, y + cos(angle) * along)
+            chord = _chord(piece, centre, angle, width)
+            if chord is None:
+                continue
+            for flip in (1, -1):
+                line, half_gap = _dovetail(chord, flip), settings.split_clearance_mm / 2
+                cut = line.buffer(half_gap, join_style="mitre", cap_style="flat")
+                halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > 1.0]
+                if len(halves) != 2 or cut.intersects(clear):
+                    continue
+                size = max(_size(half, settings) for half in halves)
+                if size < least - 1e-9:
+                    best, least = (cut, halves), size
+    return best
+
+
+def _chord(piece: Polygon, centre: tuple[float, float], angle: float, width: float) -> LineString | None:
+    """Give the straight cut across a piece at a link's place, if it ends in the open and near the link's sides."""
+    reach = 2 * width
+    across = LineString([(-reach, 0.0), (reach, 0.0)])
+    line = affinity.translate(affinity.rotate(across, angle, origin=(0, 0), use_radians=True), *centre)
+    inside = line.intersection(piece)
+    for stretch in getattr(inside, "geoms", [inside]):
+        if 0.0 < stretch.length < LONGEST * width and stretch.distance(Point(centre)) < ROUNDING_MM:
+            beyond = affinity.scale(stretch, *(2 * [1.0 + 2 * OVERRUN_MM / stretch.length]))
+            return stretch if beyond.intersection(piece).length < stretch.length + ROUNDING_MM else None
+    return None
+
+
+def _dovetail(chord: LineString, flip: int) -> LineString:
+    """Give a cut's line: straight, with a dovetail in its middle on one side, and a little beyond the outline."""
+    (x0, y0), (x1, y1) = chord.coords
+    along = np.array([x1 - x0, y1 - y0])
+    length = float(np.hypot(*along))
+    along /= length
+    aside = flip * np.array([-along[1], along[0]])
+    middle = np.array([x0 + x1, y0 + y1]) / 2
+    neck, head, depth = (share * length for share in (NECK, HEAD, DEPTH))
+    points = [
+        np.array([x0, y0]) - OVERRUN_MM * along,
+        middle - along * neck / 2,
+        middle - along * head / 2 + aside * depth,
+        middle + along * head / 2 + aside * depth,
+        middle + along * neck / 2,
+        np.array([x1, y1]) + OVERRUN_MM * along,
+    ]
+    return LineString(points)

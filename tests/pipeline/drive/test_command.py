@@ -1,0 +1,152 @@
+"""``puddle drive`` as a person uses it: in a process of its own, in real time, against a pty."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from pipeline.artifacts import decode_table
+from pipeline.cli import app, main
+from pipeline.drive.log import JOURNAL
+from pipeline.timeline_file import calibration_yaml, timeline_json
+from tasks.fabrication.timeline import Playback, Timeline, envelope
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture
+def kit(tmp_path, calibration) -> Path:
+    """A folder with what a drive needs of a kit: 20 s of swinging."""
+    playback, seconds = Playback(duration=20.0, ramp=1.0), np.arange(1001) / 50
+    rise = envelope(seconds, duration=playback.duration, ramp=playback.ramp)
+    swing = Timeline(joints=(2, 4), angle=rise[:, None] * 0.6 * np.sin(np.pi * seconds[:, None] + [0.0, 1.0]))
+    (tmp_path / "kit").mkdir()
+    (tmp_path / "kit" / "timeline.json").write_bytes(timeline_json(swing, calibration))
+    (tmp_path / "kit" / "calibration.yaml").write_bytes(calibration_yaml(calibration, "of a test"))
+    return tmp_path / "kit"
+
+
+def table_of(path: Path):
+    return decode_table(path.read_bytes(), schema="drive_log", version=1, source=str(path))
+
+
+def call(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as exit_info:
+        main(list(arguments))
+    return int(exit_info.value.code or 0)
+
+
+def test_a_dry_run(kit, tmp_path, capsys):
+    log = tmp_path / "dry.parquet"
+    assert call("drive", str(kit), "--dry-run", "--duration", "0.5", "--log", str(log)) == 0
+    said = capsys.readouterr().out
+    assert "joint 2 on channel 0: -34° to +34°" in said and "dry run" in said and "End" not in said
+    table = table_of(log)
+    assert (table["frame"] >= 0).sum() == 2 * 25
+    assert call("drive", str(kit), "--dry-run", "--log", str(log)) == 2
+    assert "there already" in capsys.readouterr().err
+
+
+def test_nothing_moves_without_a_yes(kit, tmp_path, plug):
+    fake = plug()
+    runner = CliRunner()
+    log = tmp_path / "never.parquet"
+    for answer in ("n\n", ""):
+        result = runner.invoke(app, ["drive", str(kit), "--port", fake.path, "--log", str(log)], input=answer)
+        assert result.exit_code == 130 and "Nothing was moved" in result.output and "jump to neutral" in result.output
+    fake.finish()
+    assert fake.n_bytes == 0 and not log.exists()
+    result = runner.invoke(
+        app, ["drive", str(kit), "--port", (again := plug()).path, "--log", str(log), "--duration", "0.1"], input="y\n"
+    )
+    assert result.exit_code == 0, result.output
+    again.finish()
+    assert again.pulses(0)[-1] == 0 and len(again.pulses(0)) > 50
+
+
+def test_mistakes(kit, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def refused(*arguments: str) -> str:
+        assert call("drive", *arguments) == 2
+        return capsys.readouterr().err
+
+    assert "--list-ports" in refused()
+    assert "--port" in refused(str(kit))
+    assert "no such port" in refused(str(kit), "--port", "/dev/ttyNOPE", "--yes")
+    assert "can't be read" in refused(str(kit / "none.json"), "--dry-run")
+    narrow = (kit / "calibration.yaml").read_text().replace("max_us: 2100", "max_us: 1700")
+    (tmp_path / "narrow.yaml").write_text(narrow)
+    said = refused(str(kit), "--calibration", str(tmp_path / "narrow.yaml"), "--dry-run")
+    assert "joint 2 (channel 0) at" in said and "900 to 1700" in said and "Nothing was moved" in said
+    swapped = (kit / "calibration.yaml").read_text().replace("max_us: 2100", "max_us: 800")
+    (kit / "calibration.yaml").write_text(swapped)
+    said = refused(str(kit), "--dry-run")
+    assert "swapped" in said and f"{kit / 'calibration.yaml'}:3" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kit", "narrow.yaml"]
+
+
+def test_ports_are_listed(capsys):
+    assert call("drive", "--list-ports") == 0
+    assert "port" in capsys.readouterr().out.lower()
+
+
+def started(kit: Path, fake, log: Path, *options: str) -> subprocess.Popen:
+    """A drive in a process of its own that has come well into its timeline."""
+    command = [sys.executable, "-m", "pipeline", "drive", str(kit), "--port", fake.path, "--log", str(log), "--yes"]
+    process = subprocess.Popen([*command, *options], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    patience = time.monotonic() + 60
+    while len(fake.pulses(0)) < 70:
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < patience
+        time.sleep(0.01)
+    return process
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal(kit, tmp_path, plug, kind):
+    fake, log = plug(), tmp_path / "run.parquet"
+    process = started(kit, fake, log)
+    process.send_signal(kind)
+    _, said = process.communicate(timeout=30)
+    fake.finish()
+    assert process.returncode == 130, said
+    assert not fake.on and fake.pulses(0)[-2:] == [1500.0, 0.0] and fake.pulses(3)[-2:] == [1480.5, 0.0]
+    assert "stopped by the user" in table_of(log)["event"]
+
+
+def test_killed(kit, tmp_path, plug):
+    """Nothing of ours runs any more: the controller's own time-out switches off, and the journal is there."""
+    fake, log = plug(timeout=0.5), tmp_path / "run.parquet"
+    process = started(kit, fake, log)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stderr.close()
+    patience = time.monotonic() + 10
+    while fake.on:
+        assert time.monotonic() < patience
+        time.sleep(0.02)
+    fake.finish()
+    assert Path(f"{log}{JOURNAL}").exists() and not log.exists()
+    # The next drive into the same folder makes a log of it, down to what was sent last; the bytes come after the note.
+    assert call("drive", str(kit), "--dry-run", "--duration", "0", "--log", str(tmp_path / "next.parquet")) == 0
+    table = table_of(log)
+    sent = table["sent"][(table["channel"] == 0) & np.isfinite(table["sent"])].tolist()
+    received = fake.pulses(0)
+    assert len(received) - len(sent) in (0, 1) and sent == received[: len(sent)]
+
+
+def test_unplugged_half_way(kit, tmp_path, plug, capsys):
+    fake, log = plug(unplug_after=1200), tmp_path / "run.parquet"
+    assert call("drive", str(kit), "--port", fake.path, "--log", str(log), "--yes") == 2
+    said = capsys.readouterr().err
+    assert "the port is lost" in said and "COULD NOT BE SWITCHED OFF" in said and str(log) in said
+    received = fake.pulses(3)
+    table = table_of(log)
+    sent = table["sent"][(table["channel"] == 3) & np.isfinite(table["sent"])].tolist()
+    assert sent[: len(received)] == received

@@ -1,0 +1,196 @@
+"""A kit's files, read back by other programs."""
+
+import csv
+import hashlib
+import io
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from math import pi
+from pathlib import Path
+from xml.etree import ElementTree
+
+import ezdxf
+import lib3mf
+import numpy as np
+import pytest
+import trimesh
+from build123d import import_step
+from PIL import Image
+from shapely import LineString, Polygon, polygonize
+
+from pipeline.design_file import design_document
+from pipeline.fabrication.exports import exports, write_exports
+from tasks.fabrication.kit import build_kit
+from tasks.fabrication.settings import KitSettings
+
+MESHED = 2e-3
+"""Relative: facets miss curved faces by up to 0.05 mm, of holes of 3 mm too."""
+
+MAKE = """
+import hashlib, json, sys
+import numpy as np
+from pipeline.design_file import design_from
+from pipeline.fabrication.exports import exports
+from tasks.fabrication.kit import build_kit
+from tasks.fabrication.settings import KitSettings
+design = design_from(json.load(sys.stdin), "standard input")
+files = exports(build_kit(design, KitSettings()), title="Crane")
+print(json.dumps({name: hashlib.sha256(content).hexdigest() for name, content in files.items()}))
+"""
+
+
+@pytest.fixture(scope="module")
+def kit(crane):
+    return build_kit(crane, KitSettings())
+
+
+@pytest.fixture(scope="module")
+def files(kit):
+    return exports(kit, title="Crane")
+
+
+def test_every_part_has_its_files(kit, files):
+    names = {part.name for part in kit.parts}
+    assert names == {f"part-{n}-{side}" for n in (1, 2, 3) for side in ("left", "right")}
+    expected = {f"print/{name}.{form}" for name in names for form in ("stl", "3mf")}
+    expected |= {f"cad/{name}.step" for name in names} | {f"profiles/{name}.dxf" for name in names}
+    expected |= {"robot.png", "robot.step", "bill.csv", "drawing.svg", "drawing.pdf", "drawing.png"}
+    assert set(files) == expected
+
+
+def test_stl_is_watertight_and_has_the_part_s_volume(kit, files):
+    for part in kit.parts:
+        mesh = trimesh.load(io.BytesIO(files[f"print/{part.name}.stl"]), file_type="stl")
+        assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
+        assert mesh.volume == pytest.approx(part.volume_mm3, rel=MESHED)
+        assert np.allclose(mesh.bounds[0], 0.0, atol=1e-4) and mesh.bounds[1][2] == pytest.approx(25.0)
+
+
+def test_3mf_is_what_its_own_library_reads(kit, files):
+    wrapper = lib3mf.Wrapper()
+    for part in kit.parts:
+        content = files[f"print/{part.name}.3mf"]
+        assert zipfile.ZipFile(io.BytesIO(content)).testzip() is None
+        model = wrapper.CreateModel()
+        reader = model.QueryReader("3mf")
+        reader.SetStrictModeActive(True)
+        reader.ReadFromBuffer(bytearray(content))
+        assert reader.GetWarningCount() == 0 and model.GetUnit() == lib3mf.ModelUnit.MilliMeter
+        objects = model.GetMeshObjects()
+        assert objects.MoveNext()
+        mesh = objects.GetCurrentMeshObject()
+        assert mesh.GetName() == part.name and mesh.IsManifoldAndOriented()
+        read = trimesh.Trimesh(
+            [list(v.Coordinates) for v in mesh.GetVertices()], [list(t.Indices) for t in mesh.GetTriangleIndices()]
+        )
+        assert read.is_watertight and read.volume == pytest.approx(part.volume_mm3, rel=MESHED)
+        assert not objects.MoveNext() and model.GetBuildItems().MoveNext()
+
+
+def test_step_keeps_volume_and_place(kit, files, tmp_path):
+    for part in kit.parts:
+        path = tmp_path / f"{part.name}.step"
+        path.write_bytes(files[f"cad/{part.name}.step"])
+        read = import_step(path)
+        (solid,) = read.solids()
+        assert solid.is_valid and solid.volume == pytest.approx(part.volume_mm3, rel=1e-6)
+        assert np.allclose(tuple(solid.center()), tuple(part.solid.center()), atol=1e-4)
+
+
+def test_the_whole_robot_as_step(kit, files, tmp_path):
+    path = tmp_path / "robot.step"
+    path.write_bytes(files["robot.step"])
+    solids = import_step(path).solids()
+    assert len(solids) == len(kit.parts) + len(kit.bought)
+    expected = sum(p.volume_mm3 for p in kit.parts) + sum(b.solid.volume for b in kit.bought)
+    assert sum(s.volume for s in solids) == pytest.approx(expected, rel=1e-6)
+    for name in ("part-1-left", "servo of joint 2, left", "rod 1 of part 2"):
+        assert name.encode() in files["robot.step"]
+
+
+def test_dxf_has_the_outline_and_every_bore(kit, files):
+    for (body, side), features in kit.features.items():
+        document = ezdxf.read(io.StringIO(files[f"profiles/part-{body + 1}-{side}.dxf"].decode()))
+        assert document.units == ezdxf.units.MM and not document.audit().errors
+        space = document.modelspace()
+        chains = []
+        for entity in space.query('*[layer=="OUTLINE"]'):
+            if entity.dxftype() == "LINE":
+                chains.append([entity.dxf.start, entity.dxf.end])
+            else:
+                chains.append(list(entity.flattening(0.001)))
+        lines = [[(round(p.x, 5), round(p.y, 5)) for p in chain] for chain in chains]
+        (outline,) = polygonize([LineString(line) for line in lines]).geoms
+        assert outline.area == pytest.approx(kit.profiles[body].face.area, rel=1e-4)
+        circles = sorted((c.dxf.center.x, c.dxf.center.y, c.dxf.radius) for c in space.query('CIRCLE[layer=="BORES"]'))
+        expected = sorted((*f.circle[0], f.circle[1]) for f in features if f.circle)
+        assert np.allclose(circles, expected)
+        pockets = [Polygon(p.get_points("xy")).area for p in space.query('LWPOLYLINE[layer=="POCKETS"]')]
+        assert sorted(pockets) == pytest.approx(sorted(f.outline.area for f in features if not f.circle))
+
+
+def test_the_bill_as_csv(kit, files):
+    rows = list(csv.DictReader(io.StringIO(files["bill.csv"].decode())))
+    assert {row["kind"] for row in rows} == {"print", "servo", "screw", "rod", "pin"}
+    rods = [row for row in rows if row["kind"] == "rod"]
+    for row in rods:
+        grams = int(row["count"]) * float(row["length_mm"]) * pi * 1.5**2 * 7.9e-3
+        assert float(row["mass_g"]) == pytest.approx(grams, abs=0.051)
+    assert sum(int(row["count"]) for row in rods) == sum(map(len, kit.layers.rods))
+    assert sum(float(row["mass_g"] or 0) for row in rows) == pytest.approx(kit.mass_g, abs=0.05 * len(rows))
+
+
+def test_the_drawing_says_joints_angles_and_dimensions(kit, files):
+    elements = ElementTree.fromstring(files["drawing.svg"]).iter()
+    text = " ".join("".join(element.itertext()) for element in elements if element.tag.endswith("text"))
+    for said in ("Crane", "joint 2", "joint 4", "part 1", "part 3", "±28.6°", "±45.8°", "R1.1", "300", "325.0", "99.0"):
+        assert said in text, said
+    bounds = np.array([profile.polygon.bounds for profile in kit.profiles])
+    for extent in bounds.max(axis=0)[2:] - bounds.min(axis=0)[:2]:
+        assert f"{extent:.1f}" in text
+    assert files["drawing.pdf"].startswith(b"%PDF-") and b"CreationDate" not in files["drawing.pdf"]
+    assert b"/MediaBox [ 0 0 1190.55" in files["drawing.pdf"]  # 420 mm
+
+
+def test_the_picture_shows_every_part(kit, files):
+    image = Image.open(io.BytesIO(files["robot.png"])).convert("RGB")
+    assert image.size == (1600, 1000)
+    hues = np.array(image.crop((0, 0, 1600, 900)).convert("HSV")).reshape(-1, 3)
+    coloured = hues[hues[:, 1] > 60]
+    for hue in (20, 150, 71):  # orange, blue and green, of 255
+        assert (np.abs(coloured[:, 0].astype(int) - hue) < 10).sum() > 5000, hue
+
+
+def test_the_same_design_gives_the_same_bytes_in_another_process(crane, files):
+    environment = {**os.environ, "PYTHONHASHSEED": "7", "PYTHONPATH": str(Path(__file__).parents[3])}
+    done = subprocess.run([sys.executable, "-c", MAKE], input=json.dumps(design_document(crane)), text=True,
+                          capture_output=True, env=environment, check=True)  # fmt: skip
+    there = json.loads(done.stdout)
+    here = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    assert {name for name in here if here[name] != there.get(name)} == set() and here.keys() == there.keys()
+
+
+def test_files_are_written_where_they_are_said_to_be(kit, files, tmp_path):
+    folder = tmp_path / "new" / "kit"
+    written = write_exports(kit, folder, title="Crane")
+    assert sorted(map(str, written)) == sorted(files)
+    assert all((folder / name).read_bytes() == files[str(name)] for name in written)
+
+
+def test_cad_is_imported_late_and_its_absence_is_one_clear_message():
+    code = (
+        "import sys\nimport pipeline.cli\nfrom tasks.fabrication.cad import require_cad\n"
+        "assert not {'build123d', 'shapely', 'ezdxf'} & sys.modules.keys()\n"
+        "from importlib import util\nfound = util.find_spec\n"
+        "import tasks.fabrication.cad as cad\n"
+        "cad.find_spec = lambda name: None if name == 'build123d' else found(name)\nrequire_cad()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].endswith(
+        "MissingCadError: making parts needs build123d, not installed here: pip install 'puddle[cad]' "
+        "(from a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
+    )

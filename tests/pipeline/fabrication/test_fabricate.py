@@ -1,0 +1,191 @@
+"""``puddle fabricate``: a folder that is a whole kit or not there, its page, and what speaks against it."""
+
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline import disk
+from pipeline.cli import main
+from pipeline.design_file import design_document, read_design
+from pipeline.errors import PuddleError
+from pipeline.fabrication.folder import MARK, check_place, write_kit
+from pipeline.timeline_file import read_calibration, read_timeline
+from tasks.design import Designs
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+def call(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as exit_info:
+        main(list(arguments))
+    return int(exit_info.value.code or 0)
+
+
+def write(design: Designs, path: Path) -> Path:
+    genes = {name: array.copy() for name, array in design.arrays()}
+    genes["motion_range"][:, 0] = 0.2
+    path.write_text(json.dumps(design_document(Designs(**genes))))
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(crane, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("fabricate")
+    design = write(crane, folder / "crane.json")
+    assert call("fabricate", str(design), "--out", str(folder / "kit"), "--store", str(folder / "store")) == 0
+    return folder
+
+
+def test_a_kit_is_whole(made):
+    kit = made / "kit"
+    mark = json.loads((kit / MARK).read_text())
+    held = {str(path.relative_to(kit)) for path in kit.rglob("*") if path.is_file()}
+    assert held == {*mark["files"], MARK}
+    for name, digest in mark["files"].items():
+        assert hashlib.sha256((kit / name).read_bytes()).hexdigest() == digest
+    assert {"index.html", "robot.png", "drawing.svg", "bill.csv", "timeline.csv", "calibration.yaml", "design.json",
+            "assembly.md", "servo.md", "servo-wiring.svg", "print/part-1-left.stl"} <= held  # fmt: skip
+    assert read_design(kit / "design.json").equals(read_design(made / "crane.json"))
+    assert mark["metrics"]["n_faults"] == 0
+    assert sorted(path.name for path in made.iterdir()) == ["crane.json", "kit", "store"]
+
+
+def test_its_timeline_and_calibration_are_driven(made, capsys, tmp_path):
+    line, servos = read_timeline(made / "kit/timeline.json"), read_calibration(made / "kit/calibration.yaml")
+    assert line.joints == (2, 4) and line.time[-1] == 150.0
+    assert {servo.joint for servo in servos.servos} == {2, 4}
+    # 0.2 Hz under Froude's law: the second joint swings by 0.8 rad at 0.756 Hz.
+    swing = line.angle[(line.time > 10) & (line.time < 140), 1]
+    crossings = np.flatnonzero((swing[:-1] < 0) & (swing[1:] >= 0))
+    assert np.diff(crossings).mean() / 50 == pytest.approx(np.sqrt(0.07) / 0.2, rel=2e-3)
+    assert np.abs(swing).max() == pytest.approx(0.8, abs=0.01)
+    log = str(tmp_path / "dry.parquet")
+    assert call("drive", str(made / "kit"), "--dry-run", "--duration", "0.2", "--log", log) == 0
+
+
+def test_every_link_of_the_page_leads_somewhere(made):
+    page = (made / "kit/index.html").read_text()
+    links = set(re.findall(r"""(?:href|src)=["']([^"'#:]+)["']""", page))
+    assert len(links) > 25 and [link for link in links if not (made / "kit" / link).exists()] == []
+    for said in ("Froude", "70 mm", "0.265 s", "30 N·m", "1.13 Hz", "ds3225", "No ensemble", "floats"):
+        assert said in page, said
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+@pytest.mark.parametrize("width", [1200, 500])
+def test_the_page_in_a_browser(made, tmp_path, width):
+    shot = tmp_path / "page.png"
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", f"--user-data-dir={tmp_path / 'p'}"]
+    subprocess.run([CHROMIUM, *flags, f"--window-size={width},2400", f"--screenshot={shot}",
+                    (made / "kit/index.html").as_uri()], check=True, capture_output=True, timeout=120)  # fmt: skip
+    pixels = np.asarray(Image.open(shot).convert("RGB")).astype(int)
+    assert pixels.shape[1] == width
+    colourful = (pixels.max(axis=2) - pixels.min(axis=2) > 60).sum()
+    assert colourful > 5000  # the robot's picture is there
+    assert (pixels[:, -8:].std(axis=(0, 1)) < 8).all()  # and nothing sticks out at the side
+
+
+def test_mlflow_holds_the_kit(made):
+    from mlflow.tracking import MlflowClient
+
+    client = MlflowClient(f"sqlite:///{made / 'store/mlflow.db'}")
+    (experiment,) = client.search_experiments(filter_string="name = 'puddle'")
+    runs = {run.info.run_name: run for run in client.search_runs([experiment.experiment_id])}
+    run = runs["fabricate"]
+    assert run.data.metrics["margin.joint_2"] > 1 and run.data.params["kit.servo"] == "ds3225"
+    assert {file.path for file in client.list_artifacts(run.info.run_id, "kit")} >= {"kit/index.html", "kit/robot.png"}
+
+
+def test_a_servo_that_is_too_weak_is_flagged_and_the_kit_replaced(made, tmp_path, capsys):
+    shutil.copytree(made / "kit", tmp_path / "kit")
+    arguments = [str(made / "crane.json"), "--out", str(tmp_path / "kit"), "--store", str(made / "store")]
+    assert call("fabricate", *arguments, "--set", "kit.servo=mg90s", "--set", "kit.horn=cross") == 1
+    said = capsys.readouterr().out
+    assert "fault    joint" in said and "the servo can't do it" in said and "mg90s" in said
+    page = (tmp_path / "kit/index.html").read_text()
+    assert "Not to be built as it is" in page and "mg90s" in page
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kit"]
+
+
+def test_mistakes(made, crane, tmp_path, capsys):
+    def refused(*arguments: str) -> str:
+        assert call("fabricate", *arguments, "--store", str(made / "store")) == 2
+        return capsys.readouterr().err
+
+    design = str(made / "crane.json")
+    assert "one of them" in refused()
+    assert "one of them" in refused(design, "--study", "pontoon")
+    assert "no study of the name 'raft'" in refused("--study", "raft", "--out", str(tmp_path / "kit"))
+    assert "ds3225" in refused(design, "--out", str(tmp_path / "kit"), "--set", "kit.servo=ds9999")
+    assert "kit.servos: unknown setting" in refused(design, "--set", "kit.servos=1")
+    assert "froude" in refused(design, "--set", "scaling.law=reynolds")
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.tex").write_text("mine")
+    assert "thesis.tex" in refused(design, "--out", str(tmp_path / "thesis"))
+    assert "does not" in refused(design, "--out", str(tmp_path / "none" / "kit"))
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["thesis", "thesis.tex"]
+
+
+def test_a_disk_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
+    folder = tmp_path / "kit"
+    write_kit(folder, {"a.txt": b"old", "print/b.txt": b"old"}, {"name": "old"})
+    left = 0
+
+    def counted(effect):
+        def failing(*arguments):
+            nonlocal left
+            left -= 1
+            if left == 0:
+                raise OSError(28, "No space left on device")
+            return effect(*arguments)
+
+        return failing
+
+    for name in ("write", "fsync", "rename"):
+        monkeypatch.setattr(disk, name, counted(getattr(disk, name)))
+    for first_failure in range(1, 9):  # three files are written and flushed, then two renames
+        left = first_failure
+        with pytest.raises(PuddleError, match="No space left"):
+            write_kit(folder, {"a.txt": b"new", "print/b.txt": b"new"}, {"name": "new"})
+        assert (folder / "a.txt").read_bytes() == (folder / "print/b.txt").read_bytes() == b"old"
+        assert [path.name for path in tmp_path.iterdir()] == ["kit"]
+    left = 0
+    write_kit(folder, {"a.txt": b"new"}, {"name": "new"})
+    assert (folder / "a.txt").read_bytes() == b"new" and not (folder / "print").exists()
+
+
+def test_places_that_are_none(tmp_path):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path)
+    for name in ("file", "link"):
+        with pytest.raises(PuddleError, match="a file or a link"):
+            check_place(tmp_path / name)
+    (tmp_path / "newer").mkdir()
+    (tmp_path / "newer" / MARK).write_text('{"schema": "puddle.kit", "version": 9}')
+    with pytest.raises(PuddleError, match="version 9"):
+        check_place(tmp_path / "newer")
+    (tmp_path / "empty").mkdir()
+    check_place(tmp_path / "empty")
+
+
+def test_the_proposed_champion_of_a_study(study, settings):
+    from pipeline.fabrication.source import proposed
+    from pipeline.stages.transfer import read_scores
+
+    store, upstream = study
+    source = proposed(settings, store)
+    rows = [row for row in read_scores(settings, upstream["transfer"], store) if row["environment"] == "residual_slush"]
+    scores = np.array([row["zero_shot"] for row in rows])
+    nearest = rows[int(np.argmin(np.abs(scores - scores.mean())))]
+    assert source.name == f"tiny-trial-{nearest['trial']}" and source.depth == 1.0
+    assert len(source.members.displacement) == 2
+    mean, deviation = source.members.mean, source.members.deviation
+    # The champion's fitness is μ - σ over the same members.
+    assert mean - deviation == pytest.approx(nearest["predicted"], abs=1e-6)

@@ -1,0 +1,87 @@
+"""Scales, torques and the servo's line against closed forms; the torque of a simulated motor against m g r."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.design import random_designs
+from tasks.fabrication.scaling import Scales, Scaling, joint_loads, line_use, scales_of
+from tasks.fabrication.servos import servo_named
+from tasks.simulation import simulate
+from tasks.world import DryLand, Physics
+
+SERVO = servo_named("ds3225")
+
+
+def test_scales_of_both_laws():
+    froude = scales_of(Scaling(), length=0.07, mass_kg=1.2, simulated_mass_kg=6.0)
+    assert froude.time == pytest.approx(np.sqrt(0.07)) and froude.frequency * 0.3 == pytest.approx(1.1339, abs=1e-4)
+    assert froude.torque * 30 == pytest.approx(0.42)  # 1.2/6 · 0.07 · 30
+    assert froude.speed**2 / froude.length == pytest.approx(1.0)  # Froude's number, with the same gravity
+    kept = scales_of(Scaling(law="kept_frequencies"), length=0.07, mass_kg=1.2, simulated_mass_kg=6.0)
+    assert (kept.time, kept.torque, kept.speed) == (1.0, froude.torque, 0.07)
+
+
+def test_the_servos_line():
+    stall, fastest = SERVO.stall_torque_nm, SERVO.no_load_speed_rad_s
+    torque = np.array([stall, 0.0, stall / 2, stall / 2, -stall / 2, 0.0])
+    speed = np.array([0.0, fastest, fastest / 2, -fastest / 4, -fastest / 2, -2 * fastest])
+    np.testing.assert_allclose(line_use(torque, speed, SERVO), [1.0, 1.0, 1.0, 0.5, 1.0, 2.0])
+    # At the edge of the line the servo's own torque is what is asked.
+    assert SERVO.torque_at(fastest / 2) == pytest.approx(stall / 2)
+
+
+def test_loads_of_a_known_run():
+    scales = Scales(length=0.1, time=0.5, mass=0.2)
+    torque = np.array([[30.0, 3.0], [-15.0, 4.0]])
+    speed = np.array([[0.0, 1.0], [0.5, -1.0]])
+    first, second = joint_loads(
+        (2, 4), torque, speed, scales=scales, servo=SERVO, servos_per_joint=2, max_motor_torque=30.0
+    )
+    assert (first.joint, second.joint) == (2, 4)
+    assert first.peak_torque == pytest.approx(30 * 0.02 / 2) and first.saturated == 0.5 and second.saturated == 0
+    assert first.peak_speed == pytest.approx(1.0) and second.peak_speed == pytest.approx(2.0)
+    assert first.use == pytest.approx(0.3 / SERVO.stall_torque_nm)  # at rest; the other step brakes
+    assert second.use == pytest.approx(0.03 / SERVO.stall_torque_nm + 2.0 / SERVO.no_load_speed_rad_s)
+    assert first.margin == pytest.approx(1 / first.use)
+    assert first.rms_torque == pytest.approx(0.01 * np.sqrt((30**2 + 15**2) / 2))
+
+
+def arm(angle: float):
+    """A link held out level by a motor at the top of its parent; all other links are locked in a heap at the root."""
+    one = random_designs(1, np.random.default_rng(0))
+    zeros = np.zeros((1, 6))
+    parent = np.array([[-1, 0, 0, 0, 0, 0]])
+    child = zeros.copy()
+    child[0, 5] = -1.0  # the last link is held by its end
+    above = zeros.copy()
+    above[0, 5] = 1.0  # at the top, clear of the ground
+    rest = zeros.copy()
+    rest[0, 5] = angle
+    on = np.zeros((1, 6), dtype=bool)
+    on[0, 5] = True
+    return replace(one, length_scale=np.ones((1, 6)), parent=parent, parent_attachment=above, child_attachment=child,
+                   rest_angle=rest, phase=zeros, motion_range=np.full((1, 6), 0.2), motor_on=on,
+                   frequency=np.zeros(1))  # fmt: skip
+
+
+@pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, np.pi / 3])
+def test_a_pendulum_held_still_takes_m_g_r(angle: float):
+    physics = Physics(passive_joints="locked")
+    rollouts = simulate(arm(angle), DryLand(depth=0.0), n_settle=600, n_measure=60, engine="reference", trace=True,
+                        physics=physics)  # fmt: skip
+    torque, trace = rollouts.motor_torque[0], rollouts.trace[0]
+    assert np.abs(trace[-60:, :, 5]).max() < 1e-3  # it stands still
+    assert (torque[:, :5] == 0).all()
+    # The arm's centre is half a metre out from the joint, at x = -sin θ / 2: gravity turns it by m g sin θ / 2 and the
+    # motor holds against that. The link sags by less than 0.02 rad, the motor's gain being finite: cos' bound is 2 %.
+    held = trace[-1, 5, 2] - trace[-1, 0, 2]
+    expected = -1.0 * 9.8 * 0.5 * np.sin(held + trace[-1, 0, 2])
+    np.testing.assert_allclose(torque[-60:, 5], expected, rtol=0.01)
+    assert abs(held - angle) < 0.02
+
+
+def test_the_batch_engine_says_nothing_of_torque():
+    rollouts = simulate(arm(0.5), DryLand(depth=0.0), n_settle=1, n_measure=1, trace=True)
+    assert rollouts.motor_torque is None
