@@ -1,8 +1,8 @@
 """No damaged file is accepted: reading refuses it by name, `puddle verify` finds it, and it alone is made again.
 
 The store holds a whole study: tables, weights, designs, figures, manifests, the study's record and its report. Loose
-files, which a person may edit, can't be sealed: a damaged design or settings file is refused with its name and field,
-or is another valid one; of settings, the study then says which ones changed.
+files, which a person may edit, can't be sealed: a damaged design, settings, calibration or timeline file is refused with
+its name and field, or is another valid one; of settings, the study then says which ones changed.
 """
 
 import shutil
@@ -17,7 +17,10 @@ from pipeline.driver import _differences
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.settings import Settings
 from pipeline.store import Store
+from pipeline.timeline_file import calibration_yaml, read_calibration, read_timeline, timeline_json
 from pipeline.verify import damaged_items, find_damage
+from tasks.fabrication.calibration import Calibration, ServoCalibration
+from tasks.fabrication.timeline import Timeline
 
 ROOT = Path(__file__).parents[2]
 
@@ -156,22 +159,49 @@ def test_a_store_whose_mark_is_damaged_is_refused(torture, store):
             mend(path, good)
 
 
-@pytest.mark.parametrize("name", ["docs/design.json", "configs/smoke.yaml"])
-def test_a_damaged_loose_file_is_refused_by_name_or_means_something_else(torture, tmp_path, name):
-    def read(path: Path):
-        if path.suffix == ".json":
-            return {name: array.tolist() for name, array in read_design(path).arrays()}
-        return load(Settings, path).model_dump(mode="json")
+SERVOS = Calibration(
+    servos=tuple(
+        ServoCalibration(joint=joint, channel=joint, centre_us=1500.0, direction=1, us_per_rad=640.0,
+                         min_us=700.0, max_us=2300.0, max_speed=5.0)
+        for joint in (2, 4)
+    )
+)  # fmt: skip
+MOTION = Timeline(joints=(2, 4), angle=np.linspace(-0.5, 0.5, 40).reshape(20, 2))
 
-    good, path = (ROOT / name).read_bytes(), tmp_path / Path(name).name
-    meant, n_refused, n_other = read(ROOT / name), 0, 0
+LOOSE = {
+    "design.json": lambda: (ROOT / "docs/design.json").read_bytes(),
+    "settings.yaml": lambda: (ROOT / "configs/smoke.yaml").read_bytes(),
+    "calibration.yaml": lambda: calibration_yaml(SERVOS, "two servos"),
+    "timeline.json": lambda: timeline_json(MOTION, SERVOS),
+}
+"""Files that a person may edit."""
+
+
+def meaning(path: Path):
+    match path.name:
+        case "design.json":
+            return {name: array.tolist() for name, array in read_design(path).arrays()}
+        case "settings.yaml":
+            return load(Settings, path).model_dump(mode="json")
+        case "calibration.yaml":
+            return read_calibration(path).model_dump(mode="json")
+        case "timeline.json":
+            timeline = read_timeline(path)
+            return {"joints": list(timeline.joints), "angle": timeline.angle.tolist()}
+
+
+@pytest.mark.parametrize("name", LOOSE)
+def test_a_damaged_loose_file_is_refused_by_name_or_means_something_else(torture, tmp_path, name):
+    good, path = LOOSE[name](), tmp_path / name
+    path.write_bytes(good)
+    meant, n_refused, n_other = meaning(path), 0, 0
     for rng in torture.attempts(500, 10_000):
         bad = bytearray(good)
         bit = int(rng.integers(8 * len(good)))
         bad[bit // 8] ^= 1 << bit % 8
         path.write_bytes(bad if rng.random() < 0.8 else good[: int(rng.integers(len(good)))])
         try:
-            means = read(path)
+            means = meaning(path)
         except PuddleError as error:
             assert str(path) in str(error)
             n_refused += 1
