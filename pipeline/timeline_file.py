@@ -19,6 +19,9 @@ from tasks.fabrication.timeline import FRAMES_PER_SECOND, Timeline, TimelineErro
 SCHEMA, VERSION = "puddle.timeline", 1
 FIELDS = {"schema", "version", "frames_per_second", "joints", "angle", "channels", "pulse_us"}
 
+MAX_BYTES = 2**24
+"""A timeline file's greatest length: hours of five joints."""
+
 RADIAN_DIGITS, PULSE_DIGITS = 6, 2
 """Decimals that a timeline is written with: far finer than any servo."""
 
@@ -62,9 +65,12 @@ def read_timeline(path: Path) -> Timeline:
         PuddleError: the file can't be read or is no timeline; names the field.
     """
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise PuddleError(f"{path}: can't be read: {error.strerror}. Expected a timeline (timeline.json).") from None
+    if len(data) > MAX_BYTES:
+        raise PuddleError(f"{path}: expected at most {MAX_BYTES} bytes of a timeline, came more. Is it the right file?")
     document = decode_json(data, str(path))
     check_format(document, schema=SCHEMA, version=VERSION, source=str(path))
     if strangers := sorted(document.keys() ^ FIELDS):

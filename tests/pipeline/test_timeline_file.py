@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.timeline_file import calibration_yaml, read_calibration, read_timeline, timeline_csv, timeline_json
+from pipeline.timeline_file import MAX_BYTES, calibration_yaml, read_calibration, read_timeline, timeline_csv, timeline_json
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import Timeline, pulses
 
@@ -106,5 +106,8 @@ def test_files_that_are_not_there_or_no_json(tmp_path):
     (tmp_path / "bad.json").write_text('{"angle": [NaN]}')
     with pytest.raises(PuddleError, match=r"bad\.json"):
         read_timeline(tmp_path / "bad.json")
+    (tmp_path / "long.json").write_bytes(b" " * (MAX_BYTES + 1))
+    with pytest.raises(PuddleError, match=r"long\.json: expected at most"):
+        read_timeline(tmp_path / "long.json")
     with pytest.raises(PuddleError, match=r"none\.yaml"):
         read_calibration(tmp_path / "none.yaml")
