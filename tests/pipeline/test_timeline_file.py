@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from pipeline.errors import PuddleError
-from pipeline.timeline_file import MAX_BYTES, calibration_yaml, read_calibration, read_timeline, timeline_csv, timeline_json
+from pipeline.timeline_file import (
+    MAX_BYTES,
+    calibration_yaml,
+    read_calibration,
+    read_timeline,
+    timeline_csv,
+    timeline_json,
+)
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import Timeline, pulses
 

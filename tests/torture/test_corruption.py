@@ -1,8 +1,8 @@
 """No damaged file is accepted: reading refuses it by name, `puddle verify` finds it, and it alone is made again.
 
 The store holds a whole study: tables, weights, designs, figures, manifests, the study's record and its report. Loose
-files, which a person may edit, can't be sealed: a damaged design, settings, calibration or timeline file is refused with
-its name and field, or is another valid one; of settings, the study then says which ones changed.
+files, which a person may edit, can't be sealed: a damaged design, settings, calibration or timeline is refused with its
+name and field, or is another valid one; of settings, the study then says which ones changed.
 """
 
 import shutil
