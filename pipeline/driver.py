@@ -15,7 +15,7 @@ from pipeline.progress import Progress
 from pipeline.settings import Settings
 from pipeline.stage import Results, Stage, Summary, Upstream
 from pipeline.stages import STAGES
-from pipeline.store import SetAside, Store, StudyItem
+from pipeline.store import SetAside, Store, StudyItem, StudyRecord
 from pipeline.study import follow, require, results_of, run_stage
 from pipeline.tracking import Run, Tracker
 
@@ -132,7 +132,8 @@ def _differences(old: Any, new: Any, name: str = "") -> list[str]:
 
 
 def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:
-    """Write down what the study is made of, and what it lacks."""
+    """Write down what the study is made of, and what it lacks; of later stages, what was written down before."""
+    before = _recorded(settings, store)
     items = [
         StudyItem(name, f"{label}#{index}", manifest.key)
         for name, results in upstream.items()
@@ -142,7 +143,19 @@ def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:
     set_aside = [
         SetAside(name, label, why) for name, results in upstream.items() for label, why in results.set_aside.items()
     ]
+    if before is not None:
+        items += [item for item in before.items if item.stage not in upstream]
+        set_aside += [lost for lost in before.set_aside if lost.stage not in upstream]
     store.write_study(settings.name, settings.model_dump(mode="json"), items, set_aside)
+
+
+def _recorded(settings: Settings, store: Store) -> StudyRecord | None:
+    """Return what was written down of this study; None where that is damaged or of other settings."""
+    try:
+        record = store.read_study(settings.name)
+    except DamagedArtifact:
+        return None
+    return record if record is not None and record.settings == settings.model_dump(mode="json") else None
 
 
 def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary) -> tuple[Run, Run, list[Run]]:

@@ -227,8 +227,19 @@ class Store:
             DamagedArtifact: names the path. The item must be neither trusted nor forgotten: say so, discard it and
                 compute it again.
         """
-        folder = self._item(stage, key)
-        path = disk.inside(folder, MANIFEST)
+        manifest = self.listing(stage, key)
+        with disk.explained(f"reading {stage} {key[:12]}", self.root), _damage(stage, key):
+            for name, entry in manifest.files.items() if manifest is not None else ():
+                file = disk.inside(self._item(stage, key), name)
+                n_bytes = file.stat().st_size if file.is_file() else None
+                if n_bytes != entry.n_bytes:
+                    came = "no file" if n_bytes is None else f"{n_bytes} bytes"
+                    raise DamagedArtifact(f"{file}: expected {entry.n_bytes} bytes, came {came}")
+        return manifest
+
+    def listing(self, stage: str, key: str) -> Manifest | None:
+        """Return an item's manifest, verified, whatever has become of its files; otherwise as :meth:`manifest`."""
+        path = disk.inside(self._item(stage, key), MANIFEST)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), _damage(stage, key):
             try:
                 data = disk.read_document(path)
@@ -236,14 +247,7 @@ class Store:
                 return None
             except disk.NotAFileError as error:
                 raise DamagedArtifact(f"{path}: expected a manifest, came {error.strerror}") from error
-            manifest = decode_manifest(data, stage=stage, key=key, source=str(path))
-            for name, entry in manifest.files.items():
-                file = disk.inside(folder, name)
-                n_bytes = file.stat().st_size if file.is_file() else None
-                if n_bytes != entry.n_bytes:
-                    came = "no file" if n_bytes is None else f"{n_bytes} bytes"
-                    raise DamagedArtifact(f"{file}: expected {entry.n_bytes} bytes, came {came}")
-        return manifest
+            return decode_manifest(data, stage=stage, key=key, source=str(path))
 
     def read(self, manifest: Manifest, name: str) -> bytes:
         """Return a file's content, verified.

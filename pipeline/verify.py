@@ -36,7 +36,7 @@ def _lacking(store: Store, name: str) -> Iterator[PuddleError]:
     """Look for a study's items and for the report that people look at, a copy of one that the store holds."""
     for item in _items(store, name):
         try:
-            manifest = store.manifest(item.stage, item.key)
+            manifest = store.listing(item.stage, item.key)
         except DamagedArtifact:  # said already
             continue
         if manifest is None:

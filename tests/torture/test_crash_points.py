@@ -14,7 +14,7 @@ import pytest
 def undisturbed(nursery, tmp_path_factory):
     """The study from beginning to end: its bytes, and the effects that made them."""
     (answer,) = nursery.finish([tmp_path_factory.mktemp("undisturbed") / "store"])
-    assert len(answer["computed"]) == len(answer["committed"]) == 10 and len(answer["effects"]) > 150
+    assert len(answer["computed"]) == len(answer["committed"]) == 12 and len(answer["effects"]) > 150
     return answer
 
 
