@@ -37,7 +37,7 @@ class Nursery:
     def drive(self, root: Path, **command: Any) -> dict[str, Any]:
         """Drive the study in a store; return what the driver noted, and how it ended."""
         told = self.ask(roots=[str(root)], **command)
-        return {**told["answers"][0], **told}
+        return {**next(iter(told["answers"]), {}), **told}  # none where the driver did not come to its study
 
     def finish(self, roots: Sequence[Path], **command: Any) -> list[dict[str, Any]]:
         """Drive the study in some stores, which should be well afterwards."""

@@ -66,7 +66,7 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
         lambda patch: patch.setattr(disk, "try_lock", always),
     ),
     "refusal of links": (
-        STORE + "symbolic_links_are_refused_at_every_level[1]",
+        REFUSALS + "symbolic_links_are_refused_at_every_level[1]",
         lambda patch: patch.setattr(disk, "inside", lambda root, *parts: root.joinpath(*parts)),
     ),
     "equality of what is computed twice": (
