@@ -85,7 +85,12 @@ def mend(path: Path, good: bytes) -> None:
 
 
 def named(bad: list[Path], said: list[str]) -> bool:
-    """Tell whether messages name the damaged files: of an item one of them, where its manifest is gone the item."""
+    """Tell whether messages name the damaged files: of an item one of them, where its manifest is gone the item.
+
+    Where a study's record is damaged, nobody knows what its report should be: naming the record is naming both.
+    """
+    lost = {path.parent / "report" for path in bad if path.name == "study.json"}
+    bad = [path for path in bad if path.parent not in lost]
     folders = {path.parent: [str(other) for other in bad if other.parent == path.parent] for path in bad}
     gone = [path.parent.name for path in bad if path.name == "manifest.json" and not path.exists()]
     return all(any(word in line for line in said for word in [*words, *gone]) for words in folders.values())
