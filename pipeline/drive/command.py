@@ -16,6 +16,7 @@ from pipeline.drive.interface import DryRun, ServoDriver
 from pipeline.drive.log import DriveLog
 from pipeline.drive.player import STARTING, Moment, Player, stopped_by_signals
 from pipeline.errors import PuddleError
+from pipeline.fabrication.folder import MARK
 from pipeline.timeline_file import read_calibration, read_timeline
 from tasks.fabrication.calibration import ServoCalibration
 from tasks.fabrication.timeline import FRAMES_PER_SECOND, TimelineError, pulses
@@ -75,13 +76,16 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
             message says that they are not.
     """
     path = wish.timeline / TIMELINE if wish.timeline.is_dir() else wish.timeline
+    if wish.timeline.is_dir() and not path.exists() and (wish.timeline / MARK).is_file():
+        raise PuddleError(f"{wish.timeline}: the kit has no timeline: its servos can't play this gait. "
+                          f"{wish.timeline / MARK} says why.")
     timeline = read_timeline(path)
     calibrated_by = wish.calibration or path.with_name(CALIBRATION)
     servos = read_calibration(calibrated_by)
     try:
         wanted = pulses(timeline, servos)
     except TimelineError as error:
-        raise PuddleError(f"{path} with {calibrated_by}: {error}. Nothing was moved.") from None
+        raise PuddleError(f"{path} with {calibrated_by}: {str(error).removesuffix('.')}. Nothing was moved.") from None
     log_path = wish.log or Path(f"drive-{datetime.now():%Y%m%d-%H%M%S}.parquet")
     if log_path.exists():
         raise PuddleError(f"--log: {log_path} is there already. Choose another name.")

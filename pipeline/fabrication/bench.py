@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import radians
+from math import pi, radians
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,12 @@ SPARE = radians(5.0)
 
 OFTEN = 0.05
 """Share of the run in which the simulated motors may be at their limit before it is said."""
+
+LOWER_BOUND = 0.2
+"""Share of the run at the limit above which the torques are taken for less than the gait needs."""
+
+FAR = 2.0
+"""Deviations σ of the ensemble that its mean may be off the truth before it is said."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +125,22 @@ def bench_of(
     simulated: Simulated | None,
     members: Members | None,
     physics: Physics,
+    *,
+    tank_mm: float,
+    true_slush: float | None = None,
 ) -> Bench:
-    """Work out how a kit will do."""
+    """Work out how a kit will do.
+
+    Args:
+        design: one design.
+        kit: made of it.
+        settings: the kit's.
+        simulated: its run, None where it diverged.
+        members: what the study's ensemble says of it.
+        physics: of the run.
+        tank_mm: depth of what fills the tank.
+        true_slush: displacement of the root in True Slush under the study's own physics [m of simulation], if known.
+    """
     servo = servo_named(settings.kit.servo)
     simulated_mass = physics.link_density * design.parent.shape[1]  # a link has 1 m²
     scales = scales_of(
@@ -132,6 +152,9 @@ def bench_of(
         loads = joint_loads(
             driven(design), simulated.torque, simulated.speed, scales=scales, servo=servo,
             servos_per_joint=settings.kit.servos_per_joint, max_motor_torque=physics.max_motor_torque,
+            commanded_speed=tuple(
+                2 * pi * float(design.frequency[0]) * float(design.motion_range[0, joint]) for joint in driven(design)
+            ),
         )  # fmt: skip
     floating = floating_of(kit, fluid_density=settings.scaling.fluid_density)
     calibration = calibration_of(kit, servo)
@@ -144,7 +167,8 @@ def bench_of(
         except TimelineError as error:
             timeline = None
             refused = [Finding("timeline", "fault", "servos", f"they can't play this gait: {error}. {SLOWER}")]
-    found = [*refused, *_of_loads(loads, servo, simulated), *_of_floating(floating)]
+    found = [*refused, *_of_loads(loads, servo, simulated), *_of_floating(floating, tank_mm),
+             *_of_members(members, true_slush)]
     return Bench(
         scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
         tuple(found),
@@ -192,7 +216,13 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
                 f"it asks for {load.stall_share:.0%} of the stall torque on average; above {HOT:.0%} a hobby servo "
                 f"overheats within minutes",
             ))  # fmt: skip
-        if load.saturated > OFTEN:
+        if load.saturated > LOWER_BOUND:
+            found.append(Finding(
+                "saturation", "warning", where,
+                f"the simulated motor was at its own limit in {load.saturated:.0%} of the run, and gave less than was "
+                f"asked: what is said of this joint's torque is a lower bound",
+            ))  # fmt: skip
+        elif load.saturated > OFTEN:
             found.append(Finding(
                 "saturation", "note", where,
                 f"the simulated motor was at its own limit in {load.saturated:.0%} of the run: a stronger servo moves "
@@ -201,7 +231,29 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
     return found
 
 
-def _of_floating(floating: Floating) -> list[Finding]:
+def _of_members(members: Members | None, true_slush: float | None) -> list[Finding]:
+    if members is None:
+        return []
+    mean, deviation = members.mean, members.deviation
+    found = []
+    if deviation > abs(mean):
+        found.append(Finding("ensemble", "warning", "robot", "the study's networks do not agree on how far it gets: "
+                             f"{mean:+.2f} ± {deviation:.2f} m of simulation"))
+    if true_slush is not None and abs(mean - true_slush) > FAR * deviation:
+        found.append(Finding("ensemble", "warning", "robot", f"the study's networks promise {mean:+.2f} ± "
+                             f"{deviation:.2f} m of simulation, and True Slush gives {true_slush:+.2f} m: more than "
+                             f"{FAR:g} σ off"))
+    return found
+
+
+def _of_floating(floating: Floating, tank_mm: float) -> list[Finding]:
+    if floating.stands_in(tank_mm):
+        return [Finding("floating", "warning", "robot", f"it stands on the floor of a tank of {tank_mm:.0f} mm: its "
+                        f"draught is {floating.draught_mm:.0f} mm"), *_of_pockets(floating)]
+    return _of_pockets(floating)
+
+
+def _of_pockets(floating: Floating) -> list[Finding]:
     if floating.sealed_share > 1:
         return [Finding("floating", "warning", "robot", "it sinks: it weighs more than the fluid that it displaces, "
                         f"{floating.sealed_share:.2f} times; the simulated one floats")]

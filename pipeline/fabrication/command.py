@@ -94,7 +94,11 @@ def fabricate(
         source.design, TrueSlush(depth=source.depth, slush=source.settings.slush),
         label=f"True Slush of {source.depth:g} m", physics=physics, **source.settings.rollout.model_dump(),
     )  # fmt: skip
-    bench = bench_of(source.design, kit, choices, simulated, source.members, physics)
+    tank = source.settings.tank
+    tank_mm = source.depth * choices.kit.scale_mm_per_m if tank is None else 1000 * tank.depth
+    bench = bench_of(
+        source.design, kit, choices, simulated, source.members, physics, tank_mm=tank_mm, true_slush=source.true_slush
+    )
     found = sorted((*kit.findings, *bench.findings), key=lambda finding: SEVERITIES.index(finding.severity))
     drawings = {"torque": torque_figure(source.design, bench), "timeline": timeline_figure(bench)}
     title = f"A robot to build: {source.name}"

@@ -117,6 +117,8 @@ def dxf(profile: Profile, features: Iterable[Feature], cuts: Iterable[Feature]) 
             space.add_lwpolyline(feature.outline.exterior.coords[:-1], close=True, dxfattribs={"layer": "POCKETS"})
     for cut in cuts:
         space.add_lwpolyline(cut.outline.exterior.coords[:-1], close=True, dxfattribs={"layer": "SPLITS"})
+    for kind in sorted(document.entitydb.dxf_types_in_use()):  # otherwise in a set's order, which the hash seed chooses
+        document.classes.add_class(kind)
     text = io.StringIO()
     document.write(text)
     return text.getvalue().encode()

@@ -36,6 +36,8 @@ class Source:
     depth: float
     """Where it is simulated [m]."""
     members: Members | None
+    true_slush: float | None = None
+    """What the study scored it in True Slush [m of simulation], if it did."""
 
 
 def proposed(settings: Settings, store: Store) -> Source:
@@ -66,7 +68,7 @@ def proposed(settings: Settings, store: Store) -> Source:
         f"nearest to the mean of {len(arm)} champions, {scores.mean():+.2f} m."
     )
     return Source(design, f"{settings.name}-trial-{row['trial']}", origin, settings, depth,
-                  _members(settings, upstream, store, design, depth))
+                  _members(settings, upstream, store, design, depth), row["zero_shot"])
 
 
 def _members(

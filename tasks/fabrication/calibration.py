@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from tasks.design.genes import N_LINKS
 from tasks.parameters import Parameters
@@ -37,6 +37,13 @@ class ServoCalibration(Parameters):
     """Longest pulse that it may be sent [µs]."""
     max_speed: float = Field(gt=0.0, le=100.0)
     """Fastest that the joint may be told to turn [rad/s]."""
+
+    @field_validator("direction", mode="before")
+    @classmethod
+    def _a_number(cls, value: object) -> object:
+        if isinstance(value, bool):  # which equals 1 or 0
+            raise ValueError(f"expected 1 or -1, came {str(value).lower()}")
+        return value
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:

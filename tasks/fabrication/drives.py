@@ -4,7 +4,8 @@ How a joint is assembled, decided here:
 
 - Two parts that turn on one another can't lie in one plane, so each pontoon has two layers of parts with a gap
   between. Joined parts lie in different layers, by their depth in the tree; so parts in the same layer are never
-  joined, and meet on the bench exactly where unjoined links meet in the simulation.
+  joined. Parts that are joined pass one another whole on the bench, while those of their links that no joint joins may
+  collide in the simulation: there the bench's robot is freer than the simulated one.
 - The servo's shaft lies along the extrusion, through the joint. Its case goes into a pocket of one part from the back,
   away from the other layer, until its top is flush with the part's face; the ears bear on the plate that the pocket
   leaves there and are screwed to it from behind. What is longer than the part stands out behind, where nothing moves.

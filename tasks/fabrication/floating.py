@@ -33,6 +33,10 @@ class Floating:
     height_mm: float
     """Of the rest pose."""
 
+    def stands_in(self, depth_mm: float) -> bool:
+        """Say whether it touches the floor, in its rest pose, before it floats."""
+        return self.draught_mm is not None and self.draught_mm > depth_mm
+
 
 def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
     """Weigh a kit against what it displaces.

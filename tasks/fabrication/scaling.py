@@ -96,7 +96,7 @@ class JointLoad:
     rms_torque: float
     """Of each of its servos, over the run [N·m]."""
     peak_speed: float
-    """[rad/s]"""
+    """The greater of what the simulated joint reached and what its controller commanded [rad/s]."""
     use: float
     """The largest share of the torque–speed line that was asked for at once: above 1 the servo can't follow."""
     stall_share: float
@@ -135,6 +135,7 @@ def joint_loads(
     servo: Servo,
     servos_per_joint: int,
     max_motor_torque: float,
+    commanded_speed: tuple[float, ...],
 ) -> list[JointLoad]:
     """Put what the simulation's motors gave on the bench's scale, beside what the servos can give.
 
@@ -146,7 +147,10 @@ def joint_loads(
         servo: at every joint.
         servos_per_joint: that share its torque.
         max_motor_torque: of the simulated motors [N·m of simulation].
+        commanded_speed: greatest that each joint's controller asks for, amplitude · 2π f [rad/s of simulation]. The
+            servo follows its timeline; the simulated joint may lag behind its own.
     """
+    commanded = np.asarray(commanded_speed) * scales.frequency
     asked = torque.astype(np.float64) * scales.torque / servos_per_joint
     turning = speed.astype(np.float64) * scales.frequency
     used = line_use(asked, turning, servo)
@@ -157,8 +161,8 @@ def joint_loads(
             joint=joint,
             peak_torque=float(np.abs(asked[:, column]).max()),
             rms_torque=float(rms[column]),
-            peak_speed=float(np.abs(turning[:, column]).max()),
-            use=float(used[:, column].max()),
+            peak_speed=max(float(np.abs(turning[:, column]).max()), float(commanded[column])),
+            use=max(float(used[:, column].max()), float(commanded[column]) / servo.no_load_speed_rad_s),
             stall_share=float(rms[column] / servo.stall_torque_nm),
             saturated=float(at_limit[column]),
         )

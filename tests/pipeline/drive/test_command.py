@@ -83,12 +83,21 @@ def test_mistakes(kit, tmp_path, capsys, monkeypatch):
     narrow = (kit / "calibration.yaml").read_text().replace("max_us: 2100", "max_us: 1700")
     (tmp_path / "narrow.yaml").write_text(narrow)
     said = refused(str(kit), "--calibration", str(tmp_path / "narrow.yaml"), "--dry-run")
-    assert "joint 2 (channel 0) at" in said and "900 to 1700" in said and "Nothing was moved" in said
+    assert "joint 2 (channel 0) at" in said and "900 to 1700" in said and ". Nothing was moved" in said
+    assert ".. Nothing" not in said
+    truth = (kit / "calibration.yaml").read_text().replace("direction: 1 ", "direction: true ", 1)
+    (tmp_path / "narrow.yaml").write_text(truth)
+    said = refused(str(kit), "--calibration", str(tmp_path / "narrow.yaml"), "--dry-run")
+    assert "expected 1 or -1, came true" in said
+    (tmp_path / "bare").mkdir()
+    (tmp_path / "bare" / "kit.json").write_text("{}")
+    said = refused(str(tmp_path / "bare"), "--dry-run")
+    assert "can't play this gait" in said and str(tmp_path / "bare" / "kit.json") in said
     swapped = (kit / "calibration.yaml").read_text().replace("max_us: 2100", "max_us: 800")
     (kit / "calibration.yaml").write_text(swapped)
     said = refused(str(kit), "--dry-run")
     assert "swapped" in said and f"{kit / 'calibration.yaml'}:3" in said
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["kit", "narrow.yaml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bare", "kit", "narrow.yaml"]
 
 
 def test_ports_are_listed(capsys):

@@ -37,7 +37,8 @@ def test_loads_of_a_known_run():
     torque = np.array([[30.0, 3.0], [-15.0, 4.0]])
     speed = np.array([[0.0, 1.0], [0.5, -1.0]])
     first, second = joint_loads(
-        (2, 4), torque, speed, scales=scales, servo=SERVO, servos_per_joint=2, max_motor_torque=30.0
+        (2, 4), torque, speed, scales=scales, servo=SERVO, servos_per_joint=2, max_motor_torque=30.0,
+        commanded_speed=(0.2, 0.3),
     )
     assert (first.joint, second.joint) == (2, 4)
     assert first.peak_torque == pytest.approx(30 * 0.02 / 2) and first.saturated == 0.5 and second.saturated == 0
@@ -46,6 +47,16 @@ def test_loads_of_a_known_run():
     assert second.use == pytest.approx(0.03 / SERVO.stall_torque_nm + 2.0 / SERVO.no_load_speed_rad_s)
     assert first.margin == pytest.approx(1 / first.use)
     assert first.rms_torque == pytest.approx(0.01 * np.sqrt((30**2 + 15**2) / 2))
+
+
+def test_a_servo_must_keep_up_with_its_timeline():
+    # At rest throughout, though told to swing by 0.8 rad at 0.2 Hz: amplitude · 2π f, twice that on the bench.
+    commanded = 0.8 * 2 * np.pi * 0.2
+    scales, still = Scales(length=0.1, time=0.5, mass=0.2), np.zeros((3, 1))
+    (load,) = joint_loads((2,), still, still, scales=scales, servo=SERVO, servos_per_joint=1, max_motor_torque=30.0,
+                          commanded_speed=(commanded,))  # fmt: skip
+    assert load.peak_speed == pytest.approx(2 * commanded)
+    assert load.use == pytest.approx(2 * commanded / SERVO.no_load_speed_rad_s)
 
 
 def arm(angle: float):
