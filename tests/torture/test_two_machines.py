@@ -161,7 +161,7 @@ def on_machines_that_change(folder: Path, overrides: list[str], half_way: int) -
     environment["PYTHONPATH"] = str(ROOT)
     port, log, store = free_port(), folder / "tasks.log", folder / "store"
     here = socket.gethostbyname(socket.gethostname())
-    head = (f"--port={port}", "--head", "--include-dashboard=false", f"--ray-client-server-port={free_port()}")
+    head = (f"--port={port}", "--head", "--include-dashboard=false")
 
     def enough() -> bool:
         kept = len(list(store.glob("items/evolve/*/*/manifest.json")))
