@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from small_study import run
 
 from pipeline.artifacts import decode_table
 from pipeline.cluster import serial_cluster
@@ -13,10 +14,9 @@ from pipeline.design_file import design_from
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
 from pipeline.single import simulate_design
-from pipeline.stages import STAGES, analyse, evolve, report
+from pipeline.stages import analyse, evolve, report
 from pipeline.stages.analyse import read_table, tank_label
 from pipeline.store import Store
-from pipeline.study import follow, results_of, run_stage
 from tasks.design import Designs, links_apart
 from tasks.evolution import OPERATORS
 
@@ -32,13 +32,6 @@ The reference engine has nothing to compile."""
 ARM = "residual_slush/2m"
 
 
-class NoBar:
-    def advance(self, work: float) -> None: ...
-
-
-def silent(line: str) -> None: ...
-
-
 @pytest.fixture(scope="module")
 def pontoon() -> Settings:
     return load(Settings, preset_path("pontoon"), SMALL)
@@ -47,13 +40,9 @@ def pontoon() -> Settings:
 @pytest.fixture(scope="module")
 def built(pontoon, tmp_path_factory):
     store = Store.open(tmp_path_factory.mktemp("pontoon") / "store", create=True)
-    upstream = {}
     with serial_cluster() as cluster:
-        for stage in STAGES:
-            walks = follow(stage, pontoon, store, upstream, say=silent)
-            run_stage(pontoon, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=silent)
-            upstream[stage.name] = results_of(stage, walks)
-            assert not upstream[stage.name].set_aside
+        upstream = run(pontoon, store, cluster)
+    assert not any(results.set_aside for results in upstream.values())
     return store, upstream
 
 
