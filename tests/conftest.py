@@ -1,4 +1,4 @@
-"""What several test files share: one Ray cluster for the whole session, a robot, and torture in any numbers.
+"""What several test files share: where they write, one Ray cluster for the whole session, a robot; and torture.
 
 A test of torture takes the fixture ``torture`` and goes through ``torture.attempts(small, large)``: a small number of
 attempts in `make test`, a large one with ``--torture`` (`make torture`), where ``--minutes`` bounds the whole. Each
@@ -6,11 +6,14 @@ attempt has a generator of its own, which follows from ``--seed``, the test and 
 is found can be found again: with the seed that the table at the end shows.
 """
 
+import os
 import secrets
+import shutil
 import time
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,28 @@ import pytest
 
 from pipeline.cluster import Cluster, ray_cluster
 from tasks.design import N_LINKS, Designs
+
+MEMORY = Path("/dev/shm")
+ROOM_BYTES = 4e9
+"""Ten times what the tests write, and Ray's shared memory beside it."""
+
+LONGEST_FIRST = (
+    "torture/test_kills.py", "simulation/test_batch.py", "torture/test_processes.py", "torture/test_bad_science.py",
+    "pipeline/test_study.py", "parity/test_bodies_equal_pybox2d.py", "torture/test_two_machines.py",
+    "pipeline/test_stages.py", "torture/test_hostile.py", "pipeline/test_tracking.py", "report/test_figures.py",
+    "parity/test_batch_equals_pybox2d.py", "pipeline/test_cli.py", "pipeline/test_cluster.py",
+)  # fmt: skip
+"""Files that take longest, so that no process is left with one of them at the end."""
+
+
+def write_to_memory() -> None:
+    """Have pytest make its temporary folders in memory, where there is room for them.
+
+    On a disk, half of the time of a study of seconds goes by in waiting for what it flushes, and most of MLflow's for
+    a new database. What a flush is good for is seen elsewhere: see tests/torture/volatile.py.
+    """
+    if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 
 
 @pytest.fixture(scope="session")
@@ -131,6 +156,7 @@ def pytest_configure(config: pytest.Config) -> None:
         seed=secrets.randbits(32) if seed is None else seed,
         end=time.monotonic() + 60 * config.getoption("--minutes"),
     )
+    write_to_memory()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -140,6 +166,8 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    place = {file: number for number, file in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: place.get("/".join(item.path.parts[-2:]), len(place)))
     session = config.stash[_SESSION]
     tests = [item for item in items if "torture" in getattr(item, "fixturenames", ())]
     session.n_tests_left = len(tests)
