@@ -29,7 +29,7 @@ ROOM_BYTES = 4e9
 LONGEST_FIRST = (
     "torture/test_kills.py", "simulation/test_batch.py", "torture/test_processes.py", "torture/test_bad_science.py",
     "pipeline/test_study.py", "parity/test_bodies_equal_pybox2d.py", "torture/test_two_machines.py",
-    "pipeline/test_stages.py", "torture/test_hostile.py", "pipeline/test_tracking.py", "report/test_figures.py",
+    "pipeline/test_stages.py", "torture/test_hostile.py", "pipeline/test_tracking.py", "report/test_page.py",
     "parity/test_batch_equals_pybox2d.py", "pipeline/test_cli.py", "pipeline/test_cluster.py",
 )  # fmt: skip
 """Files that take longest, so that no process is left with one of them at the end."""
@@ -38,8 +38,8 @@ LONGEST_FIRST = (
 def write_to_memory() -> None:
     """Have pytest make its temporary folders in memory, where there is room for them.
 
-    On a disk, half of the time of a study of seconds goes by in waiting for what it flushes, and most of MLflow's for
-    a new database. What a flush is good for is seen elsewhere: see tests/torture/volatile.py.
+    On a disk the tests wait for thousands of flushes, of milliseconds each: every file of a store, every statement that
+    makes a database. What a flush is good for is seen elsewhere: see tests/torture/volatile.py.
     """
     if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
         os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
