@@ -21,8 +21,8 @@ LAWS = {
     "froude": "Froude's law: gravity, buoyancy, drag and inertia keep their proportions, so the simulated motion is a "
     "prediction of the bench's. Times shrink by the root of the scale. It asks the servos to be quick.",
     "kept_frequencies": "Kept frequencies: a second stays a second. Gravity and buoyancy keep their size beside one "
-    "another; inertia and drag are weaker by the scale. The robot moves slowly, within more servos' reach, but not as simulated: "
-    "what is said below of its way and its speed is no prediction.",
+    "another; inertia and drag are weaker by the scale. The robot moves slowly, within more "
+    "servos' reach, but not as simulated: what is said below of its way and its speed is no prediction.",
 }
 
 
@@ -150,9 +150,9 @@ def _scale(
     unlike = ": where the simulated robot was too weak, on dry land say, this one may not be" if stall > limit else ""
     said = [
         f"<p>{escape(LAWS[law])}</p>",
-        "<p>The paper gives the scale of lengths and not that of times; it compares whether the robot crosses the tank, "
-        "not how fast. The virtual tank of a study reckons by Froude's law, whichever is chosen here. The other law is "
-        "one setting away: <code>--set scaling.law=…</code>.</p>",
+        "<p>The paper gives the scale of lengths and not that of times; it compares whether the robot crosses the "
+        "tank, not how fast. The virtual tank of a study reckons by Froude's law, whichever is chosen here. The other "
+        "law is one setting away: <code>--set scaling.law=…</code>.</p>",
         _table(["", "in simulation", "on the bench"], units, "left"),
         f"<p>A {escape(servo.name)} has {servo.stall_torque_nm:.2f} N·m at rest and "
         f"{servo.no_load_speed_rad_s:.1f} rad/s unloaded, at {servo.voltage_v:g} V; {bench.servos_per_joint} at each "

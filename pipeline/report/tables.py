@@ -225,8 +225,8 @@ def tank_tests(findings: Findings) -> str:
         f"tank of {tank.length:g} m, filled {1000 * tank.depth:g} mm deep, at {1000 * tank.scale:g} mm for a metre of "
         f"simulation: {tank.simulated_length:.1f} m by {tank.simulated_depth:.2f} m to the robot; and on its dry "
         "floor. It has crossed when its centre of mass has come as far as its front was from the other end, in "
-        f"{tank.seconds:g} s at most. What is said of the tank is of the robot as built: lengths by that scale, times by "
-        f"Froude’s law, under which a second of simulation is {tank.built_seconds(1.0):.3f} s; it alone keeps the "
+        f"{tank.seconds:g} s at most. What is said of the tank is of the robot as built: lengths by that scale, "
+        f"times by Froude’s law, under which a second of simulation is {tank.built_seconds(1.0):.3f} s; it alone keeps the "
         "proportions of all forces. The paper gives no scale of times. Its robot crossed in 8 of 8 trials, and moved a "
         "few centimetres on the dry floor.</p>"
     )

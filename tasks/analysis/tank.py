@@ -2,8 +2,8 @@
 
 The paper put its robot at one end of a tank of gel beads and water, and waited until it reached the other end or 150 s
 had passed; then it drained the tank and did the same on the dry floor. Here the tank is measured in the robot's own
-scale, so that the robot stays as it was simulated: its metres by the scale of lengths, its seconds by Froude's law. 150 s
-beside a tank are 567 s of simulation at 70 mm per metre.
+scale, so that the robot stays as it was simulated: its metres by the scale of lengths, its seconds by Froude's law.
+150 s beside a tank are 567 s of simulation at 70 mm per metre.
 
 The paper tells the scale of lengths and not that of times, and compares whether a robot crosses, not how fast. Froude's
 law is ours, as it is the kit's default (tasks/fabrication/scaling.py): under the same gravity it alone keeps weight,
