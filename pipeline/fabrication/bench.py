@@ -13,10 +13,11 @@ from pipeline.fabrication.choices import FabricationSettings
 from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import Finding
+from tasks.fabrication.drives import servo_of
 from tasks.fabrication.floating import Floating, floating_of
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.scaling import HOT, JointLoad, Scales, joint_loads, scales_of
-from tasks.fabrication.servos import Servo, servo_named
+from tasks.fabrication.servos import Servo
 from tasks.fabrication.timeline import Timeline, TimelineError, pulses, timeline_of
 from tasks.simulation import OK, Rollouts, simulate
 from tasks.simulation.motion import OMEGA
@@ -141,7 +142,7 @@ def bench_of(
         tank_mm: depth of what fills the tank.
         true_slush: displacement of the root in True Slush under the study's own physics [m of simulation], if known.
     """
-    servo = servo_named(settings.kit.servo)
+    servo = servo_of(settings.kit)
     simulated_mass = physics.link_density * design.parent.shape[1]  # a link has 1 m²
     scales = scales_of(
         settings.scaling, length=settings.kit.scale_mm_per_m / 1000, mass_kg=kit.mass_g / 1000,

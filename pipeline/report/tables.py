@@ -226,9 +226,9 @@ def tank_tests(findings: Findings) -> str:
         f"simulation: {tank.simulated_length:.1f} m by {tank.simulated_depth:.2f} m to the robot; and on its dry "
         "floor. It has crossed when its centre of mass has come as far as its front was from the other end, in "
         f"{tank.seconds:g} s at most. What is said of the tank is of the robot as built: lengths by that scale, "
-        f"times by Froude’s law, under which a second of simulation is {tank.built_seconds(1.0):.3f} s; it alone keeps the "
-        "proportions of all forces. The paper gives no scale of times. Its robot crossed in 8 of 8 trials, and moved a "
-        "few centimetres on the dry floor.</p>"
+        f"times by Froude’s law, under which a second of simulation is {tank.built_seconds(1.0):.3f} s; it alone keeps "
+        "the proportions of all forces. The paper gives no scale of times. Its robot crossed in 8 of 8 trials, and "
+        "moved a few centimetres on the dry floor.</p>"
     )
     tables = "".join(_tank_table(test) for test in findings.tank_tests)
     return f'<section id="tank"><h2>The robot to build</h2>{said}{tables}</section>'
