@@ -130,9 +130,9 @@ def fabricate(
         "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in found],
         "metrics": metrics,
     }
-    write_kit(out, files, said)
+    kept = write_kit(out, files, said)
     _mirror(tracker, source.name, design is None, source.settings, chosen, metrics, files)
-    return Made(_lines(out, found, bench.loads, kit.mass_g), faults)
+    return Made([*kept, *_lines(out, found, bench.loads, kit.mass_g)], faults)
 
 
 def _lines(out: Path, found: Sequence[Finding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:

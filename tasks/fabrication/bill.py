@@ -42,8 +42,8 @@ def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, sett
         servo, n = drive.servo, settings.servos_per_joint
         n_servos, n_pins = n_servos + n, n_pins + 2 - n
         screws[f"{servo.ear_screw_name} × {ear_screw_mm(drive)}", "ears"] += n * len(drive.ear_holes())
-        length = horn_screw(drive, settings).length_mm
-        screws[f"{drive.horn.screw_name} × {length}", "horn"] += n * len(drive.horn_holes())
+        screw = f"{drive.horn.screw_name} × {horn_screw(drive, settings).length_mm}"
+        screws[screw, "horn"] += n * len(drive.horn_holes())
         screws[servo.centre_screw_name, "centre of the horn, comes with the servo"] += n
     if n_servos:
         servo = drives[0].servo

@@ -161,6 +161,24 @@ def test_a_disk_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
     assert (folder / "a.txt").read_bytes() == b"new" and not (folder / "print").exists()
 
 
+def test_what_the_user_put_into_a_kit_outlives_it(tmp_path):
+    folder = tmp_path / "kit"
+    made = {"calibration.yaml": b"a guess", "print/gone.stl": b"part", "design.json": b"{}"}
+    assert write_kit(folder, made, {"name": "old"}) == []
+    for content in (b"measured", b"measured again"):
+        (folder / "calibration.yaml").write_bytes(content)
+        (folder / "drive-1.parquet").write_bytes(b"log")
+        lines = write_kit(folder, {"calibration.yaml": b"another guess", "design.json": b"{}"}, {"name": "new"})
+    assert lines == [
+        "Kept calibration-yours-1.yaml.", "Kept calibration.yaml, which you had changed, as calibration-yours-2.yaml.",
+        "Kept drive-1.parquet.",
+    ]  # fmt: skip
+    held = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    held.pop(MARK)
+    assert held == {"calibration.yaml": b"another guess", "calibration-yours-1.yaml": b"measured",
+                    "calibration-yours-2.yaml": b"measured again", "drive-1.parquet": b"log", "design.json": b"{}"}
+
+
 def test_places_that_are_none(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "link").symlink_to(tmp_path)

@@ -71,8 +71,8 @@ def test_volumes(kit):
     assert part(kit, "part-1-left").volume_mm3 == pytest.approx(
         25 * kit.profiles[0].face.area - cradle - pin - 2 * rod, rel=EXACT
     )
-    # The horn's recess, and the web under it: M3 × 8 less the disc's 2.5 and 0.5 that come out of it. Behind, the heads'
-    # bores and the centre screw's are made to meet.
+    # The horn's recess, and the web under it: M3 × 8 less the disc's 2.5 and 0.5 that come out of it. Behind, the bores
+    # of the heads and of the centre screw are made to meet.
     recess, web = 7.5 - 1.0, 8 - 2.5 - 0.5
     wide = 7.0 - 3.2 + 0.5
     clover = pi * (wide**2 + 4 * 3.2**2) - 4 * lens(wide, 3.2, 7.0)

