@@ -51,11 +51,6 @@ class Kit:
     bill: tuple[BillLine, ...]
 
     @property
-    def faults(self) -> tuple[Finding, ...]:
-        """The findings that speak against building it."""
-        return tuple(finding for finding in self.findings if finding.severity == "fault")
-
-    @property
     def mass_g(self) -> float:
         """Of the whole robot: prints, servos and steel; without screws and cables."""
         return sum(line.mass_g for line in self.bill if line.mass_g is not None)

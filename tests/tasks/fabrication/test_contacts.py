@@ -52,18 +52,12 @@ def test_links_that_a_joint_ties_and_parts_of_one_layer_are_no_news(crane):
 def test_a_simulated_robot_that_folds_upon_itself(crane):
     # Link 3 leans back from the end of link 2, which swings it down until it knocks on link 1.
     folded = replace(crane, motion_range=np.array([[0.2, 0.2, 1.5, 0.2, 0.2, 0.2]]),
-                     rest_angle=np.array([[0.0, -np.pi / 2, 0.0, -2.6, 0.0, -np.pi / 2]]))  # fmt: skip
+                     rest_angle=np.array([[0.0, -np.pi / 2, 0.0, 2.6, 0.0, -np.pi / 2]]))  # fmt: skip
     mechanism, layers = mechanism_of(folded, KitSettings()), Layers((True, False, False), ((), (), ()))
     physics = Physics(passive_joints="locked", link_collisions=True)
     run = simulate(folded, DryLand(depth=0.0), n_settle=60, n_measure=400, engine="reference", trace=True,
                    physics=physics)  # fmt: skip
-    pose = run.trace[0][:, :, :3]
-    found = passing_contacts(folded, mechanism, layers, pose, time_step=physics.time_step)
-    knocked = {contact.links for contact in found}
-    assert knocked and all(contact.joints == (2,) for contact in found if 0 in contact.parts and 1 in contact.parts)
-    # They push: what may pass through one another goes deeper.
-    loose = simulate(folded, DryLand(depth=0.0), n_settle=60, n_measure=400, engine="reference", trace=True,
-                     physics=physics.model_copy(update={"link_collisions": False}))  # fmt: skip
-    free = passing_contacts(folded, mechanism, layers, loose.trace[0][:, :, :3], time_step=physics.time_step)
-    assert sum(contact.share for contact in free) > 0
-    assert not np.allclose(loose.trace[0][-1], run.trace[0][-1], atol=0.05)
+    found = passing_contacts(folded, mechanism, layers, run.trace[0][:, :, :3], time_step=physics.time_step)
+    (knock,) = (contact for contact in found if contact.links == (1, 3))
+    assert knock.joints == (2,) and knock.parts == (0, 1)
+    assert 0.0 < knock.first < 460 * physics.time_step and 0.0 < knock.share < 0.5
