@@ -1,6 +1,9 @@
-"""One study, as small as can be, with every stage done: what the tests of stages look at."""
+"""What the tests of the pipeline share: one study, as small as can be, with every stage done; and a browser."""
+
+from collections.abc import Iterator
 
 import pytest
+from browser import CHROMIUM, Browser
 
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
@@ -47,3 +50,12 @@ def study(settings, tmp_path_factory):
             run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=silent)
             upstream[stage.name] = results_of(stage, walks)
     return store, upstream
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory) -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed")
+    started = Browser(tmp_path_factory.mktemp("profile"))
+    yield started
+    started.close()
