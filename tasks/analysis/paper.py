@@ -242,11 +242,11 @@ def _range_row(found: MembersRange | None, figure: Figure, low: float, high: flo
     if lowest.value is None or median.value is None or highest.value is None:
         return Row(what, paper, source, "-", "not comparable", median.reason or "")
     ends = [words for end in (lowest, highest) if (words := _interval(end, "{:z.2f}")[0])]
-    _, *known = _interval(median, "{:z.2f}")
+    _, *of_median = _interval(median, "{:z.2f}")
     why = f"the median of {found.n} members is {median.value:z.2f}"
     this_run = f"{lowest.value:z.2f} to {highest.value:z.2f}"
     verdict = _agrees(low <= median.value <= high)
-    return Row(what, paper, source, this_run, verdict, why, median.value, " and ".join(ends), *known)
+    return Row(what, paper, source, this_run, verdict, why, median.value, " and ".join(ends), *of_median)
 
 
 def _variation_row(scores: Scores, rng: Generator) -> Row:
@@ -300,9 +300,9 @@ def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:
     verdict, why = _judge(statement.claim, direction, test.p, min(len(a), len(b)))
     this_run = f"{direction}, p = {test.p:.2g}, n = {len(a)} and {len(b)}"
     gap = difference(a, b)
-    words, *ends = _interval(gap, "{:z.1f}")
+    words, low, high = _interval(gap, "{:z.1f}")
     interval = f"difference {words} m"
-    return Row(what, paper, statement.source, this_run, verdict, why, gap.value, interval, *ends, p=test.p)
+    return Row(what, paper, statement.source, this_run, verdict, why, gap.value, interval, low, high, test.p)
 
 
 def _judge(claim: Claim, direction: Claim, p: float, n: int) -> tuple[Verdict, str]:
