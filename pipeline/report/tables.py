@@ -62,7 +62,9 @@ def against_paper(findings: Findings) -> str:
     return (
         f'<div id="against_paper"><h3>Against the paper: {_verdicts(rows)}</h3>{table}'
         '<p class="small">Under this run’s number stands its 95 % interval: how well these trials or designs know it '
-        "(of means Student’s t, of ratios and regressions the bootstrap, which draws whole trials). A number agrees "
+        "(of means Student’s t, of ratios and regressions the bootstrap, which draws whole trials; of a range over "
+        "members those of its two ends, for these members and other trials; of a t test that of the difference of the "
+        "means). A number agrees "
         "where the paper’s lies in the wider 95 % prediction interval, under “Why”: the range into which a repeat of "
         "this run with as many trials as the paper’s would fall. What the paper gives as a range over members agrees "
         "where this run’s median member is in it; the ratio of deviations where its whole interval is above 1. A t "

@@ -20,7 +20,9 @@ it has no rows or lacks something; {} if all is there. Lengths in m unless said.
                          adapted, best, imagined, gap, lost_to_controller, lost_to_body, controller_share, body_share,
                          recovered_zero_shot, recovered_adapted, recovered_of_dry_land
     paper.parquet        a row per number of the paper: what, paper, source, this_run, verdict ("agrees", "differs",
-                         "not comparable"), why, value, interval (its 95 % interval in words), low, high
+                         "not comparable"), why, value, interval (in words: 95 %, of a range those of its ends), low,
+                         high (ends of the 95 % interval of value), p; value is of a range its median, of a t test the
+                         difference of the means
 ``members``, from networks and throws:
     phantom_thrust.parquet  a row per member: member, the estimate thrust [m/s²] (needs no True Slush)
     member_errors.parquet   on the throws held out, a row per member, component, band and immersion: member,
@@ -76,7 +78,7 @@ from pipeline.tables import Columns, csv_of
 from tasks.analysis import Tank
 from tasks.analysis.prediction import mean_less_deviations
 
-NAME, VERSION = "analyse", 2
+NAME, VERSION = "analyse", 3
 
 STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS, TANK = (
     "statistics", "members", "transfer-matrix", "exploiters", "instruments", "tank"
