@@ -189,15 +189,17 @@ def _distances(draw: ImageDraw.ImageDraw, camera: _Camera, frame: int, start: fl
 
 
 def _scale(draw: ImageDraw.ImageDraw, camera: _Camera, frame: int, start: float, size: tuple[int, int]) -> None:
-    """Draw a tick every metre and its distance every five, along the lower edge."""
+    """Draw a tick every metre and, where it fits whole, its distance every five, along the lower edge."""
     font = _font(11)
     for at, column in _ticks(camera, frame, start, 1.0):
         long = at % 5 == 0
         draw.line(
             (column, size[1] - (8 if long else 4) * OVERSAMPLING, column, size[1]), fill=INK, width=OVERSAMPLING
         )
-        if long:
-            draw.text((column, size[1] - 9 * OVERSAMPLING), _metres(at, 0), fill=INK, font=font, anchor="mb")
+        label = _metres(at, 0)
+        half = font.getlength(label) / 2
+        if long and half <= column <= size[0] - half:  # "−10 m" cut short is another distance
+            draw.text((column, size[1] - 9 * OVERSAMPLING), label, fill=INK, font=font, anchor="mb")
 
 
 def _robot(draw: ImageDraw.ImageDraw, replay: Replay, pose: Points, camera: _Camera, frame: int) -> None:

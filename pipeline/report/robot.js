@@ -257,7 +257,8 @@ const robots = (() => {
     const every = camera.scale > 8 ? 5 : 20;
     eachDistance(replay, camera, every, (at, x) => {
       context.fillRect(x - 0.5, box.height - 8, 1, 8);
-      context.fillText(metres(at, 0), x, box.height - 9);
+      const label = metres(at, 0), half = context.measureText(label).width / 2;
+      if (half <= x && x <= box.width - half) context.fillText(label, x, box.height - 9); // "−10 m" cut short is another distance
     });
   }
 

@@ -28,7 +28,7 @@ from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
 from tasks.evolution import OPERATORS
 
-NAME, VERSION = "report", 3
+NAME, VERSION = "report", 4
 
 PAGE, FILMS = "index.html", "films"
 """Label of the page's work, which is also its file; beginning of the labels of the films'."""

@@ -19,7 +19,17 @@ from tasks.analysis.luck import Luck, Reach, jittered, luck, reach
 from tasks.analysis.member_error import MemberError, member_errors, phantom_thrust, thrown_links
 from tasks.analysis.novelty import Novelty, Thrown, novelty, thrown
 from tasks.analysis.paper import Row, against_paper
-from tasks.analysis.prediction import Histograms, Regression, accuracy, aggregates, histograms, members, regress
+from tasks.analysis.prediction import (
+    Histograms,
+    MembersRange,
+    Regression,
+    accuracy,
+    aggregates,
+    histograms,
+    members,
+    members_ranges,
+    regress,
+)
 from tasks.analysis.sample import draw_over_generations, spread_evenly
 from tasks.analysis.scores import EvolvedIn, Quantity, Scores
 from tasks.analysis.tank import Crossing, Tank, crossings, nearest_the_mean
@@ -37,6 +47,7 @@ __all__ = [
     "Histograms",
     "Luck",
     "MemberError",
+    "MembersRange",
     "Novelty",
     "Quantity",
     "Reach",
@@ -66,6 +77,7 @@ __all__ = [
     "member_accelerations",
     "member_errors",
     "members",
+    "members_ranges",
     "nearest_the_mean",
     "novelty",
     "phantom_thrust",

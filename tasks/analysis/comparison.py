@@ -94,6 +94,28 @@ def student(x: Float64, y: Float64) -> SignificanceTest:
     return _test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=True))
 
 
+def difference(x: Float64, y: Float64) -> Estimate:
+    """Difference of two means with the interval that belongs to Student's t: it holds 0 where p is above 1 - LEVEL.
+
+    Args:
+        x: (n_x,) finite values.
+        y: (n_y,) finite values, the reference.
+    """
+    if min(len(x), len(y)) == 0:
+        return Estimate.missing(f"{len(x)} and {len(y)} finite values, expected 1 or more in both groups")
+    value, reason = float(x.mean() - y.mean()), _no_spread(x, y)
+    if reason is not None:
+        return Estimate(value, reason=reason)
+    m = len(x) + len(y) - 2
+    half = float(stats.t.ppf((1 + LEVEL) / 2, m)) * _pooled_deviation(x, y) * math.sqrt(1 / len(x) + 1 / len(y))
+    return Estimate(value, value - half, value + half)
+
+
+def _pooled_deviation(x: Float64, y: Float64) -> float:
+    n_x, n_y = len(x), len(y)
+    return math.sqrt(((n_x - 1) * x.var(ddof=1) + (n_y - 1) * y.var(ddof=1)) / (n_x + n_y - 2))
+
+
 def _t_test(x: Float64, y: Float64, *, equal_variances: bool) -> Any:
     """Compare means by deviations that are exactly 0 for constant groups, over which scipy would worry."""
     described = ((v.mean(), 0.0 if is_constant(v) else v.std(ddof=1), len(v)) for v in (x, y))
@@ -138,9 +160,8 @@ def hedges_g(x: Float64, y: Float64) -> Estimate:
         return Estimate.missing(reason)
     n_x, n_y = len(x), len(y)
     m = n_x + n_y - 2
-    pooled = math.sqrt(((n_x - 1) * x.var(ddof=1) + (n_y - 1) * y.var(ddof=1)) / m)
     J = math.exp(special.gammaln(m / 2) - special.gammaln((m - 1) / 2)) / math.sqrt(m / 2)
-    g = J * float(x.mean() - y.mean()) / pooled
+    g = J * float(x.mean() - y.mean()) / _pooled_deviation(x, y)
     half = float(stats.norm.ppf((1 + LEVEL) / 2)) * math.sqrt((n_x + n_y) / (n_x * n_y) + g * g / (2 * (n_x + n_y)))
     return Estimate(g, g - half, g + half)
 

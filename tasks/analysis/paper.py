@@ -24,8 +24,8 @@ from typing import Literal
 import numpy as np
 from numpy.random import Generator
 
-from tasks.analysis.comparison import BEST, Arm, ratio, student
-from tasks.analysis.prediction import Regression, mean_less_deviations
+from tasks.analysis.comparison import BEST, Arm, difference, ratio, student
+from tasks.analysis.prediction import Figure, MembersRange, Regression, mean_less_deviations
 from tasks.analysis.scores import Scores
 from tasks.analysis.uncertainty import Estimate, Float64, bootstrap, finite, is_constant, mean
 
@@ -55,7 +55,7 @@ RATIOS: Mapping[Arm, tuple[float, str]] = {
 }
 """The same over that of the designs that evolved in True Slush."""
 
-AGGREGATES: Mapping[tuple[str, Literal["r", "slope"]], tuple[float, str]] = {
+AGGREGATES: Mapping[tuple[str, Figure], tuple[float, str]] = {
     (mean_less_deviations(0), "r"): (0.77, '"a correlation coefficient of 0.77", Fig. 3'),
     (mean_less_deviations(0), "slope"): (1.26, '"and a slope of 1.26", Fig. 3'),
     (mean_less_deviations(1), "r"): (0.60, '"a slightly reduced correlation coefficient of 0.6", Fig. 3'),
@@ -63,7 +63,7 @@ AGGREGATES: Mapping[tuple[str, Literal["r", "slope"]], tuple[float, str]] = {
 }
 """Of what the eight members say together."""
 
-RANGES: Mapping[Literal["r", "slope"], tuple[float, float, str]] = {
+RANGES: Mapping[Figure, tuple[float, float, str]] = {
     "r": (0.24, 0.68, '"ranging from 0.24 and 0.68", Fig. 3'),
     "slope": (0.25, 0.76, '"ranging from 0.25 to 0.76", Fig. 3'),
 }
@@ -126,26 +126,31 @@ class Row:
     verdict: Verdict
     why: str
     value: float | None = None
-    """This run's, in the unit of ``what``; a p-value for a statement."""
+    """This run's, in the unit of ``what``: of a range its median, of a t test the difference a - b of the means [m]."""
     interval: str = ""
-    """The 95 % interval of this run's number, as ``this_run`` writes it; empty where there is none."""
+    """The 95 % interval of this run's number in words, of a range those of its two ends; empty where there is none."""
     low: float | None = None
     high: float | None = None
-    """Its ends."""
+    """Ends of the 95 % interval of ``value``."""
+    p: float | None = None
+    """Of a t test."""
 
 
-def against_paper(scores: Scores, accuracy: Sequence[Regression], *, rng: Generator) -> tuple[Row, ...]:
+def against_paper(
+    scores: Scores, accuracy: Sequence[Regression], ranges: Mapping[Figure, MembersRange], *, rng: Generator
+) -> tuple[Row, ...]:
     """Compare a run with every number and statement of the paper's results.
 
     Args:
         scores: the champions; whatever environments and depths there are.
         accuracy: of predictions at 9 m, as :func:`tasks.analysis.prediction.accuracy` gives it; empty if not assessed.
+        ranges: over the members, as :func:`tasks.analysis.prediction.members_ranges` gives them; empty likewise.
         rng: source of randomness.
     """
     rows = [_mean_row(scores, arm, *stated) for arm, stated in MEANS.items()]
     rows += [_ratio_row(scores, arm, *stated, rng) for arm, stated in RATIOS.items()]
     rows += [_variation_row(scores, rng)]
-    rows += [_range_row(accuracy, figure, *stated) for figure, stated in RANGES.items()]
+    rows += [_range_row(ranges.get(figure), figure, *stated) for figure, stated in RANGES.items()]
     rows += [_aggregate_row(accuracy, *key, *stated) for key, stated in AGGREGATES.items()]
     rows += [_statement_row(scores, statement, depth) for statement in STATEMENTS for depth in statement.depths]
     rows += [
@@ -185,7 +190,7 @@ def _ratio_row(scores: Scores, arm: Arm, stated: float, source: str, rng: Genera
 
 
 def _aggregate_row(
-    accuracy: Sequence[Regression], predictor: str, figure: Literal["r", "slope"], stated: float, source: str
+    accuracy: Sequence[Regression], predictor: str, figure: Figure, stated: float, source: str
 ) -> Row:
     what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
     of = next((row for row in accuracy if row.name == predictor), None)
@@ -228,21 +233,20 @@ def _interval(found: Estimate, form: str) -> tuple[str, float | None, float | No
     return f"{form.format(found.low)} to {form.format(found.high)}", found.low, found.high
 
 
-def _range_row(
-    accuracy: Sequence[Regression], figure: Literal["r", "slope"], low: float, high: float, source: str
-) -> Row:
+def _range_row(found: MembersRange | None, figure: Figure, low: float, high: float, source: str) -> Row:
     what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
     paper = f"{low:z.2f} to {high:z.2f}"
-    each = [getattr(row, figure).value for row in accuracy if row.name.startswith("member ")]
-    known = [value for value in each if value is not None]
-    if not known:
-        why = "no member's could be computed" if each else "accuracy was not assessed"
-        return Row(what, paper, source, "-", "not comparable", why)
-    median = float(np.median(known))
-    inside = low <= median <= high
-    why = f"the median of {len(known)} members is {median:z.2f}"
-    this_run = f"{min(known):z.2f} to {max(known):z.2f}"
-    return Row(what, paper, source, this_run, _agrees(inside), why, median)
+    if found is None:
+        return Row(what, paper, source, "-", "not comparable", "accuracy was not assessed")
+    lowest, median, highest = found.lowest, found.median, found.highest
+    if lowest.value is None or median.value is None or highest.value is None:
+        return Row(what, paper, source, "-", "not comparable", median.reason or "")
+    ends = [words for end in (lowest, highest) if (words := _interval(end, "{:z.2f}")[0])]
+    _, *of_median = _interval(median, "{:z.2f}")
+    why = f"the median of {found.n} members is {median.value:z.2f}"
+    this_run = f"{lowest.value:z.2f} to {highest.value:z.2f}"
+    verdict = _agrees(low <= median.value <= high)
+    return Row(what, paper, source, this_run, verdict, why, median.value, " and ".join(ends), *of_median)
 
 
 def _variation_row(scores: Scores, rng: Generator) -> Row:
@@ -295,7 +299,10 @@ def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:
     direction: Literal["less", "greater"] = "greater" if a.mean() > b.mean() else "less"
     verdict, why = _judge(statement.claim, direction, test.p, min(len(a), len(b)))
     this_run = f"{direction}, p = {test.p:.2g}, n = {len(a)} and {len(b)}"
-    return Row(what, paper, statement.source, this_run, verdict, why, test.p)
+    gap = difference(a, b)
+    words, low, high = _interval(gap, "{:z.1f}")
+    interval = f"difference {words} m"
+    return Row(what, paper, statement.source, this_run, verdict, why, gap.value, interval, low, high, test.p)
 
 
 def _judge(claim: Claim, direction: Claim, p: float, n: int) -> tuple[Verdict, str]:

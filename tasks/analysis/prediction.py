@@ -10,8 +10,9 @@ given, the intervals come from drawing trials whole; drawing designs one by one 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,9 @@ from numpy.random import Generator
 
 from tasks.analysis.uncertainty import Estimate, Float64, Floats, bootstrap, is_constant
 from tasks.evolution.objective import penalised_mean
+
+Figure = Literal["r", "slope"]
+"""Of a regression: Pearson's R, or the slope of true on predicted."""
 
 PENALTIES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """k of μ - kσ; the paper's are 0 and 1."""
@@ -43,6 +47,17 @@ class Regression:
     """[m]"""
     r: Estimate
     """Pearson's."""
+
+
+@dataclass(frozen=True)
+class MembersRange:
+    """A figure over the members of an ensemble, such as Pearson's R; intervals are of other designs, not of others."""
+
+    n: int
+    """Members that have one."""
+    lowest: Estimate
+    median: Estimate
+    highest: Estimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +121,27 @@ def regress(
     """
     if not predictors:
         return ()
+    x, y, used, rows, lines = _resampled_lines(predictors, true, trial)
+    figures: tuple[Estimate, ...] = (Estimate.missing("no designs"),) * (3 * len(x))
+    if len(y):
+        figures = bootstrap(
+            lambda means: lines(means).reshape(*means.shape[:-1], -1), rows, rng=rng, undefined="there is no spread"
+        )
+    return tuple(
+        _regression(name, x[i][used[i]], y[used[i]], len(y), figures[3 * i : 3 * i + 3])
+        for i, name in enumerate(predictors)
+    )
+
+
+def _resampled_lines(
+    predictors: Mapping[str, Floats], true: Floats, trial: npt.ArrayLike | None
+) -> tuple[Float64, Float64, npt.NDArray[np.bool_], Float64, Callable[[Float64], Float64]]:
+    """Lay predictions out for a bootstrap of least squares.
+
+    Returns:
+        (n_predictors, n_designs) predictions, (n_designs,) truth, (n_predictors, n_designs) which designs count, rows
+        to resample, and what gives (..., n_predictors, 3) slope, intercept, Pearson's R of the rows' means.
+    """
     x = np.stack([np.asarray(row, dtype=np.float64) for row in predictors.values()])
     y = np.asarray(true, dtype=np.float64)
     if y.shape != x.shape[1:]:
@@ -124,19 +160,7 @@ def regress(
         grouped = np.zeros((len(labels), rows.shape[1]))
         np.add.at(grouped, group, rows)
         rows = grouped
-    shape = (len(x), 6)
-    figures: tuple[Estimate, ...] = (Estimate.missing("no designs"),) * (3 * len(x))
-    if len(y):
-        figures = bootstrap(
-            lambda means: _line(means.reshape(*means.shape[:-1], *shape), centre).reshape(*means.shape[:-1], -1),
-            rows,
-            rng=rng,
-            undefined="there is no spread",
-        )
-    return tuple(
-        _regression(name, x[i][used[i]], y[used[i]], len(y), figures[3 * i : 3 * i + 3])
-        for i, name in enumerate(predictors)
-    )
+    return x, y, used, rows, lambda means: _line(means.reshape(*means.shape[:-1], len(x), 6), centre)
 
 
 def _centre_and_scale(values: Float64) -> tuple[float, float]:
@@ -190,6 +214,39 @@ def accuracy(
     """
     together = aggregates(predicted) if len(predicted) else {}
     return regress(members(predicted) | together, true, rng=rng, trial=trial)
+
+
+def members_ranges(
+    predicted: Floats, true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
+) -> dict[Figure, MembersRange]:
+    """Say between what figures the members' regressions lie, and in the middle of which.
+
+    The members stay the same from resample to resample. Drawing them too would say nothing of the ends: the lowest of
+    members drawn from eight is never below the lowest of the eight.
+
+    Args:
+        predicted: (n_members, n_designs) displacement [m]; NaN where diverged.
+        true: (n_designs,) displacement in True Slush [m]; NaN where diverged.
+        rng: source of randomness.
+        trial: (n_designs,) which trial each design comes from; see :func:`regress`.
+    """
+    used = np.isfinite(predicted) & np.isfinite(true)
+    fit = {
+        name: row
+        for (name, row), mask in zip(members(predicted).items(), used, strict=True)
+        if mask.sum() >= MIN_DESIGNS and not is_constant(row[mask])
+    }
+    if not fit:
+        nobody = Estimate.missing("no member's could be computed")
+        return dict.fromkeys(("slope", "r"), MembersRange(0, nobody, nobody, nobody))
+    *_, rows, lines = _resampled_lines(fit, true, trial)
+
+    def ends(means: Float64) -> Float64:
+        figures = lines(means)[..., (0, 2)]  # (..., n_members, 2): slope and R
+        return np.concatenate([of(figures, axis=-2) for of in (np.min, np.median, np.max)], axis=-1)
+
+    found = bootstrap(ends, rows, rng=rng, undefined="there is no spread")
+    return {"slope": MembersRange(len(fit), *found[0::2]), "r": MembersRange(len(fit), *found[1::2])}
 
 
 def histograms(predictors: Mapping[str, Floats], true: Floats, *, n_bins: int = 48) -> Histograms:

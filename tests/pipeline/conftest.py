@@ -1,8 +1,10 @@
-"""One study, as small as can be, with every stage done: what the tests of stages look at. And an empty store."""
+"""What tests of the pipeline share: one study, as small as can be, with every stage done; an empty store; a browser."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from browser import CHROMIUM, Browser
 from small_study import run
 
 from pipeline.cluster import serial_cluster
@@ -41,3 +43,12 @@ def study(settings, tmp_path_factory):
     store = Store.open(tmp_path_factory.mktemp("stages") / "store", create=True)
     with serial_cluster() as cluster:
         return store, run(settings, store, cluster)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory) -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed")
+    started = Browser(tmp_path_factory.mktemp("profile"))
+    yield started
+    started.close()

@@ -18,6 +18,7 @@ from tasks.analysis import (
     accuracy,
     against_paper,
     attribute,
+    members_ranges,
     rank_exploiters,
     sweep,
 )
@@ -45,7 +46,7 @@ def test_columns_become_the_same_rows_again(kind, scores):
         Regression: fits,
         Contrast: sweep(scores, rng=rng),
         Attribution: attribute(scores, rng=rng),
-        Row: against_paper(scores, fits, rng=rng),
+        Row: against_paper(scores, fits, members_ranges(predicted, true, rng=rng), rng=rng),
         Exploiter: rank_exploiters(predicted[1], true=true, disagreement=predicted.std(axis=0)),
         MemberError: [
             MemberError(0, "vx", "all", "dry", 0, None, None, None),

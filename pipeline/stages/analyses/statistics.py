@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.random import Generator
 
 from pipeline.artifacts import decode_json
 from pipeline.stage import Files, Job
@@ -29,11 +28,13 @@ from tasks.analysis import (
     attribute,
     histograms,
     members,
+    members_ranges,
     sweep,
 )
 from tasks.analysis.comparison import CONTRASTS
 from tasks.analysis.paper import DEPTH, name_of
 from tasks.analysis.prediction import mean_less_deviations
+from tasks.analysis.uncertainty import Float64
 from tasks.seeding import generator
 
 Tables = dict[str, Columns]
@@ -86,7 +87,9 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     table = columns_of(ScoreRow, score_rows(spec["trials"], inputs, spec["set_aside"]))
     scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
     shares = [inputs[name] for name in sorted(inputs) if name.startswith("assess/")]
-    regressions, drawn = _of_predictions(shares, rng)
+    predicted, true, trial = _predictions(shares)
+    regressions = accuracy(predicted, true, rng=rng, trial=trial)
+    ranges = members_ranges(predicted, true, rng=generator(spec["seed"], "analyse", "members-ranges"), trial=trial)
     reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), str(spec["not_assessed"]))
     contrasts = sweep(scores, rng=rng)
     made = {(contrast.a, contrast.b) for contrast in contrasts}
@@ -96,34 +99,38 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     attributions = attribute(scores, rng=rng)
     if not attributions:
         reasons["attribution"] = "every trial evolved in True Slush: there is no gap"
-    at_papers_depth = regressions if spec["assessed_depth"] == DEPTH else ()
+    at_papers_depth = shares and spec["assessed_depth"] == DEPTH
+    assessed = (regressions, ranges) if at_papers_depth else ((), {})
     compared = columns_of(Contrast, contrasts)
     return {
         "scores": table,
         "regressions": columns_of(Regression, regressions),
-        "histograms": drawn,
+        "histograms": _drawn(predicted, true),
         "contrasts": {name.removeprefix("comparison_"): column for name, column in compared.items()},
         "attribution": columns_of(Attribution, attributions),
-        "paper": columns_of(Row, against_paper(scores, at_papers_depth, rng=rng)),
+        "paper": columns_of(Row, against_paper(scores, *assessed, rng=rng)),
     }, reasons
 
 
-def _of_predictions(shares: Sequence[Files], rng: Generator) -> tuple[tuple[Regression, ...], Columns]:
-    """Regress true on predicted displacement, and draw it: each member, their mean, and their mean less a deviation."""
+def _predictions(shares: Sequence[Files]) -> tuple[Float64, Float64, list[str]]:
+    """Gather (n_members, n_designs) predicted and (n_designs,) true displacement, and the trial of each design."""
     if not shares:
-        none = np.zeros((0, 1), np.int64)
-        return (), {"name": text([]), "n_outside": none[:, 0], "edges": none.astype(np.float64), "counts": none}
+        return np.zeros((0, 0)), np.zeros(0), []
     table = read_predictions(shares)
-    predicted, true = table["predicted"].T, table["true"]
     trial = [f"{environment}/{k}" for environment, k in zip(table["environment"], table["trial"], strict=True)]
-    regressions = accuracy(predicted, true, rng=rng, trial=trial)
-    together = aggregates(predicted)
-    drawn = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1))}
-    found = histograms(members(predicted) | drawn, true)
-    if found.reason is not None:  # no bins: every design diverged, which the regressions say too
-        return regressions, _of_predictions([], rng)[1]
+    return table["predicted"].T, table["true"], trial
+
+
+def _drawn(predicted: Float64, true: Float64) -> Columns:
+    """Draw true over predicted displacement: of each member, their mean, and their mean less a deviation."""
+    together = aggregates(predicted) if len(predicted) else {}
+    chosen = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1)) if name in together}
+    found = histograms(members(predicted) | chosen, true)
+    if found.reason is not None:  # no bins: nothing was assessed, or every design diverged, which the regressions say
+        none = np.zeros((0, 1), np.int64)
+        return {"name": text([]), "n_outside": none[:, 0], "edges": none.astype(np.float64), "counts": none}
     n = len(found.names)
-    return regressions, {
+    return {
         "name": text(found.names),
         "n_outside": found.n_outside,
         "edges": np.tile(found.edges, (n, 1)),

@@ -23,6 +23,7 @@ from tasks.analysis import (
     histograms,
     mean,
     members,
+    members_ranges,
     rank_exploiters,
     sweep,
     transfer_matrix,
@@ -111,6 +112,7 @@ def findings() -> Findings:
     adapted = np.where(evolved_in == "true_slush", np.nan, zero_shot + 2.0)
     scores = Scores(evolved_in, depth, number, zero_shot + 3.0, zero_shot, adapted)
     fits = accuracy(predicted, true, rng=rng)
+    ranges = members_ranges(predicted, true, rng=rng)
     shown = members(predicted) | {"mean": aggregates(predicted)["mean"]}
     ranked = rank_exploiters(predicted[:, :6].max(axis=0), true=true[:6], disagreement=predicted[:, :6].std(axis=0))
     time = np.linspace(0.0, 3.3, 60)
@@ -119,7 +121,7 @@ def findings() -> Findings:
     return Findings(
         throws=ThrownPaths(np.repeat([1.0, 2.0, 3.0], 3), paths, 3.3),
         accuracy=Accuracy(9.0, fits, histograms(shown, true, n_bins=24)),
-        against_paper=against_paper(scores, fits, rng=rng),
+        against_paper=against_paper(scores, fits, ranges, rng=rng),
         contrasts=sweep(scores, rng=rng),
         attributions=attribute(scores, rng=rng),
         transfer_matrices={

@@ -68,6 +68,19 @@ def test_the_camera_keeps_a_robot_in_view_however_far_and_high_it_goes(dry_repla
     assert count(body, root) + count(body, others) > 100
 
 
+def test_no_distance_is_cut_at_the_edge(slush_replay):
+    """The camera passes 6 m in 60 pictures: marks leave on the left, and no ink of a label touches the edge."""
+    frames = np.resize(slush_replay.frames[:1], (180, 6, 3))
+    frames[:, :, 0] += np.linspace(0, 6, 180)[:, None]
+    film = Image.open(io.BytesIO(render_gif([replace(slush_replay, frames=frames)])))
+    labels, edges = 0, 0
+    for number in range(film.n_frames):
+        film.seek(number)
+        dark = np.asarray(film.convert("RGB"))[LANE_HEIGHT - 20 : LANE_HEIGHT - 9].sum(axis=2) < 300
+        labels, edges = labels + dark.sum(), edges + dark[:, (0, 1, -2, -1)].sum()
+    assert labels > 100 * film.n_frames and edges == 0
+
+
 def test_an_unknown_origin_and_any_text_are_drawn(dry_replay):
     assert render_gif([replace(dry_replay, environment="", title="<b>Ê′ – 日本</b>" * 9)])[:6] == b"GIF89a"
 

@@ -84,8 +84,8 @@ def test_the_tank_s_table_says_who_crossed_how_fast_and_why_not():
     text = words(tank_tests(Findings(tank_tests=[TankTest("Residual Slush, 2 m", Tank(), candidates)])))
     assert "a tank of 1.17 m, filled 150 mm deep, at 70 mm for a metre of simulation: 16.7 m by 2.14 m" in text
     assert "Residual Slush, 2 m: 1 of 2 cross, 0 on the dry floor" in text
-    assert "trial 0 9.0 0.2 17.0 – it is as long as the tank −0.3 of 12.7 m −0.1 mm/s built" in text
-    assert "✓ trial 3 10.0 – 4.0 64 s 14.0 mm/s built – it diverged" in text
+    assert "trial 0 9.0 0.2 17.0 – it is as long as the tank −2.1 of 88.9 cm −0.5 mm/s" in text  # 70 mm/m, √0.07 s/s
+    assert "✓ trial 3 10.0 – 4.0 17 s 52.9 mm/s – it diverged" in text
     assert tank_tests(Findings()) == ""
 
 
@@ -94,3 +94,5 @@ def test_an_interval_stands_under_the_number_and_minus_signs_are_true(findings):
     row = next(row for row in findings.against_paper if row.what == "True Slush at 9 m [m]")
     assert f'data-column="This run">{row.this_run}<small>{row.interval}</small>' in html
     assert 'data-column="Paper">−0.8<' in html
+    assert re.search(r"R of the members, at 9 m.*?<small>−?[\d.]+ to [\d.]+ and [\d.]+ to [\d.]+</small>", html)
+    assert re.search(r"Student&#x27;s t at 9 m.*?<small>difference −?[\d.]+ to −?[\d.]+ m</small>", html)

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from tasks.analysis import Scores, compare, holm, ratio, sweep
-from tasks.analysis.comparison import CONTRASTS, hedges_g
+from tasks.analysis.comparison import CONTRASTS, difference, hedges_g, student
 
 
 def rng(seed=0):
@@ -38,6 +38,24 @@ def test_tests_are_scipy_s():
     assert found.welch.p == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue)
     assert found.mann_whitney.p == stats.mannwhitneyu(a, b, method="asymptotic").pvalue
     assert compared(a, b[:10]).mann_whitney.p == stats.mannwhitneyu(a, b[:10], method="exact").pvalue
+
+
+def test_the_interval_of_a_difference_is_scipy_s_and_holds_0_where_student_finds_none():
+    draw, significant = rng(6), []
+    for shift in np.linspace(0, 3, 50):
+        a, b = draw.normal(shift, 1, 8), draw.normal(0, 2, 5)
+        found, interval = difference(a, b), stats.ttest_ind(a, b).confidence_interval(0.95)
+        assert (found.value, found.low, found.high) == pytest.approx((a.mean() - b.mean(), *interval))
+        significant.append(student(a, b).p < 0.05)
+        assert (found.low > 0 or found.high < 0) == significant[-1]
+    assert 0 < sum(significant) < len(significant)
+
+
+def test_a_difference_without_an_interval_says_why():
+    few = difference(np.array([3.0]), np.array([1.0, 2.0]))
+    assert (few.value, few.low, few.reason) == (1.5, None, "1 and 2 values, expected 2 or more in both groups")
+    assert difference(np.full(3, 2.0), np.full(3, 1.0)).reason == "both groups are constant"
+    assert difference(np.empty(0), np.ones(3)).value is None
 
 
 def test_what_diverged_is_left_out_and_counted():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis import Estimate, Regression, Scores, against_paper
+from tasks.analysis import Estimate, MembersRange, Regression, Scores, against_paper
 from tasks.analysis.paper import AGGREGATES, MEANS, PHYSICAL, RANGES, RATIOS, STATEMENTS
 
 NAN = float("nan")
@@ -55,8 +55,18 @@ def accuracy(mean_r=0.77, members_r=MEMBERS_R, n=2376):
     return (*members, regression("mean", mean_r, 1.26), regression("mean - 1 sd", 0.6, 0.99))
 
 
-def rows_of(scores, predictions=()):
-    return {row.what: row for row in against_paper(scores, predictions, rng=rng())}
+def ranges(members_r=MEMBERS_R):
+    """Of the members that accuracy() has."""
+
+    def of(figures):
+        ends = (min(figures), float(np.median(figures)), max(figures))
+        return MembersRange(len(figures), *(Estimate(value, value - 0.02, value + 0.02) for value in ends))
+
+    return {"r": of(members_r), "slope": of([r + 0.05 for r in members_r])}
+
+
+def rows_of(scores, predictions=(), members=None):
+    return {row.what: row for row in against_paper(scores, predictions, members or {}, rng=rng())}
 
 
 def nothing():
@@ -65,7 +75,7 @@ def nothing():
 
 
 def test_every_number_and_statement_of_the_paper_has_a_row():
-    rows = against_paper(like_the_paper(), accuracy(), rng=rng())
+    rows = against_paper(like_the_paper(), accuracy(), ranges(), rng=rng())
     n_statements = sum(len(statement.depths) for statement in STATEMENTS)
     assert len(rows) == len(MEANS) + len(RATIOS) + 1 + len(RANGES) + len(AGGREGATES) + n_statements + len(PHYSICAL)
     assert len({row.what for row in rows}) == len(rows)
@@ -73,7 +83,7 @@ def test_every_number_and_statement_of_the_paper_has_a_row():
 
 
 def test_a_run_like_the_paper_s_agrees():
-    for row in against_paper(like_the_paper(), accuracy(), rng=rng()):
+    for row in against_paper(like_the_paper(), accuracy(), ranges(), rng=rng()):
         expected = "not comparable" if "built robot" in row.what else "agrees"
         assert row.verdict == expected, row
 
@@ -102,7 +112,7 @@ def test_too_few_trials_are_not_comparable():
 
 
 def test_nothing_measured_is_not_comparable_and_says_why():
-    for row in against_paper(nothing(), (), rng=rng()):
+    for row in against_paper(nothing(), (), {}, rng=rng()):
         assert row.verdict == "not comparable" and row.why and row.this_run == "-", row
 
 
@@ -161,9 +171,24 @@ def test_a_statement_in_the_other_direction():
 
 def test_members_agree_by_their_median():
     name = "Pearson's R of the members, at 9 m"
-    row = rows_of(nothing(), accuracy(members_r=[0.1, 0.5, 0.9]))[name]
-    assert (row.verdict, row.this_run) == ("agrees", "0.10 to 0.90")
-    assert rows_of(nothing(), accuracy(members_r=[0.7, 0.8, 0.1]))[name].verdict == "differs"
+    row = rows_of(nothing(), members=ranges([0.1, 0.5, 0.9]))[name]
+    assert (row.verdict, row.this_run, row.why) == ("agrees", "0.10 to 0.90", "the median of 3 members is 0.50")
+    assert rows_of(nothing(), members=ranges([0.7, 0.8, 0.1]))[name].verdict == "differs"
+
+
+def test_a_range_has_the_intervals_of_its_ends_and_of_the_median_that_judges_it():
+    row = rows_of(nothing(), members=ranges([0.1, 0.5, 0.9]))["Pearson's R of the members, at 9 m"]
+    assert row.interval == "0.08 to 0.12 and 0.88 to 0.92"
+    assert (row.low, row.value, row.high) == pytest.approx((0.48, 0.5, 0.52))
+
+
+def test_a_t_test_has_the_interval_of_the_difference_that_it_is_of():
+    """-8.8 m, and ± t(18) · 1 · √(2 / 10) of deviations of 1 and ten trials each."""
+    row = rows_of(like_the_paper())[STATED["less"]]
+    half = stats.t.ppf(0.975, 18) * math.sqrt(2 / 10)
+    assert (row.low, row.value, row.high) == pytest.approx((4.8 - 13.6 - half, 4.8 - 13.6, 4.8 - 13.6 + half))
+    assert row.interval == "difference -9.7 to -7.9 m"
+    assert row.p < 1e-4 and f"p = {row.p:.2g}" in row.this_run
 
 
 def test_an_aggregate_is_held_against_its_interval():
@@ -175,9 +200,10 @@ def test_an_aggregate_is_held_against_its_interval():
 
 def test_what_could_not_be_regressed_passes_its_reason_on():
     missing = Estimate.missing("every design is predicted to go equally far")
-    rows = rows_of(nothing(), [Regression(name, 9, 0, missing, missing, missing) for name in ("member 0", "mean")])
-    assert rows["slope of the members' mean, at 9 m"].why == missing.reason
-    assert rows["slope of the members, at 9 m"].why == "no member's could be computed"
+    range_of = MembersRange(0, missing, missing, missing)
+    rows = rows_of(nothing(), [Regression("mean", 9, 0, missing, missing, missing)], {"slope": range_of, "r": range_of})
+    for name in ("slope of the members' mean, at 9 m", "slope of the members, at 9 m"):
+        assert (rows[name].why, rows[name].this_run) == (missing.reason, "-")
 
 
 def test_single_members_that_vary_less_differ():
@@ -198,11 +224,10 @@ def test_the_interval_is_this_runs_own_and_lies_in_that_of_a_repeat():
     assert row.verdict == "agrees" and row.high < 13.6
 
 
-def test_every_number_of_a_whole_run_has_an_interval_and_nothing_else_has():
-    found = rows_of(like_the_paper(), accuracy())
+def test_everything_that_a_whole_run_measures_has_an_interval():
+    found = rows_of(like_the_paper(), accuracy(), ranges())
     with_interval = {what for what, row in found.items() if row.interval}
-    numbers = {what for what, row in found.items() if row.value is not None and not what.startswith("Student")}
-    assert with_interval == numbers - {f"{figure} of the members, at 9 m" for figure in ("Pearson's R", "slope")}
+    assert with_interval == {what for what in found if not what.startswith("the built robot")}
     for what in with_interval:
         assert found[what].low < found[what].value < found[what].high
 

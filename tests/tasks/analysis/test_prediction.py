@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis import accuracy, aggregates, histograms, regress
+from tasks.analysis import accuracy, aggregates, histograms, members_ranges, regress
 
 
 def rng(seed=0):
@@ -168,3 +168,28 @@ def test_histograms_of_nothing_say_why():
 def test_a_histogram_of_one_value_has_one_full_bin():
     found = histograms({"a": np.full(4, 2.0)}, np.full(4, 2.0), n_bins=5)
     assert found.counts.max() == 4
+
+
+def test_the_ends_of_a_range_are_the_members_that_are_there():
+    """Three members so far apart that the order is the same in every resample: each end's interval is that member's."""
+    draw = rng(8)
+    true = draw.normal(3.0, 2.0, 60)
+    trial = np.repeat(np.arange(20), 3)
+    predicted = np.stack([true + draw.normal(0, noise, 60) for noise in (6.0, 0.1, 1.5)])
+    found = members_ranges(predicted, true, rng=rng(), trial=trial)["r"]
+    assert found.n == 3
+    for end, row in ((found.lowest, 0), (found.highest, 1), (found.median, 2)):
+        alone = regress({"it": predicted[row]}, true, rng=rng(), trial=trial)[0].r
+        assert (end.value, end.low, end.high) == pytest.approx((alone.value, alone.low, alone.high), rel=1e-9)
+
+
+def test_members_without_a_regression_are_left_out_of_their_range():
+    x, y = noisy(30, 0.7, 0.5)
+    predicted = np.stack([x, np.full(30, 2.0), np.where(np.arange(30) < 2, x, np.nan)])
+    found = members_ranges(predicted, y, rng=rng())["slope"]
+    assert found.n == 1 and found.lowest == found.median == found.highest
+    assert found.lowest.value == pytest.approx(stats.linregress(x, y).slope)
+    none = members_ranges(predicted[1:], y, rng=rng())["r"]
+    assert (none.n, none.lowest.value, none.lowest.reason) == (0, None, "no member's could be computed")
+    flat = members_ranges(predicted, np.ones(30), rng=rng())
+    assert flat["r"].median.value is None and flat["slope"].median.value == 0.0
