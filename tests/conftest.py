@@ -96,7 +96,8 @@ class Session:
     seed: int
     end: float
     """When it should be over, on the monotonic clock."""
-    n_tests_left: int = 0
+    shares_left: float = 0.0
+    """Of the tests that have not begun, and of the one that runs."""
     rows: dict[str, Row] = field(default_factory=dict)
 
 
@@ -109,11 +110,11 @@ _SHOWN: dict[str, Row] = {}
 class Torture:
     """How often a test tries, with which randomness, and what it wants said of it."""
 
-    def __init__(self, session: Session, row: Row) -> None:
+    def __init__(self, session: Session, row: Row, share: float) -> None:
         self.large, self.seed = session.large, session.seed
         self._row = row
         now = time.monotonic()
-        self._end = now + (session.end - now) / max(1, session.n_tests_left) if session.large else np.inf
+        self._end = now + (session.end - now) * share / session.shares_left if session.large else np.inf
 
     def attempts(self, small: int, large: int) -> Iterator[np.random.Generator]:
         """Give the generator of each attempt. With --torture, stop early where this test's share of the time is up.
@@ -150,6 +151,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "share(n): of the time of --torture, where other tests have 1")
     seed = getattr(config, "workerinput", {}).get("torture_seed", config.getoption("--seed"))
     config.stash[_SESSION] = Session(
         large=config.getoption("--torture"),
@@ -170,20 +172,26 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: place.get("/".join(item.path.parts[-2:]), len(place)))
     session = config.stash[_SESSION]
     tests = [item for item in items if "torture" in getattr(item, "fixturenames", ())]
-    session.n_tests_left = len(tests)
+    session.shares_left = sum(map(_share, tests))
     if session.large:
+        items.sort(key=_share)  # the long ones take what the short ones leave
         for item in tests:
             item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 300))
+
+
+def _share(item: pytest.Item) -> float:
+    marker = item.get_closest_marker("share")
+    return float(marker.args[0]) if marker else 1.0
 
 
 @pytest.fixture
 def torture(request: pytest.FixtureRequest) -> Iterator[Torture]:
     session = request.config.stash[_SESSION]
     row = session.rows.setdefault(request.node.nodeid, Row(request.node.nodeid))
-    start = time.monotonic()
-    yield Torture(session, row)
+    start, share = time.monotonic(), _share(request.node)
+    yield Torture(session, row, share)
     row.seconds = time.monotonic() - start
-    session.n_tests_left -= 1
+    session.shares_left -= share
 
 
 @pytest.hookimpl(wrapper=True)

@@ -2,12 +2,6 @@
 
 import contextlib
 import dataclasses
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import pytest
 from small_study import NoBar, digests, run, silent
@@ -189,28 +183,3 @@ def test_a_damaged_item_is_computed_again(tmp_path):
         after = run(tiny(), store, cluster, STAGES[:2], said.append)
     assert digests(after) == digests(before)
     assert len(said) == 1 and "weights.safetensors" in said[0]
-
-
-def test_a_driver_killed_at_any_moment_leaves_a_store_that_resumes_to_the_same_bytes(serial_run, tmp_path):
-    _, upstream = serial_run
-    settings = tmp_path / "tiny.yaml"
-    settings.write_text(TINY)
-    store = tmp_path / "store"
-    options = ["--settings", str(settings), "--store", str(store), "--workers", "0"]
-    command = [sys.executable, "-m", "pipeline", "study", *options]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    n_kept = 0
-    for wanted in (2, 9):
-        driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
-        while driver.poll() is None and len(list(store.glob("items/*/*/*/manifest.json"))) < wanted:
-            time.sleep(0.005)
-        driver.send_signal(signal.SIGKILL)
-        assert driver.wait() == -signal.SIGKILL
-        manifests = list(store.glob("items/*/*/*/manifest.json"))
-        assert len(manifests) > n_kept
-        n_kept = len(manifests)
-    kept = {path: path.stat().st_mtime_ns for path in manifests}
-    with serial_cluster() as cluster:
-        resumed = run(tiny(), Store.open(store, create=False), cluster)
-    assert digests(resumed) == digests(upstream)
-    assert all(path.stat().st_mtime_ns == time_ns for path, time_ns in kept.items())
