@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from pipeline import disk
+from pipeline.artifacts import decode_json
 from pipeline.drive.interface import DryRun, ServoDriver
 from pipeline.drive.log import DriveLog
 from pipeline.drive.player import STARTING, Moment, Player, stopped_by_signals
@@ -91,7 +93,7 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
     if log_path.exists():
         raise PuddleError(f"--log: {log_path} is there already. Choose another name.")
     with contextlib.closing(open_driver(wish)) as driver:
-        for line in _plan(servos.servos, wanted, wish, driver):
+        for line in (*_plan(servos.servos, wanted, wish, driver), *_faults(path.with_name(MARK))):
             say(line)
         say(f"What is sent will be in {log_path}.")
         if not wish.dry_run and not confirm("Move the servos?"):
@@ -134,6 +136,16 @@ def _plan(
         f"out of the joints and the servos' power switch in reach. Ctrl-C brings them back to neutral and switches "
         f"them off; a second one switches them off at once."
     )
+
+
+def _faults(mark: Path) -> Iterator[str]:
+    """Say how much speaks against the kit that a timeline is of, if it is of one."""
+    if mark.is_file():
+        said = decode_json(disk.read(mark), str(mark))
+        found = said.get("findings", []) if isinstance(said, dict) else []
+        n = sum(isinstance(one, dict) and one.get("severity") == "fault" for one in found)
+        if n:
+            yield f"{n} fault{'s' * (n > 1)} found in this kit speak{'s' * (n == 1)} against it: {mark} lists them."
 
 
 def _play(

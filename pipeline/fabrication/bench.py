@@ -211,7 +211,7 @@ def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
 def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | None) -> list[Finding]:
     if simulated is None:
         return [Finding("torque", "fault", "joints", "the simulation diverged: what the joints need is not known")]
-    found = []
+    found, advice = [], f". {SLOWER}"
     for load in loads:
         where = f"joint {load.joint}"
         if load.use > 1:
@@ -219,8 +219,9 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
                 "torque", "fault", where,
                 f"the servo can't do it: at the worst instant the run asks for {load.use:.2f} times what a "
                 f"{servo.name} can give (up to {load.peak_torque:.2f} N·m, up to {load.peak_speed:.1f} rad/s; it has "
-                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded). {SLOWER}",
+                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded){advice}",
             ))  # fmt: skip
+            advice = ""  # once is enough
         if load.stall_share > HOT:
             found.append(Finding(
                 "heat", "warning", where,

@@ -150,7 +150,7 @@ def _bill(kit: Kit) -> str:
         for line in kit.bill
     ]  # fmt: skip
     rows.append(["<b>all of it</b>", "", "", f"<b>{kit.mass_g:.0f}</b>", "without screws and cables"])
-    return _table(["what", "count", "length [mm]", "mass [g]", ""], rows)
+    return _table(["what", "count", "length [mm]", "mass [g]", ""], rows, "noted")
 
 
 def _scale(

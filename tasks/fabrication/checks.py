@@ -156,7 +156,7 @@ def _unmeasured(drives: Sequence[Drive]) -> Iterator[Finding]:
         if unknown:
             yield Finding("not measured", "warning", "every joint",
                           f"{len(unknown)} of {len(MEASURES)} measures of a {drive.servo.name} and its "
-                          f"{drive.horn.kind} horn are common ones that nobody has checked: {', '.join(unknown)}. "
+                          f"{drive.horn.kind} horn are common ones that nobody has checked; the page lists them. "
                           f"Measure yours and print the gauges before the parts")
 
 

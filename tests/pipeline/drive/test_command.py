@@ -1,5 +1,6 @@
 """``puddle drive`` as a person uses it: in a process of its own, in real time, against a pty."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -60,6 +61,16 @@ def test_the_log_goes_beside_the_timeline(kit, tmp_path, capsys, monkeypatch):
     assert f"What is sent will be in {log}" in capsys.readouterr().out
     assert "start" in table_of(log)["event"]
     assert not list((tmp_path / "elsewhere").iterdir())
+
+
+def test_the_faults_of_a_kit_are_told_before_it_moves(kit, capsys):
+    for found, said in ((["fault", "warning", "fault"], "2 faults found in this kit speak against it"),
+                        (["fault"], "1 fault found in this kit speaks against it"), (["note"], None)):  # fmt: skip
+        mark = {"findings": [{"severity": severity, "where": "joint 2", "message": "x"} for severity in found]}
+        (kit / "kit.json").write_text(json.dumps(mark))
+        call("drive", str(kit), "--dry-run", "--duration", "0", "--log", str(kit / f"{len(found)}{found[0]}.parquet"))
+        out = capsys.readouterr().out
+        assert said in out if said else "speak" not in out
 
 
 def test_nothing_moves_without_a_yes(kit, tmp_path, plug):
