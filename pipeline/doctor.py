@@ -24,9 +24,8 @@ import psutil
 from pipeline import disk
 from pipeline.cluster import ray_cluster, session
 from pipeline.errors import PuddleError
-from pipeline.forecast import bytes_per_design
 from pipeline.settings import Settings
-from pipeline.stages import STAGES
+from pipeline.sizes import bytes_of_study
 from pipeline.store import Store
 
 CONSTRAINTS = Path(__file__).resolve().parents[1] / "constraints.txt"
@@ -133,12 +132,9 @@ def _memory(n_workers: int) -> Finding:
 def _store(root: Path, settings: Settings) -> Iterator[Finding]:
     """Look at the store's disk: room, and all that a commit does to it."""
     existing = next(path for path in (root, *root.parents) if path.exists())
-    n_generations = sum(
-        sum(chain.units) for stage in STAGES if stage.unit == "generations" for chain in stage.plan(settings)
-    )
-    needed = SPARE_BYTES + n_generations * settings.evolution.afpo.population_size * bytes_per_design(settings)
+    needed = SPARE_BYTES + bytes_of_study(settings)
     free = float(shutil.disk_usage(existing).free)
-    found = f"{free / 1e9:.1f} GB free at {existing}, at most {needed / 1e9:.1f} GB needed by study {settings.name}"
+    found = f"{free / 1e9:.1f} GB free at {existing}, about {needed / 1e9:.1f} GB needed by study {settings.name}"
     if free < needed:
         yield Finding("fail", "disk", found, "Free some (`puddle gc`), or keep the store elsewhere: --store.")
     else:

@@ -228,7 +228,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
         file, _, test = row.name.partition("::")
         n_tried = row.attempt + 1
         tried = f"{n_tried:,}" if n_tried >= row.n_planned else f"{n_tried:,} of {row.n_planned:,}"
+        outcome = "time was up" if row.outcome == "passed" and n_tried < row.n_planned else row.outcome
         what = f"{file.rpartition('/')[2].removeprefix('test_').removesuffix('.py')}: {test.removeprefix('test_')}"
-        terminalreporter.line(f"{what.replace('_', ' '):<84} {tried:>15} {row.seconds:6.0f} s  {row.outcome}")
+        terminalreporter.line(f"{what.replace('_', ' '):<84} {tried:>15} {row.seconds:6.0f} s  {outcome}")
         for note in row.notes:
             terminalreporter.line(f"    {note}")

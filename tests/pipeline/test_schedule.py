@@ -3,7 +3,8 @@
 import pytest
 
 from pipeline.configuration import load, preset_path
-from pipeline.forecast import Rates, schedule, schedule_lines, seconds_of_a_result
+from pipeline.forecast import schedule, schedule_lines
+from pipeline.rates import Rates, seconds_of_a_result
 from pipeline.schedule import TASK_SECONDS, Work, play
 from pipeline.settings import Settings
 from pipeline.stages import STAGES, evolve
@@ -15,7 +16,7 @@ QUIET = Rates(
     population_size=64,
     selection=0.002,
     picture=0.02,
-    bytes_per_design=150.0,
+    look=0.2,
 )
 """Core-seconds of the paper's generation and the like on the README's machine."""
 

@@ -170,5 +170,5 @@ def test_kill_9_at_random_moments(torture, settings, tmp_path):
         if study.driver is not None:
             study.driver.kill()
             study.driver.communicate()
-    killed = ", ".join(f"{number} {victim}s" for victim, number in n_of.items())
-    torture.note(f"killed {killed}; {n_studies + 1} studies ended in the same bytes, no item written twice")
+    killed = ", ".join(f"{victim} {number:,} times" for victim, number in n_of.items())
+    torture.note(f"{killed}; {n_studies + 1} studies, the same bytes each time, no item written twice")

@@ -1,0 +1,47 @@
+"""What a forecast says that a study keeps is what a study keeps."""
+
+import pytest
+
+from pipeline.cluster import serial_cluster
+from pipeline.configuration import parse
+from pipeline.settings import Settings
+from pipeline.sizes import PAGE_BYTES, bytes_left, weigh
+from pipeline.stages import STAGES
+from pipeline.store import Store
+from pipeline.study import follow, results_of, run_stage
+
+SMALL = """
+name: small
+throws: {n_throws: 20}
+network: {hidden_layers: 2, width: 32}
+training: {n_iterations: 10, batch_size: 64}
+ensemble: {n_members: 3}
+grid: {depths: [3.0], n_trials: 2}
+rollout: {n_settle: 20, n_measure: 100}
+evolution: {n_generations: 40, afpo: {population_size: 16}}
+transfer: {n_generations: 40}
+assess: {n_designs: 60}
+work: {throws_per_item: 10, generations_per_item: 20}
+"""
+
+
+class NoBar:
+    def advance(self, work: float) -> None: ...
+
+
+def test_every_stage_keeps_about_what_was_said(tmp_path):
+    """Within a third, the page apart, which is most of so small a study and made in test_report.py."""
+    settings = parse(Settings, SMALL, name="small")
+    store, sizes, upstream = Store.open(tmp_path / "store", create=True), weigh(settings), {}
+    for stage in STAGES[:-1]:
+        walks = follow(stage, settings, store, upstream, say=print)
+        with serial_cluster() as cluster:
+            run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=print)
+        upstream[stage.name] = results_of(stage, walks)
+        kept = sum(store.item_bytes(stage.name, key) for key in store.keys(stage.name))
+        said = sum(bytes_left(stage, chain, 0, settings, sizes) for chain in stage.plan(settings))
+        assert said == pytest.approx(kept, rel=1 / 3), stage.name
+        done = sum(bytes_left(stage, chain, chain.n_items, settings, sizes) for chain in stage.plan(settings))
+        assert done == 0
+    page = STAGES[-1].plan(settings)[0]
+    assert bytes_left(STAGES[-1], page, 0, settings, sizes) > 2 * PAGE_BYTES
