@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import engines, networks
+from benchmarks import engines, evolution, networks
 from benchmarks.measure import Figure
 
 OUT = Path("bench.json")
@@ -37,8 +37,8 @@ def main() -> None:
     """Measure, print, write."""
     console = Console(width=118)
     figures: list[Figure] = []
-    for measure in (engines.first_call, engines.steps, engines.bodies, engines.packing, engines.two_processes,
-                    networks.inference, networks.generation):  # fmt: skip
+    for measure in (engines.first_call, engines.steps, engines.bodies, engines.packing, evolution.own_work,
+                    engines.two_processes, networks.inference, networks.generation):  # fmt: skip
         console.print(f"[dim]{measure.__doc__}[/dim]")
         figures += measure()
     table = Table(title=f"One core of {machine()['cpu']}")

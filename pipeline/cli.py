@@ -305,7 +305,9 @@ def drive(
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until stopped.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Move without asking first.")] = False,
-    log: Annotated[Path | None, typer.Option("--log", help="Where to write what was sent (Parquet).")] = None,
+    log: Annotated[
+        Path | None, typer.Option("--log", help="Where to write what was sent (Parquet); beside the timeline else.")
+    ] = None,
     baud: Annotated[int, typer.Option("--baud", min=300, max=200_000, help="Of a wired port; USB has none.")] = 115200,
     baud_detection: Annotated[
         bool, typer.Option("--baud-detection", help="The controller is set to detect the baud rate: send 0xAA first.")

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.artifacts import decode_json
 from pipeline.errors import PuddleError
 from tasks.design import N_LINKS, DesignError, Designs, check
-from tasks.design.genes import DTYPES, is_per_link
+from tasks.design.genes import DTYPES, PER_DESIGN
 
 SCHEMA, VERSION = "puddle.design", 1
 
@@ -54,15 +54,14 @@ def design_from(document: Any, source: str) -> Designs:
 def _field(name: str, value: Any, source: str) -> Any:
     """Check a field's type and length; its bounds are checked with the whole design."""
     kinds: tuple[type, ...] = {np.bool_: (bool,), np.int64: (int,)}.get(DTYPES[name], (int, float))
-    values = value if is_per_link(name) else [value]
-    n_expected = N_LINKS if is_per_link(name) else 1
+    values, n_expected = ([value], 1) if name in PER_DESIGN else (value, N_LINKS)
     word = {np.bool_: "true or false", np.int64: "whole number"}.get(DTYPES[name], "number")
     if (
         not isinstance(values, list)
         or len(values) != n_expected
         or not all(isinstance(v, kinds) and (bool in kinds or not isinstance(v, bool)) for v in values)
     ):
-        expected = f"a list of {N_LINKS} values, each a {word}" if is_per_link(name) else f"one {word}"
+        expected = f"one {word}" if name in PER_DESIGN else f"a list of {N_LINKS} values, each a {word}"
         raise PuddleError(f"{source}: {name}: expected {expected}, came {json.dumps(value)[:100]}")
     try:
         return np.asarray(value, dtype=DTYPES[name])

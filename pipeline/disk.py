@@ -132,6 +132,16 @@ def read_document(path: Path) -> bytes:
     return data
 
 
+def size_bytes(folder: Path) -> int:
+    """Return the length of all files in a folder and below."""
+    total = 0
+    for path in folder.rglob("*"):
+        with contextlib.suppress(FileNotFoundError):  # a commit renames its temporary files meanwhile
+            found = path.lstat()
+            total += found.st_size if stat.S_ISREG(found.st_mode) else 0
+    return total
+
+
 def inside(root: Path, *parts: str) -> Path:
     """Return a path below a root. The parts are single names that the caller has checked.
 

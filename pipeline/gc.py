@@ -19,7 +19,7 @@ from pipeline.errors import PuddleError
 from pipeline.settings import Settings
 from pipeline.stage import Results
 from pipeline.stages import STAGES
-from pipeline.store import Store, StudyRecord, size_bytes
+from pipeline.store import Store, StudyRecord
 from pipeline.study import follow, results_of
 
 
@@ -113,8 +113,8 @@ def gc_lines(store: Store, garbage: Garbage, *, removed: bool, command: str) -> 
         total += path.lstat().st_size
         yield f"  {path}: on its way when a process died, {path.lstat().st_size / 1e6:,.1f} MB"
     for folder in garbage.sessions:
-        total += size_bytes(folder)
-        yield f"  {folder}: left by a driver that is dead, {size_bytes(folder) / 1e6:,.1f} MB"
+        total += disk.size_bytes(folder)
+        yield f"  {folder}: left by a driver that is dead, {disk.size_bytes(folder) / 1e6:,.1f} MB"
     if not any((garbage.items, garbage.halves, garbage.temporary, garbage.sessions)):
         yield "Everything in it is needed."
     elif removed:

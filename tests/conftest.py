@@ -1,4 +1,4 @@
-"""What several test files share: one Ray cluster for the whole session, a robot, and torture in any numbers.
+"""What several test files share: where they write, one Ray cluster for the whole session, a robot; and torture.
 
 A test of torture takes the fixture ``torture`` and goes through ``torture.attempts(small, large)``: a small number of
 attempts in `make test`, a large one with ``--torture`` (`make torture`), where ``--minutes`` bounds the whole. Each
@@ -6,11 +6,14 @@ attempt has a generator of its own, which follows from ``--seed``, the test and 
 is found can be found again: with the seed that the table at the end shows.
 """
 
+import os
 import secrets
+import shutil
 import time
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +21,28 @@ import pytest
 
 from pipeline.cluster import Cluster, ray_cluster
 from tasks.design import N_LINKS, Designs
+
+MEMORY = Path("/dev/shm")
+ROOM_BYTES = 4e9
+"""Ten times what the tests write, and Ray's shared memory beside it."""
+
+LONGEST_FIRST = (
+    "torture/test_kills.py", "simulation/test_batch.py", "torture/test_processes.py", "torture/test_bad_science.py",
+    "pipeline/test_study.py", "parity/test_bodies_equal_pybox2d.py", "torture/test_two_machines.py",
+    "pipeline/test_stages.py", "torture/test_hostile.py", "pipeline/test_tracking.py", "report/test_page.py",
+    "parity/test_batch_equals_pybox2d.py", "pipeline/test_cli.py", "pipeline/test_cluster.py",
+)  # fmt: skip
+"""Files that take longest, so that no process is left with one of them at the end."""
+
+
+def write_to_memory() -> None:
+    """Have pytest make its temporary folders in memory, where there is room for them.
+
+    On a disk the tests wait for thousands of flushes, of milliseconds each: every file of a store, every statement that
+    makes a database. What a flush is good for is seen elsewhere: see tests/torture/volatile.py.
+    """
+    if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
 
 
 @pytest.fixture(scope="session")
@@ -71,7 +96,8 @@ class Session:
     seed: int
     end: float
     """When it should be over, on the monotonic clock."""
-    n_tests_left: int = 0
+    shares_left: float = 0.0
+    """Of the tests that have not begun, and of the one that runs."""
     rows: dict[str, Row] = field(default_factory=dict)
 
 
@@ -84,11 +110,11 @@ _SHOWN: dict[str, Row] = {}
 class Torture:
     """How often a test tries, with which randomness, and what it wants said of it."""
 
-    def __init__(self, session: Session, row: Row) -> None:
+    def __init__(self, session: Session, row: Row, share: float) -> None:
         self.large, self.seed = session.large, session.seed
         self._row = row
         now = time.monotonic()
-        self._end = now + (session.end - now) / max(1, session.n_tests_left) if session.large else np.inf
+        self._end = now + (session.end - now) * share / session.shares_left if session.large else np.inf
 
     def attempts(self, small: int, large: int) -> Iterator[np.random.Generator]:
         """Give the generator of each attempt. With --torture, stop early where this test's share of the time is up.
@@ -125,12 +151,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "share(n): of the time of --torture, where other tests have 1")
     seed = getattr(config, "workerinput", {}).get("torture_seed", config.getoption("--seed"))
     config.stash[_SESSION] = Session(
         large=config.getoption("--torture"),
         seed=secrets.randbits(32) if seed is None else seed,
         end=time.monotonic() + 60 * config.getoption("--minutes"),
     )
+    write_to_memory()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -140,22 +168,30 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    place = {file: number for number, file in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: place.get("/".join(item.path.parts[-2:]), len(place)))
     session = config.stash[_SESSION]
     tests = [item for item in items if "torture" in getattr(item, "fixturenames", ())]
-    session.n_tests_left = len(tests)
+    session.shares_left = sum(map(_share, tests))
     if session.large:
+        items.sort(key=_share)  # the long ones take what the short ones leave
         for item in tests:
             item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 300))
+
+
+def _share(item: pytest.Item) -> float:
+    marker = item.get_closest_marker("share")
+    return float(marker.args[0]) if marker else 1.0
 
 
 @pytest.fixture
 def torture(request: pytest.FixtureRequest) -> Iterator[Torture]:
     session = request.config.stash[_SESSION]
     row = session.rows.setdefault(request.node.nodeid, Row(request.node.nodeid))
-    start = time.monotonic()
-    yield Torture(session, row)
+    start, share = time.monotonic(), _share(request.node)
+    yield Torture(session, row, share)
     row.seconds = time.monotonic() - start
-    session.n_tests_left -= 1
+    session.shares_left -= share
 
 
 @pytest.hookimpl(wrapper=True)

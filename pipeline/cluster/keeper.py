@@ -7,7 +7,8 @@ Linux this process is also the parent of orphans below it, so that it finds all 
 
 ``python -P keeper.py FOLDER N_CORES OBJECT_STORE_BYTES LOCK``: N_CORES may be 0 for all; LOCK is the descriptor of the
 folder's lock, which is held as long as this process or the driver lives. It answers on standard output with one line of
-JSON: ``{"address": ...}`` or ``{"error": ...}``.
+JSON: ``{"address": ...}`` or ``{"error": ...}``. Where a server of Ray's dies, this process ends with all that is left:
+nothing can be done on half a Ray, and Ray itself takes a minute to say so.
 
 It imports nothing of puddle, and is started by its path: the driver's way of finding puddle need not be its own.
 """
@@ -24,8 +25,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import psutil
+
+if TYPE_CHECKING:
+    from ray._private.node import Node
 
 LOOPBACK = "127.0.0.1"
 
@@ -33,6 +38,12 @@ PR_SET_CHILD_SUBREAPER = 36
 """Of Linux's <sys/prctl.h>."""
 
 PATIENCE_SECONDS = 10.0
+
+SERVERS = {"gcs_server", "raylet"}
+"""Ray's names for those of its processes without which it is dead."""
+
+SECONDS_BETWEEN_LOOKS = 0.2
+"""At them."""
 
 
 def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:
@@ -43,16 +54,20 @@ def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:
         ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     waiting = threading.Thread(target=_end_with_driver, args=(folder,), daemon=True)
     waiting.start()
+    ray: Node | None = None
     try:
-        answer = {"address": _start_ray(folder, n_cores, object_store_bytes)}
+        ray = _start_ray(folder, n_cores, object_store_bytes)
+        answer = {"address": str(ray.address)}
     except BaseException as error:
         answer = {"error": f"{type(error).__name__}: {error}"}
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(answer), flush=True)
-    waiting.join()
+    while ray is None or not SERVERS & {kind for kind, _ in ray.dead_processes()}:
+        waiting.join(SECONDS_BETWEEN_LOOKS)
+    _end(folder)
 
 
-def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> str:
+def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> Node:
     """Do what ``ray start --head`` does, but on the loopback and without its fixed port for remote drivers."""
     from ray._private.node import Node
     from ray._private.parameter import RayParams
@@ -67,12 +82,17 @@ def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> str:
         no_monitor=True,  # the autoscaler's
         temp_dir=os.path.join(folder, "ray"),  # noqa: PTH118 (Ray wants a string)
     )
-    return str(Node(parameters, head=True, shutdown_at_exit=False, spawn_reaper=True).address)
+    return Node(parameters, head=True, shutdown_at_exit=False, spawn_reaper=True)
 
 
 def _end_with_driver(folder: str) -> None:
-    """Wait for the end of the pipe, and leave nothing."""
+    """Wait for the end of the pipe."""
     sys.stdin.buffer.read()
+    _end(folder)
+
+
+def _end(folder: str) -> None:
+    """Leave nothing."""
     kill_all(lambda: psutil.Process().children(recursive=True))
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)

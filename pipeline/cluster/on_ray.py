@@ -13,11 +13,13 @@ import functools
 import importlib.util
 import itertools
 import logging
+import math
 import os
 import re
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,9 @@ N_INFRASTRUCTURE_RETRIES = 1
 
 CONNECT_SECONDS = 15.0
 """How long an existing cluster may take to answer."""
+
+SECONDS_BETWEEN_LOOKS = 1.0
+"""At whether Ray lives, while a result is waited for."""
 
 PACKAGES = ("tasks", "pipeline")
 """What the workers of an existing cluster are sent, since they need not have it on disk."""
@@ -54,9 +59,12 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
     if n_workers is not None and n_workers < 1:
         raise PuddleError(f"workers: expected 1 or more, got {n_workers}")
     address = address or os.environ.get("RAY_ADDRESS") or "local"
-    with signals_unwind() as catch_signals, _local(n_workers) if address == "local" else _existing(address):
+    with (
+        signals_unwind() as catch_signals,
+        _local(n_workers) if address == "local" else _existing(address) as alive,
+    ):
         catch_signals()  # ray.init has put its own handler, which prints a native stack
-        cluster = _Ray()
+        cluster = _Ray(alive)
         try:
             yield cluster
         except BaseException:
@@ -65,14 +73,22 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
 
 
 class _Ray:
-    def __init__(self) -> None:
+    def __init__(self, alive: Callable[[], bool]) -> None:
+        self._alive = alive
         self._numbers = itertools.count()
         self._running: dict[Any, Ticket] = {}
+
+    def _check_alive(self) -> None:
+        """Refuse to wait for a Ray that is dead: it would take a minute to say so, and fail every call meanwhile."""
+        if not self._alive():
+            self._running.clear()
+            raise _dead()
 
     @property
     def n_cores(self) -> float:
         import ray
 
+        self._check_alive()
         return float(ray.cluster_resources().get("CPU", 0.0))
 
     @property
@@ -103,9 +119,14 @@ class _Ray:
 
         if not self._running:
             return None
-        ready, _ = ray.wait(list(self._running), num_returns=1, timeout=timeout)
-        if not ready:
-            return None
+        end = time.monotonic() + (math.inf if timeout is None else timeout)
+        ready: list[Any] = []
+        while not ready:
+            self._check_alive()
+            left = end - time.monotonic()
+            ready, _ = ray.wait(list(self._running), num_returns=1, timeout=max(0.0, min(left, SECONDS_BETWEEN_LOOKS)))
+            if not ready and left <= 0:
+                return None
         ticket = self._running.pop(ready[0])
         return ticket, _outcome(ticket.name, ready[0])
 
@@ -120,8 +141,8 @@ class _Ray:
 
 
 @contextlib.contextmanager
-def _local(n_workers: int | None) -> Iterator[None]:
-    """Start Ray on this machine, open to this user alone, and stop it."""
+def _local(n_workers: int | None) -> Iterator[Callable[[], bool]]:
+    """Start Ray on this machine, open to this user alone, and stop it; tell whether it lives."""
     import ray
     import ray._private.ray_constants
 
@@ -135,17 +156,17 @@ def _local(n_workers: int | None) -> Iterator[None]:
             stack.enter_context(_environment({"RAY_AUTH_TOKEN_PATH": str(ours.token)}))
             stack.enter_context(_attribute(ray._private.ray_constants, "ENABLE_RAY_CLUSTER", False))
             stack.callback(ray.shutdown)
-            _connect(address=ours.address, runtime_env={"env_vars": PINNED_THREADS})
+            _connect(address=ours.address)
         except Exception as error:
             raise PuddleError(
                 f"Ray did not start on this machine: {error}\nExpected room in {PLACE} and /dev/shm, and "
                 f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` does without Ray."
             ) from error
-        yield
+        yield ours.alive
 
 
 @contextlib.contextmanager
-def _existing(address: str) -> Iterator[None]:
+def _existing(address: str) -> Iterator[Callable[[], bool]]:
     """Connect to a cluster that somebody else started, under its own token settings, and send it our packages."""
     _check_reachable(address)
     import ray
@@ -157,7 +178,7 @@ def _existing(address: str) -> Iterator[None]:
         except Exception as error:
             raise _unusable(address, str(error)) from error
         else:
-            yield
+            yield lambda: True  # it may come back; Ray says when it has waited long enough
         finally:
             ray.shutdown()
 
@@ -285,15 +306,25 @@ def _remote_call(n_cores: float, name: str, n_gpus: float = 0.0) -> Any:
 
 def _outcome(name: str, reference: Any) -> Outcome:
     import ray
-    from ray.exceptions import RayError, RayTaskError
+    from ray.exceptions import LocalRayletDiedError, RayError, RayTaskError
 
     try:
         return Done(ray.get(reference))
+    except LocalRayletDiedError as error:  # no call's fault, and every call's from now on
+        raise _dead() from error
     except RayTaskError as error:
         return failure(name, error.cause, re.sub(r"\x1b\[[0-9;]*m", "", str(error)))
     except RayError as error:
         message = str(error) or type(error).__name__
         return TaskFailed(name, f"{type(error).__name__}: {message.strip().splitlines()[0]}", message, True)
+
+
+def _dead() -> PuddleError:
+    return PuddleError(
+        "Ray on this machine died: its raylet or its GCS is gone (killed, or out of memory).\n"
+        "What was kept before is safe: give the same command again, and it goes on from there. Fewer `--workers` need "
+        "less memory."
+    )
 
 
 def _cancel(references: Any) -> None:

@@ -16,13 +16,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 
 from pipeline.cluster import keeper
+from pipeline.cluster.process import PINNED_THREADS
 from pipeline.errors import PuddleError
 
 OBJECT_STORE_BYTES = 512 * 2**20
@@ -44,6 +45,8 @@ class Session:
     address: str
     token: Path
     """File with the token that its servers ask for."""
+    alive: Callable[[], bool]
+    """Tells whether it still runs."""
 
 
 @contextlib.contextmanager
@@ -61,6 +64,7 @@ def session(n_cores: int | None) -> Iterator[Session]:
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=PLACE))
     lock = _hold(folder)
     kept: subprocess.Popen[str] | None = None
+    environment = {**os.environ, **PINNED_THREADS}  # the workers inherit it from Ray, and Ray from the keeper
     try:
         token = token_of(folder)
         with os.fdopen(os.open(token, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
@@ -70,16 +74,20 @@ def session(n_cores: int | None) -> Iterator[Session]:
             kept = subprocess.Popen(
                 [sys.executable, "-P", *words],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, pass_fds=[lock],
-                env={**os.environ, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)},
+                env={**environment, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)},
                 start_new_session=True,  # so that Ctrl-C in the terminal reaches Ray through us alone
             )  # fmt: skip
-        yield Session(_address(kept, folder), token)
+        yield Session(_address(kept, folder), token, alive=functools.partial(_runs, kept))
     finally:
         if kept is not None:
             with contextlib.suppress(BrokenPipeError):
                 kept.communicate()  # closes the pipe: the keeper kills what is left, removes the folder, and ends
         shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
+
+
+def _runs(process: subprocess.Popen[str]) -> bool:
+    return process.poll() is None
 
 
 def token_of(folder: Path) -> Path:

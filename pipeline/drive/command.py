@@ -42,6 +42,7 @@ class Wish:
     """[s]"""
     loop: bool = False
     log: Path | None = None
+    """Where to write what was sent; beside the timeline, with the time in its name, unless given."""
     baud: int = 115200
     baud_detection: bool = False
 
@@ -86,12 +87,13 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
         wanted = pulses(timeline, servos)
     except TimelineError as error:
         raise PuddleError(f"{path} with {calibrated_by}: {str(error).removesuffix('.')}. Nothing was moved.") from None
-    log_path = wish.log or Path(f"drive-{datetime.now():%Y%m%d-%H%M%S}.parquet")
+    log_path = wish.log or path.with_name(f"drive-{datetime.now():%Y%m%d-%H%M%S}.parquet")
     if log_path.exists():
         raise PuddleError(f"--log: {log_path} is there already. Choose another name.")
     with contextlib.closing(open_driver(wish)) as driver:
         for line in _plan(servos.servos, wanted, wish, driver):
             say(line)
+        say(f"What is sent will be in {log_path}.")
         if not wish.dry_run and not confirm("Move the servos?"):
             say("Nothing was moved.")
             return False

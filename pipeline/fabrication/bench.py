@@ -12,14 +12,16 @@ import numpy.typing as npt
 from pipeline.fabrication.choices import FabricationSettings
 from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
-from tasks.fabrication.checks import Finding
+from tasks.fabrication.checks import Finding, Severity
+from tasks.fabrication.contacts import Contact, passing_contacts
+from tasks.fabrication.drives import servo_of
 from tasks.fabrication.floating import Floating, floating_of
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.scaling import HOT, JointLoad, Scales, joint_loads, scales_of
-from tasks.fabrication.servos import Servo, servo_named
+from tasks.fabrication.servos import Servo
 from tasks.fabrication.timeline import Timeline, TimelineError, pulses, timeline_of
 from tasks.simulation import OK, Rollouts, simulate
-from tasks.simulation.motion import OMEGA
+from tasks.simulation.motion import ANGLE, OMEGA, X, Y
 from tasks.world import Environment, Physics
 
 SPARE = radians(5.0)
@@ -27,6 +29,9 @@ SPARE = radians(5.0)
 
 OFTEN = 0.05
 """Share of the run in which the simulated motors may be at their limit before it is said."""
+
+BRIEF = 0.001
+"""Share of the run up to which links may touch that pass one another on the bench, and it be no more than a note."""
 
 LOWER_BOUND = 0.2
 """Share of the run at the limit above which the torques are taken for less than the gait needs."""
@@ -52,6 +57,8 @@ class Simulated:
     then they jump to their gait, which the bench's timeline does not."""
     speed: npt.NDArray[np.float64]
     """(n_steps, n_joints) [rad/s of simulation]."""
+    pose: npt.NDArray[np.floating]
+    """(n_steps, n_links, 3) x and y of the links' centres [m of simulation] and their angles [rad]."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +117,7 @@ def run(
         duration=n_measure * physics.time_step,
         torque=rollouts.motor_torque[0][n_settle:, list(joints)].astype(np.float64),
         speed=trace[n_settle:, list(joints), OMEGA] - trace[n_settle:, parent, OMEGA],
+        pose=trace[n_settle:, :, [X, Y, ANGLE]],
     )
 
 
@@ -141,7 +149,7 @@ def bench_of(
         tank_mm: depth of what fills the tank.
         true_slush: displacement of the root in True Slush under the study's own physics [m of simulation], if known.
     """
-    servo = servo_named(settings.kit.servo)
+    servo = servo_of(settings.kit)
     simulated_mass = physics.link_density * design.parent.shape[1]  # a link has 1 m²
     scales = scales_of(
         settings.scaling, length=settings.kit.scale_mm_per_m / 1000, mass_kg=kit.mass_g / 1000,
@@ -167,7 +175,10 @@ def bench_of(
         except TimelineError as error:
             timeline = None
             refused = [Finding("timeline", "fault", "servos", f"they can't play this gait: {error}. {SLOWER}")]
-    found = [*refused, *_of_loads(loads, servo, simulated), *_of_floating(floating, tank_mm),
+    contacts: list[Contact] = []
+    if simulated is not None:
+        contacts = passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step)
+    found = [*refused, *_of_loads(loads, servo, simulated), *_of_contacts(contacts), *_of_floating(floating, tank_mm),
              *_of_members(members, true_slush)]
     return Bench(
         scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
@@ -228,6 +239,21 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
                 f"the simulated motor was at its own limit in {load.saturated:.0%} of the run: a stronger servo moves "
                 f"otherwise there",
             ))  # fmt: skip
+    return found
+
+
+def _of_contacts(contacts: Sequence[Contact]) -> list[Finding]:
+    found = []
+    for contact in contacts:
+        (first, second), parts = contact.links, " and ".join(f"part {part + 1}" for part in contact.parts)
+        where = ("joint " if len(contact.joints) == 1 else "joints ") + " and ".join(map(str, contact.joints))
+        severity: Severity = "warning" if contact.share > BRIEF else "note"
+        found.append(Finding(
+            "passes on the bench", severity, where,
+            f"links {first} and {second} push one another in {contact.share:.1%} of the simulated run, first after "
+            f"{contact.first:.1f} s of it; on the bench {parts} lie in different layers and pass one another, so that "
+            f"the robot moves otherwise there",
+        ))  # fmt: skip
     return found
 
 

@@ -102,7 +102,8 @@ def fabricate(
     found = sorted((*kit.findings, *bench.findings), key=lambda finding: SEVERITIES.index(finding.severity))
     drawings = {"torque": torque_figure(source.design, bench), "timeline": timeline_figure(bench)}
     title = f"A robot to build: {source.name}"
-    files = exports(kit, title=source.name)
+    faults = sum(finding.severity == "fault" for finding in found)
+    files = exports(kit, title=source.name, n_faults=faults)
     files |= {name: (DOCS / name).read_bytes() for name in GUIDES if (DOCS / name).is_file()}
     files["design.json"] = encode_json(design_document(source.design))
     if bench.calibration is not None:
@@ -117,7 +118,6 @@ def fabricate(
         law=choices.scaling.law, physics=physics, slush_density=source.settings.slush.density,
         frequency=float(source.design.frequency[0]), settings_yaml=yaml.safe_dump(chosen, sort_keys=False),
     ).encode()  # fmt: skip
-    faults = sum(finding.severity == "fault" for finding in found)
     metrics = {"n_faults": float(faults), "mass_g": kit.mass_g, "submerged_share": bench.floating.sealed_share}
     metrics |= {f"margin.joint_{load.joint}": load.margin for load in bench.loads}
     if source.members is not None:
@@ -130,9 +130,9 @@ def fabricate(
         "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in found],
         "metrics": metrics,
     }
-    write_kit(out, files, said)
+    kept = write_kit(out, files, said)
     _mirror(tracker, source.name, design is None, source.settings, chosen, metrics, files)
-    return Made(_lines(out, found, bench.loads, kit.mass_g), faults)
+    return Made([*kept, *_lines(out, found, bench.loads, kit.mass_g)], faults)
 
 
 def _lines(out: Path, found: Sequence[Finding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Sequence
 from itertools import combinations
-from math import atan2, cos, degrees, pi, sin
+from math import atan2, cos, degrees, sin
 from typing import Any
 
 import matplotlib as mpl
@@ -17,9 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, PathPatch, Rectangle
 from matplotlib.path import Path as MplPath
-from shapely import Point, Polygon, unary_union
+from shapely import LineString, Point, Polygon, unary_union
+from shapely import box as shapely_box
 from shapely.geometry.base import BaseGeometry
 
+from pipeline.fabrication.labels import Labels, around
 from tasks.fabrication.drives import Drive
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.parts import SIDES, placement
@@ -47,13 +49,26 @@ STYLE: dict[str, Any] = {
     "hatch.linewidth": 0.3,
 }
 SMALL, LARGE = 6.0, 13.0
+GRID_MM = 4.0
+"""Between the places that are tried for a part's name."""
+ASIDE_MM = 5.0
+"""From one dimension to the next beside it."""
+SHORT_MM = 12.0
+"""A dimension in which its own text has no room."""
+SHARES = (0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6, 0.05, 0.95)
+"""Of a part's length in the view from above: places for its number."""
 DIMENSION: dict[str, Any] = {
     "arrowstyle": "<|-|>", "color": INK, "lw": 0.5, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 5,
 }  # fmt: skip
 
 
-def assembly_drawing(kit: Kit, title: str) -> dict[str, bytes]:
+def assembly_drawing(kit: Kit, title: str, n_faults: int) -> dict[str, bytes]:
     """Draw a kit.
+
+    Args:
+        kit: what to draw.
+        title: of the sheet.
+        n_faults: that speak against building it, of its parts and of the bench.
 
     Returns:
         The same sheet as ``svg``, ``pdf`` and ``png``.
@@ -67,7 +82,7 @@ def assembly_drawing(kit: Kit, title: str) -> dict[str, bytes]:
                                   fill=False, ec=INK, lw=0.9))  # fmt: skip
         low, high = _bounds([profile.polygon for profile in kit.profiles])
         scale = _side_view(sheet, kit, low, high)
-        end = _tables(sheet, kit)
+        end = _tables(sheet, kit, n_faults)
         _top_view(sheet, kit, low, high, end - 14.0)
         _title_block(sheet, kit, title, scale)
         return {
@@ -115,53 +130,87 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
     for drive in kit.drives:
         for hollow in (drive.pocket, drive.recess):
             sheet.add_patch(_patch(hollow, put, fill=False, ec=INK, lw=0.4, ls=(0, (2, 1.5)), zorder=5))
-        _joint(sheet, drive, kit.mechanism.link_centre[drive.joint.link], put, scale)
-    for body, rods in enumerate(kit.layers.rods):
-        for number, rod in enumerate(rods, 1):
-            (x, y), = put([rod])
-            sheet.add_patch(Circle((x, y), max(kit.settings.rod_mm / 2 * scale, 0.5), fc="white", ec=INK, zorder=6))
-            sheet.text(x + 1.4, y + 1.2, f"R{body + 1}.{number}", fontsize=5.5, zorder=8)
-    for body, profile in enumerate(kit.profiles):
-        inside = profile.polygon.difference(_clutter(kit, body))
-        at = (inside if not inside.is_empty else profile.polygon).representative_point()
-        (x, y), = put([(at.x, at.y)])
-        sheet.text(x, y, f"part {body + 1}", ha="center", va="center", weight="bold", zorder=8,
-                   bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.75})  # fmt: skip
-    for a, b in combinations(kit.drives, 2):
-        if {a.carrier, a.driven} & {b.carrier, b.driven}:
-            from_a, to_b = put([a.joint.at, b.joint.at])
-            apart = np.hypot(*np.subtract(a.joint.at, b.joint.at))
-            _dimension(sheet, from_a, to_b, f"{apart:.1f}")
     (x0, y0), (x1, y1) = put([low, high])
-    _dimension(sheet, (x0, y0 - 7), (x1, y0 - 7), f"{high[0] - low[0]:.1f}")
-    _dimension(sheet, (x1 + 8, y0), (x1 + 8, y1), f"{high[1] - low[1]:.1f}")
+    labels = _labelled(sheet, kit, put, scale)
+    _dimension(sheet, labels, (x0, y0 - 7), (x1, y0 - 7), f"{high[0] - low[0]:.1f}")
+    _dimension(sheet, labels, (x1 + 8, y0), (x1 + 8, y1), f"{high[1] - low[1]:.1f}")
     return scale
 
 
-def _clutter(kit: Kit, body: int) -> BaseGeometry:
-    """Give what a label had better not lie on."""
-    others = [profile.polygon for index, profile in enumerate(kit.profiles) if index != body]
-    joints = [Point(drive.joint.at).buffer(30.0) for drive in kit.drives]
-    cuts = [cut.buffer(20.0) for cut in kit.splits[body].cuts]
-    return unary_union([*others, *joints, *cuts])
+def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
+    """Mark joints and rods, and name them, the parts and the ways between joints, so that nothing hides another."""
+    labels = Labels(sheet)
+    joints = [tuple(put([drive.joint.at])[0]) for drive in kit.drives]
+    rods = {f"R{body + 1}.{number}": tuple(put([rod])[0])
+            for body, rods in enumerate(kit.layers.rods) for number, rod in enumerate(rods, 1)}  # fmt: skip
+    labels.keep_off(*(Point(joint).buffer(2.5) for joint in joints), *(Point(rod).buffer(1.2) for rod in rods.values()))
+    for drive in kit.drives:
+        arc = _joint(sheet, drive, kit.mechanism.link_centre[drive.joint.link], put, scale)
+        labels.keep_off(arc.buffer(0.4))
+    for name, rod in rods.items():
+        sheet.add_patch(Circle(rod, max(kit.settings.rod_mm / 2 * scale, 0.5), fc="white", ec=INK, zorder=6))
+        labels.put(name, around(rod, (3.6, 5.0, 8.0, 12.0)), of=rod, fontsize=5.5)
+    for drive, joint in zip(kit.drives, joints, strict=True):
+        reach = max(drive.recess_radius_mm * scale, 3.0) + 6.0
+        labels.put(f"joint {drive.joint.link}", around(joint, (reach, reach + 4, reach + 9, reach + 15)), of=joint,
+                   color="#b0123c", weight="bold", fontsize=7.0)  # fmt: skip
+    for body in range(len(kit.profiles)):
+        places = [tuple(place) for place in put(_inside(kit, body))]
+        labels.put(f"part {body + 1}", places, weight="bold", fontsize=7.0)
+    ways = [
+        (put([a.joint.at])[0], put([b.joint.at])[0], float(np.hypot(*np.subtract(a.joint.at, b.joint.at))))
+        for a, b in combinations(kit.drives, 2)
+        if {a.carrier, a.driven} & {b.carrier, b.driven}
+    ]
+    for number, (start, end, apart) in enumerate(sorted(ways, key=lambda way: way[2])):
+        _aside(sheet, labels, start, end, f"{apart:.1f}", number)
+    return labels
 
 
-def _joint(sheet: Axes, drive: Drive, child: Sequence[float], put: Any, scale: float) -> None:
-    """Mark a joint's axis, its number, and the sector that its child link's middle sweeps about rest."""
+def _inside(kit: Kit, body: int) -> list[tuple[float, float]]:
+    """Give places for a part's name: in it, those that no other part covers and that are deepest in it first."""
+    own = kit.profiles[body].polygon
+    others = unary_union([profile.polygon for index, profile in enumerate(kit.profiles) if index != body])
+    low_x, low_y, high_x, high_y = own.bounds
+    grid = [(float(x), float(y)) for x in np.arange(low_x, high_x, GRID_MM) for y in np.arange(low_y, high_y, GRID_MM)]
+    inside = [place for place in grid if own.contains(Point(place))]
+    if not inside:
+        point = own.representative_point()
+        return [(point.x, point.y)]
+    depth = {place: own.boundary.distance(Point(place)) for place in inside}
+    return sorted(inside, key=lambda place: (others.covers(Point(place)), -round(depth[place]), place))
+
+
+def _aside(sheet: Axes, labels: Labels, start: Any, end: Any, text: str, number: int) -> None:
+    """Draw a distance beside the line that it measures, with lines that lead there; each further out than the last."""
+    along = np.subtract(end, start)
+    length = float(np.hypot(*along))
+    across = np.array([-along[1], along[0]]) / max(length, 1e-9)
+    if across[0] > 0:
+        across = -across
+    out = ASIDE_MM * (number + 2) * across
+    for point in (start, end):
+        tip = point + out * (1 + 1.5 / np.hypot(*out))
+        sheet.plot([point[0], tip[0]], [point[1], tip[1]], color=INK, lw=0.3, zorder=7)
+        labels.keep_off(LineString([point, tip]).buffer(0.2))
+    _dimension(sheet, labels, start + out, end + out, text)
+
+
+def _joint(sheet: Axes, drive: Drive, child: Sequence[float], put: Any, scale: float) -> LineString:
+    """Mark a joint's axis, and the sector that its child link's middle sweeps about rest. Give the sector's arc."""
     (x, y), (child_x, child_y) = put([drive.joint.at, child])
     reach = max(drive.recess_radius_mm * scale, 3.0) + 4.0
-    direction = degrees(atan2(child_y - y, child_x - x))
-    swing = degrees(drive.joint.motion_range)
-    sheet.add_patch(Arc((x, y), 2 * reach, 2 * reach, theta1=direction - swing, theta2=direction + swing, ec="#b0123c",
+    direction = atan2(child_y - y, child_x - x)
+    swing = drive.joint.motion_range
+    ends = (direction - swing, direction + swing)
+    sheet.add_patch(Arc((x, y), 2 * reach, 2 * reach, theta1=degrees(ends[0]), theta2=degrees(ends[1]), ec="#b0123c",
                         lw=0.8, zorder=7))  # fmt: skip
-    for side in (-1, 1):
-        at = direction * pi / 180 + side * drive.joint.motion_range
+    for at in ends:
         sheet.plot([x + 0.55 * reach * cos(at), x + reach * cos(at)], [y + 0.55 * reach * sin(at), y + reach * sin(at)],
                    color="#b0123c", lw=0.5, zorder=7)  # fmt: skip
     for dx, dy in ((2.2, 0.0), (0.0, 2.2)):
         sheet.plot([x - dx, x + dx], [y - dy, y + dy], color=INK, lw=0.5, zorder=7)
-    sheet.text(x + reach * 0.75, y + reach * 0.8, f"joint {drive.joint.link}", color="#b0123c", weight="bold", zorder=9,
-               bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.75})  # fmt: skip
+    return LineString([(x + reach * cos(at), y + reach * sin(at)) for at in np.linspace(*ends, 24)])
 
 
 def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
@@ -183,23 +232,25 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
             a, b = put(rod[0], start), put(rod[0], start + length)
             sheet.plot([a[0], b[0]], [a[1], b[1]], color=FAINT, lw=max(1.0, settings.rod_mm * scale * 2.83), zorder=2,
                        solid_capstyle="butt")  # fmt: skip
+    labels, names = Labels(sheet), {}
     for body, profile in enumerate(kit.profiles):
         x0, _, x1, _ = profile.polygon.bounds
         for side in SIDES:
             _, up = placement(body, side, kit.layers, settings)
             a, b = put(x0, up + settings.thickness_mm), put(x1, up)
             sheet.add_patch(Rectangle(a, *(b - a), fc=PART_COLOURS[body % 6], ec=INK, alpha=0.85, zorder=3))
-            along = (body + 1) / (len(kit.profiles) + 1)  # parts of one layer may lie over one another
-            sheet.text(a[0] + along * (b[0] - a[0]), (a[1] + b[1]) / 2, f"{body + 1}", ha="center", va="center",
-                       fontsize=SMALL, zorder=6)  # fmt: skip
+            names[f"{body + 1}", (a[1] + b[1]) / 2] = (a[0], b[0])
     for item in kit.bought:
         if item.kind == "servo":
             box = item.solid.bounding_box()
             a, b = put(box.min.X, box.max.Z), put(box.max.X, box.min.Z)
             sheet.add_patch(Rectangle(a, *(b - a), fc="#3c3c42", ec=INK, alpha=0.8, zorder=5))
+            labels.keep_off(shapely_box(*np.minimum(a, b), *np.maximum(a, b)))
+    for (name, y), (start, end) in names.items():  # parts of one layer may lie over one another
+        labels.put(name, [(start + share * (end - start), y) for share in SHARES], fontsize=SMALL)
     x_end = put(high[0], 0.0)[0]
     left, right = put(low[0], 0.0)[1], put(low[0], settings.pitch_mm)[1]
-    _dimension(sheet, (x_end + 7, right), (x_end + 7, left), f"{settings.pitch_mm:g}")
+    _dimension(sheet, labels, (x_end + 7, right), (x_end + 7, left), f"{settings.pitch_mm:g}")
     left_middle = put(low[0], settings.thickness_mm / 2)[1]
     sheet.text(corner[0] - 3, left_middle, "left", ha="right", va="center", fontsize=SMALL)
     right_middle = put(low[0], deep - settings.thickness_mm / 2)[1]
@@ -208,7 +259,7 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
     sheet.text(x_end + 11, put(0.0, deep)[1], thick, va="bottom", fontsize=SMALL)
 
 
-def _tables(sheet: Axes, kit: Kit) -> float:
+def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
     """List joints, parts and what to buy on the right; give where the tables end."""
     x, y = COLUMN_X, SHEET_MM[1] - 18.0
     joints = [["joint", "turns", "rest", "range", "servo in", "longer pulse"]]
@@ -246,10 +297,9 @@ def _tables(sheet: Axes, kit: Kit) -> float:
         if line.kind != "print"
     ]
     y = _table(sheet, x, y - 6, "To buy", bought, (10, 43, 14, 55))
-    n = len(kit.faults)
-    if n:
+    if n_faults:
         y -= 8
-        said = f"{n} fault{'s' * (n > 1)} found: read the findings before you print."
+        said = f"{n_faults} fault{'s' * (n_faults > 1)} found: read the findings before you print."
         sheet.text(x, y, said, color="#b0123c", weight="bold")
     return y
 
@@ -285,12 +335,16 @@ def _title_block(sheet: Axes, kit: Kit, title: str, scale: float) -> None:
         sheet.text(x + 4, y + 13 - 5 * number, line, fontsize=SMALL)
 
 
-def _dimension(sheet: Axes, a: Sequence[float], b: Sequence[float], text: str) -> None:
+def _dimension(sheet: Axes, labels: Labels, a: Sequence[float], b: Sequence[float], text: str) -> None:
+    """Draw a distance with arrows, and its length on it or, if it is short, at one of its ends."""
     sheet.annotate("", (a[0], a[1]), (b[0], b[1]), arrowprops=DIMENSION, zorder=8)
-    slope = degrees(atan2(b[1] - a[1], b[0] - a[0]))
+    along = np.subtract(b, a)
+    slope = degrees(atan2(along[1], along[0]))
     upright = slope - 180.0 if slope > 90.0 else slope + 180.0 if slope <= -90.0 else slope
-    sheet.text((a[0] + b[0]) / 2, (a[1] + b[1]) / 2, text, ha="center", va="center", rotation=upright, zorder=9,
-               bbox={"boxstyle": "square,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.85})  # fmt: skip
+    places = [tuple(a + share * along) for share in (0.5, 0.4, 0.6, 0.3, 0.7)]
+    if (length := float(np.hypot(*along))) < SHORT_MM:
+        places = [tuple(end + sign * SHORT_MM / 2 * along / max(length, 1e-9)) for end, sign in ((b, 1), (a, -1))]
+    labels.put(text, places, rotation=upright, fontsize=7.0)
 
 
 def _patch(shape: BaseGeometry, put: Any, **style: Any) -> PathPatch:

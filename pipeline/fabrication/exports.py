@@ -5,7 +5,7 @@ The same kit gives the same bytes.
 ::
 
     robot.png  drawing.svg  drawing.pdf  drawing.png  bill.csv  robot.step
-    print/PART.stl  print/PART.3mf      one piece each, lying on the bed as it is best printed
+    print/PART.stl  print/PART.3mf      one piece each, lying on the bed as it is best printed; gauges too
     cad/PART.step                       one piece each, in its place in the robot
     profiles/PART.dxf                   outline, bores and pockets of one copy of a part
 """
@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import csv
 import io
-from pathlib import Path
 
 from matplotlib.colors import to_rgb
 
@@ -33,31 +32,17 @@ BOUGHT_COLOURS: dict[str, Colour] = {
 }
 
 
-def write_exports(kit: Kit, folder: Path, *, title: str) -> list[Path]:
-    """Write a kit's files into a folder, which is made if need be.
+def exports(kit: Kit, *, title: str, n_faults: int) -> dict[str, bytes]:
+    """Make a kit's files, by name.
 
     Args:
         kit: what to write.
-        folder: into which.
         title: of the drawing.
-
-    Returns:
-        The files, relative to the folder.
+        n_faults: that speak against building it, which the drawing tells.
     """
-    written = []
-    for name, content in exports(kit, title=title).items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-        written.append(Path(name))
-    return written
-
-
-def exports(kit: Kit, *, title: str) -> dict[str, bytes]:
-    """Make a kit's files, by name."""
     meshes = [mesh_of(part.solid) for part in kit.parts]
     files = {"robot.png": _picture(kit, meshes), "bill.csv": bill_csv(kit)}
-    files |= {f"drawing.{form}": content for form, content in assembly_drawing(kit, title).items()}
+    files |= {f"drawing.{form}": content for form, content in assembly_drawing(kit, title, n_faults).items()}
     everything = [(part.name, part.solid) for part in kit.parts] + [(item.name, item.solid) for item in kit.bought]
     files["robot.step"] = step(everything, "robot")
     for part, mesh in zip(kit.parts, meshes, strict=True):
@@ -65,6 +50,11 @@ def exports(kit: Kit, *, title: str) -> dict[str, bytes]:
         files[f"print/{part.name}.stl"] = stl(lying)
         files[f"print/{part.name}.3mf"] = three_mf([(part.name, lying)])
         files[f"cad/{part.name}.step"] = step([(part.name, part.solid)], part.name)
+    for gauge in kit.gauges:
+        mesh = mesh_of(gauge.solid)
+        mesh = Mesh(mesh.vertices - mesh.vertices.min(axis=0), mesh.triangles)
+        files[f"print/{gauge.name}.stl"] = stl(mesh)
+        files[f"print/{gauge.name}.3mf"] = three_mf([(gauge.name, mesh)])
     for (body, side), features in kit.features.items():
         cuts = [Feature("cut", "cut", cut, 0.0, kit.settings.thickness_mm) for cut in kit.splits[body].cuts]
         files[f"profiles/part-{body + 1}-{side}.dxf"] = dxf(kit.profiles[body], features, cuts)

@@ -39,7 +39,7 @@ def _torque(design: Designs, bench: Bench) -> tuple[Figure, str]:
     axes.plot([-fastest, 0, fastest], [stall, stall, 0], color=INK, label=bench.servo.name)
     axes.set(xlabel="speed in the torque's sense [rad/s]", ylabel="torque of a servo [N·m]", ylim=(0, None))
     axes.grid(True, color=FAINT)
-    axes.legend(loc="upper left", markerscale=4, fontsize=9)
+    figure.legend(loc="outside upper center", ncols=3, markerscale=4, fontsize=9)
     return figure, (
         f"Every instant of the simulated run, at the bench's scale, against what a {bench.servo.name} can give: its "
         f"straight line from stall to no load. Left of zero the joint is driven by the world and the servo brakes."
@@ -63,7 +63,7 @@ def _timeline(bench: Bench) -> tuple[Figure, str]:
         axes.plot(time[shown], np.degrees(bench.timeline.angle[shown, column]), color=colour, label=f"joint {joint}")
     axes.set(xlabel="time [s]", ylabel="angle from rest [°]")
     axes.grid(True, color=FAINT)
-    axes.legend(loc="upper right", fontsize=9)
+    figure.legend(loc="outside upper center", ncols=5, fontsize=9, columnspacing=1.2, handlelength=1.2)
     return figure, (
         f"The first {min(SHOWN, time[-1]):.0f} of {time[-1]:.0f} s: rising from rest, then the evolved gait. "
         f"It falls back to rest in the same way."

@@ -39,8 +39,13 @@ def check_place(folder: Path) -> None:
                  source=str(folder / MARK))
 
 
-def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]) -> None:
+def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]) -> list[str]:
     """Write a kit's files and its mark beside the place, and then put them there at once.
+
+    Of the kit that it replaces, what the user put there (logs of drives) or changed (the calibration) is kept.
+
+    Returns:
+        What was kept, a line each.
 
     Raises:
         PuddleError: the place holds something else, or the disk fails; what was there before is still there.
@@ -51,8 +56,9 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
     new = folder.with_name(f".{folder.name}.{os.getpid()}.new")
     old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
     with disk.explained("writing the kit", folder):
+        yours, lines = _yours(folder, files)
         try:
-            for name, content in {**files, MARK: mark}.items():
+            for name, content in {**yours, **files, MARK: mark}.items():
                 path = new / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 disk.write(path, content)
@@ -69,3 +75,28 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
         finally:
             shutil.rmtree(new, ignore_errors=True)
             shutil.rmtree(old, ignore_errors=True)
+    return lines
+
+
+def _yours(folder: Path, files: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
+    """Read what a kit's folder holds beside the kit as it was made, under the names that it will have."""
+    if not (folder / MARK).is_file():
+        return {}, []
+    mark = decode_json(disk.read(folder / MARK), str(folder / MARK))
+    made = mark["files"] if isinstance(mark.get("files"), dict) else {}
+    yours: dict[str, bytes] = {}
+    lines = []
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if name == MARK or path.is_symlink() or not path.is_file():
+            continue
+        content = path.read_bytes()
+        if made.get(name) == hashlib.sha256(content).hexdigest() or files.get(name) == content:
+            continue
+        kept, number = name, 0
+        while kept in files or kept in yours:
+            number += 1
+            kept = path.with_stem(f"{path.stem}-yours-{number}").relative_to(folder).as_posix()
+        yours[kept] = content
+        lines.append(f"Kept {name}{'' if kept == name else f', which you had changed, as {kept}'}.")
+    return yours, lines

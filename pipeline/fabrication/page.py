@@ -10,18 +10,23 @@ from string import Template
 
 from pipeline.fabrication.bench import Bench
 from pipeline.report.drawing import Drawing, Missing
-from pipeline.report.moving import resource
+from pipeline.report.moving import document
 from pipeline.report.page import inline_svg
 from pipeline.report.words import absent
 from tasks.fabrication.checks import Finding
 from tasks.fabrication.kit import Kit
+from tasks.fabrication.servos import MEASURES, Servo
 from tasks.world import Physics
+
+POLICY = "img-src 'self' data: file:"
+"""The kit's pictures lie beside its page."""
 
 LAWS = {
     "froude": "Froude's law: gravity, buoyancy, drag and inertia keep their proportions, so the simulated motion is a "
     "prediction of the bench's. Times shrink by the root of the scale. It asks the servos to be quick.",
     "kept_frequencies": "Kept frequencies: a second stays a second. Gravity and buoyancy keep their size beside one "
-    "another; inertia and drag are weaker by the scale. The robot moves slowly, and not quite as simulated.",
+    "another; inertia and drag are weaker by the scale. The robot moves slowly, within more "
+    "servos' reach, but not as simulated: what is said below of its way and its speed is no prediction.",
 }
 
 
@@ -55,27 +60,32 @@ def render_kit(
         else '<p class="finding">Nothing found speaks against building it.</p>'
     )
     pieces = {
-        "css": resource("page.css"),
         "title": escape(title),
         "name": escape(name),
         "verdict": verdict,
         "origin": f"<p>{escape(origin)}</p>",
         "findings": _findings(findings),
         "parts": _parts(kit),
+        "measures": _measures(kit, bench.servo),
         "bill": _bill(kit),
         "scale": _scale(bench, drawings["torque"], law, physics, slush_density, frequency),
         "timeline": _timeline(bench, drawings["timeline"]),
         "folder": escape(folder),
         "chosen": f"<details><summary>Settings</summary><pre><code>{escape(settings_yaml)}</code></pre></details>",
     }
-    return Template(files("pipeline.fabrication").joinpath("kit.html").read_text(encoding="utf-8")).substitute(pieces)
+    body, css = (files("pipeline.fabrication").joinpath(f"kit.{kind}").read_text("utf-8") for kind in ("html", "css"))
+    return document(title=pieces["title"], policy=POLICY, body=Template(body).substitute(pieces), css=f"\n{css}")
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") -> str:
-    """Lay out cells that are HTML already."""
+    """Lay out cells that are HTML already; on a narrow screen a row becomes a list, each cell named by its column."""
     top = "".join(f"<th>{cell}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+    lines = (
+        "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(head, row, strict=True)) for row in rows
+    )
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return (f'<div class="scroll"><table class="rows {kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody>'
+            f"</table></div>")
 
 
 def _figure(drawing: Drawing | Missing) -> str:
@@ -107,6 +117,30 @@ def _parts(kit: Kit) -> str:
         f'<a href="profiles/part-{body + 1}-{side}.dxf">part-{body + 1}-{side}</a>' for body, side in kit.features
     )
     return _table(["part", "size [mm]", "mass [g]", "files"], rows) + f"<p>Profiles (DXF): {profiles}</p>"
+
+
+def _measures(kit: Kit, servo: Servo) -> str:
+    if not kit.gauges:
+        return "<p>No joint is driven: there is no servo to measure.</p>"
+    (horn,) = servo.horns
+    rows = [
+        [f"<code>{name}</code>", words, f"{getattr(horn if hasattr(horn, name) else servo, name):g}",
+         escape(servo.sources.get(name, "nobody: a common measure"))]
+        for name, words in MEASURES.items()
+    ]  # fmt: skip
+    prints = ", ".join(
+        f'{gauge.name} ({gauge.mass_g:.0f} g: <a href="print/{gauge.name}.stl">STL</a> '
+        f'<a href="print/{gauge.name}.3mf">3MF</a>)'
+        for gauge in kit.gauges
+    )
+    taken = _table(["name", "what", "mm", "from"], rows, "left")
+    return (
+        f"<p>Clones of a {escape(servo.name)} differ, and horns more so. Before the parts, print the two gauges, "
+        f"slices of this kit's own parts: {prints}. The servo goes into the first from above, ears on the plate, and "
+        f"its screws meet their holes; the horn lies flush in the second. Where they don't fit, say what your caliper "
+        f"says, and make the kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
+        f"<details><summary>What was taken, and from whom</summary>{taken}</details>"
+    )
 
 
 def _bill(kit: Kit) -> str:
@@ -149,9 +183,9 @@ def _scale(
     unlike = ": where the simulated robot was too weak, on dry land say, this one may not be" if stall > limit else ""
     said = [
         f"<p>{escape(LAWS[law])}</p>",
-        "<p>The paper gives the length's scale and not the time's; its runs of up to 150 s over 1.17 m (16.7 m of "
-        "simulation) are those of kept frequencies, which the study's virtual tank assumes too. The other law is one "
-        "setting away: <code>--set scaling.law=…</code>.</p>",
+        "<p>The paper gives the scale of lengths and not that of times; it compares whether the robot crosses the "
+        "tank, not how fast. The virtual tank of a study reckons by Froude's law, whichever is chosen here. The other "
+        "law is one setting away: <code>--set scaling.law=…</code>.</p>",
         _table(["", "in simulation", "on the bench"], units, "left"),
         f"<p>A {escape(servo.name)} has {servo.stall_torque_nm:.2f} N·m at rest and "
         f"{servo.no_load_speed_rad_s:.1f} rad/s unloaded, at {servo.voltage_v:g} V; {bench.servos_per_joint} at each "

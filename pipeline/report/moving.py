@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
 from itertools import groupby
+from string import Template
 
 from pipeline.report.replay import Replay, encode
 from pipeline.report.words import absent, number
@@ -21,6 +22,19 @@ SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
 def resource(name: str) -> str:
     """Read a file of the page's own."""
     return files("pipeline.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def document(*, title: str, policy: str, body: str, css: str = "") -> str:
+    """Give a whole page: a study's, a kit's.
+
+    Args:
+        title: HTML already.
+        policy: what may be loaded beside styles, as a Content-Security-Policy.
+        body: HTML.
+        css: besides page.css.
+    """
+    pieces = {"title": title, "policy": policy, "css": resource("page.css").rstrip() + css, "body": body.rstrip()}
+    return Template(resource("document.html")).substitute(pieces)
 
 
 # -- the gallery ------------------------------------------------------------------------------------------------------

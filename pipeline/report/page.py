@@ -1,7 +1,7 @@
 """The page of a study: one HTML file that needs nothing else, for a desk or a phone, by day or by night.
 
-The words that stay are in page.html, the looks in page.css, the replay viewer in viewer.js; here is what depends on the
-study. Every text that comes from the study is escaped.
+The words that stay are in page.html, what any page begins with in document.html, the looks in page.css, the replay
+viewer in viewer.js; here is what depends on the study. Every text that comes from the study is escaped.
 """
 
 from __future__ import annotations
@@ -27,11 +27,14 @@ from pipeline.report.data import (
 )
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
 from pipeline.report.figures import draw_all
-from pipeline.report.moving import gallery, resource, script, viewer
+from pipeline.report.moving import document, gallery, resource, script, viewer
 from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
 from pipeline.report.transfer_table import transfer_table
 from pipeline.report.words import absent, number, percent
 from pipeline.settings import EnvironmentName
+
+POLICY = "script-src 'unsafe-inline'; img-src data:"
+"""Nothing from elsewhere."""
 
 LARGEST = 1.5
 """Pixels for a unit of a figure, at most: its letters then have the size of a heading's."""
@@ -55,7 +58,6 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
     pieces = {
         "title": escape(report.title),
         "name": escape(report.name),
-        "css": resource("page.css"),
         "finding": _finding(report.trials),
         "set_aside": _set_aside(report.set_aside),
         "gallery": gallery(report.replays, lost=lost),
@@ -73,7 +75,7 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         "script": script(report.replays),
         **figures,
     }
-    return Template(resource("page.html")).substitute(pieces)
+    return document(title=pieces["title"], policy=POLICY, body=Template(resource("page.html")).substitute(pieces))
 
 
 # -- words ------------------------------------------------------------------------------------------------------------

@@ -227,8 +227,10 @@ def tank_tests(findings: Findings) -> str:
         f"tank of {tank.length:g} m, filled {1000 * tank.depth:g} mm deep, at {1000 * tank.scale:g} mm for a metre of "
         f"simulation: {tank.simulated_length:.1f} m by {tank.simulated_depth:.2f} m to the robot; and on its dry "
         "floor. It has crossed when its centre of mass has come as far as its front was from the other end, in "
-        f"{tank.seconds:g} s at most. The paper’s robot crossed in 8 of 8 trials, and moved a few centimetres on the "
-        "dry floor.</p>"
+        f"{tank.seconds:g} s at most. What is said of the tank is of the robot as built: lengths by that scale, "
+        f"times by Froude’s law, under which a second of simulation is {tank.built_seconds(1.0):.3f} s; it alone keeps "
+        "the proportions of all forces. The paper gives no scale of times. Its robot crossed in 8 of 8 trials, and "
+        "moved a few centimetres on the dry floor.</p>"
     )
     tables = "".join(_tank_table(test) for test in findings.tank_tests)
     return f'<section id="tank"><h2>The robot to build</h2>{said}{tables}</section>'
@@ -258,15 +260,16 @@ def _tank_table(test: TankTest) -> str:
 
 
 def _crossing(found: Crossing, tank: Tank) -> str:
-    """Say how long a robot took, or how far it came; and at what speed, in the built robot's millimetres."""
+    """Say how long a robot took, or how far it came; and at what speed, both as built."""
     if not isfinite(found.travelled):
         return f"{NONE}<small>it diverged</small>"
-    speed = f"{number(1000 * tank.scale * found.speed)} mm/s built"
+    speed = f"{number(1000 * tank.built_speed(found.speed))} mm/s"
     if found.crossed:
-        return f"{found.seconds:.0f} s<small>{speed}</small>"
+        return f"{tank.built_seconds(found.seconds):.0f} s<small>{speed}</small>"
     if found.distance <= 0:
         return f"{NONE}<small>it is as long as the tank</small>"
-    return f"{number(found.travelled)} of {number(found.distance)} m<small>{speed}</small>"
+    travelled, distance = (number(100 * tank.scale * metres) for metres in (found.travelled, found.distance))
+    return f"{travelled} of {distance} cm<small>{speed}</small>"
 
 
 # -- a champion's line ------------------------------------------------------------------------------------------------

@@ -51,7 +51,7 @@ the one that the page films (where none survives True Slush, of the best where i
 ``tank/<environment>/<depth>m``, the champions of one arm and which to build, where the settings have a tank:
     tank.parquet         a row per champion: trial, proposed; zero_shot, dry_land, dry_land_com; of each X = wet, dry
                          (the tank filled and drained): X_length, X_distance, X_travelled [m of simulation], X_crossed,
-                         X_seconds [s], X_speed [m/s]
+                         X_seconds, X_speed [of simulation]
 """
 
 from __future__ import annotations
@@ -147,9 +147,11 @@ def plan(settings: Settings) -> Sequence[Chain]:
         more = {"environment": environment, "depth": depth, "held_out": held_out, **promised}
         chains.append(chain(INSTRUMENTS, arm_label(environment, depth), arm, rollouts, environment, **more))
         if settings.tank is not None:
-            of_tank = {"environment": environment, "depth": depth, "tank": settings.tank.model_dump(mode="json")}
+            of_tank: dict[str, Any] = {"environment": environment, "depth": depth}
+            of_tank["tank"] = settings.tank.model_dump(mode="json")
             label = tank_label(environment, depth)
-            n_steps = settings.tank.n_steps(settings.physics.time_step) + settings.rollout.n_settle
+            of_tank["n_steps"] = settings.tank.n_steps(settings.physics.time_step)
+            n_steps = of_tank["n_steps"] + settings.rollout.n_settle
             n_rollouts = 1 + 2 * n_steps / (settings.rollout.n_settle + settings.rollout.n_measure)  # land, wet and dry
             chains.append(chain(TANK, label, arm, ceil(len(arm) * n_rollouts), "true_slush", **of_tank, **simulated))
     return chains
@@ -319,16 +321,16 @@ def _report_tank(label: str, files: Files, of: Tank) -> Report:
         return [], {}
     row = {name: column[proposed].item() for name, column in table.items()}
     in_slush, on_floor = (
-        f"crosses in {row[f'{where}_seconds']:.0f} s" if row[f"{where}_crossed"]
+        f"crosses in {of.built_seconds(row[f'{where}_seconds']):.0f} s" if row[f"{where}_crossed"]
         else f"comes {row[f'{where}_travelled']:.2f} of {row[f'{where}_distance']:.2f} m in {of.seconds:g} s"
         for where in ("wet", "dry")
     )  # fmt: skip
-    speed_mm = 1000 * of.scale * row["wet_speed"]
+    speed_mm = 1000 * of.built_speed(row["wet_speed"])
     lines = [
         f"{label}: to build: the champion of trial {row['trial']}, {row['zero_shot']:.2f} m in True Slush, the nearest "
         f"to the champions' mean of {np.nanmean(table['zero_shot']):.2f} m; on Dry Land {row['dry_land']:.2f} m",
         f"{label}: in the tank of {of.simulated_length:.1f} m x {of.simulated_depth:.2f} m of simulation it {in_slush} "
-        f"(built, {speed_mm:.1f} mm/s); on the dry floor it {on_floor}",
+        f"({speed_mm:.0f} mm/s) as built; on the dry floor it {on_floor}",
         f"{label}: {int(table['wet_crossed'].sum())} of {len(table['trial'])} champions cross the tank, "
         f"{int(table['dry_crossed'].sum())} on its dry floor",
     ]

@@ -2,13 +2,21 @@
 
 The paper put its robot at one end of a tank of gel beads and water, and waited until it reached the other end or 150 s
 had passed; then it drained the tank and did the same on the dry floor. Here the tank is measured in the robot's own
-scale, so that the robot stays as it was simulated. A second of simulation is a second of the tank: the servos play the
-controller as it is. The tank has no walls: what a robot does when it meets them is not asked.
+scale, so that the robot stays as it was simulated: its metres by the scale of lengths, its seconds by Froude's law.
+150 s beside a tank are 567 s of simulation at 70 mm per metre.
+
+The paper tells the scale of lengths and not that of times, and compares whether a robot crosses, not how fast. Froude's
+law is ours, as it is the kit's default (tasks/fabrication/scaling.py): under the same gravity it alone keeps weight,
+buoyancy, drag and inertia in proportion, so that what the simulation does is a prediction of what the tank will show.
+Under any other law a time in the simulation says nothing of one beside the tank.
+
+The tank has no walls: what a robot does when it meets them is not asked.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +29,14 @@ from tasks.simulation import Rollouts
 Floats = npt.NDArray[np.float64]
 
 
+def froude_time(length: float) -> float:
+    """Give the seconds that pass while a second of simulation is played at a scale of lengths, by Froude's law.
+
+    Gravity is the same in both, so that a length over a time squared is: t² goes as the length.
+    """
+    return sqrt(length)
+
+
 class Tank(Parameters):
     """The tank and how the robot is scaled to it; the paper's by default."""
 
@@ -31,7 +47,7 @@ class Tank(Parameters):
     scale: float = Field(default=0.07, gt=0.0, le=10.0)
     """Metres that are built for a metre of simulation. [P]"""
     seconds: float = Field(default=150.0, gt=0.0, le=10_000.0)
-    """How long a robot is given [s]. [P]"""
+    """How long a robot is given, by a clock beside the tank [s]. [P]"""
 
     @property
     def simulated_length(self) -> float:
@@ -43,14 +59,27 @@ class Tank(Parameters):
         """Depth in the simulation [m]."""
         return self.depth / self.scale
 
+    @property
+    def simulated_seconds(self) -> float:
+        """How long a robot is given in the simulation [s]."""
+        return self.seconds / froude_time(self.scale)
+
     def n_steps(self, time_step: float) -> int:
         """Count the steps that a robot is given."""
-        return max(1, round(self.seconds / time_step))
+        return max(1, round(self.simulated_seconds / time_step))
+
+    def built_seconds(self, simulated: float) -> float:
+        """Turn seconds of simulation into seconds beside the tank."""
+        return simulated * froude_time(self.scale)
+
+    def built_speed(self, simulated: float) -> float:
+        """Turn a speed in the simulation into one in the tank [m/s]."""
+        return simulated * self.scale / froude_time(self.scale)
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """How one robot fared in the tank; lengths and speeds in the simulation's metres."""
+    """How one robot fared in the tank, in the simulation's metres and seconds."""
 
     length: float
     """From end to end of the robot, along the tank, once it has settled [m]; NaN where it diverged."""
@@ -61,7 +90,7 @@ class Crossing:
     crossed: bool
     """Whether it got across in time; a robot as long as the tank does not."""
     seconds: float
-    """Until it had crossed [s]; NaN if it did not."""
+    """Until it had crossed [s of simulation]; NaN if it did not."""
     speed: float
     """``travelled`` over the time that it took [m/s]."""
 

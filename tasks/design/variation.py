@@ -9,7 +9,6 @@ A morphology that asks for something makes operators draw again what it refuses.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -19,8 +18,8 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field
 
-from tasks.design.genes import GENES, N_GENES, N_LINKS, ROOT_PARENT, Designs, Gene, Part, canonical
-from tasks.design.morphology import ANY_BODY, Drawn, Ints, Morphology, until_apart
+from tasks.design.genes import GENES, N_GENES, N_LINKS, ROOT_PARENT, Designs, Gene, Part
+from tasks.design.morphology import ANY_BODY, Drawn, Floats, Ints, Morphology, until_apart
 from tasks.parameters import Parameters
 
 
@@ -66,17 +65,13 @@ def draw_random(
         body: one design whose body all get.
         morphology: what bodies keep to.
     """
-
-    def draw(which: Ints) -> Designs:
-        return _random(len(which), rng, body, morphology)
-
     if body is not None or morphology.unjoined_links == "may_overlap":
-        return _drawn_once(draw, len(wanted))
-    return until_apart(draw, wanted)
+        return _drawn_once(_random(len(wanted), rng, body, morphology))
+    return until_apart(lambda which: _random(len(which), rng, body, morphology), wanted)
 
 
-def _drawn_once(draw: Callable[[Ints], Designs], n_designs: int) -> Drawn:
-    return Drawn(draw(np.arange(n_designs)), np.ones(n_designs, dtype=np.int64))
+def _drawn_once(designs: Designs) -> Drawn:
+    return Drawn(designs, np.ones(len(designs), dtype=np.int64))
 
 
 def _random(n_designs: int, rng: Generator, body: Designs | None, morphology: Morphology) -> Designs:
@@ -86,18 +81,19 @@ def _random(n_designs: int, rng: Generator, body: Designs | None, morphology: Mo
         parent[:, link] = rng.integers(0, link, n_designs)
     if morphology.n_actuated is not None:
         drawn["motor_on"][:, 1:] = _highest(rng.random((n_designs, N_LINKS - 1)), morphology.n_actuated)
-    designs = canonical(Designs(parent=parent, **drawn))
+    designs = Designs(parent=parent, **drawn)
     return designs if body is None else _with_body(designs, body, morphology)
 
 
 def _draw(gene: Gene, n_designs: int, rng: Generator) -> npt.NDArray[Any]:
     shape = (n_designs, N_LINKS) if gene.per_link else (n_designs,)
-    if gene.kind == "flag":
-        return rng.random(shape) < 0.5
-    return rng.uniform(gene.low, gene.high, shape)
+    drawn = rng.random(shape) < 0.5 if gene.kind == "flag" else rng.uniform(gene.low, gene.high, shape)
+    if not gene.of_root:
+        drawn[:, 0] = 0  # so that designs that behave alike are equal
+    return drawn
 
 
-def _highest(score: npt.NDArray[np.float64], n: int) -> npt.NDArray[np.bool_]:
+def _highest(score: Floats, n: int) -> npt.NDArray[np.bool_]:
     """Mark the n highest scores of each row."""
     rank = np.argsort(np.argsort(-score, axis=1, kind="stable"), axis=1, kind="stable")
     return np.asarray(rank < n)
@@ -154,13 +150,10 @@ def draw_mutants(
     morphology: Morphology = ANY_BODY,
 ) -> Drawn:
     """Mutate designs as :func:`mutate` does, and count the draws."""
-
-    def draw(which: Ints) -> Designs:
-        return _mutant(designs[which], rng, mutation, parts, morphology)
-
     if "body" not in parts or morphology.unjoined_links == "may_overlap":
-        return _drawn_once(draw, len(designs))
-    return until_apart(draw, np.ones(len(designs), dtype=bool))
+        return _drawn_once(_mutant(designs, rng, mutation, parts, morphology))
+    everybody = np.ones(len(designs), dtype=bool)
+    return until_apart(lambda which: _mutant(designs[which], rng, mutation, parts, morphology), everybody)
 
 
 def _mutant(
@@ -169,16 +162,17 @@ def _mutant(
     genes = tuple(gene for gene in GENES if _part_of(gene, morphology) in parts)
     limits = _limits(genes)
     table = np.concatenate([_columns(gene, getattr(designs, gene.name)) for gene in genes], axis=1)
-    varied = table
+    varied = table.copy()
     changes = rng.random(table.shape) < mutation.genes_changed / N_GENES
     while True:
         steps = rng.standard_normal(table.shape) * mutation.step
-        stepped = _stepped(limits, table, steps)
         if morphology.n_actuated is not None:
-            stepped[:, limits.is_flag] = _moved(table[:, limits.is_flag], changes[:, limits.is_flag], rng)
-            # A flag that moves takes the place of another, which then changes too.
-            changes |= limits.is_flag & (stepped != table)
-        varied = np.where(changes, stepped, varied)
+            flags = table[:, limits.is_flag]
+            moved = _moved(flags, changes[:, limits.is_flag], rng)
+            varied[:, limits.is_flag] = np.where(moved == flags, varied[:, limits.is_flag], moved)
+            changes &= ~limits.is_flag  # a flag that moved took the place of another
+        rows, columns = changes.nonzero()  # a few in a hundred
+        varied[rows, columns] = _stepped(limits, columns, table[rows, columns], steps[rows, columns])
         same = (varied == table).all(axis=1)
         if not same.any():
             break
@@ -189,17 +183,15 @@ def _mutant(
     changed = {name: array.copy() for name, array in designs.arrays()}
     first = 0
     for gene in genes:
-        columns = _columns(gene, changed[gene.name])
-        columns[:] = varied[:, first : first + columns.shape[1]]
-        first += columns.shape[1]
+        numbers = _columns(gene, changed[gene.name])
+        numbers[:] = varied[:, first : first + gene.n_numbers]
+        first += gene.n_numbers
     if "body" in parts:
         _rewire(changed["parent"], rng, mutation.rewiring)
     return Designs(**changed)
 
 
-def _moved(
-    flags: npt.NDArray[np.float64], moves: npt.NDArray[np.bool_], rng: Generator
-) -> npt.NDArray[np.float64]:
+def _moved(flags: Floats, moves: npt.NDArray[np.bool_], rng: Generator) -> Floats:
     """Let each flag that is to move change places with one that is its opposite, drawn uniformly.
 
     Args:
@@ -224,8 +216,8 @@ def _columns(gene: Gene, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 class _Limits(NamedTuple):
     """Of every number in a table of genes."""
 
-    low: npt.NDArray[np.float64]
-    high: npt.NDArray[np.float64]
+    low: Floats
+    high: Floats
     is_angle: npt.NDArray[np.bool_]
     is_flag: npt.NDArray[np.bool_]
 
@@ -241,16 +233,14 @@ def _limits(genes: tuple[Gene, ...]) -> _Limits:
     )
 
 
-def _stepped(
-    limits: _Limits, table: npt.NDArray[np.float64], steps: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """Move every number of a table of genes by a share of its gene's range, and back within its bounds."""
-    low, high, is_angle, is_flag = limits
-    moved = table + steps * (high - low)
+def _stepped(limits: _Limits, columns: Ints, values: Floats, steps: Floats) -> Floats:
+    """Move numbers of some columns of a table of genes by a share of their gene's range, and back within its bounds."""
+    low, high, is_angle, is_flag = (of_all.take(columns) for of_all in limits)
+    moved = values + steps * (high - low)
     wrapped = low + np.mod(moved - low, high - low)
     # The clip also catches the rounding of a remainder just below an angle's end.
     within = np.clip(np.where(is_angle, wrapped, moved), low, high)
-    return np.where(is_flag, 1.0 - table, within)
+    return np.where(is_flag, 1.0 - values, within)
 
 
 def _rewire(parent: npt.NDArray[np.int64], rng: Generator, probability: float) -> None:
@@ -288,12 +278,12 @@ MAX_RECOMBINATIONS = 256
 
 def draw_recombinations(one: Designs, other: Designs, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Drawn:
     """Recombine designs as :func:`crossover` does, and count the draws."""
+    if morphology.unjoined_links == "may_overlap":
+        return _drawn_once(_recombination(one, other, rng, morphology))
 
     def draw(which: Ints) -> Designs:
         return _recombination(one[which], other[which], rng, morphology)
 
-    if morphology.unjoined_links == "may_overlap":
-        return _drawn_once(draw, len(one))
     everybody = np.ones(len(one), dtype=bool)
     return until_apart(draw, everybody, max_draws=MAX_RECOMBINATIONS, otherwise=_with_body(other, one, morphology))
 

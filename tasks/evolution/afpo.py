@@ -164,7 +164,7 @@ def ask(
     if n_parents == 0:
         operator[:] = RANDOM
     drawn = draw_random(operator == RANDOM, rng, body=body, morphology=morphology)
-    arrays = {name: array.copy() for name, array in drawn.designs.arrays()}
+    groups, place = [drawn.designs], np.arange(n_children)
     n_draws = drawn.n_draws.copy()
     age = np.zeros(n_children, dtype=np.int64)
     parents = np.full((n_children, 2), NOBODY, dtype=np.int64)
@@ -179,7 +179,8 @@ def ask(
         mutated = draw_mutants(
             population.designs[chosen], rng, mutation=afpo.mutation, parts=parts, morphology=morphology
         )
-        _put(arrays, mutants, mutated.designs)
+        groups.append(mutated.designs)
+        place[mutants] = n_children + np.arange(mutants.size)
         n_draws[mutants] = mutated.n_draws
         age[mutants] = population.age[chosen]
         parents[mutants, 0] = population.identity[chosen]
@@ -189,27 +190,21 @@ def ask(
         crossed = draw_recombinations(
             population.designs[left], population.designs[right], rng, morphology=morphology
         )
-        _put(arrays, recombined, crossed.designs)
+        groups.append(crossed.designs)
+        place[recombined] = n_children + mutants.size + np.arange(recombined.size)
         n_draws[recombined] = crossed.n_draws
         age[recombined] = np.maximum(population.age[left], population.age[right])
         parents[recombined] = np.stack([population.identity[left], population.identity[right]], axis=1)
 
     identity = population.n_evaluated + np.arange(n_children)
-    designs = Designs.from_arrays(arrays)
     return Children(
-        designs=designs,
+        designs=concatenate(groups)[place],
         age=age,
         identity=identity,
         operator=operator.astype(np.int64),
         parents=parents,
         n_draws=n_draws,
     )
-
-
-def _put(arrays: Mapping[str, npt.NDArray[Any]], where: Ints, replacements: Designs) -> None:
-    """Put designs in the place of others."""
-    for name, array in replacements.arrays():
-        arrays[name][where] = array
 
 
 def tell(
@@ -252,7 +247,10 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     """
     eligible = np.flatnonzero(np.isfinite(fitness))
     fitness, age = fitness[eligible], age[eligible]
-    beaten = ((fitness[None, :] > fitness[:, None]) & (age[None, :] <= age[:, None])).any(axis=1)
+    by_age = np.argsort(age, kind="stable")
+    best_so_far = np.maximum.accumulate(fitness[by_age])
+    as_young = np.searchsorted(age[by_age], age, side="right")  # how many are of a design's age or younger
+    beaten = best_so_far[as_young - 1] > fitness
     front = np.flatnonzero(~beaten)
     front = front[np.argsort(-fitness[front], kind="stable")][:n_survivors]
     dominated = np.flatnonzero(beaten)

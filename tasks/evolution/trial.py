@@ -80,9 +80,16 @@ def _record(generation: int, children: Children, evaluation: Evaluation, survivo
         "age": children.age,
         "parents": children.parents,
         "n_draws": children.n_draws,
-        "survived": np.isin(children.identity, survivors.identity),
+        "survived": _mark(survivors.identity - children.identity[0], len(children.age)),
         "fitness": evaluation.fitness,
         "displacement": evaluation.displacement,
         "com_displacement": evaluation.com_displacement,
         **dict(children.designs.arrays()),
     }
+
+
+def _mark(places: npt.NDArray[np.int64], n: int) -> npt.NDArray[np.bool_]:
+    """Mark those of n places that are named; names below 0 are of others."""
+    marked = np.zeros(n, dtype=bool)
+    marked[places[places >= 0]] = True
+    return marked

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import pi
 
 from tasks.fabrication.drives import Drive
-from tasks.fabrication.features import horn_seat_mm, longest_screw, plate_mm, sinking_mm
+from tasks.fabrication.features import ear_screw_mm, horn_screw
 from tasks.fabrication.parts import Part, pin_length_mm
 from tasks.fabrication.rods import Layers
 from tasks.fabrication.settings import KitSettings
@@ -41,11 +41,9 @@ def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, sett
     for drive in drives:
         servo, n = drive.servo, settings.servos_per_joint
         n_servos, n_pins = n_servos + n, n_pins + 2 - n
-        ear = longest_screw(servo.ear_thickness_mm + plate_mm(drive))
-        screws[f"{servo.ear_screw_name} × {ear}", "ears"] += n * len(drive.ear_holes())
-        web = horn_seat_mm(drive, settings) - sinking_mm(drive, settings)
-        horn = longest_screw(web + drive.horn.thickness_mm)
-        screws[f"{drive.horn.screw_name} × {horn}", "horn"] += n * len(drive.horn_holes())
+        screws[f"{servo.ear_screw_name} × {ear_screw_mm(drive)}", "ears"] += n * len(drive.ear_holes())
+        screw = f"{drive.horn.screw_name} × {horn_screw(drive, settings).length_mm}"
+        screws[screw, "horn"] += n * len(drive.horn_holes())
         screws[servo.centre_screw_name, "centre of the horn, comes with the servo"] += n
     if n_servos:
         servo = drives[0].servo

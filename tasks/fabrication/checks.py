@@ -16,9 +16,10 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.design import N_LINKS
 from tasks.fabrication.drives import Drive
-from tasks.fabrication.features import Feature
+from tasks.fabrication.features import Feature, ear_screw_mm, horn_screw
 from tasks.fabrication.rigid import Mechanism, Pose, moved
 from tasks.fabrication.rods import Layers
+from tasks.fabrication.servos import MEASURES
 from tasks.fabrication.settings import KitSettings
 from tasks.fabrication.splits import Split, bed_mm
 
@@ -75,6 +76,8 @@ def findings_of(
         *_travel(drives),
         *_cradles(mechanism, drives),
         *_shared_room(drives),
+        *_screws(drives, settings),
+        *_unmeasured(drives),
         *_walls(mechanism, outlines, features, settings),
         *_necks(mechanism, outlines, settings),
         *_collisions(mechanism, outlines, layers, settings),
@@ -129,6 +132,32 @@ def _shared_room(drives: Sequence[Drive]) -> Iterator[Finding]:
                 apart = ((a.joint.at[0] - b.joint.at[0]) ** 2 + (a.joint.at[1] - b.joint.at[1]) ** 2) ** 0.5
                 yield Finding("servos in one place", "fault", f"joints {a.joint.link} and {b.joint.link}",
                               f"are {apart:.1f} mm apart on part {body + 1}; their hollows share {shared:.0f} mm²")
+
+
+def _screws(drives: Sequence[Drive], settings: KitSettings) -> Iterator[Finding]:
+    """Threads shorter than their diameter; the same at every joint."""
+    for drive in drives[:1]:
+        servo, horn = drive.servo, drive.horn
+        for what, held, diameter in (
+            (f"{horn.screw_name} screws hold in the {horn.kind} horn", horn_screw(drive, settings).engaged_mm,
+             horn.screw_mm),
+            (f"{servo.ear_screw_name} screws through the ears hold in the plate",
+             ear_screw_mm(drive) - servo.ear_thickness_mm, servo.ear_screw_mm),
+        ):  # fmt: skip
+            if held < diameter:
+                yield Finding("short thread", "warning", "every joint",
+                              f"{what} by {held:.1f} mm, expected their diameter, {diameter:g} mm, or more: glue the "
+                              f"threads, or take a thicker one (--set kit.measured...)")
+
+
+def _unmeasured(drives: Sequence[Drive]) -> Iterator[Finding]:
+    for drive in drives[:1]:
+        unknown = [name for name in MEASURES if name not in drive.servo.sources]
+        if unknown:
+            yield Finding("not measured", "warning", "every joint",
+                          f"{len(unknown)} of {len(MEASURES)} measures of a {drive.servo.name} and its "
+                          f"{drive.horn.kind} horn are common ones that nobody has checked: {', '.join(unknown)}. "
+                          f"Measure yours and print the gauges before the parts")
 
 
 def _walls(

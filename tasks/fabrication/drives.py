@@ -28,7 +28,7 @@ from shapely import affinity, box, unary_union
 from shapely.geometry.base import BaseGeometry
 
 from tasks.fabrication.rigid import Joint, Mechanism, Point, swept
-from tasks.fabrication.servos import Horn, Sense, Servo, servo_named
+from tasks.fabrication.servos import Horn, Sense, Servo, as_measured, servo_named
 from tasks.fabrication.settings import KitSettings
 
 HIT_COST = 10.0
@@ -103,7 +103,7 @@ class Drive:
     @property
     def recess_radius_mm(self) -> float:
         """Within which the horn lies, with clearance."""
-        return max(self.horn.reach_mm) + self.clearance_mm
+        return max(self.horn.long_mm, self.horn.short_mm) + self.clearance_mm
 
     @property
     def recess(self) -> BaseGeometry:
@@ -151,14 +151,23 @@ class Drive:
         return 1 if signs > 0 else -1
 
 
+def servo_of(settings: KitSettings) -> Servo:
+    """Give the servo that a kit is made for, with its one horn.
+
+    Raises:
+        ServoError: the library has no such servo, or it no such horn, or its measures contradict one another.
+    """
+    return as_measured(servo_named(settings.servo), settings.horn, settings.measured)
+
+
 def drives_of(mechanism: Mechanism, settings: KitSettings) -> tuple[Drive, ...]:
     """Choose for every joint, one after the other, which part carries its servo and how it lies.
 
     Raises:
-        ServoError: the library has no such servo, or it no such horn.
+        ServoError: as :func:`servo_of`.
     """
-    servo = servo_named(settings.servo)
-    horn = servo.horn(settings.horn)
+    servo = servo_of(settings)
+    (horn,) = servo.horns
     ways = {body.index: _ways(mechanism, body.index) for body in mechanism.bodies} if mechanism.joints else {}
     drives: list[Drive] = []
     for number, joint in enumerate(mechanism.joints):

@@ -30,10 +30,14 @@ HEAD = 2.0
 """Of a screw's diameter: its head, nearly."""
 HEAD_CLEAR_MM = 1.0
 """Added to a head's diameter where it and the driver pass."""
-WEB_MM = 6.0
-"""Of plastic under the heads of the horn's screws, where there is room to sink them."""
-SCREW_LENGTHS_MM = (4, 5, 6, 8, 10, 12, 14, 16, 18, 20, 22, 25, 30, 35, 40, 50, 60)
-"""That are sold."""
+WEB_MM = 5.0
+"""Of plastic under the heads of the horn's screws, at least."""
+TIP_MM = 0.5
+"""By which those screws come out of the horn, so that its whole thickness holds them, and stay off the servo's case."""
+MEET_MM = 0.5
+"""By which sunk heads and the centre screw's hole overlap where there is no room for a wall between them."""
+SCREW_LENGTHS_MM = (4, 5, 6, 8, 10, 12, 16, 20, 25, 30, 35, 40, 50, 60)
+"""That are sold: the preferred lengths of ISO 4762 and ISO 7049."""
 
 
 class KitError(ValueError):
@@ -63,6 +67,20 @@ def bore(label: str, group: str, at: Point, diameter: float, low: float, high: f
 def plate_mm(drive: Drive) -> float:
     """Give the thickness of the plate that the ears are screwed to: what the case is higher than its ears."""
     return drive.servo.height_mm - drive.servo.ear_bottom_mm - drive.servo.ear_thickness_mm
+
+
+def ear_screw_mm(drive: Drive) -> int:
+    """Choose the longest screw that is sold and ends within the plate that the ears are screwed to.
+
+    Raises:
+        KitError: even the shortest would come out of it.
+    """
+    reach = drive.servo.ear_thickness_mm + plate_mm(drive)
+    fitting = [length for length in SCREW_LENGTHS_MM if length <= reach]
+    if not fitting:
+        raise KitError(f"servo {drive.servo.name}: its ears and the plate before them are {reach:g} mm thick, expected "
+                       f"{SCREW_LENGTHS_MM[0]} or more, the shortest screw")
+    return fitting[-1]
 
 
 def check_room_between(drives: Sequence[Drive], settings: KitSettings) -> None:
@@ -117,19 +135,24 @@ def horn_features(drive: Drive, settings: KitSettings) -> list[Feature]:
         features = [bore("horn", group, at, 2 * drive.recess_radius_mm, seat, thickness)]
     else:
         half = horn.arm_width_mm / 2 + drive.clearance_mm
-        long, wide = (reach + drive.clearance_mm for reach in horn.reach_mm)
+        long, wide = (reach + drive.clearance_mm for reach in (horn.long_mm, horn.short_mm))
         features = [
             Feature("horn", group, drive.placed(-long, long, half), seat, thickness),
             Feature("horn", group, drive.placed(-half, half, wide), seat, thickness),
             bore("horn", group, at, horn.hub_mm + 2 * drive.clearance_mm, seat, thickness),
         ]
     through = HEAD * drive.servo.centre_screw_mm + HEAD_CLEAR_MM
-    features.append(bore("centre screw", group, at, through, 0.0, seat))
-    sunk = sinking_mm(drive, settings)
+    head = HEAD * horn.screw_mm + CLEAR_MM
+    between = horn.screw_radius_mm - head / 2 - through / 2
+    sunk = seat - horn_screw(drive, settings).web_mm
+    features.append(bore("centre screw", group, at, through, sunk, seat))
+    if sunk > 0.0:  # where a wall between them would be too thin, the bores are made to meet
+        wide = through if between >= settings.min_wall_mm else 2 * (horn.screw_radius_mm - head / 2 + MEET_MM)
+        features.append(bore("centre screw", group, at, wide, 0.0, sunk))
     for hole in drive.horn_holes():
         features.append(bore("horn screw", group, hole, horn.screw_mm + CLEAR_MM, sunk, seat))
         if sunk > 0.0:
-            features.append(bore("screw head", group, hole, HEAD * horn.screw_mm + CLEAR_MM, 0.0, sunk))
+            features.append(bore("screw head", group, hole, head, 0.0, sunk))
     return features
 
 
@@ -138,12 +161,32 @@ def horn_seat_mm(drive: Drive, settings: KitSettings) -> float:
     return settings.thickness_mm - (drive.horn.top_mm - settings.layer_gap_mm)
 
 
-def sinking_mm(drive: Drive, settings: KitSettings) -> float:
-    """Give how deep the heads of the horn's screws are sunk from the back; 0 if the centre screw's hole is too near."""
-    horn = drive.horn
-    between = horn.screw_radius_mm - (HEAD * horn.screw_mm + CLEAR_MM) / 2
-    between -= (HEAD * drive.servo.centre_screw_mm + HEAD_CLEAR_MM) / 2
-    return horn_seat_mm(drive, settings) - WEB_MM if between >= settings.min_wall_mm else 0.0
+@dataclass(frozen=True)
+class HornScrew:
+    """One of the screws that hold a part on its horn."""
+
+    length_mm: int
+    web_mm: float
+    """Of plastic that it passes; above, its head is sunk into the part."""
+    engaged_mm: float
+    """Of the horn that its thread holds in."""
+
+
+def horn_screw(drive: Drive, settings: KitSettings) -> HornScrew:
+    """Choose the shortest screw that is sold and comes out of the horn, by sinking its head as deep as that takes.
+
+    Raises:
+        KitError: every length leaves too little plastic, or touches the servo's case.
+    """
+    horn, seat = drive.horn, horn_seat_mm(drive, settings)
+    for length in SCREW_LENGTHS_MM:
+        web = min(length - horn.thickness_mm - TIP_MM, seat)
+        if web >= WEB_MM and length - web <= horn.top_mm - TIP_MM:
+            return HornScrew(length, web, min(length - web, horn.thickness_mm))
+    raise KitError(f"servo {drive.servo.name}: no screw of {SCREW_LENGTHS_MM[0]} to {SCREW_LENGTHS_MM[-1]} mm holds a "
+                   f"{horn.kind} horn {horn.thickness_mm:g} mm thick that ends {horn.top_mm:g} mm above the case: "
+                   f"expected one that passes {WEB_MM:g} to {seat:g} mm of plastic and the horn, and stays "
+                   f"{TIP_MM:g} mm off the case")
 
 
 def pin_feature(drive: Drive, settings: KitSettings, *, turning: bool) -> Feature:
@@ -195,10 +238,3 @@ def volume_mm3(area: float, outline: BaseGeometry, features: Sequence[Feature], 
         here = [f.outline for f in features if f.low_mm <= low and f.high_mm >= high]
         volume -= (high - low) * unary_union(here).intersection(outline).area if here else 0.0
     return float(volume)
-
-
-def longest_screw(reach_mm: float) -> int:
-    """Give the longest screw that is sold and no longer than a reach [mm]."""
-    return max((length for length in SCREW_LENGTHS_MM if length <= reach_mm), default=SCREW_LENGTHS_MM[0])
-
-

@@ -15,6 +15,7 @@ from tasks.fabrication.bill import BillLine, bill_of
 from tasks.fabrication.checks import Finding, findings_of
 from tasks.fabrication.drives import Drive, drives_of
 from tasks.fabrication.features import Feature, check_room_between, features_of
+from tasks.fabrication.gauges import Gauge, gauges_of
 from tasks.fabrication.parts import SIDES, Bought, Part, bought_of, parts_of
 from tasks.fabrication.profile import Profile, profile_of
 from tasks.fabrication.rigid import Mechanism, mechanism_of
@@ -43,14 +44,11 @@ class Kit:
     """Pieces to print."""
     bought: tuple[Bought, ...]
     """Servos, horns, rods and pins, in their places."""
+    gauges: tuple[Gauge, ...]
+    """To print before the parts: whether servo and horn fit."""
     findings: tuple[Finding, ...]
     """Faults first."""
     bill: tuple[BillLine, ...]
-
-    @property
-    def faults(self) -> tuple[Finding, ...]:
-        """The findings that speak against building it."""
-        return tuple(finding for finding in self.findings if finding.severity == "fault")
 
     @property
     def mass_g(self) -> float:
@@ -120,6 +118,7 @@ def build_kit(design: Designs, settings: KitSettings) -> Kit:
         features=features,
         parts=tuple(parts),
         bought=tuple(bought_of(drives, layers, settings)),
+        gauges=gauges_of(drives, settings),
         findings=findings_of(mechanism, drives, outlines, layers, splits, features, settings),
         bill=tuple(bill_of(parts, drives, layers, settings)),
     )

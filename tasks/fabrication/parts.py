@@ -106,14 +106,8 @@ def parts_of(
     cuts = [Feature("cut", "cut", cut, 0.0, settings.thickness_mm) for cut in split.cuts]
     everything = [*features, *cuts]
     whole = extrude(profile.face, settings.thickness_mm)
-    tools = [_tool(feature) for feature in everything]
-    solids = (whole.cut(*tools) if tools else whole).solids()
-    expected = volume_mm3(profile.face.area, profile.polygon, everything, settings.thickness_mm)
-    came = sum(solid.volume for solid in solids)
-    if len(solids) != len(split.pieces) or not all(solid.is_valid for solid in solids):
-        raise SolidError(f"{name}: {len(solids)} solids, expected {len(split.pieces)}, all of them valid")
-    if abs(came - expected) > VOLUME_TOLERANCE * expected:
-        raise SolidError(f"{name}: its volume is {came:.1f} mm³, expected {expected:.1f}")
+    solids = cut_out(name, whole, everything, profile.face.area, profile.polygon, settings.thickness_mm,
+                     n_pieces=len(split.pieces))  # fmt: skip
     parts = []
     bed = bed_mm(settings)
     face_down = any(feature.label == "pocket" for feature in features)
@@ -136,6 +130,26 @@ def parts_of(
             )
         )
     return parts
+
+
+def cut_out(
+    name: str, whole: Solid, features: Sequence[Feature], area: float, outline: Polygon, thickness: float, *,
+    n_pieces: int,
+) -> list[Solid]:  # fmt: skip
+    """Cut features out of an extruded outline.
+
+    Raises:
+        SolidError: an invalid solid came, another number of pieces, or another volume than the outlines'.
+    """
+    tools = [_tool(feature) for feature in features]
+    solids: list[Solid] = (whole.cut(*tools) if tools else whole).solids()
+    expected = volume_mm3(area, outline, features, thickness)
+    came = sum(solid.volume for solid in solids)
+    if len(solids) != n_pieces or not all(solid.is_valid for solid in solids):
+        raise SolidError(f"{name}: {len(solids)} solids, expected {n_pieces}, all of them valid")
+    if abs(came - expected) > VOLUME_TOLERANCE * expected:
+        raise SolidError(f"{name}: its volume is {came:.1f} mm³, expected {expected:.1f}")
+    return solids
 
 
 def _tool(feature: Feature) -> Solid:
@@ -219,10 +233,10 @@ def _horn(drive: Drive, face: float) -> Shape:
     horn = drive.horn
     height = face + horn.top_mm - horn.thickness_mm / 2
     if horn.kind == "disc":
-        shape: Shape = Cylinder(horn.reach_mm[0], horn.thickness_mm)
+        shape: Shape = Cylinder(horn.long_mm, horn.thickness_mm)
     else:
-        shape = Box(2 * horn.reach_mm[0], horn.arm_width_mm, horn.thickness_mm)
-        shape += Box(horn.arm_width_mm, 2 * horn.reach_mm[1], horn.thickness_mm)
+        shape = Box(2 * horn.long_mm, horn.arm_width_mm, horn.thickness_mm)
+        shape += Box(horn.arm_width_mm, 2 * horn.short_mm, horn.thickness_mm)
     return _in_plane(Location((0, 0, height)) * shape, drive)
 
 

@@ -64,14 +64,24 @@ def _links(mechanism: Mechanism, body: int) -> list[Sketch]:
 def _bosses(drives: Sequence[Drive], body: int) -> list[Sketch]:
     bosses = []
     for drive in drives:
-        servo, wall = drive.servo, drive.wall_mm
         if drive.carrier == body:
-            middle = drive.point(servo.length_mm / 2 - servo.shaft_offset_mm, 0.0)
-            length = servo.ear_length_mm + 2 * (drive.clearance_mm + wall)
-            bosses.append(_at(middle, drive.angle) * RectangleRounded(length, drive.cradle_width_mm, wall))
+            bosses.append(cradle_boss(drive))
         elif drive.driven == body:
-            bosses.append(_at(drive.joint.at, 0.0) * Circle(drive.recess_radius_mm + wall))
+            bosses.append(horn_boss(drive))
     return bosses
+
+
+def cradle_boss(drive: Drive) -> Sketch:
+    """Draw what a servo's cradle needs, in its place."""
+    servo, wall = drive.servo, drive.wall_mm
+    middle = drive.point(servo.length_mm / 2 - servo.shaft_offset_mm, 0.0)
+    length = servo.ear_length_mm + 2 * (drive.clearance_mm + wall)
+    return _at(middle, drive.angle) * RectangleRounded(length, drive.cradle_width_mm, wall)
+
+
+def horn_boss(drive: Drive) -> Sketch:
+    """Draw what a horn's recess needs, in its place."""
+    return _at(drive.joint.at, 0.0) * Circle(drive.recess_radius_mm + drive.wall_mm)
 
 
 def _at(place: Point, angle: float) -> Location:

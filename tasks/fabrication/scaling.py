@@ -8,20 +8,21 @@ for the same ratio of the robot's density to the fluid's.
 The other choice keeps the simulation's frequencies, one second for one second. Gravity and buoyancy keep their size,
 while inertia and drag are λ times weaker beside them than in the simulation: the robot moves as if through a thinner
 slush, slowly. What torque the simulation asked, scaled as M g L, is then an upper bound. The paper does not say which
-it chose; its runs of up to 150 s for 16.7 m of simulation are those of kept frequencies. Froude's law is the default,
-because under it alone the simulated motion is a prediction.
+it chose: it gives the scale of lengths, and compares whether the robot crosses its tank, not how fast. Froude's law is
+the default, here and in the virtual tank (tasks/analysis/tank.py), because under it alone the simulated motion is a
+prediction. Kept frequencies are for servos too slow for it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from tasks.analysis.tank import froude_time
 from tasks.fabrication.servos import Servo
 from tasks.parameters import Parameters
 
@@ -81,7 +82,7 @@ def scales_of(scaling: Scaling, *, length: float, mass_kg: float, simulated_mass
         mass_kg: of the robot that is built.
         simulated_mass_kg: of the one that was simulated.
     """
-    time = sqrt(length) if scaling.law == "froude" else 1.0
+    time = froude_time(length) if scaling.law == "froude" else 1.0
     return Scales(length=length, time=time, mass=mass_kg / simulated_mass_kg)
 
 

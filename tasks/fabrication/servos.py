@@ -1,8 +1,12 @@
 """Servos: what can be bought to drive a joint, as data with their sources.
 
-Millimetres, as everywhere in fabrication; torques and speeds are SI, at the voltage that stands beside them, straight
-from the source's kg·cm and s/60°. A hobby servo's torque falls linearly from stall to no-load speed. Horns come in many
-shapes and clones of a servo differ by some tenths of a millimetre: measure yours before you print.
+Millimetres, as everywhere in fabrication; torques and speeds are SI, at the voltage that stands beside them. A hobby
+servo's torque falls linearly from stall to no-load speed.
+
+Every number of the table carries the letter of its source, or a question mark: then it is what such servos commonly
+have, and nobody here has checked it. Horns come in many shapes, all of theirs are of that kind, and clones of a servo
+differ by some tenths of a millimetre. So a kit lists what to measure (``kit.measured`` takes what you found), and holds
+two small gauges to print first: the cradle's plate and the horn's recess.
 
 The frame of a servo: u along the body's long side, v along its short side, w along the shaft towards the horn. The
 origin is on the shaft at the top of the case. The body reaches from u = -shaft_offset to u = length - shaft_offset.
@@ -10,9 +14,10 @@ origin is on the shaft at the top of the case. The body reaches from u = -shaft_
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import pi, radians
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from math import radians
+from typing import Any, Literal
 
 KG_CM = 9.80665 * 0.01
 """One kilogram-force centimetre [N·m]."""
@@ -22,7 +27,7 @@ HornKind = Literal["disc", "cross"]
 
 
 class ServoError(ValueError):
-    """A servo that the library does not hold: names it and lists those that it does."""
+    """A servo that the library does not hold, or whose measures contradict one another: names it, what was expected."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +35,10 @@ class Horn:
     """What sits on the spline and is screwed to the driven part."""
 
     kind: HornKind
-    reach_mm: tuple[float, float]
-    """From the shaft to the tips of the arms along u and along v; of a disc, its radius twice."""
+    long_mm: float
+    """From the shaft to the tips of the arms along u; of a disc, its radius."""
+    short_mm: float
+    """From the shaft to the tips of the arms along v; of a disc, its radius."""
     arm_width_mm: float
     """Of a cross's arms; of a disc, its diameter."""
     hub_mm: float
@@ -52,7 +59,6 @@ class Servo:
     """One model of servo."""
 
     name: str
-    source: str
     voltage_v: float
     """At which torque and speed hold."""
     stall_torque_nm: float
@@ -97,7 +103,9 @@ class Servo:
     cable_width_mm: float
     """Of the flat cable; it leaves at one end of the body, near the bottom. Clones differ in which end."""
     horns: tuple[Horn, ...]
-    """Those that come with it, the one to prefer first."""
+    """Those that come with it, the one to prefer first. Their numbers have no source."""
+    sources: Mapping[str, str] = field(default_factory=dict)
+    """By field, where its number is from; a field that is missing has no source."""
 
     @property
     def us_per_rad(self) -> float:
@@ -130,107 +138,98 @@ def _per_60_degrees(seconds: float) -> float:
     return radians(60.0) / seconds
 
 
-_STANDARD_DISC = Horn("disc", (10.0, 10.0), 20.0, 9.0, 7.5, 2.5, 7.0, 3.0, "M3")
-_STANDARD_CROSS = Horn("cross", (18.0, 14.0), 7.0, 10.0, 6.5, 2.0, 11.0, 2.0, "2 mm self-tapping")
-_MICRO_DISC = Horn("disc", (8.0, 8.0), 16.0, 7.0, 5.5, 2.0, 5.5, 2.0, "M2")
-_MICRO_CROSS = Horn("cross", (16.0, 8.5), 4.5, 7.0, 5.0, 1.6, 6.5, 1.5, "1.5 mm self-tapping")
+_SOURCES = {
+    "D": "DSServo's figures for the DS3225 at 5 V, as sellers repeat them (wiki.52pi.com, D-0001)",
+    "H": "Hitec's figures for the HS-85MG at 6 V, as a pilot's page repeats them (docaustinextreme.blogspot.com, 2016)",
+    "J": "openscad-library by Josh Gadeken (github.com/process1183), after Hitec and ServoCity",
+    "T": "Tower Pro's page of the MG90S (towerpro.com.tw/product/mg90s-3), as others quote it",
+    "P": "the sheet MG90S_Tower-Pro.pdf that sellers hand out (6 V)",
+    "K": "measured on a clone: openscad-servo-library by Brad Kartchner (github.com/kartchnb)",
+}
+"""By letter. They were read in what others quote and publish; the makers' own pages were not at hand."""
+
+_NAMES = ("ds3225", "hs85mg", "mg90s")
+_TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
+    # DS3225: the one that is sold as turning 270°; its case is the standard size, 40.5 × 20 × 38 mm, while source D has
+    # 40 × 20 × 40.5 for it.
+    # field                  ds3225                         hs85mg                          mg90s
+    "voltage_v":           ((5.0, "D"),                    (6.0, "H"),                    (6.0, "P")),
+    "stall_torque_nm":     ((21.0 * KG_CM, "D"),           (3.5 * KG_CM, "H"),            (2.2 * KG_CM, "P")),
+    "no_load_speed_rad_s": ((_per_60_degrees(0.15), "D"),  (_per_60_degrees(0.14), "H"),  (_per_60_degrees(0.08), "P")),
+    "mass_g":              ((67.0, "D"),                   (21.8, "H"),                   (13.4, "T")),
+    "min_pulse_us":        ((500.0, "D"),                  (900.0, "?"),                  (500.0, "?")),
+    "max_pulse_us":        ((2500.0, "D"),                 (2100.0, "?"),                 (2500.0, "?")),
+    "travel_rad":          ((radians(270.0), "D"),         (radians(120.0), "?"),         (radians(180.0), "P")),
+    "deadband_us":         ((3.0, "D"),                    (8.0, "?"),                    (5.0, "P")),
+    "sense":               ((1, "D"),                      (-1, "?"),                     (1, "?")),
+    "length_mm":           ((40.5, "?"),                   (29.1, "J"),                   (22.8, "T")),
+    "width_mm":            ((20.0, "D"),                   (13.0, "J"),                   (12.4, "T")),
+    "height_mm":           ((38.0, "?"),                   (29.9, "J"),                   (28.4, "T")),
+    "shaft_offset_mm":     ((10.2, "?"),                   (6.55, "J"),                   (6.2, "K")),
+    "ear_length_mm":       ((54.5, "?"),                   (40.0, "J"),                   (32.1, "T")),
+    "ear_bottom_mm":       ((28.0, "?"),                   (18.5, "J"),                   (18.5, "T")),
+    "ear_thickness_mm":    ((2.5, "?"),                    (2.0, "J"),                    (2.5, "K")),
+    "hole_span_mm":        ((49.5, "?"),                   (35.6, "J"),                   (28.3, "K")),
+    "hole_pitch_mm":       ((10.0, "?"),                   (0.0, "J"),                    (0.0, "K")),
+    "ear_screw_mm":        ((3.0, "?"),                    (2.0, "?"),                    (2.0, "K")),
+    "ear_screw_name":      (("M3 self-tapping", "?"),      ("2 mm self-tapping", "?"),    ("2 mm self-tapping", "?")),
+    "spline_mm":           ((5.9, "?"),                    (4.8, "?"),                    (4.7, "K")),
+    "spline_teeth":        ((25, "?"),                     (24, "?"),                     (20, "K")),
+    "centre_screw_mm":     ((3.0, "?"),                    (2.0, "?"),                    (2.0, "?")),
+    "centre_screw_name":   (("M3 × 8", "?"),               ("M2 × 6", "?"),               ("M2 × 6", "?")),
+    "cable_width_mm":      ((4.0, "?"),                    (4.0, "?"),                    (4.0, "?")),
+}  # fmt: skip
+
+# Horns, common sizes all of them: kind, long, short, arm width, hub, top, thickness, screws' radius, screws
+_STANDARD_DISC = Horn("disc", 10.0, 10.0, 20.0, 9.0, 7.5, 2.5, 7.0, 3.0, "M3")
+_STANDARD_CROSS = Horn("cross", 18.0, 14.0, 7.0, 10.0, 6.5, 2.0, 11.0, 2.0, "2 mm self-tapping")
+_MICRO_DISC = Horn("disc", 8.0, 8.0, 16.0, 7.0, 5.5, 2.0, 5.5, 2.0, "M2")
+_MICRO_CROSS = Horn("cross", 16.0, 8.5, 4.5, 7.0, 5.0, 1.6, 6.5, 1.5, "1.5 mm self-tapping")
+_HORNS = ((_STANDARD_DISC, _STANDARD_CROSS), (_MICRO_CROSS, _MICRO_DISC), (_MICRO_CROSS, _MICRO_DISC))
 
 SERVOS: dict[str, Servo] = {
-    servo.name: servo
-    for servo in (
-        Servo(
-            name="ds3225",
-            source="DSServo DS3225MG data sheet (5 V column); case as the 40.5 × 20 × 38 mm standard size",
-            voltage_v=5.0,
-            stall_torque_nm=21.0 * KG_CM,
-            no_load_speed_rad_s=_per_60_degrees(0.15),
-            mass_g=60.0,
-            min_pulse_us=500.0,
-            max_pulse_us=2500.0,
-            travel_rad=radians(270.0),
-            deadband_us=3.0,
-            sense=1,
-            length_mm=40.5,
-            width_mm=20.0,
-            height_mm=38.0,
-            shaft_offset_mm=10.2,
-            ear_length_mm=54.5,
-            ear_bottom_mm=28.0,
-            ear_thickness_mm=2.5,
-            hole_span_mm=49.5,
-            hole_pitch_mm=10.0,
-            ear_screw_mm=3.0,
-            ear_screw_name="M3 self-tapping",
-            spline_mm=5.9,
-            spline_teeth=25,
-            centre_screw_mm=3.0,
-            centre_screw_name="M3 × 8",
-            cable_width_mm=4.0,
-            horns=(_STANDARD_DISC, _STANDARD_CROSS),
-        ),
-        Servo(
-            name="hs85mg",
-            source="Hitec HS-85MG, manufacturer's page (6 V column)",
-            voltage_v=6.0,
-            stall_torque_nm=3.5 * KG_CM,
-            no_load_speed_rad_s=_per_60_degrees(0.14),
-            mass_g=21.9,
-            min_pulse_us=900.0,
-            max_pulse_us=2100.0,
-            travel_rad=radians(120.0),
-            deadband_us=8.0,
-            sense=-1,
-            length_mm=29.1,
-            width_mm=13.0,
-            height_mm=29.9,
-            shaft_offset_mm=6.55,
-            ear_length_mm=40.0,
-            ear_bottom_mm=18.5,
-            ear_thickness_mm=2.0,
-            hole_span_mm=35.6,
-            hole_pitch_mm=0.0,
-            ear_screw_mm=2.0,
-            ear_screw_name="2 mm self-tapping",
-            spline_mm=4.8,
-            spline_teeth=24,
-            centre_screw_mm=2.0,
-            centre_screw_name="M2 × 6",
-            cable_width_mm=4.0,
-            horns=(_MICRO_CROSS, _MICRO_DISC),
-        ),
-        Servo(
-            name="mg90s",
-            source="Tower Pro MG90S data sheet (6 V column); case from common drawings",
-            voltage_v=6.0,
-            stall_torque_nm=2.2 * KG_CM,
-            no_load_speed_rad_s=_per_60_degrees(0.08),
-            mass_g=13.4,
-            min_pulse_us=500.0,
-            max_pulse_us=2500.0,
-            travel_rad=pi,
-            deadband_us=5.0,
-            sense=1,
-            length_mm=22.8,
-            width_mm=12.4,
-            height_mm=28.4,
-            shaft_offset_mm=6.2,
-            ear_length_mm=32.3,
-            ear_bottom_mm=18.5,
-            ear_thickness_mm=2.8,
-            hole_span_mm=27.8,
-            hole_pitch_mm=0.0,
-            ear_screw_mm=2.0,
-            ear_screw_name="2 mm self-tapping",
-            spline_mm=4.8,
-            spline_teeth=20,
-            centre_screw_mm=2.0,
-            centre_screw_name="M2 × 6",
-            cable_width_mm=4.0,
-            horns=(_MICRO_CROSS, _MICRO_DISC),
-        ),
+    name: Servo(
+        name=name,
+        horns=_HORNS[column],
+        sources={key: _SOURCES[row[column][1]] for key, row in _TABLE.items() if row[column][1] in _SOURCES},
+        **{key: row[column][0] for key, row in _TABLE.items()},
     )
+    for column, name in enumerate(_NAMES)
 }
 """The library, by name."""
+
+MEASURES: dict[str, str] = {
+    "length_mm": "case, along its long side, without ears",
+    "width_mm": "case, across",
+    "height_mm": "case, from its bottom to its top, the tower around the shaft included",
+    "shaft_offset_mm": "from the case's near end to the middle of the shaft",
+    "ear_length_mm": "over both ears",
+    "ear_bottom_mm": "from the case's bottom to the underside of the ears",
+    "ear_thickness_mm": "an ear",
+    "hole_span_mm": "between the holes of one ear and the other, along the case",
+    "hole_pitch_mm": "between the two holes of one ear; 0 if it has one",
+    "cable_width_mm": "the flat cable",
+    "long_mm": "horn: from the shaft to the tips of its long arms; of a disc, its radius",
+    "short_mm": "horn: from the shaft to the tips of its short arms; of a disc, its radius",
+    "arm_width_mm": "horn: width of an arm; of a disc, its diameter",
+    "hub_mm": "horn: diameter of its hub",
+    "top_mm": "horn: from the case's top to the face that the part is screwed to, when it is on",
+    "thickness_mm": "horn: the disc, or an arm",
+    "screw_radius_mm": "horn: from the shaft to the screws' holes",
+}
+"""What a part's fit hangs on and a caliper tells, in words. Names are a servo's fields and its horn's."""
+
+
+EARS = "ear_bottom_mm + ear_thickness_mm"
+_SMALL_AND_LARGE = (
+    ("shaft_offset_mm", "length_mm"), ("length_mm", "hole_span_mm"), ("hole_span_mm", "ear_length_mm"),
+    ("hole_pitch_mm", "width_mm"), (EARS, "height_mm"),
+    ("thickness_mm", "top_mm"), ("screw_radius_mm", "short_mm"), ("screw_radius_mm", "long_mm"),
+)  # fmt: skip
+"""Of which the first is less than the second, or the measures contradict one another."""
+
+YOURS = "measured by you"
+"""Source of what a kit's settings say of its servo."""
 
 
 def servo_named(name: str) -> Servo:
@@ -242,3 +241,29 @@ def servo_named(name: str) -> Servo:
     if name not in SERVOS:
         raise ServoError(f"servo {name!r} is unknown, expected one of {', '.join(sorted(SERVOS))}")
     return SERVOS[name]
+
+
+def as_measured(servo: Servo, kind: HornKind, measured: Mapping[str, float]) -> Servo:
+    """Give a servo with one horn, as it lies on the table.
+
+    Args:
+        servo: of the library.
+        kind: of the horn.
+        measured: what a caliper says of both, by the names of :data:`MEASURES`.
+
+    Raises:
+        ServoError: it comes without such a horn, or its measures contradict one another; says what was expected.
+    """
+    of_horn = {field.name for field in fields(Horn)}
+    horn_changes: dict[str, Any] = {name: value for name, value in measured.items() if name in of_horn}
+    case_changes: dict[str, Any] = {name: value for name, value in measured.items() if name not in of_horn}
+    horn = replace(servo.horn(kind), **horn_changes)
+    sources = {**servo.sources, **dict.fromkeys(measured, YOURS)}
+    servo = replace(servo, horns=(horn,), sources=sources, **case_changes)
+    measures = {name: getattr(horn if name in of_horn else servo, name) for name in MEASURES}
+    measures[EARS] = servo.ear_bottom_mm + servo.ear_thickness_mm
+    for small, large in _SMALL_AND_LARGE:
+        if measures[small] >= measures[large]:
+            raise ServoError(f"servo {servo.name}: {small} is {measures[small]:g}, expected less than {large}, "
+                             f"{measures[large]:g}")
+    return servo

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field, PositiveFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator
 
-from tasks.fabrication.servos import HornKind
+from tasks.fabrication.servos import MEASURES, HornKind
 from tasks.parameters import Parameters
 
 
@@ -26,6 +26,9 @@ class KitSettings(Parameters):
     """Name in the library of servos. [P] has one of 20 kg·cm."""
     horn: HornKind = "disc"
     """Which of the servo's horns is used."""
+    measured: dict[str, NonNegativeFloat] = Field(default_factory=dict)
+    """What a caliper says of your servo and horn, in place of the library's: {length_mm: 40.1}. A kit's page lists the
+    names, and what it took for the others."""
     servos_per_joint: Literal[1, 2] = 1
     """1: one pontoon is driven at a joint and the rods take the other along, on a pin [P]; 2: both are driven."""
     layer_gap_mm: float = Field(default=1.0, ge=0.3, le=5.0)
@@ -64,3 +67,10 @@ class KitSettings(Parameters):
     """Of PLA."""
     steel_density_g_cm3: float = Field(default=7.9, gt=1.0, le=20.0)
     """Of stainless steel rods."""
+
+    @field_validator("measured")
+    @classmethod
+    def _known(cls, measured: dict[str, float]) -> dict[str, float]:
+        if strangers := sorted(measured.keys() - MEASURES.keys()):
+            raise ValueError(f"expected names of {', '.join(MEASURES)}; came {', '.join(strangers)}")
+        return measured

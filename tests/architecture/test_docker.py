@@ -1,11 +1,18 @@
-"""The containers' files agree with the project: versions, files, commands, and what is open to whom."""
+"""The containers' files keep to their schemas, and agree with the project: versions, files, commands, what is open.
+
+The schemas come with two packages of the dev extra: the compose specification with check-jsonschema, Kubernetes' own
+with kubernetes-validate. KubeRay's definition is in none; of a RayCluster, all but a few names is a Pod's template.
+"""
 
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 import warnings
 from pathlib import Path
 
+import kubernetes_validate
 import pytest
 import typer
 import yaml
@@ -95,13 +102,18 @@ def test_presets_that_they_name_exist():
     assert all((PRESETS / f"{name}.yaml").exists() for name in names)
 
 
+def test_compose_keeps_to_the_specification(tmp_path):
+    check = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec"]
+    done = subprocess.run([*check, ROOT / "docker" / "compose.yaml"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    slip = tmp_path / "compose.yaml"
+    slip.write_text((ROOT / "docker" / "compose.yaml").read_text().replace("retries: 24", "retrys: 24", 1))
+    assert subprocess.run([*check, slip], capture_output=True).returncode == 1
+
+
 def test_compose_is_closed_and_whole():
-    """The parts of the compose specification that a slip would break."""
-    assert set(COMPOSE) <= {"name", "services", "networks", "volumes", "secrets", "x-puddle", "x-ray"}
-    known = {"image", "build", "init", "networks", "environment", "secrets", "shm_size", "command", "healthcheck",
-             "restart", "depends_on", "volumes", "ports"}  # fmt: skip
-    for name, service in COMPOSE["services"].items():
-        assert set(service) <= known, name
+    """What a schema can't say."""
+    for service in COMPOSE["services"].values():
         assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
         assert set(service["networks"]) <= set(COMPOSE["networks"])
         assert set(service.get("secrets", ())) <= set(COMPOSE["secrets"])
@@ -124,15 +136,36 @@ def test_secrets_are_not_kept():
         assert secret["file"].startswith("secrets/")
 
 
+KUBERNETES_VERSIONS = ("1.29", "1.37")
+"""The oldest and the newest that they are checked against."""
+
+
+@pytest.mark.parametrize("version", KUBERNETES_VERSIONS)
+def test_kubernetes_keeps_to_its_schemas(version):
+    """Strictly: no field that Kubernetes does not know."""
+    cluster = KUBERNETES["RayCluster"]
+    groups = [cluster["spec"]["headGroupSpec"], *cluster["spec"]["workerGroupSpecs"]]
+    pods = [{"apiVersion": "v1", "kind": "PodTemplate", "template": group["template"]} for group in groups]
+    known = [part for kind, part in KUBERNETES.items() if kind != "RayCluster"]
+    assert len(pods) == len(known) == 2
+    for part in known + pods:
+        kubernetes_validate.validate(part, version, strict=True)
+    slip = {**pods[0], "template": {"spec": {**pods[0]["template"]["spec"], "hostNetwrok": True}}}
+    with pytest.raises(kubernetes_validate.ValidationError, match="hostNetwrok"):
+        kubernetes_validate.validate(slip, version, strict=True)
+
+
 @pytest.mark.parametrize("group", ["head", "worker"])
 def test_kuberay_has_what_its_definition_requires(group):
+    """ray-operator/apis/ray/v1/raycluster_types.go, its fields without `omitempty`."""
     cluster = KUBERNETES["RayCluster"]
     assert cluster["apiVersion"] == "ray.io/v1" and cluster["metadata"]["name"] == "puddle"
     spec = cluster["spec"]
     assert set(spec) <= {"rayVersion", "headGroupSpec", "workerGroupSpecs"}
     groups = [spec["headGroupSpec"]] if group == "head" else spec["workerGroupSpecs"]
     for one in groups:
-        assert {"rayStartParams", "template"} <= set(one)
+        own = {"serviceType"} if group == "head" else {"groupName", "replicas", "minReplicas", "maxReplicas"}
+        assert set(one) == {"rayStartParams", "template"} | own
         assert all(isinstance(value, str) for value in one["rayStartParams"].values())  # a map of strings
         options = {option for parameter in ray_cli.commands["start"].params for option in parameter.opts}
         assert {f"--{name}" for name in one["rayStartParams"]} <= options

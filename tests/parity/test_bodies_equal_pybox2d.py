@@ -1,23 +1,21 @@
 """Robots of rigid bodies that collide, in the batch engine, against pybox2d: every float of every step, with ==."""
 
-import hashlib
 from dataclasses import replace
-from itertools import pairwise
 
 import Box2D
 import numba
 import numpy as np
 import pytest
+from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
 
-from tasks.design import Designs, Morphology, kinematic_trees, random_designs, rigid_bodies
-from tasks.residual.ensemble import Ensemble
+from tasks.design import Morphology, kinematic_trees, random_designs, rigid_bodies
 from tasks.simulation import batch, reference
 from tasks.simulation.bodies import broad_phase, polygons, robots, rows
 from tasks.simulation.drive import Drive
 from tasks.simulation.lanes import Block
-from tasks.simulation.motion import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Motion
+from tasks.simulation.motion import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
 from tasks.simulation.rotation import NEAR
-from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
+from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
 
 VARIANTS = {
     "locked, colliding": {"passive_joints": "locked", "link_collisions": True},
@@ -35,135 +33,71 @@ def variant(request) -> dict:
     return request.param
 
 
-def assert_equal(designs: Designs, environment: Environment, physics: Physics, n_steps: int) -> Motion:
-    """Both engines agree; give their motion."""
-    steps = {"n_settle": 20, "n_measure": n_steps - 20, "trace": True}
-    ours = batch.roll_out(designs, environment, physics, **steps)
-    theirs = reference.roll_out(designs, environment, physics, **steps)
-    np.testing.assert_array_equal(ours.trace, theirs.trace)
-    np.testing.assert_array_equal(ours.settled, theirs.settled)
-    np.testing.assert_array_equal(ours.final, theirs.final)
-    return ours
-
-
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])
 @pytest.mark.parametrize("depth", [0.0, 0.3, 2.0, 9.0])
 def test_every_float_of_every_step(kind, depth: float, variant, same_libm: None, seed: int) -> None:
     # Links of most random designs overlap at the spawn, and push each other apart for good.
     designs = random_designs(25, np.random.default_rng(seed))
-    motion = assert_equal(designs, kind(depth), Physics(**variant), 300)
+    motion = assert_equal(designs, kind(depth), Physics(**variant), n_settle=20, n_measure=280)
     assert np.isfinite(motion.final).all()
 
 
 @pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(0.3), TrueSlush(2.0)], ids=str)
 def test_robots_that_can_be_built(environment: Environment, same_libm: None, seed: int) -> None:
     designs = random_designs(16, np.random.default_rng(seed), morphology=BUILDABLE)
-    motion = assert_equal(designs, environment, AS_BUILT, 1400)
-    through_one_another = batch.roll_out(
-        designs, environment, replace_physics(AS_BUILT, link_collisions=False), n_settle=20, n_measure=1380, trace=False
-    )
+    motion = assert_equal(designs, environment, AS_BUILT, n_settle=20, n_measure=1380)
+    ghosts = AS_BUILT.model_copy(update={"link_collisions": False})
+    through_one_another = batch.roll_out(designs, environment, ghosts, n_settle=20, n_measure=1380, trace=False)
     assert (motion.final != through_one_another.final).any()  # links did collide
-
-
-def replace_physics(physics: Physics, **changes) -> Physics:
-    return Physics(**{**physics.model_dump(), **changes})
 
 
 @pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(2.0)], ids=str)
 def test_the_length_of_a_study_of_the_robot_that_was_built(environment, same_libm: None, seed: int) -> None:
     designs = random_designs(4, np.random.default_rng(seed), morphology=BUILDABLE)
-    assert_equal(designs, environment, AS_BUILT, 6000)
-
-
-def wild(designs: Designs, rng: np.random.Generator) -> Designs:
-    """Motors far beyond the paper's range: faster, farther, all on but a few, from links wound up many turns."""
-    n = len(designs)
-    return replace(
-        designs,
-        frequency=rng.uniform(0, 10, n),
-        motion_range=rng.uniform(0, 40, (n, 6)),
-        rest_angle=rng.uniform(-300, 300, (n, 6)),
-        motor_on=rng.random((n, 6)) < 0.8,
-    )
+    assert_equal(designs, environment, AS_BUILT, n_settle=20, n_measure=5980)
 
 
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])
 @pytest.mark.parametrize("depth", [0.0, 2.0])
 def test_motors_far_beyond_the_paper_s_range(kind, depth: float, variant, same_libm: None, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    designs = wild(random_designs(16, rng), rng)
-    physics = Physics(**variant, max_motor_torque=1e4, motor_gain=60.0)
-    motion = assert_equal(designs, kind(depth), physics, 500)
-    assert abs(motion.final[..., 2]).max() > NEAR  # so that the other reduction of angles is met
+    designs = wild(random_designs(16, rng), rng, motor_on=0.8)
+    motion = assert_equal(designs, kind(depth), Physics(**variant, **STRONG_MOTORS), n_settle=20, n_measure=480)
+    assert abs(motion.final[..., ANGLE]).max() > NEAR  # so that the other reduction of angles is met
 
 
 @pytest.mark.parametrize("environment", [DryLand(0.3), TrueSlush(0.3), TrueSlush(9.0)], ids=str)
 def test_physics_of_all_other_constants(environment, variant, same_libm: None, seed: int) -> None:
-    physics = Physics(
-        **variant,
-        gravity=3.7,
-        time_step=0.0123,
-        velocity_iterations=3,
-        position_iterations=11,
-        link_density=2.7,
-        friction=0.31,
-        restitution=0.45,
-        motor_gain=3.0,
-        max_motor_torque=31.0,
-    )
-    assert_equal(random_designs(20, np.random.default_rng(seed)), environment, physics, 400)
+    designs, physics = random_designs(20, np.random.default_rng(seed)), Physics(**variant, **OTHER_CONSTANTS)
+    assert_equal(designs, environment, physics, n_settle=20, n_measure=380)
 
 
 @pytest.mark.parametrize("n_actuated", range(6))
 def test_every_number_of_motors(n_actuated: int, same_libm: None, seed: int) -> None:
     designs = random_designs(12, np.random.default_rng(seed), morphology=Morphology(n_actuated=n_actuated))
     assert (designs.motor_on[:, 1:].sum(axis=1) == n_actuated).all()
-    assert_equal(designs, TrueSlush(0.5), AS_BUILT, 200)
+    assert_equal(designs, TrueSlush(0.5), AS_BUILT, n_settle=20, n_measure=180)
 
 
 def test_every_tree(same_libm: None, seed: int) -> None:
     designs = random_designs(len(batch.TREES), np.random.default_rng(seed))
     designs = replace(designs, parent=np.array(batch.TREES))
-    assert_equal(designs, TrueSlush(0.5), Physics(link_collisions=True), 60)
-    assert_equal(designs, DryLand(0.0), AS_BUILT, 60)
-
-
-class TwoSlushes:
-    """An ensemble of exact members, which computes in double precision: the slush and one half as dense."""
-
-    n_members = 2
-
-    def velocity_change(self, links, physics):
-        each = []
-        for k, slush in enumerate((Slush(), Slush(density=0.6))):
-            member = type(links)(**{name: array[k].astype(float) for name, array in vars(links).items()})
-            each.append(vars(slush.velocity_change(member, physics)))
-        return VelocityChange(**{name: np.stack([change[name] for change in each]) for name in each[0]})
+    assert_equal(designs, TrueSlush(0.5), Physics(link_collisions=True), n_settle=20, n_measure=40)
+    assert_equal(designs, DryLand(0.0), AS_BUILT, n_settle=20, n_measure=40)
 
 
 def test_residual_slush(variant, same_libm: None, seed: int) -> None:
     designs = random_designs(13, np.random.default_rng(seed))
-    motion = assert_equal(designs, ResidualSlush(0.5, TwoSlushes()), Physics(**variant), 300)
+    environment = ResidualSlush(0.5, Slushes(1.25, 0.6, precision=np.float64))
+    motion = assert_equal(designs, environment, Physics(**variant), n_settle=20, n_measure=280)
     assert motion.trace is not None and motion.trace.shape == (2, 13, 300, 6, 6)
 
 
 @pytest.mark.parametrize("trace", [True, False])
 def test_residual_slush_of_networks(trace: bool, variant, same_libm: None, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    sizes = (6, 40, 40, 3)
-    weights = [(rng.normal(size=(3, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
-    weights[-1] *= np.float32(0.05)  # changes of the size of the slush's
-    biases = [(0.01 * rng.normal(size=(3, b))).astype(np.float32) for b in sizes[1:]]
-    environment = ResidualSlush(0.7, Ensemble(weights=tuple(weights), biases=tuple(biases)))
-    designs = random_designs(9, rng)
-    ours, theirs = (
-        engine.roll_out(designs, environment, Physics(**variant), n_settle=30, n_measure=170, trace=trace)
-        for engine in (batch, reference)
-    )
-    np.testing.assert_array_equal(ours.settled, theirs.settled)
-    np.testing.assert_array_equal(ours.final, theirs.final)
-    if trace:
-        np.testing.assert_array_equal(ours.trace, theirs.trace)
+    designs, environment = random_designs(9, rng), ResidualSlush(0.7, networks(rng))
+    assert_equal(designs, environment, Physics(**variant), n_settle=30, n_measure=170, trace=trace)
 
 
 def record(shape: Box2D.b2PolygonShape, xf: Box2D.b2Transform) -> tuple[Block, Block]:
@@ -261,20 +195,4 @@ def test_masses_are_those_of_b2_body(seed: int) -> None:
     ids=["dry", "shallow", "deep"],
 )
 def test_traces_are_those_of_every_other_platform_and_compiler(environment: Environment, digest: str) -> None:
-    # Designs from uniform numbers alone, so that no other function of ours changes them.
-    u = np.random.default_rng(20251121).random((8, 6, 8))
-    child = np.arange(6) > 0
-    designs = Designs(
-        length_scale=1 + 2 * u[..., 0],
-        parent=np.where(child, np.floor(u[..., 1] * np.arange(6)), -1).astype(int),
-        parent_attachment=child * (2 * u[..., 2] - 1),
-        child_attachment=child * (2 * u[..., 3] - 1),
-        rest_angle=child * np.pi * (2 * u[..., 4] - 1),
-        phase=child * 2 * np.pi * u[..., 5],
-        motion_range=child * (0.2 + 1.3 * u[..., 6]),
-        motor_on=child & (u[..., 7] < 0.5),
-        frequency=0.3 * u[:, 0, 1],
-    )
-    trace = batch.roll_out(designs, environment, AS_BUILT, n_settle=200, n_measure=1200, trace=True).trace
-    assert trace is not None
-    assert hashlib.sha256(np.ascontiguousarray(trace + 0.0, dtype="<f4").tobytes()).hexdigest()[:16] == digest
+    assert golden_digest(environment, AS_BUILT, motor_on=0.5) == digest

@@ -1,13 +1,16 @@
-"""One study, as small as can be, with every stage done: what the tests of stages look at."""
+"""What tests of the pipeline share: one study, as small as can be, with every stage done; an empty store; a browser."""
+
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from browser import CHROMIUM, Browser
+from small_study import run
 
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.settings import Settings
-from pipeline.stages import STAGES
 from pipeline.store import Store
-from pipeline.study import follow, results_of, run_stage
 
 TINY = """
 name: tiny
@@ -24,11 +27,9 @@ work: {throws_per_item: 2, generations_per_item: 3}
 """
 
 
-class NoBar:
-    def advance(self, work: float) -> None: ...
-
-
-def silent(line: str) -> None: ...
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store.open(tmp_path / "store", create=True)
 
 
 @pytest.fixture(scope="session")
@@ -40,10 +41,14 @@ def settings() -> Settings:
 def study(settings, tmp_path_factory):
     """A store with every stage done, and what came of each."""
     store = Store.open(tmp_path_factory.mktemp("stages") / "store", create=True)
-    upstream = {}
     with serial_cluster() as cluster:
-        for stage in STAGES:
-            walks = follow(stage, settings, store, upstream, say=silent)
-            run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=silent)
-            upstream[stage.name] = results_of(stage, walks)
-    return store, upstream
+        return store, run(settings, store, cluster)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory) -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed")
+    started = Browser(tmp_path_factory.mktemp("profile"))
+    yield started
+    started.close()

@@ -23,7 +23,7 @@ grid:
   single_member_depths: []
   n_trials: 1
 rollout: {n_settle: 5, n_measure: 20}
-work: {engine: reference}
+work: {engine: reference, generations_per_item: 2}
 evolution: {n_generations: 2, afpo: {population_size: 4}}
 transfer: {n_generations: 2}
 """
@@ -192,7 +192,7 @@ def test_damaged_weights_are_made_again(study, capsys, tmp_path):
     intact = weights.read_bytes()
     weights.write_bytes(intact[:100] + bytes([intact[100] ^ 1]) + intact[101:])
     # Longer trials read the weights, find the damage, and have them made again.
-    assert call("study", *options, "--set", "evolution.n_generations=100") == 0
+    assert call("study", *options, "--set", "evolution.n_generations=4") == 0
     assert "weights.safetensors" in "".join(capsys.readouterr())
     assert weights.read_bytes() == intact
 

@@ -1,8 +1,6 @@
 """The two clusters keep one contract; Ray's processes are pinned, closed to strangers, and gone when the study is."""
 
 import os
-import re
-import signal
 import socket
 import subprocess
 import sys
@@ -11,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 import ray
 
@@ -254,54 +251,3 @@ def test_a_port_that_is_not_rays_is_given_up_on(monkeypatch):
 def test_no_workers_is_refused():
     with pytest.raises(PuddleError, match="workers: expected 1 or more, got 0"), ray_cluster("local", n_workers=0):
         pass
-
-
-def test_a_signal_leaves_no_process_behind(tmp_path):
-    """Ctrl-C, SIGTERM and a closed terminal, each to a driver of its own whose worker never returns."""
-    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    driver = """
-import signal, sys
-from pathlib import Path
-from pipeline.cluster import ray_cluster
-def busy(started):
-    Path(started).touch()
-    while True:
-        pass
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have started us with it ignored
-with ray_cluster("local", n_workers=1) as cluster:
-    cluster.submit(busy, sys.argv[1])
-    cluster.next_done()
-"""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
-    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
-    started = {number: tmp_path / number.name for number in signals}
-    processes = {
-        number: subprocess.Popen(
-            [sys.executable, "-c", driver, str(started[number])], env=environment, stderr=subprocess.PIPE, text=True
-        )
-        for number in signals
-    }
-    families: dict[int, list[psutil.Process]] = {}
-    try:
-        deadline = time.monotonic() + 90
-        while not all(path.exists() for path in started.values()):
-            assert all(process.poll() is None for process in processes.values()) and time.monotonic() < deadline
-            time.sleep(0.1)
-        families = {n: psutil.Process(process.pid).children(recursive=True) for n, process in processes.items()}
-        words = " ".join(word for family in families.values() for child in family for word in child.cmdline())
-        folders = set(re.findall(r"/tmp/puddle-\w+", words))
-        assert len(folders) == 3
-        for number, process in processes.items():
-            begin = time.monotonic()
-            process.send_signal(number)
-            _, said = process.communicate(timeout=20)
-            _, left = psutil.wait_procs(families[number], timeout=5)
-            assert not left
-            assert time.monotonic() - begin < 15
-            assert process.returncode == (-signal.SIGINT if number == signal.SIGINT else 128 + number)
-            assert "SIGTERM received" not in said
-        assert not any(Path(folder).exists() for folder in folders)
-    finally:
-        for child in [*processes.values(), *(child for family in families.values() for child in family)]:
-            if child.poll() is None if isinstance(child, subprocess.Popen) else child.is_running():
-                child.kill()

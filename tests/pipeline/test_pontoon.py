@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from small_study import run
 
 from pipeline.artifacts import decode_table
 from pipeline.cluster import serial_cluster
@@ -13,10 +14,9 @@ from pipeline.design_file import design_from
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
 from pipeline.single import simulate_design
-from pipeline.stages import STAGES, analyse, evolve, report
+from pipeline.stages import analyse, evolve, report
 from pipeline.stages.analyse import read_table, tank_label
 from pipeline.store import Store
-from pipeline.study import follow, results_of, run_stage
 from tasks.design import Designs, links_apart
 from tasks.evolution import OPERATORS
 
@@ -25,18 +25,11 @@ SMALL = (
     "training.batch_size=64", "ensemble.n_members=2", "grid.n_trials=3", "rollout.n_settle=30", "rollout.n_measure=60",
     "evolution.n_generations=3", "evolution.afpo.population_size=6", "work.generations_per_item=2",
     "transfer.adapted_environments=[residual_slush]", "transfer.n_generations=2",
-    "tank.seconds=2", "work.engine=reference",
+    "tank.seconds=0.5", "work.engine=reference",
 )  # fmt: skip
 """As a user would vary the preset; the adaptation is there to see that it keeps the motors.
 The reference engine has nothing to compile."""
 ARM = "residual_slush/2m"
-
-
-class NoBar:
-    def advance(self, work: float) -> None: ...
-
-
-def silent(line: str) -> None: ...
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +40,9 @@ def pontoon() -> Settings:
 @pytest.fixture(scope="module")
 def built(pontoon, tmp_path_factory):
     store = Store.open(tmp_path_factory.mktemp("pontoon") / "store", create=True)
-    upstream = {}
     with serial_cluster() as cluster:
-        for stage in STAGES:
-            walks = follow(stage, pontoon, store, upstream, say=silent)
-            run_stage(pontoon, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=silent)
-            upstream[stage.name] = results_of(stage, walks)
-            assert not upstream[stage.name].set_aside
+        upstream = run(pontoon, store, cluster)
+    assert not any(results.set_aside for results in upstream.values())
     return store, upstream
 
 
@@ -132,7 +121,7 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
     assert tank["proposed"].sum() == 1
     assert distance[tank["proposed"]][0] == distance.min()
     for where in ("wet", "dry"):
-        assert not tank[f"{where}_crossed"].any()  # no one goes 10 m in two seconds
+        assert not tank[f"{where}_crossed"].any()  # no one goes 10 m in 0.5 s / √0.07
         assert np.isfinite(tank[f"{where}_travelled"]).all()
         expected = 1.17 / 0.07 - tank[f"{where}_length"]
         np.testing.assert_allclose(tank[f"{where}_distance"], expected)

@@ -6,33 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from one_item import FILES, IDENTITY, KEY, commit, item, tree
 
 from pipeline import disk
 from pipeline.artifacts import digest, encode_sealed, key_of
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store import Store
-
-IDENTITY = {"stage": "evolve", "version": 1, "spec": {"depth": 0.5}, "inputs": {}}
-KEY = key_of(IDENTITY)
-FILES = {"history.parquet": b"rows" * 100, "state.safetensors": b"\0\1\2" * 50, "log": b""}
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Store:
-    return Store.open(tmp_path / "store", create=True)
-
-
-def commit(store: Store, files: dict[str, bytes] = FILES):
-    return store.commit("evolve", KEY, IDENTITY, files, record={"seconds": 1.25})
-
-
-def item(store: Store) -> Path:
-    return store.root / "items" / "evolve" / KEY[:2] / KEY
-
-
-def tree(root: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
-
 
 # -- damage ----------------------------------------------------------------------------------------------------------
 

@@ -2,16 +2,11 @@
 
 import contextlib
 import dataclasses
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import pytest
+from small_study import NoBar, digests, run, silent
 
-from pipeline.cluster import Cluster, serial_cluster
+from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
@@ -34,32 +29,8 @@ work: {throws_per_item: 2, generations_per_item: 2, engine: reference}
 """
 
 
-class NoBar:
-    def advance(self, work: float) -> None: ...
-
-
-def silent(line: str) -> None: ...
-
-
 def tiny(*overrides: str) -> Settings:
     return parse(Settings, TINY, name="tiny", overrides=overrides)
-
-
-def run(settings: Settings, store: Store, cluster: Cluster, stages: tuple[Stage, ...] = STAGES, say=silent):
-    upstream = {}
-    for stage in stages:
-        walks = follow(stage, settings, store, upstream, say=say)
-        run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=say)
-        upstream[stage.name] = results_of(stage, walks)
-    return upstream
-
-
-def digests(upstream) -> dict[str, list[str]]:
-    return {
-        f"{stage}/{label}": [manifest.digest for manifest in manifests]
-        for stage, results in upstream.items()
-        for label, manifests in results.done.items()
-    }
 
 
 @pytest.fixture(scope="module")
@@ -212,28 +183,3 @@ def test_a_damaged_item_is_computed_again(tmp_path):
         after = run(tiny(), store, cluster, STAGES[:2], said.append)
     assert digests(after) == digests(before)
     assert len(said) == 1 and "weights.safetensors" in said[0]
-
-
-def test_a_driver_killed_at_any_moment_leaves_a_store_that_resumes_to_the_same_bytes(serial_run, tmp_path):
-    _, upstream = serial_run
-    settings = tmp_path / "tiny.yaml"
-    settings.write_text(TINY)
-    store = tmp_path / "store"
-    options = ["--settings", str(settings), "--store", str(store), "--workers", "0"]
-    command = [sys.executable, "-m", "pipeline", "study", *options]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    n_kept = 0
-    for wanted in (2, 9):
-        driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment)
-        while driver.poll() is None and len(list(store.glob("items/*/*/*/manifest.json"))) < wanted:
-            time.sleep(0.005)
-        driver.send_signal(signal.SIGKILL)
-        assert driver.wait() == -signal.SIGKILL
-        manifests = list(store.glob("items/*/*/*/manifest.json"))
-        assert len(manifests) > n_kept
-        n_kept = len(manifests)
-    kept = {path: path.stat().st_mtime_ns for path in manifests}
-    with serial_cluster() as cluster:
-        resumed = run(tiny(), Store.open(store, create=False), cluster)
-    assert digests(resumed) == digests(upstream)
-    assert all(path.stat().st_mtime_ns == time_ns for path, time_ns in kept.items())

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -45,6 +46,21 @@ def nobody_elses_server(monkeypatch):
 @pytest.fixture
 def said() -> list[str]:
     return []
+
+
+@pytest.fixture(scope="module")
+def empty_database(tmp_path_factory) -> Path:
+    """A database that MLflow has made and nobody has used: to make one is hundreds of statements."""
+    folder = tmp_path_factory.mktemp("empty")
+    client(folder).search_experiments()
+    return folder / "mlflow.db"
+
+
+@pytest.fixture
+def store(tmp_path, empty_database) -> Path:
+    """A store's folder, as far as the mirror knows one."""
+    shutil.copy(empty_database, tmp_path)
+    return tmp_path
 
 
 def client(store: Path) -> MlflowClient:
@@ -100,58 +116,58 @@ def test_a_study_its_stage_and_its_trials(tmp_path, said):
     assert lineage == {"inputs": {"train": "a" * 64}, "outputs": {"history": "b" * 64}}
 
 
-def test_mirrored_twice_is_mirrored_once(tmp_path, said):
-    open_tracker(tmp_path, say=said.append).mirror(STUDY, STAGE, TRIALS)
-    once = everything(tmp_path)
+def test_mirrored_twice_is_mirrored_once(store, said):
+    open_tracker(store, say=said.append).mirror(STUDY, STAGE, TRIALS)
+    once = everything(store)
     for _ in range(2):
-        tracker = open_tracker(tmp_path, say=said.append)
+        tracker = open_tracker(store, say=said.append)
         tracker.mirror(STUDY, STAGE, TRIALS)
         tracker.mirror(STUDY, STAGE, TRIALS)
     assert said == []
-    assert everything(tmp_path) == once
+    assert everything(store) == once
 
 
-def test_what_changed_is_brought_up_to_date_in_place(tmp_path, said):
-    tracker = open_tracker(tmp_path, say=said.append)
+def test_what_changed_is_brought_up_to_date_in_place(store, said):
+    tracker = open_tracker(store, say=said.append)
     half = [replace(trial, curves={"fitness": trial.curves["fitness"][:700]}, status=None) for trial in TRIALS]
     tracker.mirror(STUDY, replace(STAGE, metrics={"best": 3.0}, inputs={}, status="FAILED"), half)
-    before = runs(tmp_path)
+    before = runs(store)
     tracker.mirror(replace(STUDY, status="FINISHED"), STAGE, TRIALS)
-    after = runs(tmp_path)
+    after = runs(store)
     assert said == []
     assert {slot: run.info.run_id for slot, run in before.items()} == {s: run.info.run_id for s, run in after.items()}
     assert before["stage", "evolve"].info.status == "FAILED"
     assert {run.info.status for run in after.values()} == {"FINISHED"}
     assert after["stage", "evolve"].data.metrics == {"best": 9.5}
     assert len(after["stage", "evolve"].inputs.dataset_inputs) == 1
-    history = client(tmp_path).get_metric_history(after["trial", "trial 0"].info.run_id, "fitness")
+    history = client(store).get_metric_history(after["trial", "trial 0"].info.run_id, "fitness")
     assert sorted(point.step for point in history) == list(range(1500))
 
 
-def test_another_key_is_another_run(tmp_path, said):
-    tracker = open_tracker(tmp_path, say=said.append)
+def test_another_key_is_another_run(store, said):
+    tracker = open_tracker(store, say=said.append)
     tracker.mirror(STUDY, STAGE)
     tracker.mirror(replace(STUDY, key="6" * 64, params={"evolution": {"n_generations": 9}}), STAGE)
-    mlflow = client(tmp_path)
+    mlflow = client(store)
     found = mlflow.search_runs([mlflow.get_experiment_by_name(EXPERIMENT).experiment_id])
     assert len(found) == 4  # two studies of one name, each with its own stage
     assert said == []
 
 
-def test_only_finite_values_are_sent(tmp_path, said):
+def test_only_finite_values_are_sent(store, said):
     trial = Run("trial 0", "0", curves={"fitness": [1.0, math.nan, -math.inf, 4.0], "nothing": [math.nan]})
-    open_tracker(tmp_path, say=said.append).mirror(STUDY, STAGE, [trial])
-    found = runs(tmp_path)
+    open_tracker(store, say=said.append).mirror(STUDY, STAGE, [trial])
+    found = runs(store)
     assert found["stage", "evolve"].data.metrics == {"best": 9.5}
-    history = client(tmp_path).get_metric_history(found["trial", "trial 0"].info.run_id, "fitness")
+    history = client(store).get_metric_history(found["trial", "trial 0"].info.run_id, "fitness")
     assert [(point.step, point.value) for point in history] == [(0, 1.0), (3, 4.0)]
     assert "nothing" not in found["trial", "trial 0"].data.metrics
     assert said == []
 
 
-def test_an_interrupted_mirror_is_completed_without_doubles(tmp_path, said):
+def test_an_interrupted_mirror_is_completed_without_doubles(store, said):
     """A death between two batches of one curve leaves half of it; the next driver sends the rest."""
-    tracker = open_tracker(tmp_path, say=said.append)
+    tracker = open_tracker(store, say=said.append)
     tracker.mirror(STUDY, STAGE)
     log_batch = MlflowClient.log_batch
     n_batches = 0
@@ -164,20 +180,21 @@ def test_an_interrupted_mirror_is_completed_without_doubles(tmp_path, said):
                 raise KeyboardInterrupt
             return log_batch(self, *args, **kwargs)
 
-    tracker._experiment = replace(tracker._experiment, client=DyingClient(database_uri(tmp_path)))
+    tracker._experiment = replace(tracker._experiment, client=DyingClient(database_uri(store)))
     with pytest.raises(KeyboardInterrupt):
         tracker.mirror(STUDY, STAGE, TRIALS)
-    sent = client(tmp_path).get_metric_history(runs(tmp_path)["trial", "trial 0"].info.run_id, "fitness")
-    assert 0 < len(sent) <= 1500 and runs(tmp_path)["trial", "trial 0"].info.status == "RUNNING"
-    open_tracker(tmp_path, say=said.append).mirror(STUDY, STAGE, TRIALS)
-    completed = everything(tmp_path)
+    sent = client(store).get_metric_history(runs(store)["trial", "trial 0"].info.run_id, "fitness")
+    assert 0 < len(sent) <= 1500 and runs(store)["trial", "trial 0"].info.status == "RUNNING"
+    open_tracker(store, say=said.append).mirror(STUDY, STAGE, TRIALS)
+    completed = everything(store)
     for run in completed.values():
         assert all(len(points) in (1, 1500) for points in run[3].values())
     assert sum(len(points) == 1500 for run in completed.values() for points in run[3].values()) == 4
     assert said == []
 
 
-def test_a_failing_mlflow_is_said_once_and_caught_up_with(tmp_path, said):
+def test_a_failing_mlflow_is_said_once_and_caught_up_with(tmp_path, said, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # of a database that is not the store's, MLflow keeps the artifacts here
     folder = tmp_path / "elsewhere"
     folder.touch()  # a file where a folder is needed
     tracker = open_tracker(tmp_path, f"sqlite:///{folder}/mlflow.db", say=said.append)
@@ -235,8 +252,8 @@ open_tracker(Path(sys.argv[1]), say=say).mirror(Run(name, name), Run("collect", 
     assert {name for kind, name in runs(tmp_path) if kind == "study"} == {f"study-{k}" for k in range(4)}
 
 
-def test_the_ui_serves_on_loopback_and_stops_with_its_children(tmp_path, said):
-    open_tracker(tmp_path, say=said.append).mirror(STUDY, STAGE)
+def test_the_ui_serves_on_loopback_and_stops_with_its_children(store, said):
+    open_tracker(store, say=said.append).mirror(STUDY, STAGE)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -244,7 +261,7 @@ def test_the_ui_serves_on_loopback_and_stops_with_its_children(tmp_path, said):
     script += "serve_ui(Path(sys.argv[1]), int(sys.argv[2]))"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     server = subprocess.Popen(
-        [sys.executable, "-c", script, str(tmp_path), str(port)],
+        [sys.executable, "-c", script, str(store), str(port)],
         env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     family = [psutil.Process(server.pid)]

@@ -23,12 +23,12 @@ class Nursery:
             env={**os.environ, "PYTHONPATH": str(HERE.parents[1]), "OMP_NUM_THREADS": "1"},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-    def _answer(self) -> dict[str, Any]:
+    def _answer(self) -> Any:
         line = self._process.stdout.readline()
         assert line, "the nursery is dead"
         return json.loads(line)
 
-    def ask(self, **command: Any) -> dict[str, Any]:
+    def ask(self, **command: Any) -> Any:
         """Have a command carried out by a child."""
         self._process.stdin.write(json.dumps(command) + "\n")
         self._process.stdin.flush()
@@ -48,9 +48,16 @@ class Nursery:
             assert answer["wrong"] == []
         return told["answers"]
 
+    def drive_at_once(self, root: Path, studies: Sequence[str], **command: Any) -> list[dict[str, Any]]:
+        """Drive studies in one store, each in a process of its own; return what each driver noted."""
+        told = self.ask(roots=[str(root)], studies=studies, **command)
+        for one in told:
+            assert one["status"] == 0, one["traceback"]
+        return [one["answers"][0] for one in told]
+
     def close(self) -> None:
         self._process.stdin.close()
-        assert self._process.wait(timeout=30) == 0
+        assert self._process.wait(timeout=120) == 0
 
 
 @pytest.fixture(scope="session")

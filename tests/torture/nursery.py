@@ -1,10 +1,10 @@
 """The nursery: a process that forks drivers, so that each can die, run out of disk or lose power in milliseconds.
 
 Run as a script (the fixture ``nursery`` does), it reads one JSON command a line on stdin, forks a child that carries
-it out, and answers with one JSON line: what the child said, and how it ended. The children are real drivers: they plan,
-read, verify and commit a whole study through pipeline.driver, in a store of their own. Only the science is looked up:
-every piece was computed once, when the nursery started, and its bytes stay the same. It holds no threads, so that
-forking it is sound.
+it out, and answers with one JSON line: what the child said, and how it ended. A command for several studies is carried
+out by a child for each, at once. The children are real drivers: they plan, read, verify and commit a whole study
+through pipeline.driver. Only the science is looked up: every piece was computed once, when its study was first asked
+for, and its bytes stay the same. It holds no threads, so that forking it is sound.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import resource
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +28,16 @@ import yaml
 import pipeline.study
 from pipeline import disk
 from pipeline.artifacts import digest
-from pipeline.cluster import serial_cluster
+from pipeline.cluster import Cluster, serial_cluster
 from pipeline.configuration import parse
 from pipeline.driver import drive
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
+from pipeline.stage import Stage
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
 from pipeline.store import Store
+from pipeline.tracking import Tracker, open_tracker
 from pipeline.verify import find_damage, verify_lines
 
 TINY = {
@@ -58,7 +61,10 @@ FULL = TINY | {
 }
 """One that trains a network too."""
 
-STUDIES = {"tiny": TINY, "full": FULL}
+LONGER = TINY | {"name": "longer", "evolution": {"n_generations": 8, "afpo": {"population_size": 4}}}
+"""One that shares work with the first."""
+
+STUDIES = {"tiny": TINY, "full": FULL, "longer": LONGER}
 
 N_OF_PAGE = {"small": 3, "large": None}
 """Files kept of the report: it has dozens, which are all alike to the store."""
@@ -86,14 +92,22 @@ class Quiet:
     def mirror(self, *runs: Any) -> None: ...
 
 
-def run_study(settings: Settings, root: Path, terminal: Quiet) -> None:
+def run_study(
+    settings: Settings,
+    root: Path,
+    terminal: Quiet,
+    *,
+    stages: Sequence[Stage] = STAGES,
+    open_cluster: Callable[[], AbstractContextManager[Cluster]] = serial_cluster,
+    tracker: Tracker | None = None,
+) -> None:
     """Drive the study in a store, as `puddle study --workers 0` does."""
     drive(
         settings,
-        STAGES,
+        stages,
         store=Store.open(root, create=True),
-        open_cluster=serial_cluster,
-        tracker=terminal,
+        open_cluster=open_cluster,
+        tracker=tracker or terminal,
         progress=terminal,
         how_to_run=lambda name: f"puddle {name}",
     )
@@ -123,13 +137,21 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
             verify_lines(Store.open(root, create=False), discard=True, progress=Quiet([]), how_to_run=str)
         answers.append({"computed": [], "committed": [], "said": []})
         volatile.arm(command.get("fault"), root.parent)
-        study(settings, root, answers[-1])
+        if "survey" in command:
+            survey = volatile.survey(root.parent, answers[-1]["committed"], **command["survey"])
+        study(settings, root, answers[-1], look=command.get("look", True), mlflow=command.get("mlflow", False))
+        if "survey" in command:
+            answers[-1]["disks"] = survey.told
+            for number, image in enumerate(survey.disks):
+                volatile.lay_out(image, Path(command["into"]) / str(number))
         if command.get("fault", {}).get("at") == "end":
             volatile.strike()
 
 
-def study(settings: Settings, root: Path, answer: dict[str, Any]) -> None:
-    """Be a driver, and then look at the store."""
+def study(
+    settings: Settings, root: Path, answer: dict[str, Any], *, look: bool = True, mlflow: bool = False
+) -> None:
+    """Be a driver, and then look at the store: at all of it, or at its files alone."""
 
     def looked_up(compute: Callable[..., Any], job: Any, *rest: Any) -> Any:
         answer["computed"].append(job.key)
@@ -142,20 +164,22 @@ def study(settings: Settings, root: Path, answer: dict[str, Any]) -> None:
 
     look_up, commit = pipeline.study.compute_item, Store.commit
     pipeline.study.compute_item, Store.commit = looked_up, noted
+    terminal = Quiet(answer["said"])
     try:
-        run_study(settings, root, Quiet(answer["said"]))
+        run_study(settings, root, terminal, tracker=open_tracker(root, None, say=terminal.say) if mlflow else None)
     except PuddleError as error:
         answer["error"] = str(error)
     finally:
         pipeline.study.compute_item, Store.commit = look_up, commit
     answer["effects"] = list(volatile.effects())
+    volatile.rest()
     answer["tree"] = tree(root)
-    is_store = (root / "store.json").exists()  # or there was no room even for that
+    is_store = look and (root / "store.json").exists()  # or there was no room even for that
     answer["wrong"] = [str(error) for error in find_damage(Store.open(root, create=False))] if is_store else []
 
 
-def fork(command: dict[str, Any], settings: Settings) -> dict[str, Any]:
-    """Fork a child, wait for its end, and return what it had noted."""
+def fork(command: dict[str, Any], settings: Settings) -> tuple[int, int]:
+    """Fork a child; return its process and the pipe through which it tells what it has noted."""
     reading, writing = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -174,6 +198,11 @@ def fork(command: dict[str, Any], settings: Settings) -> dict[str, Any]:
             end(1, traceback=traceback.format_exc())
         end(0)
     os.close(writing)
+    return pid, reading
+
+
+def outcome(pid: int, reading: int) -> dict[str, Any]:
+    """Wait for a child's end, and return what it had noted."""
     with os.fdopen(reading) as pipe:
         said = pipe.read()
     _, status = os.waitpid(pid, 0)
@@ -205,10 +234,12 @@ def main(size: str) -> None:
     os.dup2(2, 1)  # whatever else prints, prints elsewhere
     for line in sys.stdin:
         command = json.loads(line)
-        if "settings" in command:
-            print(json.dumps({"settings": STUDIES[command["settings"]]}), file=answers, flush=True)
-            continue
-        print(json.dumps(fork(command, ready(command.get("study", "tiny")))), file=answers, flush=True)
+        if command.get("mlflow"):
+            import mlflow  # noqa: F401  (once, for all children)
+        studies = [ready(name) for name in command.get("studies", [command.get("study", "tiny")])]
+        children = [fork(command, settings) for settings in studies]
+        told = [outcome(*one) for one in children]
+        print(json.dumps(told if "studies" in command else told[0]), file=answers, flush=True)
 
 
 if __name__ == "__main__":

@@ -132,12 +132,17 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
         assert n_lost >= 5
         done = {item.label for item in store.read_study("tiny").items}
         assert {"member-00#0", "dry_land/1m/trial-0#0", "index.html#0"} <= done
-    # The causes are mended: the same command does what is missing, and nothing else.
+    # The causes are mended: what was set aside is computed, and nothing else. (Another page would tell nothing new.)
     injected(monkeypatch)
     monkeypatch.setattr(pipeline.study, "LEAST_PATIENCE_SECONDS", 600.0)
-    assert call("study", *options) == 0
+    before = {(stage, key) for stage in store.stages() for key in store.keys(stage)}
+    assert call("train", *options) == 0
+    assert call("evolve", *options) == 0
     assert call("status", *options) == 0
-    assert "set aside" not in capsys.readouterr().out
+    trained_and_evolved = capsys.readouterr().out.split("  transfer")[0]
+    assert "  evolve" in trained_and_evolved and "set aside" not in trained_and_evolved
+    made = {(stage, key) for stage in store.stages() for key in store.keys(stage)} - before
+    assert sorted(stage for stage, _ in made) == ["evolve"] * 9 + ["train"]
 
 
 def test_trials_whose_every_design_diverges_complete_and_say_so(monkeypatch, tmp_path):

@@ -1,13 +1,22 @@
 """A study may die at any effect on the disk, or lose its power there, and ends in the same bytes.
 
-A process that dies after an effect leaves what one leaves that dies before the next. So every point is tried, always,
-with a real process that ends there. The power goes too, at every point with --torture, and takes with it what was not
-synced.
+Every point is tried, always. A process that dies leaves on the disk what it has written, and nothing else matters to
+the next one; so one run is surveyed for what every fault at every point of it would leave, and the next driver, a real
+one, goes on from each different disk. That processes which do die leave what the survey says is tried too: at points
+drawn by chance, at all of them with --torture.
 """
 
+import hashlib
 import shutil
+from pathlib import Path
 
 import pytest
+
+pytestmark = pytest.mark.timeout(1800)  # a machine may have much else to do
+
+KINDS = ["die", "tear", "all", "contents", "names", "some"]
+"""Faults: death before an effect; half-way through a write; and what of that which was not synced goes with the power:
+all of it; the contents alone, or the names alone; some of it, by chance."""
 
 
 @pytest.fixture(scope="module")
@@ -18,50 +27,78 @@ def undisturbed(nursery, tmp_path_factory):
     return answer
 
 
-def strike_and_resume(nursery, undisturbed, place, faults) -> None:
+def survey(nursery, top: Path, kinds: list[str], seed: int) -> dict:
+    """Run the study, and lay out in ``top/found`` every different disk that a fault of some kinds would leave."""
+    for name in ("disk", "found"):
+        (top / name).mkdir()
+    (answer,) = nursery.finish(
+        [top / "disk" / "store"], survey={"kinds": kinds, "seed": seed}, into=str(top / "found"), look=False
+    )
+    return answer
+
+
+def resume(nursery, undisturbed, stores: list[Path], committed: list[list[str]]) -> None:
     """Check that the next driver brings the same bytes, and computes nothing again that was committed."""
-    for begin in range(0, len(faults), 40):
-        died, found = [], []
-        for fault in faults[begin : begin + 40]:
-            top = place()
-            found.append(top / "found" / "store" if fault["kind"] == "power" else top / "disk" / "store")
-            (top / "disk").mkdir()
-            died.append(nursery.drive(top / "disk" / "store", fault={**fault, "image": str(top / "found")}))
-        for before, after in zip(died, nursery.finish(found), strict=True):
-            assert before["status"] == 9
-            assert not set(after["computed"]) & set(before["committed"])
+    for begin in range(0, len(stores), 40):
+        some = slice(begin, begin + 40)
+        for after, kept in zip(nursery.finish(stores[some], look=False), committed[some], strict=True):
+            assert not set(after["computed"]) & set(kept)
             assert after["tree"] == undisturbed["tree"]
-        for store in found:
-            shutil.rmtree(store.parents[1])
+        for store in stores[some]:
+            shutil.rmtree(store.parent)
 
 
-def test_the_process_dies_before_any_effect(torture, nursery, undisturbed, place):
-    points = range(len(undisturbed["effects"]))
-    torture.times(len(points), len(points))
-    strike_and_resume(nursery, undisturbed, place, [{"kind": "die", "at": at} for at in points])
+def test_the_next_driver_goes_on_from_any_disk_that_a_fault_leaves(torture, nursery, undisturbed, place):
+    n_faults = n_disks = 0
+    for rng in torture.attempts(1, 20):  # the chance of some being lost is another each time
+        top = place()
+        told = survey(nursery, top, KINDS, int(rng.integers(2**32)))
+        assert told["tree"] == undisturbed["tree"]
+        n_writes = told["effects"].count("write")
+        faults = [tuple(fault) for disk in told["disks"] for fault in disk["faults"]]
+        assert len(set(faults)) == len(faults) == (len(KINDS) - 1) * len(told["effects"]) + n_writes
+        stores = [top / "found" / str(number) / "store" for number in range(len(told["disks"]))]
+        resume(nursery, undisturbed, stores, [disk["committed"] for disk in told["disks"]])
+        n_faults, n_disks = n_faults + len(faults), n_disks + len(stores)
+        shutil.rmtree(top)
+    n_effects = len(undisturbed["effects"])
+    torture.note(f"{n_faults:,} faults, at 100 % of the {n_effects} effects, leave {n_disks:,} different disks")
 
 
-def test_the_process_dies_half_way_through_any_write(torture, nursery, undisturbed, place):
-    writes = [at for at, effect in enumerate(undisturbed["effects"]) if effect == "write"]
-    torture.times(len(writes), len(writes))
-    strike_and_resume(nursery, undisturbed, place, [{"kind": "tear", "at": at} for at in writes])
+@pytest.mark.share(2)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_process_that_ends_there_leaves_that_disk(torture, nursery, undisturbed, place, kind):
+    """A real one, which is gone when the next begins; in small numbers at points drawn by chance."""
+    effects = undisturbed["effects"]
+    points = [at for at, effect in enumerate(effects) if kind != "tear" or effect == "write"]
+    seed = int(torture.rng().integers(2**32))
+    points = torture.rng().permutation(points).tolist()
+    top = place()
+    told = survey(nursery, top, [kind], seed)
+    disk_of = {at: number for number, disk in enumerate(told["disks"]) for _, at in disk["faults"]}
+    for at, _ in zip(points, torture.attempts(4, len(points)), strict=False):
+        here = place()
+        (here / "disk").mkdir()
+        fault = {"kind": kind, "at": at}
+        if kind not in ("die", "tear"):
+            fault = {"kind": "power", "at": at, "loses": kind, "seed": seed + at, "image": str(here / "found")}
+        before = nursery.drive(here / "disk" / "store", fault=fault)
+        assert before["status"] == 9
+        left = here / ("found" if fault["kind"] == "power" else "disk")
+        assert contents(left) == contents(top / "found" / str(disk_of[at]))
+        resume(nursery, undisturbed, [left / "store"], [before["committed"]])
+        shutil.rmtree(here)
 
 
-@pytest.mark.parametrize("loses", ["all", "contents", "names", "some"])
-def test_the_power_goes_before_any_effect(torture, nursery, undisturbed, place, loses):
-    """What was not synced is lost: all of it; the contents alone, or the names alone; or some of it, by chance.
-
-    In small numbers the first goes through every other point, the last three through every eighth.
-    """
-    n_effects, every = len(undisturbed["effects"]), 1 if torture.large else 2 if loses == "all" else 8
-    points = range(int(torture.rng().integers(every)), n_effects, every)
-    torture.times(len(points), len(points))
-    faults = [
-        {"kind": "power", "at": at, "loses": loses, "seed": int(torture.rng().integers(2**32)) + at} for at in points
-    ]
-    strike_and_resume(nursery, undisturbed, place, faults)
+def contents(disk: Path) -> dict[str, str | None]:
+    """Give the SHA-256 of every file on a disk, None for its folders; locks hold nothing."""
+    return {
+        str(path.relative_to(disk)): None if path.is_dir() else hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in disk.rglob("*") if path.suffix != ".lock"
+    }  # fmt: skip
 
 
+@pytest.mark.share(2)
 def test_a_dead_driver_leaves_nothing_that_a_cut_takes_from_the_next(torture, nursery, undisturbed, place):
     """The first dies at any effect; the second ends the study; then the power goes, and every byte is there.
 
@@ -69,19 +106,21 @@ def test_a_dead_driver_leaves_nothing_that_a_cut_takes_from_the_next(torture, nu
     small numbers the first dies before every fsync that follows upon a new folder, and at some other points.
     """
     effects = undisturbed["effects"]
-    telling = {at for at, effect in enumerate(effects) if effects[at - 1 : at] == ["mkdir"] or torture.large}
-    points = sorted(telling | set(torture.rng().integers(len(effects), size=10).tolist()))
-    torture.times(len(points), len(points))
-    found = []
-    for at in points:
+    telling = [at for at in range(len(effects)) if effects[at - 1 : at] == ["mkdir"]]
+    others = [at for at in torture.rng().permutation(len(effects)).tolist() if at not in telling]
+    points = telling + others
+    n_tried = 0
+    for at, _ in zip(points, torture.attempts(len(telling) + 10, len(points)), strict=False):
         top = place()
         disk, account, image = top / "disk", str(top / "account"), str(top / "found")
         disk.mkdir()
         first = nursery.drive(disk / "store", fault={"kind": "die", "at": at, "leaves": account})
         fault = {"kind": "power", "at": "end", "takes": account, "loses": "all", "image": image}
-        second = nursery.drive(disk / "store", fault=fault)
+        second = nursery.drive(disk / "store", fault=fault, look=False)
         assert (first["status"], second["status"]) == (9, 9)
-        found.append(top / "found" / "store")
-    for answer in nursery.finish(found):
+        (answer,) = nursery.finish([top / "found" / "store"], look=False)
         assert len(answer["computed"]) <= 1
         assert answer["tree"] == undisturbed["tree"]
+        shutil.rmtree(top)
+        n_tried += 1
+    assert n_tried >= len(telling) or torture.large

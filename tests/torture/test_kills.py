@@ -1,106 +1,174 @@
-"""kill -9 at random moments: the driver, a worker, the raylet, the GCS. The study ends in the same bytes.
+"""kill -9 at random moments: a worker, the driver, the raylet, the GCS. The study ends in the same bytes.
 
-Real processes: `puddle study` with Ray, killed again and again on the same store, until every kill was made and the
-study is done. No item that was committed is ever computed again: its manifest is never written twice.
+Real processes: drivers with a Ray of their own, one after the other on the same store. Each loses some workers and then
+itself, its raylet or its GCS; a study that comes to its end is compared, and the next one begins. No item that was
+committed is ever computed again: its manifest is never written twice.
 """
+
+from __future__ import annotations
 
 import contextlib
 import os
 import subprocess
 import sys
 import time
+from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import psutil
 import pytest
 import yaml
+from nursery import TINY, Quiet, run_study, tree
 
-ROOT = Path(__file__).parents[2]
-VICTIMS = ("worker", "driver", "raylet", "gcs_server")
-PATIENCE = 180.0
+from pipeline.configuration import load
+from pipeline.settings import Settings
+from pipeline.stages import STAGES
+
+HERE = Path(__file__).parent
+VICTIMS = [*["worker"] * 4, "raylet", *["worker"] * 4, "driver", *["worker"] * 4, "gcs_server"]
+"""In turn. The worker's place is taken by another; with the others, the run is over."""
+PATIENCE = 600.0
 """Seconds that a driver has to notice that its cluster is dead, on a machine that has much else to do."""
+ALL_BUT_THE_PAGE = STAGES[:-1]
+"""The page says which code made it, and when."""
+
+STUDY = TINY | {
+    "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [], "n_trials": 6},
+    "rollout": {"n_settle": 5, "n_measure": 200},
+    "evolution": {"n_generations": 10, "afpo": {"population_size": 6}},
+}
+"""Some sixty pieces of up to a tenth of a second."""
+
+DRIVER = """
+import sys
+from pathlib import Path
+from nursery import Quiet, run_study
+from pipeline.cluster import ray_cluster
+from pipeline.configuration import load
+from pipeline.errors import PuddleError
+from pipeline.settings import Settings
+from pipeline.stages import STAGES
+
+settings, store = load(Settings, Path(sys.argv[1])), Path(sys.argv[2])
+try:
+    run_study(settings, store, Quiet([]), stages=STAGES[:-1], open_cluster=lambda: ray_cluster("local", 2))
+except PuddleError as error:
+    sys.exit(f"stopped: {error}")
+"""
+"""`puddle study --workers 2`, but for the page and for MLflow, which costs as much as all the rest."""
 
 
 @pytest.fixture(scope="module")
-def undisturbed(nursery, tmp_path_factory):
-    """Digests of the study's files, the page apart: it says which code made it, and when."""
-    (answer,) = nursery.finish([tmp_path_factory.mktemp("undisturbed") / "store"], study="full")
-    return results(answer["tree"])
+def settings(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("settings") / "kills.yaml"
+    path.write_text(yaml.safe_dump(STUDY))
+    return path
 
 
-def results(tree: dict[str, str]) -> dict[str, str]:
+def serially(settings: Path, store: Path) -> dict[str, str]:
+    """Bring a study to its end in this process; give the digests of its files, manifests apart."""
+    run_study(load(Settings, settings), store, Quiet([]), stages=ALL_BUT_THE_PAGE)
     return {
-        path: sha256 for path, sha256 in tree.items()
-        if path.startswith("items/") and not path.startswith("items/report") and not path.endswith("manifest.json")
+        path: sha256 for path, sha256 in tree(store).items()
+        if path.startswith("items/") and not path.endswith("manifest.json")
     }  # fmt: skip
 
 
-def start(store: Path, settings: Path, *words: str) -> subprocess.Popen:
-    return subprocess.Popen(
-        [sys.executable, "-m", "pipeline", "study", "--settings", settings, "--store", store, *words],
-        cwd=ROOT, env={**os.environ, "OMP_NUM_THREADS": "1"}, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        text=True,
-    )  # fmt: skip
+@dataclass
+class Killed:
+    """A study in a store, and the driver that is at it."""
 
+    settings: Path
+    store: Path
+    driver: subprocess.Popen[str] | None = None
+    kept: dict[Path, int] = field(default_factory=dict)
+    """When each manifest was written."""
+    ended: bool = False
 
-def find(driver: subprocess.Popen, victim: str) -> psutil.Process | None:
-    """Find a process of the driver's to kill."""
-    with contextlib.suppress(psutil.Error):
-        process = psutil.Process(driver.pid)
-        if victim == "driver":
-            return process
-        for child in process.children(recursive=True):
+    def start(self) -> None:
+        self.driver = subprocess.Popen(
+            [sys.executable, "-c", DRIVER, str(self.settings), str(self.store)], text=True,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parents[1]}"},
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        )  # fmt: skip
+
+    def find(self, victim: str) -> psutil.Process | None:
+        """Wait for a process of the driver's; None where the driver ends first."""
+        deadline = time.monotonic() + PATIENCE
+        while self.driver.poll() is None:
+            assert time.monotonic() < deadline, f"no {victim}"
             with contextlib.suppress(psutil.Error):
-                words = child.cmdline()
-                name = "worker" if words and words[0].startswith("ray::") else child.name()
-                if name == victim:
-                    return child
-    return None
+                driver = psutil.Process(self.driver.pid)
+                for process in [driver] if victim == "driver" else driver.children(recursive=True):
+                    with contextlib.suppress(psutil.Error):
+                        is_worker = process.name().startswith("ray::") and "Agent" not in process.name()
+                        if victim == "driver" or process.name() == victim or (victim == "worker" and is_worker):
+                            return process
+            time.sleep(0.02)
+        return None
 
-
-def manifests(store: Path) -> dict[Path, int]:
-    return {path: path.stat().st_mtime_ns for path in store.glob("items/*/*/*/manifest.json")}
-
-
-@pytest.mark.timeout(1800)  # Ray starts once for every kill: a minute in all, more where much else goes on
-def test_kill_9_at_random_moments(torture, nursery, undisturbed, tmp_path):
-    settings = tmp_path / "full.yaml"
-    settings.write_text(yaml.safe_dump(nursery.ask(settings="full")["settings"]))
-    n_of, n_stores, store, kept = dict.fromkeys(VICTIMS, 0), 0, None, {}
-
-    def finish() -> None:
-        """Let the study come to its end, and compare."""
-        (answer,) = nursery.finish([store], study="full")
-        assert results(answer["tree"]) == undisturbed
-        now = manifests(store)
-        assert {path: now[path] for path in kept} == kept
-
-    for attempt, rng in enumerate(torture.attempts(4, 500)):
-        if store is None or len(kept) >= 16:  # little is left to be killed at
-            if store is not None:
-                finish()
-            n_stores += 1
-            store, kept = tmp_path / f"store{n_stores}", {}
-        victim = VICTIMS[attempt % 4]
-        driver = start(store, settings, "--workers", "2")
-        try:
-            deadline = time.monotonic() + PATIENCE
-            while (prey := find(driver, victim)) is None and driver.poll() is None and time.monotonic() < deadline:
-                time.sleep(0.02)
-            time.sleep(float(rng.exponential(1.5)) + (2.0 if victim == "driver" else 0.0))
-            if prey is not None:
+    def kill(self, victim: str, wait: float) -> bool:
+        """Kill one, after so many seconds, if the run lasts so long."""
+        if self.driver is None:
+            self.start()
+        while (prey := self.find(victim)) is not None:
+            time.sleep(wait)
+            if self.driver.poll() is None:
                 with contextlib.suppress(psutil.NoSuchProcess):
                     prey.kill()
-                    n_of[victim] += 1
-            _, said = driver.communicate(timeout=PATIENCE)
-            assert "Traceback" not in said, said
-            assert driver.returncode in ((-9,) if victim == "driver" and prey else (0, 1, 2)), said
-            now = manifests(store)
-            assert {path: now[path] for path in kept} == kept
-            kept = now
-        finally:
-            driver.kill()
-            driver.wait()
-    finish()
-    killed = ", ".join(f"{number} {victim}" for victim, number in n_of.items())
-    torture.note(f"killed {killed}; {n_stores} studies ended in the same bytes, no item written twice")
+                    return True
+        return False
+
+    def end(self, victim: str | None) -> None:
+        """Wait for the end of the driver, who lost something; look at what it said and left."""
+        _, said = self.driver.communicate(timeout=PATIENCE)
+        code, self.driver = self.driver.returncode, None
+        assert "Traceback" not in said, said
+        if victim == "driver":
+            assert code == -9, said
+        else:
+            assert code == 0 or (code == 1 and "stopped: Ray" in said), said
+        assert victim != "worker" or code == 0, said
+        self.ended = code == 0
+        self.look()
+
+    def look(self) -> None:
+        now = {path: path.stat().st_mtime_ns for path in self.store.glob("items/*/*/*/manifest.json")}
+        assert {path: now.get(path) for path in self.kept} == self.kept
+        self.kept = now
+
+
+@pytest.mark.share(10)
+@pytest.mark.timeout(3600)  # Ray starts for every few kills
+def test_kill_9_at_random_moments(torture, settings, tmp_path):
+    undisturbed = serially(settings, tmp_path / "undisturbed")
+    n_of, n_studies, study = Counter(), 0, Killed(settings, tmp_path / "0")
+
+    def finish() -> Killed:
+        """Bring the study to its end, compare, and begin another."""
+        assert serially(settings, study.store) == undisturbed
+        study.look()
+        return Killed(settings, tmp_path / str(n_studies))
+
+    try:
+        for number, rng in enumerate(torture.attempts(20, 500)):
+            victim = VICTIMS[number % len(VICTIMS)]
+            mean = 3.0 if study.driver is None else 0.3
+            while not study.kill(victim, float(rng.exponential(mean))):
+                study.end(None)
+                if study.ended:
+                    n_studies += 1
+                    study = finish()
+            n_of[victim] += 1
+            if victim != "worker":
+                study.end(victim)
+        if study.driver is not None:
+            study.end("worker")
+        finish()
+    finally:
+        if study.driver is not None:
+            study.driver.kill()
+            study.driver.communicate()
+    killed = ", ".join(f"{number} {victim}s" for victim, number in n_of.items())
+    torture.note(f"killed {killed}; {n_studies + 1} studies ended in the same bytes, no item written twice")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import small_study
 
 from pipeline.cluster import Cluster, Outcome, Ticket, ray_cluster, serial_cluster
 from pipeline.configuration import parse
 from pipeline.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store import Store
-from pipeline.study import follow, results_of, run_stage
 
 TINY = """
 name: tiny
@@ -50,20 +50,10 @@ class Shuffled:
         return dealt
 
 
-class NoBar:
-    def advance(self, work: float) -> None: ...
-
-
-def digests(settings: Settings, store: Store, cluster) -> dict[str, list[str]]:
-    upstream, found = {}, {}
-    for stage in STAGES[:N_STAGES]:
-        walks = follow(stage, settings, store, upstream, say=print)
-        run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=print)
-        upstream[stage.name] = results_of(stage, walks)
-        assert not upstream[stage.name].set_aside
-        for label, manifests in upstream[stage.name].done.items():
-            found[f"{stage.name}/{label}"] = [manifest.digest for manifest in manifests]
-    return found
+def digests(settings: Settings, store: Store, cluster: Cluster) -> dict[str, list[str]]:
+    upstream = small_study.run(settings, store, cluster, STAGES[:N_STAGES], say=print)
+    assert not any(results.set_aside for results in upstream.values())
+    return small_study.digests(upstream)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ import re
 import secrets
 import signal
 import socket
+import sqlite3
 import subprocess
 import sys
 import termios
@@ -117,6 +118,15 @@ def seconds_until_gone(one: Driver, at_most: float) -> float:
     return time.monotonic() - begin
 
 
+SESSION = re.compile(r"/tmp/puddle-\w+")
+
+
+def words_of(process: psutil.Process) -> list[str]:
+    with contextlib.suppress(psutil.Error):
+        return process.cmdline()
+    return []
+
+
 def sessions() -> set[Path]:
     return set(Path("/tmp").glob("puddle-*/lock"))
 
@@ -135,11 +145,13 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
             time.sleep(rng.uniform(0.0, 15.0 if torture.large else 6.0))
             assert one.process.poll() is None, one.said()
             spoke = "starting the cluster" in one.said()
+            folders = {word for process in one.family() for word in words_of(process) if SESSION.fullmatch(word)}
             if way == "closed terminal":
                 os.close(one.terminal)
             else:
                 one.process.send_signal(signal.Signals[way])
             slowest = max(slowest, seconds_until_gone(one, at_most))
+            assert not any(Path(folder).exists() for folder in folders)
             code = one.process.wait()
             if way in ("SIGINT", "SIGTERM") and spoke:
                 assert code == 128 + signal.Signals[way], one.said()
@@ -198,44 +210,36 @@ def test_a_second_driver_is_refused_with_the_firsts_identity(tmp_path: Path):
         assert "Wait for its end, or stop it" in said and "finished work is kept" in said
 
 
-def digests(folder: Path, *words: str, store: str = "store") -> str:
-    command = [sys.executable, "-m", "pipeline", "status", "--digests", "--settings", str(folder / "tiny.yaml")]
-    ran = subprocess.run(
-        [*command, "--store", str(folder / store), *words],
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return ran.stdout
-
-
-def test_processes_at_once_on_one_store_and_one_database(torture, tmp_path: Path):
+@pytest.mark.share(2)
+def test_eight_processes_at_once_on_one_store_and_one_database(torture, nursery, place):
     """Eight drivers, two studies that share work, one store, one MLflow: no error, and each study as if alone."""
-    n_drivers, command = (8, "study") if torture.large else (4, "evolve")
-    shared = ("--workers", "0", *(() if torture.large else ("--set", "grid.environments=[dry_land]")))
-    studies = [
-        (*shared, "--set", "name=one", "--set", "evolution.n_generations=6"),
-        (*shared, "--set", "name=two", "--set", "evolution.n_generations=12"),
-    ]
-    alone = []
-    for number, words in enumerate(studies):
-        with driver(tmp_path, *words, command=command, store=f"alone-{number}") as one:
-            assert one.process.wait(300) == 0, one.said()
-        alone.append(digests(tmp_path, *words[2:], store=f"alone-{number}"))
-    assert alone[0] and set(alone[0].splitlines()) < set(alone[1].splitlines())
-    for attempt, _ in enumerate(torture.attempts(1, 10)):
-        store = f"together-{attempt}"
-        with contextlib.ExitStack() as stack:
-            drivers = []
-            for number in range(n_drivers):
-                words = studies[number % 2]
-                drivers.append(stack.enter_context(driver(tmp_path, *words, command=command, store=store)))
-            codes = [one.process.wait(600) for one in drivers]
-            for code, one in zip(codes, drivers, strict=True):  # the first of each study drives, the rest are refused
-                assert code == 0 or (code == 2 and "is driven by" in one.said()), one.said()
-                assert "MLflow" not in one.said() and "Traceback" not in one.said(), one.said()
-            assert 0 in codes[0::2] and 0 in codes[1::2]
-        for words, expected in zip(studies, alone, strict=True):
-            assert digests(tmp_path, *words[2:], store=store) == expected
-        assert Store.open(tmp_path / store, create=False).verify() == []
+    alone = {}
+    for name in ("tiny", "longer"):
+        (answer,) = nursery.finish([place() / "store"], study=name)
+        alone |= {path: sha256 for path, sha256 in answer["tree"].items() if path.startswith(("items/", "studies/"))}
+    n_refused = 0
+    for _ in torture.attempts(1, 50):
+        root = place() / "store"
+        answers = nursery.drive_at_once(root, ["tiny", "longer"] * 4, mlflow=True)
+        for one in answers:  # the first of each study drives; of the others, those that come too early are refused
+            assert "is driven by process" in one.get("error", "is driven by process")
+            assert not any("MLflow" in line for line in one["said"])
+            n_refused += "error" in one
+        for name in (0, 1):
+            assert any("error" not in one for one in answers[name::2])
+        store = Store.open(root, create=False)
+        found = nursery.drive(root, study="longer")["tree"]
+        assert {path: found[path] for path in found if path.startswith(("items/", "studies/"))} == alone
+        assert store.verify() == []
+        assert sorted(mirrored(root)) == ["longer", "tiny"]
+    torture.note(f"{n_refused} were told that another drives the study, the others did their part of it")
+
+
+def mirrored(root: Path) -> list[str]:
+    """Name the studies that MLflow's database has."""
+    with contextlib.closing(sqlite3.connect(root / "mlflow.db")) as database:
+        nested = "SELECT run_uuid FROM tags WHERE key = 'mlflow.parentRunId'"
+        return [name for (name,) in database.execute(f"SELECT name FROM runs WHERE run_uuid NOT IN ({nested})")]
 
 
 # -- 10: network -----------------------------------------------------------------------------------------------------

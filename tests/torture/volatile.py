@@ -62,6 +62,10 @@ class Account:
             node = node.now[name]
         return node
 
+    def name(self, path: Path) -> str:
+        """Give a path as images have it."""
+        return f"/{path.relative_to(self._top)}"
+
     def note(self, effect: str, path: Path, *rest: Any) -> None:
         """Take down an effect that has happened."""
         if not path.is_relative_to(self._top):
@@ -86,21 +90,63 @@ class Account:
             case "unlink":
                 folder.change(path.name, None)
 
-    def lay_out(self, target: Path, loses: str, chance: random.Random) -> None:
-        """Write the disk as found after the cut: ``loses`` is all, contents, names or some (by chance)."""
-        self._lay(self._folder, target, loses, chance)
+    def image(self, loses: str, chance: random.Random) -> Image:
+        """Say what is found on the disk after the cut: ``loses`` is all, contents, names, some (by chance) or none."""
+        found: Image = {}
+        self._find(self._folder, "", loses, chance, found)
+        return found
 
-    def _lay(self, node: File | Folder, target: Path, loses: str, chance: random.Random) -> None:
+    def _find(self, node: File | Folder, path: str, loses: str, chance: random.Random, found: Image) -> None:
         if isinstance(node, Folder):
-            target.mkdir()
-            names = {"all": node.names[0], "names": node.names[0], "contents": node.now}.get(loses)
+            found[path] = None
+            names = {"all": node.names[0], "names": node.names[0], "contents": node.now, "none": node.now}.get(loses)
             for name, inner in (chance.choice(node.names) if names is None else names).items():
-                self._lay(inner, target / name, loses, chance)
+                self._find(inner, f"{path}/{name}", loses, chance, found)
             return
         safe, last = node.contents[0], node.contents[-1]
         zeros = safe if safe == last else bytes(len(last))  # a length that was kept, of blocks that were not
         some = chance.choice([safe, last, zeros, last[: chance.randrange(len(last) + 1)]]) if safe != last else last
-        target.write_bytes({"all": safe, "contents": zeros, "names": last}.get(loses, some))
+        found[path] = {"all": safe, "contents": zeros, "names": last, "none": last}.get(loses, some)
+
+
+Image = dict[str, bytes | None]
+"""What is on a disk: the content of every file by its path, None for a folder; the empty path is the disk itself."""
+
+
+def lay_out(image: Image, target: Path) -> None:
+    """Write a disk."""
+    for path, data in image.items():
+        if data is None:
+            (target / path.lstrip("/")).mkdir()
+        else:
+            (target / path.lstrip("/")).write_bytes(data)
+
+
+class Survey:
+    """The different disks that all faults of one run leave, found on the way without one of them happening."""
+
+    def __init__(self, account: Account, committed: list[str], kinds: list[str], seed: int) -> None:
+        self._account, self._committed, self._kinds, self._seed = account, committed, kinds, seed
+        self._number: dict[frozenset[tuple[str, bytes | None]], int] = {}
+        self.disks: list[Image] = []
+        self.told: list[dict[str, Any]] = []
+        """Of each disk: the faults that leave it, and which items were committed before the last of them."""
+
+    def look(self, at: int, effect: str, path: Path, *rest: Any) -> None:
+        """See what faults would leave before an effect."""
+        for kind in self._kinds:
+            loses = "none" if kind in ("die", "tear") else kind
+            image = self._account.image(loses, random.Random(self._seed + at))
+            if kind == "tear":
+                if effect != "write":
+                    continue
+                image[self._account.name(path)] = rest[0][: len(rest[0]) // 2]
+            number = self._number.setdefault(frozenset(image.items()), len(self.disks))
+            if number == len(self.disks):
+                self.disks.append(image)
+                self.told.append({"faults": []})
+            self.told[number]["faults"].append([kind, at])
+            self.told[number]["committed"] = list(self._committed)
 
 
 # -- the seam --------------------------------------------------------------------------------------------------------
@@ -111,6 +157,7 @@ class _State:
     effects: list[str] = field(default_factory=list)
     fault: dict[str, Any] | None = None
     account: Account | None = None
+    survey: Survey | None = None
     die: Callable[[], None] = lambda: None
 
 
@@ -135,11 +182,30 @@ def arm(fault: dict[str, Any] | None, top: Path) -> None:
     disk holds afterwards, ``fault["loses"]`` being what is gone. The account of what is safe goes from one process to
     the next by ``fault["leaves"]`` and ``fault["takes"]``.
     """
-    _state.effects, _state.fault, _state.account = [], fault, None
+    _state.effects, _state.fault, _state.account, _state.survey = [], fault, None, None
     if fault and "takes" in fault:
         _state.account = pickle.loads(Path(fault["takes"]).read_bytes())
     elif fault and (fault["kind"] == "power" or "leaves" in fault):
         _state.account = Account(top)
+
+
+def survey(top: Path, committed: list[str], kinds: list[str], seed: int) -> Survey:
+    """Look, from :func:`arm` on, at what every fault would leave of a folder.
+
+    Args:
+        top: the folder.
+        committed: keys of what is committed, as the list grows.
+        kinds: of faults: die, tear, or what a loss of power loses.
+        seed: of the chance by which it loses some.
+    """
+    _state.account = Account(top)
+    _state.survey = Survey(_state.account, committed, kinds, seed)
+    return _state.survey
+
+
+def rest() -> None:
+    """Look no more."""
+    _state.survey = None
 
 
 def effects() -> list[str]:
@@ -153,7 +219,7 @@ def strike() -> None:
     if fault is not None and account is not None and "leaves" in fault:
         Path(fault["leaves"]).write_bytes(pickle.dumps(account))
     if fault is not None and account is not None and fault["kind"] == "power":
-        account.lay_out(Path(fault["image"]), fault["loses"], random.Random(fault.get("seed", 0)))
+        lay_out(account.image(fault["loses"], random.Random(fault.get("seed", 0))), Path(fault["image"]))
     _state.die()
 
 
@@ -166,6 +232,8 @@ def _guard(name: str, effect: Callable[..., None]) -> Callable[..., None]:
                     raise AssertionError(f"effect {fault['at']} is a {name}, expected a write")
                 effect(path, rest[0][: len(rest[0]) // 2])
             strike()
+        if _state.survey is not None:
+            _state.survey.look(len(_state.effects), name, path, *rest)
         _state.effects.append(name)
         effect(path, *rest)
         if _state.account is not None:

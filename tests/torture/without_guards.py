@@ -14,7 +14,7 @@ from pipeline.manifest import Manifest
 from pipeline.store import Store
 
 STORE, ARTIFACTS = "tests/pipeline/test_store.py::test_", "tests/pipeline/test_artifacts.py::test_"
-REFUSALS = "tests/pipeline/test_store_refusals.py::test_"
+FAULTS, REFUSALS = "tests/pipeline/test_store_faults.py::test_", "tests/pipeline/test_store_refusals.py::test_"
 
 
 def unread(store: Store, manifest: Manifest, name: str) -> bytes:
@@ -58,7 +58,7 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
         lambda patch: patch.setattr(pipeline.artifacts, "_check_label", lambda *said: None),
     ),
     "temporary file": (
-        STORE + "a_study_record_is_the_old_or_the_new_one",
+        FAULTS + "a_study_record_is_the_old_or_the_new_one",
         lambda patch: patch.setattr(disk, "place", in_place),
     ),
     "lock of a study": (
@@ -71,7 +71,7 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
     ),
     "equality of what is computed twice": (
         STORE + "a_result_computed_twice_must_be_equal",
-        lambda patch: patch.setattr("pipeline.store.refuse_other_content", lambda kept, new: None),
+        lambda patch: patch.setattr("pipeline.items.refuse_other_content", lambda kept, new: None),
     ),
     "check that a training's loss is finite": (
         "tests/tasks/residual/test_training.py::test_data_that_are_not_finite_end_a_training_by_name[nan]",

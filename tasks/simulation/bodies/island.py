@@ -51,6 +51,15 @@ from tasks.simulation.lanes import any_lane, from_row, inline, load_whole, sqrt,
 
 
 @inline
+def reach(block: Any, bodies: Any, n_stack: Any, body: Any) -> Any:
+    """Put a body on the stack, unless it is among those that were met; give what was met, and the stack's height."""
+    if bodies & (1 << body):
+        return bodies, n_stack
+    store_whole(block, STACK + n_stack, body)
+    return bodies | (1 << body), n_stack + 1
+
+
+@inline
 def search(block: Any) -> None:
     """b2World::Solve's search, with a stack, from the root's body: contacts and joints in the order it meets them.
 
@@ -78,11 +87,7 @@ def search(block: Any) -> None:
                 contacts |= 1 << i
                 store_whole(block, ISLAND_CONTACTS + n_found_contacts, k)
                 n_found_contacts += 1
-                other = body_b if body_a == b else body_a
-                if not bodies & (1 << other):
-                    bodies |= 1 << other
-                    store_whole(block, STACK + n_stack, other)
-                    n_stack += 1
+                bodies, n_stack = reach(block, bodies, n_stack, body_b if body_a == b else body_a)
         for j in range(n_joints - 1, -1, -1):
             joint = joint_at(block, j)
             body_a, body_b = load_whole(joint, BODY_A), load_whole(joint, BODY_B)
@@ -90,11 +95,7 @@ def search(block: Any) -> None:
                 joints |= 1 << j
                 store_whole(block, ISLAND_JOINTS + n_found_joints, j)
                 n_found_joints += 1
-                other = body_b if body_a == b else body_a
-                if not bodies & (1 << other):
-                    bodies |= 1 << other
-                    store_whole(block, STACK + n_stack, other)
-                    n_stack += 1
+                bodies, n_stack = reach(block, bodies, n_stack, body_b if body_a == b else body_a)
     store_whole(block, N_ISLAND_CONTACTS, n_found_contacts)
     store_whole(block, N_ISLAND_JOINTS, n_found_joints)
 

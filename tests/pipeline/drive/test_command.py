@@ -52,6 +52,16 @@ def test_a_dry_run(kit, tmp_path, capsys):
     assert "there already" in capsys.readouterr().err
 
 
+def test_the_log_goes_beside_the_timeline(kit, tmp_path, capsys, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert call("drive", str(kit), "--dry-run", "--duration", "0") in (0, 2)  # 2: this computer was late
+    (log,) = kit.glob("drive-20??????-??????.parquet")
+    assert f"What is sent will be in {log}" in capsys.readouterr().out
+    assert "start" in table_of(log)["event"]
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
 def test_nothing_moves_without_a_yes(kit, tmp_path, plug):
     fake = plug()
     runner = CliRunner()

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import zipfile
+from itertools import combinations
 from math import pi
 from pathlib import Path
 from xml.etree import ElementTree
@@ -21,8 +22,10 @@ from build123d import import_step
 from PIL import Image
 from shapely import LineString, Polygon, polygonize
 
-from pipeline.design_file import design_document
-from pipeline.fabrication.exports import exports, write_exports
+from pipeline.design_file import design_document, read_design
+from pipeline.fabrication import drawing
+from pipeline.fabrication.exports import exports
+from pipeline.fabrication.labels import Labels
 from tasks.fabrication.kit import build_kit
 from tasks.fabrication.settings import KitSettings
 
@@ -34,10 +37,11 @@ import hashlib, json, sys
 import numpy as np
 from pipeline.design_file import design_from
 from pipeline.fabrication.exports import exports
+from pipeline.fabrication.labels import Labels
 from tasks.fabrication.kit import build_kit
 from tasks.fabrication.settings import KitSettings
 design = design_from(json.load(sys.stdin), "standard input")
-files = exports(build_kit(design, KitSettings()), title="Crane")
+files = exports(build_kit(design, KitSettings()), title="Crane", n_faults=0)
 print(json.dumps({name: hashlib.sha256(content).hexdigest() for name, content in files.items()}))
 """
 
@@ -61,13 +65,14 @@ def kit(crane):
 
 @pytest.fixture(scope="module")
 def files(kit):
-    return exports(kit, title="Crane")
+    return exports(kit, title="Crane", n_faults=0)
 
 
 def test_every_part_has_its_files(kit, files):
     names = {part.name for part in kit.parts}
     assert names == {f"part-{n}-{side}" for n in (1, 2, 3) for side in ("left", "right")}
-    expected = {f"print/{name}.{form}" for name in names for form in ("stl", "3mf")}
+    printed = names | {"gauge-servo", "gauge-horn"}
+    expected = {f"print/{name}.{form}" for name in printed for form in ("stl", "3mf")}
     expected |= {f"cad/{name}.step" for name in names} | {f"profiles/{name}.dxf" for name in names}
     expected |= {"robot.png", "robot.step", "bill.csv", "drawing.svg", "drawing.pdf", "drawing.png"}
     assert set(files) == expected
@@ -79,6 +84,14 @@ def test_stl_is_watertight_and_has_the_part_s_volume(kit, files):
         assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
         assert mesh.volume == pytest.approx(part.volume_mm3, rel=MESHED)
         assert np.allclose(mesh.bounds[0], 0.0, atol=1e-4) and mesh.bounds[1][2] == pytest.approx(25.0)
+
+
+def test_gauges_are_watertight_and_lie_on_the_bed(kit, files):
+    for gauge in kit.gauges:
+        mesh = trimesh.load(io.BytesIO(files[f"print/{gauge.name}.stl"]), file_type="stl")
+        assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
+        assert mesh.volume == pytest.approx(gauge.volume_mm3, rel=MESHED)
+        assert np.allclose(mesh.bounds[0], 0.0, atol=1e-4)
 
 
 def test_3mf_is_what_its_own_library_reads(kit, files):
@@ -167,6 +180,38 @@ def test_the_drawing_says_joints_angles_and_dimensions(kit, files):
     assert b"/MediaBox [ 0 0 1190.55" in files["drawing.pdf"]  # 420 mm
 
 
+def drawn(kit, monkeypatch, n_faults: int = 0) -> tuple[str, list[Labels]]:
+    """Draw a kit; give its words and the labels of each view."""
+    views = []
+
+    class Kept(Labels):
+        def __init__(self, sheet):
+            super().__init__(sheet)
+            views.append(self)
+
+    monkeypatch.setattr(drawing, "Labels", Kept)
+    elements = ElementTree.fromstring(drawing.assembly_drawing(kit, "Drawn", n_faults)["svg"]).iter()
+    return " ".join("".join(element.itertext()) for element in elements if element.tag.endswith("text")), views
+
+
+def test_the_drawing_tells_the_count_of_faults_that_it_is_given(kit, monkeypatch):
+    assert "11 faults found" in drawn(kit, monkeypatch, 11)[0]
+    assert "1 fault found" in drawn(kit, monkeypatch, 1)[0]
+    assert "fault" not in drawn(kit, monkeypatch, 0)[0]
+
+
+def test_no_label_lies_on_another(kit, monkeypatch):
+    crowded = build_kit(read_design(Path(__file__).parents[3] / "docs/design.json"), KitSettings())  # five parts
+    for robot in (kit, crowded):
+        _, views = drawn(robot, monkeypatch)
+        assert len(views) == 2
+        n_rods, n_joints = sum(map(len, robot.layers.rods)), len(robot.drives)
+        assert len(views[0].boxes) >= n_rods + n_joints + len(robot.mechanism.bodies) + 2
+        for labels in views:
+            for one, other in combinations(labels.boxes, 2):
+                assert one.intersection(other).area < 0.05
+
+
 def test_the_picture_shows_every_part(kit, files):
     image = Image.open(io.BytesIO(files["robot.png"])).convert("RGB")
     assert image.size == (1600, 1000)
@@ -195,13 +240,6 @@ def test_the_same_design_gives_the_same_bytes_in_another_process(crane, files):
 
 def test_a_dxf_does_not_depend_on_the_hash_seed():
     assert len({said_elsewhere(DRAW, seed) for seed in ("1", "4", "5")}) == 1
-
-
-def test_files_are_written_where_they_are_said_to_be(kit, files, tmp_path):
-    folder = tmp_path / "new" / "kit"
-    written = write_exports(kit, folder, title="Crane")
-    assert sorted(map(str, written)) == sorted(files)
-    assert all((folder / name).read_bytes() == files[str(name)] for name in written)
 
 
 def test_cad_is_imported_late_and_its_absence_is_one_clear_message():

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.drawing import Drawing, Missing
+from pipeline.report.figures import draw_all
 from pipeline.report.findings import Accuracy, Ancestor, Family, Findings, Retried, Suspect, ThrownPaths
 from pipeline.report.replay import Replay, replay_of
 from tasks.analysis import (
@@ -188,3 +190,9 @@ def study(slush_replay, dry_replay, promised, findings) -> StudyReport:
         digests=[Digest("evolve", "true_slush 9 m trial 0", "ab" * 32)],
         seconds={"evolve": 125.0},
     )
+
+
+@pytest.fixture(scope="session")
+def drawn(study) -> dict[str, Drawing | Missing]:
+    """Its figures, which take seconds."""
+    return draw_all(study)

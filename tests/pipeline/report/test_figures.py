@@ -16,11 +16,6 @@ from pipeline.report.figures import FIGURES, draw_all
 from pipeline.report.findings import Findings
 
 
-@pytest.fixture(scope="module")
-def drawn(study):
-    return draw_all(study)
-
-
 def draw(name: str, study) -> Drawing | Missing:
     title, figure = FIGURES[name]
     return finish(name, title, partial(figure, study))

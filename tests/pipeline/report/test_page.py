@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pipeline.report.data import TrialResult
-from pipeline.report.figures import draw_all
 from pipeline.report.page import render_page
 from pipeline.report.replay import Overlay
 
@@ -59,11 +58,6 @@ class Page(HTMLParser):
     @property
     def text(self) -> str:
         return " ".join(" ".join(self.words).split())
-
-
-@pytest.fixture(scope="module")
-def drawn(study):
-    return draw_all(study)
 
 
 @pytest.fixture(scope="module")

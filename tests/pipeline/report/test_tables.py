@@ -84,8 +84,8 @@ def test_the_tank_s_table_says_who_crossed_how_fast_and_why_not():
     text = words(tank_tests(Findings(tank_tests=[TankTest("Residual Slush, 2 m", Tank(), candidates)])))
     assert "a tank of 1.17 m, filled 150 mm deep, at 70 mm for a metre of simulation: 16.7 m by 2.14 m" in text
     assert "Residual Slush, 2 m: 1 of 2 cross, 0 on the dry floor" in text
-    assert "trial 0 9.0 0.2 17.0 – it is as long as the tank −0.3 of 12.7 m −0.1 mm/s built" in text
-    assert "✓ trial 3 10.0 – 4.0 64 s 14.0 mm/s built – it diverged" in text
+    assert "trial 0 9.0 0.2 17.0 – it is as long as the tank −2.1 of 88.9 cm −0.5 mm/s" in text  # 70 mm/m, √0.07 s/s
+    assert "✓ trial 3 10.0 – 4.0 17 s 52.9 mm/s – it diverged" in text
     assert tank_tests(Findings()) == ""
 
 

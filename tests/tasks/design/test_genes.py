@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tasks.design import GENES, N_LINKS, DesignError, Designs, check, concatenate, random_designs
-from tasks.design.genes import N_GENES, Gene, canonical
+from tasks.design.genes import N_GENES, Gene
 
 
 @pytest.fixture
@@ -93,16 +93,6 @@ def test_indexing_chooses_designs(designs: Designs) -> None:
 
 def test_parts_of_designs_join_again(designs: Designs) -> None:
     assert concatenate([designs[:2], designs[2:]]).equals(designs)
-
-
-def test_a_copy_without_what_the_root_ignores(designs: Designs) -> None:
-    joint_genes = [gene.name for gene in GENES if not gene.of_root]
-    untidy = designs
-    for name in joint_genes:
-        untidy = with_value(untidy, name, (slice(None), 0), 1)
-    assert not untidy.equals(designs)
-    assert canonical(untidy).equals(designs)
-    assert all((getattr(untidy, name)[:, 0] == 1).all() for name in joint_genes)  # the argument is left as it was
 
 
 def test_what_the_root_ignores_is_not_checked(designs: Designs) -> None:

@@ -1,13 +1,9 @@
 """The batch engine by itself: nothing but the clock depends on lanes, batches or neighbours. See also tests/parity."""
 
-import os
-import subprocess
-import sys
-import tracemalloc
-
 import numba
 import numpy as np
 import pytest
+from both_engines import Slushes, assert_equal_in_plain_python, peaks_of_memory
 
 from tasks.design import Designs, concatenate, random_designs
 from tasks.simulation import DIVERGED, OK, batch, contact, simulate
@@ -26,20 +22,7 @@ def designs() -> Designs:
     return random_designs(N_DESIGNS, np.random.default_rng(8))
 
 
-class Members:
-    """Three media that are not built in: slushes of three densities."""
-
-    n_members = 3
-
-    def velocity_change(self, links, physics):
-        each = []
-        for k, density in enumerate((0.6, 1.25, 2.0)):
-            member = type(links)(**{name: array[k] for name, array in vars(links).items()})
-            each.append(vars(Slush(density=density).velocity_change(member, physics)))
-        return VelocityChange(**{name: np.stack([change[name] for change in each]) for name in each[0]})
-
-
-ENVIRONMENTS = [DryLand(0.0), TrueSlush(1.0), ResidualSlush(1.0, Members())]
+ENVIRONMENTS = [DryLand(0.0), TrueSlush(1.0), ResidualSlush(1.0, Slushes(0.6, 1.25, 2.0))]
 
 
 def roll_out(designs: Designs, environment: Environment, n_lanes: int) -> Motion:
@@ -59,7 +42,7 @@ def whole(designs: Designs, environment: Environment) -> np.ndarray:
 
 
 @compiled_only
-@pytest.mark.parametrize("n_lanes", [1, 4, 16])
+@pytest.mark.parametrize("n_lanes", [widest() // 2, 1])  # see test_lanes.py for all operations on all numbers
 def test_every_number_of_lanes_gives_the_same_bits(designs, environment, whole, n_lanes):
     np.testing.assert_array_equal(roll_out(designs, environment, n_lanes).trace, whole)
 
@@ -136,13 +119,7 @@ def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_eng
 
 @compiled_only
 def test_ten_thousand_designs_in_one_call_and_no_memory_that_grows_with_steps():
-    designs = random_designs(10_000, np.random.default_rng(4))
-    peaks = []
-    for n_measure in (1, 12):
-        tracemalloc.start()
-        simulate(designs, TrueSlush(1.0), n_settle=0, n_measure=n_measure)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
+    peaks = peaks_of_memory(random_designs(10_000, np.random.default_rng(4)), PHYSICS)
     assert peaks[0] < 200e6  # bytes; the promise is 1 GB
     assert peaks[1] < 1.01 * peaks[0]
 
@@ -176,22 +153,5 @@ def test_packing_keeps_what_was_put_in(designs):
     assert (groups.blocks[:, VERTEX_1] == contact.NO_VERTEX).all()
 
 
-PLAIN_PYTHON = """
-import numba, numpy as np
-from tasks.design import random_designs
-from tasks.simulation import batch, reference
-from tasks.world import DryLand, Physics, TrueSlush
-assert numba.config.DISABLE_JIT
-designs = random_designs(3, np.random.default_rng(5))
-for environment, n_steps in ((TrueSlush(0.2), 6), (DryLand(0.0), 3)):
-    ours = batch.roll_out_on(designs, environment, Physics(), n_settle=1, n_measure=n_steps, trace=True, n_lanes=3)
-    theirs = reference.roll_out(designs, environment, Physics(), n_settle=1, n_measure=n_steps, trace=True)
-    assert np.array_equal(ours.trace, theirs.trace)
-print("equal")
-"""
-
-
 def test_the_kernels_are_plain_python_too():
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run([sys.executable, "-c", PLAIN_PYTHON], env=environment, capture_output=True, text=True)
-    assert done.stdout == "equal\n", done.stderr
+    assert_equal_in_plain_python(3, PHYSICS, (6, 3))

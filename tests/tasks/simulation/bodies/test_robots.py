@@ -3,20 +3,16 @@
 See also tests/parity.
 """
 
-import os
-import subprocess
-import sys
-import tracemalloc
-
 import numba
 import numpy as np
 import pytest
+from both_engines import Slushes, assert_equal_in_plain_python, peaks_of_memory
 
 from tasks.design import Designs, random_designs, rigid_bodies
 from tasks.simulation import DIVERGED, OK, batch, simulate
 from tasks.simulation.bodies import packing, robots, rows, step
 from tasks.simulation.lanes import Block, load_whole, store_whole
-from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
+from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python")
 PHYSICS = Physics(passive_joints="locked", link_collisions=True)
@@ -28,19 +24,16 @@ def designs() -> Designs:
     return random_designs(N_DESIGNS, np.random.default_rng(8))
 
 
-class Members:
-    """Three media that are not built in: slushes of three densities, of which one kills links that whirl."""
+class Members(Slushes):
+    """Slushes of three densities, of which one kills links that whirl."""
 
-    n_members = 3
+    def __init__(self) -> None:
+        super().__init__(0.6, 1.25, 2.0)
 
     def velocity_change(self, links, physics):
-        each = []
-        for k, density in enumerate((0.6, 1.25, 2.0)):
-            member = type(links)(**{name: array[k] for name, array in vars(links).items()})
-            each.append(vars(Slush(density=density).velocity_change(member, physics)))
-        hit = (links.length_scale[2] > 2.7) & (abs(links.omega[2]) > 1.5)
-        each[2]["omega"] = np.where(hit, np.float32(np.inf), each[2]["omega"])
-        return VelocityChange(**{name: np.stack([change[name] for change in each]) for name in each[0]})
+        change = super().velocity_change(links, physics)
+        change.omega[2, (links.length_scale[2] > 2.7) & (abs(links.omega[2]) > 1.5)] = np.inf
+        return change
 
 
 @pytest.fixture(params=[DryLand(0.0), TrueSlush(1.0), ResidualSlush(1.0, Members())], ids=lambda e: type(e).__name__)
@@ -108,13 +101,7 @@ def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_eng
 
 @compiled_only
 def test_memory_does_not_grow_with_steps():
-    designs = random_designs(2000, np.random.default_rng(4))
-    peaks = []
-    for n_measure in (1, 12):
-        tracemalloc.start()
-        simulate(designs, TrueSlush(1.0), n_settle=0, n_measure=n_measure, physics=PHYSICS)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
+    peaks = peaks_of_memory(random_designs(2000, np.random.default_rng(4)), PHYSICS)
     assert peaks[0] < 120e6  # bytes: 7 kB a robot, a few times over while packing
     assert peaks[1] < 1.01 * peaks[0]
 
@@ -160,25 +147,5 @@ def test_whole_numbers_lie_in_blocks_of_one_lane(exchange):
     assert (load_whole(block, 0), load_whole(block, 1)) == (2**31 - 1, -7)
 
 
-PLAIN_PYTHON = """
-import numba, numpy as np
-from tasks.design import random_designs
-from tasks.simulation import batch, reference
-from tasks.world import DryLand, Physics, TrueSlush
-assert numba.config.DISABLE_JIT
-designs = random_designs(2, np.random.default_rng(5))
-physics = Physics(passive_joints="locked", link_collisions=True)
-for environment, n_steps in ((TrueSlush(0.2), 5), (DryLand(0.0), 3)):
-    ours, theirs = (
-        engine.roll_out(designs, environment, physics, n_settle=1, n_measure=n_steps, trace=True)
-        for engine in (batch, reference)
-    )
-    assert np.array_equal(ours.trace, theirs.trace)
-print("equal")
-"""
-
-
 def test_the_kernels_are_plain_python_too():
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run([sys.executable, "-c", PLAIN_PYTHON], env=environment, capture_output=True, text=True)
-    assert done.stdout == "equal\n", done.stderr
+    assert_equal_in_plain_python(2, PHYSICS, (5, 3))

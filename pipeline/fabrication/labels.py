@@ -1,0 +1,93 @@
+"""Labels of a drawing: each is put where it hides nothing, and least where everything is taken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from math import cos, pi, sin
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+from shapely import LineString, Polygon, affinity, box
+from shapely.geometry.base import BaseGeometry
+
+MM_PER_POINT = 25.4 / 72
+PAD_MM = 0.6
+"""Around a label's letters."""
+LEADER_MM = 6.0
+"""From a label to what it names, beyond which a line ties the two."""
+TEXT_COST, LINE_COST = 10.0, 1.0
+"""Of a square millimetre of another label that a label hides, and of a mark or a line."""
+
+Place = tuple[float, float]
+
+
+class Labels:
+    """The labels of one sheet, whose units are millimetres."""
+
+    def __init__(self, sheet: Axes) -> None:
+        self._sheet = sheet
+        self.boxes: list[Polygon] = []
+        """Of the labels so far."""
+        self._marks: list[BaseGeometry] = []
+
+    def keep_off(self, *shapes: BaseGeometry) -> None:
+        """Note what no label should hide."""
+        self._marks += shapes
+
+    def put(
+        self, text: str, places: Iterable[Place], *, of: Place | None = None, rotation: float = 0.0, **style: Any
+    ) -> None:
+        """Write a label at the best of some places.
+
+        Args:
+            text: what it says.
+            places: of its middle; where two are as good, the first is taken.
+            of: what it names; a line leads there if it is far.
+            rotation: [°]
+            style: of matplotlib's text; with a fontsize.
+        """
+        letters = _box(text, style["fontsize"], style.get("weight", "normal"))
+        lying = affinity.rotate(letters, rotation, origin=(0, 0))
+        best, least = (0.0, 0.0), float("inf")
+        for place in places:
+            cost = self._cost(affinity.translate(lying, *place))
+            if cost < least:
+                best, least = place, cost
+            if least == 0.0:
+                break
+        where = affinity.translate(lying, *best)
+        self.boxes.append(where)
+        if of is not None:
+            leader = LineString([of, where.boundary.interpolate(where.boundary.project(_point(of)))])
+            if leader.length > LEADER_MM:
+                self._sheet.plot(*leader.xy, color=style.get("color", "#1d2129"), lw=0.35, zorder=8)
+                self._marks.append(leader.buffer(0.3))
+        frame = {"boxstyle": f"square,pad={PAD_MM / MM_PER_POINT / style['fontsize']:.3f}", "fc": "white", "ec": "none",
+                 "alpha": 0.8}  # fmt: skip
+        self._sheet.text(*best, text, ha="center", va="center", rotation=rotation, zorder=9, bbox=frame, **style)
+
+    def _cost(self, where: Polygon) -> float:
+        text = sum(float(where.intersection(other).area) for other in self.boxes)
+        return TEXT_COST * text + LINE_COST * sum(float(where.intersection(mark).area) for mark in self._marks)
+
+
+def _point(place: Place) -> BaseGeometry:
+    return box(*place, *place).centroid
+
+
+def _box(text: str, fontsize: float, weight: str) -> Polygon:
+    """Give the room of a text around the origin [mm], as high as a line of it whatever its letters."""
+    font = FontProperties(family="DejaVu Sans", weight=weight)
+    width = TextPath((0, 0), text, size=fontsize, prop=font).get_extents().width * MM_PER_POINT
+    half_w, half_h = width / 2 + PAD_MM, fontsize * MM_PER_POINT / 2 + PAD_MM
+    return box(-half_w, -half_h, half_w, half_h)
+
+
+def around(place: Place, distances: Sequence[float], *, first: float = pi / 4, n: int = 12) -> Iterator[Place]:
+    """Give places around one, near ones first, beginning in a direction [rad]."""
+    for distance in distances:
+        for step in range(n):
+            angle = first + (-1) ** step * ((step + 1) // 2) * 2 * pi / n
+            yield place[0] + distance * cos(angle), place[1] + distance * sin(angle)

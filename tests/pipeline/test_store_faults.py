@@ -1,0 +1,214 @@
+"""The store keeps what was committed, whole or not at all, whatever dies, fills up or fails at any of its effects."""
+
+import contextlib
+import errno
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from one_item import FILES, IDENTITY, KEY, commit, item, tree
+
+from pipeline import disk
+from pipeline.artifacts import key_of
+from pipeline.errors import PuddleError
+from pipeline.store import Store, StudyItem
+
+EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink")
+
+
+class Death(BaseException):
+    """The process is gone: no effect follows."""
+
+
+class Seam:
+    """Stands in for the five effects: counts them, and strikes at one and at all that follow, or at one alone."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, strike: Callable[[], BaseException], *, for_good: bool) -> None:
+        self.n_calls, self.strike_at = 0, None
+        self._strike, self._for_good = strike, for_good
+        for name in EFFECTS:
+            monkeypatch.setattr(disk, name, self._guard(name, getattr(disk, name)))
+
+    def _guard(self, name: str, effect: Callable[..., None]) -> Callable[..., None]:
+        def guarded(path: Path, *rest) -> None:
+            call, self.n_calls = self.n_calls, self.n_calls + 1
+            hit = call == self.strike_at
+            if not hit and not (self._for_good and self.strike_at is not None and call > self.strike_at):
+                effect(path, *rest)
+                return
+            if hit and name == "write":
+                effect(path, rest[0][: len(rest[0]) // 2])  # half of it is there
+            raise self._strike()
+
+        return guarded
+
+    def arm(self, call: int | None) -> None:
+        self.n_calls, self.strike_at = 0, call
+
+
+def whole_or_absent(root: Path, undisturbed: dict[str, bytes]) -> None:
+    """Check that a survivor sees either no item or all of it."""
+    survivor = Store.open(root, create=False)
+    manifest = survivor.manifest("evolve", KEY)
+    assert survivor.verify() == []
+    if manifest is not None:
+        assert {name: survivor.read(manifest, name) for name in manifest.files} == FILES
+    commit(survivor)
+    assert tree(root) == undisturbed
+
+
+def test_a_commit_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seam = Seam(monkeypatch, Death, for_good=True)
+    reference = Store.open(tmp_path / "reference", create=True)
+    seam.arm(None)
+    commit(reference)
+    n_effects, undisturbed = seam.n_calls, tree(reference.root)
+    # 4 folders, each made and its parent synced; for 3 files and the manifest: write, sync, rename, sync the folder
+    assert n_effects == 4 * 2 + 4 * 4
+    for call in range(n_effects):
+        store = Store.open(tmp_path / f"store{call}", create=True)
+        seam.arm(call)
+        with pytest.raises(Death):
+            commit(store)
+        seam.arm(None)
+        whole_or_absent(store.root, undisturbed)
+
+
+def test_a_discard_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seam = Seam(monkeypatch, Death, for_good=True)
+    for call in range(2 * (len(FILES) + 1)):
+        store = Store.open(tmp_path / f"store{call}", create=True)
+        commit(store)
+        undisturbed = tree(store.root)
+        seam.arm(call)
+        with pytest.raises(Death):
+            store.discard("evolve", KEY)
+        seam.arm(None)
+        whole_or_absent(store.root, undisturbed)
+
+
+def test_making_a_store_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seam = Seam(monkeypatch, Death, for_good=True)
+    Store.open(tmp_path / "reference" / "deep", create=True)
+    n_effects, undisturbed = seam.n_calls, tree(tmp_path / "reference" / "deep")
+    assert n_effects == 1 + 2 * 2 + 4  # the folder that was there is synced first
+    for call in range(n_effects):
+        root = tmp_path / f"store{call}" / "deep"
+        seam.arm(call)
+        with pytest.raises(Death):
+            Store.open(root, create=True)
+        seam.arm(None)
+        Store.open(root, create=True)
+        assert tree(root) == undisturbed
+
+
+def test_a_study_record_is_the_old_or_the_new_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seam = Seam(monkeypatch, Death, for_good=True)
+    old, new = [StudyItem("evolve", "old", KEY)], [StudyItem("evolve", "new", KEY)]
+    store = Store.open(tmp_path / "store", create=True)
+    seen = set()
+    for call in range(5):
+        store.write_study("laptop", {"seed": 1}, old)
+        seam.arm(call)
+        with pytest.raises(Death):
+            store.write_study("laptop", {"seed": 1}, new)
+        seam.arm(None)
+        seen.add(store.read_study("laptop").items[0].label)
+        assert store.read_study("laptop").items[0].label == ("new" if call == 4 else "old")  # the rename is the fourth
+    assert seen == {"old", "new"}
+
+
+def test_a_killed_process_leaves_a_store_that_goes_on(tmp_path: Path) -> None:
+    """As above with a real end: no finally, no destructor, the lock let go by the kernel alone."""
+    code = (
+        "import os, sys\n"
+        "from pathlib import Path\n"
+        "from pipeline import disk\n"
+        "from pipeline.store import Store\n"
+        f"identity, key, files = {IDENTITY!r}, {KEY!r}, {FILES!r}\n"
+        "store = Store.open(Path(sys.argv[1]), create=True)\n"
+        "rename = disk.rename\n"
+        "def dying(path, target):\n"
+        "    if target.name == 'manifest.json': os.kill(os.getpid(), 9)\n"
+        "    rename(path, target)\n"
+        "disk.rename = dying\n"
+        "store.commit('evolve', key, identity, files, record={'seconds': 1.25})\n"
+    )
+    root = tmp_path / "store"
+    assert subprocess.run([sys.executable, "-c", code, str(root)]).returncode == -9
+    assert (item(Store(root)) / ".manifest.json.tmp").exists()
+    reference = Store.open(tmp_path / "reference", create=True)
+    commit(reference)
+    whole_or_absent(root, tree(reference.root))
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [
+        (errno.ENOSPC, "No space left on device.*kept before is safe.*Free some space and give the same command again"),
+        (errno.EDQUOT, "quota.*kept before is safe.*Free some space"),
+        (errno.EROFS, "Read-only file system.*kept before is safe.*choose another place"),
+        (errno.EACCES, "Permission denied.*kept before is safe.*choose another place"),
+        (errno.EIO, "Input/output error.*kept before is safe.*Mend the cause"),
+    ],
+)
+def test_a_failing_disk_is_explained_and_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, said: str
+) -> None:
+    seam = Seam(monkeypatch, lambda: OSError(number, os.strerror(number)), for_good=False)
+    store = Store.open(tmp_path / "store", create=True)
+    earlier = {"stage": "collect"}
+    store.commit("collect", key_of(earlier), earlier, {"throws.parquet": b"kept"}, record={})
+    for call in range(16):  # of a commit into a folder that the first of them leaves behind
+        store.discard("evolve", KEY)
+        disk.make_folders(store.root, item(store))
+        seam.arm(call)
+        with pytest.raises(PuddleError, match=f"{store.root}.*{said}"):
+            commit(store)
+        seam.arm(None)
+        assert store.verify() == []
+        assert store.read(store.manifest("collect", key_of(earlier)), "throws.parquet") == b"kept"
+    commit(store)
+    assert store.verify() == []
+
+
+@contextlib.contextmanager
+def mounted(folder: Path, *options: str) -> Iterator[None]:
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", ",".join(options), "tmpfs", str(folder)], capture_output=True)
+    if done.returncode:
+        pytest.skip(f"may not mount a disk here: {done.stderr.decode().strip()}")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_full_disk(tmp_path: Path) -> None:
+    with mounted(tmp_path, "size=256k"):
+        store = Store.open(tmp_path / "store", create=True)
+        commit(store)
+        big = {"stage": "evolve", "big": True}
+        with pytest.raises(PuddleError, match="No space left on device"):
+            store.commit("evolve", key_of(big), big, {"weights.safetensors": bytes(2**20)}, record={})
+        assert store.manifest("evolve", key_of(big)) is None and store.verify() == []
+        assert store.read(commit(store), "log") == b""
+
+
+def test_a_read_only_disk_is_read(tmp_path: Path) -> None:
+    with mounted(tmp_path, "size=1m"):
+        store = Store.open(tmp_path / "store", create=True)
+        commit(store)
+        subprocess.run(["mount", "-o", "remount,ro", str(tmp_path)], check=True)
+        store = Store.open(tmp_path / "store", create=True)
+        assert store.read(store.manifest("evolve", KEY), "log") == b""
+        assert store.verify() == []
+        other = {"stage": "evolve", "other": True}
+        with pytest.raises(PuddleError, match=r"Read-only file system.*choose another place"):
+            store.commit("evolve", key_of(other), other, FILES, record={})
+        with pytest.raises(PuddleError, match="Read-only file system"), store.lock_study("laptop"):
+            raise AssertionError("locked a read-only disk")
+        with pytest.raises(PuddleError, match="Read-only file system"):
+            Store.open(tmp_path / "new", create=True)

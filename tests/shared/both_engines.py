@@ -1,0 +1,149 @@
+"""What the tests of the two engines share: media that are not built in, designs that are unusual, and comparisons."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from tasks.design import Designs
+from tasks.residual.ensemble import Ensemble
+from tasks.simulation import batch, reference, simulate
+from tasks.simulation.motion import Motion
+from tasks.world import Environment, LinkStates, Physics, Slush, TrueSlush, VelocityChange
+
+OTHER_CONSTANTS: dict[str, Any] = {
+    "gravity": 3.7,
+    "time_step": 0.0123,
+    "velocity_iterations": 3,
+    "position_iterations": 11,
+    "link_density": 2.7,
+    "friction": 0.31,
+    "restitution": 0.45,
+    "motor_gain": 3.0,
+    "max_motor_torque": 31.0,
+}
+"""Every number of the physics, none as the paper has it."""
+
+STRONG_MOTORS: dict[str, Any] = {"max_motor_torque": 1e4, "motor_gain": 60.0}
+
+
+class Slushes:
+    """An ensemble of exact members, slushes of several densities, that compute in the precision that is asked for."""
+
+    def __init__(self, *densities: float, precision: type[np.floating[Any]] = np.float32) -> None:
+        self.n_members = len(densities)
+        self._slushes = [Slush(density=density) for density in densities]
+        self._precision = precision
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        each = []
+        for k, slush in enumerate(self._slushes):
+            member = LinkStates(**{name: array[k].astype(self._precision) for name, array in vars(links).items()})
+            each.append(vars(slush.velocity_change(member, physics)))
+        return VelocityChange(**{name: np.stack([change[name] for change in each]) for name in each[0]})
+
+
+def networks(rng: np.random.Generator) -> Ensemble:
+    """Three untrained networks whose changes are of the size of the slush's."""
+    sizes = (6, 40, 40, 3)
+    weights = [(rng.normal(size=(3, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
+    weights[-1] *= np.float32(0.05)
+    biases = [(0.01 * rng.normal(size=(3, b))).astype(np.float32) for b in sizes[1:]]
+    return Ensemble(weights=tuple(weights), biases=tuple(biases))
+
+
+def wild(designs: Designs, rng: np.random.Generator, *, motor_on: float) -> Designs:
+    """Motors far beyond the paper's range: faster, farther, this share of them on, from links wound up many turns."""
+    n = len(designs)
+    return replace(
+        designs,
+        frequency=rng.uniform(0, 10, n),
+        motion_range=rng.uniform(0, 40, (n, 6)),
+        rest_angle=rng.uniform(-300, 300, (n, 6)),
+        motor_on=rng.random((n, 6)) < motor_on,
+    )
+
+
+def golden_designs(*, motor_on: float) -> Designs:
+    """Eight designs from uniform numbers alone, so that no other function of ours changes them."""
+    u = np.random.default_rng(20251121).random((8, 6, 8))
+    child = np.arange(6) > 0
+    return Designs(
+        length_scale=1 + 2 * u[..., 0],
+        parent=np.where(child, np.floor(u[..., 1] * np.arange(6)), -1).astype(int),
+        parent_attachment=child * (2 * u[..., 2] - 1),
+        child_attachment=child * (2 * u[..., 3] - 1),
+        rest_angle=child * np.pi * (2 * u[..., 4] - 1),
+        phase=child * 2 * np.pi * u[..., 5],
+        motion_range=child * (0.2 + 1.3 * u[..., 6]),
+        motor_on=child & (u[..., 7] < motor_on),
+        frequency=0.3 * u[:, 0, 1],
+    )
+
+
+def golden_digest(environment: Environment, physics: Physics, *, motor_on: float) -> str:
+    """Digest every float of a whole rollout of those designs in the batch engine."""
+    designs = golden_designs(motor_on=motor_on)
+    trace = batch.roll_out(designs, environment, physics, n_settle=200, n_measure=1200, trace=True).trace
+    assert trace is not None
+    return hashlib.sha256(np.ascontiguousarray(trace + 0.0, dtype="<f4").tobytes()).hexdigest()[:16]
+
+
+def assert_equal(
+    designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool = True
+) -> Motion:
+    """Check that both engines agree in every float; give their motion."""
+    ours, theirs = (
+        engine.roll_out(designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
+        for engine in (batch, reference)
+    )
+    np.testing.assert_array_equal(ours.settled, theirs.settled)
+    np.testing.assert_array_equal(ours.final, theirs.final)
+    assert (ours.trace is not None) == (theirs.trace is not None) == trace
+    if ours.trace is not None:
+        np.testing.assert_array_equal(ours.trace, theirs.trace)
+    return ours
+
+
+def peaks_of_memory(designs: Designs, physics: Physics) -> list[int]:
+    """Measure the bytes at most in use while designs are simulated for one step, and for twelve."""
+    peaks = []
+    for n_measure in (1, 12):
+        tracemalloc.start()
+        simulate(designs, TrueSlush(1.0), n_settle=0, n_measure=n_measure, physics=physics)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    return peaks
+
+
+PLAIN_PYTHON = """
+import numba, numpy as np
+from tasks.design import random_designs
+from tasks.simulation import batch, reference
+from tasks.world import DryLand, Physics, TrueSlush
+assert numba.config.DISABLE_JIT
+designs = random_designs({n_designs}, np.random.default_rng(5))
+physics = Physics.model_validate_json({physics!r})
+for environment, n_steps in zip((TrueSlush(0.2), DryLand(0.0)), {n_steps}, strict=True):
+    ours = batch.roll_out_on(designs, environment, physics, n_settle=1, n_measure=n_steps, trace=True, n_lanes=3)
+    theirs = reference.roll_out(designs, environment, physics, n_settle=1, n_measure=n_steps, trace=True)
+    assert np.array_equal(ours.trace, theirs.trace)
+print("equal")
+"""
+
+
+def assert_equal_in_plain_python(n_designs: int, physics: Physics, n_steps: Sequence[int]) -> None:
+    """Check that the kernels are plain Python too, with the reference's bits in slush and on dry land."""
+    script = PLAIN_PYTHON.format(n_designs=n_designs, physics=physics.model_dump_json(), n_steps=tuple(n_steps))
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)
+    assert done.stdout == "equal\n", done.stderr

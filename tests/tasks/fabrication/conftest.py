@@ -1,0 +1,11 @@
+"""The kit of the crane, which several files look at."""
+
+import pytest
+
+from tasks.fabrication.kit import Kit, build_kit
+from tasks.fabrication.settings import KitSettings
+
+
+@pytest.fixture(scope="session")
+def kit(crane) -> Kit:
+    return build_kit(crane, KitSettings())

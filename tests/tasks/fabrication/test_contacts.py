@@ -1,0 +1,63 @@
+"""Contacts of a run that its kit does not have: links on known ways, and a robot that folds upon itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tasks.fabrication.contacts import TOUCH_M, passing_contacts
+from tasks.fabrication.rigid import mechanism_of
+from tasks.fabrication.rods import Layers
+from tasks.fabrication.settings import KitSettings
+from tasks.simulation import simulate
+from tasks.world import DryLand, Physics
+
+DT = 0.1
+
+
+def apart(n_steps: int) -> np.ndarray:
+    """Poses of six upright links, 2 m by 0.5 m, 10 m from one another."""
+    pose = np.zeros((n_steps, 6, 3))
+    pose[..., 0] = 10.0 * np.arange(6)
+    return pose
+
+
+def test_two_links_that_come_together(crane):
+    # Part 1 is links 0 and 1, part 2 is 2 and 3, part 3 is 4 and 5; parts 2 and 3 lie in the layer that 1 does not.
+    mechanism = mechanism_of(crane, KitSettings())
+    layers = Layers((True, False, False), ((), (), ()))
+    pose = apart(30)
+    # Link 3 glides to link 0 at 0.5 m/s from 1.2 m between their middles: 0.7 m of air, of which 0.02 m is skin. The
+    # k-th step ends after k + 1 steps of time.
+    pose[:, 3, 0] = 1.2 - 0.5 * DT * (np.arange(30) + 1)
+    (found,) = passing_contacts(crane, mechanism, layers, pose, time_step=DT)
+    assert (found.links, found.parts, found.joints) == ((0, 3), (0, 1), (2,))
+    first = np.ceil((0.7 - TOUCH_M) / 0.5 / DT)
+    assert found.first == pytest.approx(first * DT)
+    assert found.share == pytest.approx((30 - first + 1) / 30)
+    turned = pose.copy()
+    turned[:, 3, 2] = np.pi / 2  # lying, it is 2 m wide and meets link 0 from the first
+    (at_once,) = passing_contacts(crane, mechanism, layers, turned, time_step=DT)
+    assert at_once.first == pytest.approx(DT) and at_once.share == 1.0
+
+
+def test_links_that_a_joint_ties_and_parts_of_one_layer_are_no_news(crane):
+    mechanism = mechanism_of(crane, KitSettings())
+    pose = apart(3)
+    pose[:, 2, 0] = pose[:, 0, 0]  # a joint ties link 2 to link 0
+    pose[:, 5, 0] = pose[:, 3, 0]  # parts 2 and 3 meet on the bench too
+    assert passing_contacts(crane, mechanism, Layers((True, False, False), ((), (), ())), pose, time_step=DT) == []
+
+
+def test_a_simulated_robot_that_folds_upon_itself(crane):
+    # Link 3 leans back from the end of link 2, which swings it down until it knocks on link 1.
+    folded = replace(crane, motion_range=np.array([[0.2, 0.2, 1.5, 0.2, 0.2, 0.2]]),
+                     rest_angle=np.array([[0.0, -np.pi / 2, 0.0, 2.6, 0.0, -np.pi / 2]]))  # fmt: skip
+    mechanism, layers = mechanism_of(folded, KitSettings()), Layers((True, False, False), ((), (), ()))
+    physics = Physics(passive_joints="locked", link_collisions=True)
+    run = simulate(folded, DryLand(depth=0.0), n_settle=60, n_measure=400, engine="reference", trace=True,
+                   physics=physics)  # fmt: skip
+    found = passing_contacts(folded, mechanism, layers, run.trace[0][:, :, :3], time_step=physics.time_step)
+    (knock,) = (contact for contact in found if contact.links == (1, 3))
+    assert knock.joints == (2,) and knock.parts == (0, 1)
+    assert 0.0 < knock.first < 460 * physics.time_step and 0.0 < knock.share < 0.5

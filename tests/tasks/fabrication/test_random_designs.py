@@ -1,0 +1,51 @@
+"""Random designs: whatever evolution may draw becomes valid, closed parts, or findings that say why not."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tasks.design import N_LINKS, Designs, links_apart, random_designs
+from tasks.fabrication.kit import Kit, build_kit
+from tasks.fabrication.parts import mesh_of
+from tasks.fabrication.servos import SERVOS
+from tasks.fabrication.settings import KitSettings
+
+SETTINGS = KitSettings()
+FEW, MANY = 3, 200
+"""Designs in `make test`, and with --torture."""
+
+
+def variant(rng: np.random.Generator) -> Designs:
+    """Draw a design of the physical variant: two motors, and no links that overlap at rest without being joined."""
+    while True:
+        drawn = random_designs(4096, rng)
+        on = np.zeros((len(drawn), N_LINKS), dtype=bool)
+        on[:, 1:] = rng.permuted(np.tile([True, True, False, False, False], (len(drawn), 1)), axis=1)
+        found = np.flatnonzero(links_apart(replace(drawn, motor_on=on)))  # one in about a thousand
+        if found.size:
+            return replace(drawn, motor_on=on)[[int(found[0])]]
+
+
+def test_random_designs_of_the_variant_make_valid_closed_parts(torture):
+    """What build_kit itself holds: valid solids of the analytic volume. Here, that their meshes are closed too."""
+    for rng in torture.attempts(FEW, MANY):
+        kit = build_kit(variant(rng), SETTINGS)
+        assert len(kit.mechanism.bodies) == 3
+        assert not any(finding.name == "not of the variant" for finding in kit.findings)
+        check_meshes(kit)
+
+
+def test_random_designs_of_any_kind_are_reported_on_not_crashed_on(torture):
+    for rng in torture.attempts(FEW, MANY):
+        servo, horn = rng.choice(sorted(SERVOS)), rng.choice(["cross", "disc"])
+        settings = KitSettings(servo=str(servo), horn=str(horn), servos_per_joint=int(rng.integers(1, 3)))
+        check_meshes(build_kit(random_designs(1, rng), settings))
+
+
+def check_meshes(kit: Kit) -> None:
+    """Every edge is between two triangles that run along it in opposite directions."""
+    for piece in kit.parts:
+        mesh = mesh_of(piece.solid)
+        edges = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])
+        there, back = (set(map(tuple, way.tolist())) for way in (edges, edges[:, ::-1]))
+        assert len(there) == len(edges) and there == back, piece.name

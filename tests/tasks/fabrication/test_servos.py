@@ -1,0 +1,129 @@
+"""The library of servos: its sources, what a caliper says instead, screws that hold, gauges that tell."""
+
+from dataclasses import fields, replace
+from math import pi
+
+import pytest
+from build123d import GeomType
+from pydantic import ValidationError
+
+from tasks.fabrication.drives import drives_of, servo_of
+from tasks.fabrication.features import SCREW_LENGTHS_MM, KitError, ear_screw_mm, horn_screw, horn_seat_mm, plate_mm
+from tasks.fabrication.gauges import gauges_of
+from tasks.fabrication.kit import build_kit
+from tasks.fabrication.parts import mesh_of
+from tasks.fabrication.rigid import mechanism_of
+from tasks.fabrication.servos import MEASURES, SERVOS, YOURS, Horn, Servo, ServoError, as_measured, servo_named
+from tasks.fabrication.settings import KitSettings
+
+EVERY_HORN = [(servo.name, horn.kind) for servo in SERVOS.values() for horn in servo.horns]
+
+
+def test_unknown_servos_and_horns_are_refused_with_the_list():
+    with pytest.raises(ServoError, match=r"servo 'sg5010' is unknown, expected one of ds3225, hs85mg, mg90s"):
+        servo_named("sg5010")
+    disc = replace(SERVOS["ds3225"], horns=SERVOS["ds3225"].horns[:1])
+    with pytest.raises(ServoError, match="has no cross horn, expected disc"):
+        disc.horn("cross")
+
+
+def test_servos_are_what_their_sources_say():
+    standard = SERVOS["ds3225"]
+    assert standard.stall_torque_nm == pytest.approx(2.059, abs=1e-3)  # 21 kg·cm
+    assert standard.no_load_speed_rad_s == pytest.approx(6.981, abs=1e-3)  # 60° in 0.15 s
+    assert standard.torque_at(0.0) == standard.stall_torque_nm and standard.torque_at(-7.0) == 0.0
+    assert standard.torque_at(standard.no_load_speed_rad_s / 2) == pytest.approx(standard.stall_torque_nm / 2)
+    for servo in SERVOS.values():
+        assert servo.min_pulse_us < servo.neutral_us < servo.max_pulse_us
+        # What a margin hangs on is never from memory.
+        assert {"voltage_v", "stall_torque_nm", "no_load_speed_rad_s", "mass_g"} <= servo.sources.keys()
+        assert servo.sources.keys() <= {field.name for field in fields(Servo)}
+        for horn in servo.horns:  # screws on the horn, clear of its hub's middle
+            as_measured(servo, horn.kind, {})
+            assert servo.centre_screw_mm / 2 < horn.screw_radius_mm - horn.screw_mm / 2
+            assert horn.screw_radius_mm + horn.screw_mm / 2 < min(horn.long_mm, horn.short_mm)
+
+
+def test_every_measure_is_one_of_a_servo_or_its_horn():
+    of_horn, of_servo = ({field.name for field in fields(kind)} for kind in (Horn, Servo))
+    assert MEASURES.keys() <= of_horn ^ of_servo  # and never of both
+
+
+def test_what_a_caliper_says_takes_the_place_of_the_library():
+    settings = KitSettings(measured={"length_mm": 40.1, "top_mm": 7.0})
+    servo = servo_of(settings)
+    assert (servo.length_mm, servo.width_mm, servo.horns[0].top_mm) == (40.1, 20.0, 7.0)
+    assert servo.sources["length_mm"] == servo.sources["top_mm"] == YOURS and "height_mm" not in servo.sources
+    with pytest.raises(ValidationError, match="came lenght_mm"):
+        KitSettings(measured={"lenght_mm": 40.1})
+    with pytest.raises(ServoError, match=r"ds3225: length_mm is 50, expected less than hole_span_mm, 49\.5"):
+        servo_of(KitSettings(measured={"length_mm": 50.0}))
+    with pytest.raises(ServoError, match=r"ear_bottom_mm \+ ear_thickness_mm is 38\.5, expected less than h.*, 38"):
+        servo_of(KitSettings(measured={"ear_bottom_mm": 36.0}))
+
+
+def test_a_kit_says_what_nobody_has_checked(crane):
+    mechanism = mechanism_of(crane, KitSettings())
+
+    def said(settings: KitSettings) -> list[str]:
+        kit = build_kit(crane, settings)
+        return [finding.message for finding in kit.findings if finding.name == "not measured"]
+
+    (drive, _) = drives_of(mechanism, KitSettings())
+    unknown = [name for name in MEASURES if name not in drive.servo.sources]
+    (message,) = said(KitSettings())
+    assert message.startswith(f"{len(unknown)} of {len(MEASURES)} measures of a ds3225 and its disc horn")
+    values = {name: getattr(drive.horn if hasattr(drive.horn, name) else drive.servo, name) for name in unknown}
+    assert said(KitSettings(measured=values)) == []
+
+
+@pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
+def test_screws_reach_and_hold(crane, servo, horn):
+    for thickness in (17.0, 25.0, 40.0):
+        settings = KitSettings(servo=servo, horn=horn, thickness_mm=thickness)
+        (drive, _) = drives_of(mechanism_of(crane, settings), settings)
+        screw = horn_screw(drive, settings)
+        beyond = screw.length_mm - screw.web_mm
+        assert screw.length_mm in SCREW_LENGTHS_MM and screw.web_mm >= 5.0
+        assert screw.web_mm <= horn_seat_mm(drive, settings)
+        # It comes out of the horn, which holds it with all its thickness, and stays off the case.
+        assert drive.horn.thickness_mm < beyond < drive.horn.top_mm
+        assert screw.engaged_mm == drive.horn.thickness_mm
+        ear = ear_screw_mm(drive)
+        assert drive.servo.ear_screw_mm <= ear - drive.servo.ear_thickness_mm <= plate_mm(drive)
+
+
+def test_threads_too_short_and_screws_that_do_not_exist(crane):
+    (said,) = (f for f in build_kit(crane, KitSettings()).findings if f.name == "short thread")
+    assert said.severity == "warning"
+    assert "M3 screws hold in the disc horn by 2.5 mm, expected their diameter, 3 mm" in said.message
+    thick = KitSettings(measured={"thickness_mm": 3.0})
+    assert not any(finding.name == "short thread" for finding in build_kit(crane, thick).findings)
+    settings = KitSettings(measured={"thickness_mm": 7.2})  # 0.3 mm to the case
+    (drive, _) = drives_of(mechanism_of(crane, settings), settings)
+    with pytest.raises(KitError, match=r"no screw of 4 to 60 mm holds a disc horn 7\.2 mm thick .* 7\.5 mm above"):
+        horn_screw(drive, settings)
+
+
+def test_gauges_are_slices_of_the_parts(crane):
+    settings = KitSettings()
+    servo, horn = gauges_of(drives_of(mechanism_of(crane, settings), settings), settings)
+    assert [servo.name, horn.name] == ["gauge-servo", "gauge-horn"]
+    # The plate of 38 - 28 - 2.5 = 7.5 mm and 3 mm of the pocket's rim; the boss is the pocket's with 3 mm of wall.
+    boss = 61.1 * 26.6 - (4 - pi) * 3.0**2
+    assert servo.volume_mm3 == pytest.approx(
+        10.5 * boss - 3 * 55.1 * 20.6 - 7.5 * (41.1 * 20.6 + 4 * pi * 1.275**2), rel=1e-9
+    )
+    # The recess of 6.5 mm and the web of 5.
+    assert horn.volume_mm3 == pytest.approx(
+        11.5 * pi * 13.3**2 - 6.5 * pi * 10.3**2 - 5 * pi * (3.5**2 + 4 * 1.7**2), rel=1e-9
+    )
+    for gauge, opening in ((servo, 55.1 * 20.6), (horn, pi * 10.3**2)):
+        box, mesh = gauge.solid.bounding_box(), mesh_of(gauge.solid)
+        assert abs(box.min.Z) < 1e-6
+        planes = [face for face in gauge.solid.faces() if face.geom_type == GeomType.PLANE]
+        (rim,) = (face for face in planes if abs(face.center().Z - box.max.Z) < 1e-6)
+        whole = boss if gauge is servo else pi * 13.3**2
+        assert rim.area == pytest.approx(whole - opening, rel=1e-6)  # it opens upward
+        assert len(mesh.triangles) > 50
+    assert gauges_of((), settings) == ()
