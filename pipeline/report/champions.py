@@ -12,6 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from pipeline.report.data import (
+    ALL_DIVERGED,
     ENVIRONMENTS,
     PAPER,
     PAPER_DEPTH,
@@ -19,13 +20,14 @@ from pipeline.report.data import (
     Quantity,
     StudyReport,
     TrialResult,
+    all_diverged,
     arm,
     deepest_scored,
     depths,
     environments,
     estimate,
 )
-from pipeline.report.drawing import FAINT, INK, PAPER_MARK, WIDTH, NothingToDraw
+from pipeline.report.drawing import FAINT, INK, LEAST_RANGE, PAPER_MARK, WIDTH, NothingToDraw, show_at_least
 from pipeline.settings import EnvironmentName
 
 CURVE_POINTS = 120
@@ -35,6 +37,12 @@ _NO_TRIALS = "no trial has finished yet"
 _NOT_SCORED = "no champion has been scored in True Slush yet"
 
 
+def _why_not_scored(report: StudyReport) -> str:
+    if not report.trials:
+        return _NO_TRIALS
+    return ALL_DIVERGED if all_diverged(report.trials) else _NOT_SCORED
+
+
 # -- transfer at one depth: paper, Fig. 4 A ---------------------------------------------------------------------------
 
 
@@ -42,7 +50,7 @@ def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
     """Bars for every arm at the deepest depth: mean ± 1 SD in True Slush, a point for each trial, the paper's mark."""
     depth = deepest_scored(report.trials)
     if depth is None:
-        raise NothingToDraw(_NOT_SCORED if report.trials else _NO_TRIALS)
+        raise NothingToDraw(_why_not_scored(report))
     trials = [trial for trial in report.trials if trial.depth == depth]
     bars: list[tuple[EnvironmentName, Quantity, Estimate]] = [
         (environment, quantity, found)
@@ -65,6 +73,7 @@ def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(centers[0] - 0.7, centers[-1] + 0.8)
     axes.set_ylabel("displacement in True Slush [m]")
+    show_at_least(axes, LEAST_RANGE)
     axes.set_title(f"depth {depth:g} m", loc="left")
     axes.grid(axis="y")
     axes.set_axisbelow(True)
@@ -140,7 +149,7 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
                 if not any(handle.get_label() == style.label for handle in handles):
                     handles.append(Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label))
     if not handles:
-        raise NothingToDraw(_NOT_SCORED)
+        raise NothingToDraw(_why_not_scored(report))
     if anything_adapted:
         handles += [
             Line2D([], [], color=INK, label="zero-shot"),
@@ -184,7 +193,7 @@ def fitness_curves(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]
     """Panels, one for each depth: best fitness by generation where the robots evolve, mean ± 1 SD over trials."""
     trials = [trial for trial in report.trials if np.isfinite(trial.curve).any()]
     if not trials:
-        raise NothingToDraw("no trial has finished a generation yet")
+        raise NothingToDraw(ALL_DIVERGED if all_diverged(report.trials) else "no trial has finished a generation yet")
     listed = depths(trials)
     n_columns = min(n_columns, len(listed))
     n_rows = -(-len(listed) // n_columns)
@@ -198,6 +207,7 @@ def fitness_curves(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]
         panel.set_title(f"depth {depth:g} m", loc="left")
         panel.grid()
         panel.set_axisbelow(True)
+    show_at_least(panels[0], LEAST_RANGE)
     panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     for panel in panels[len(listed) :]:
         panel.set_visible(False)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pipeline.report.findings import Findings
 from pipeline.report.replay import Replay
 from pipeline.settings import EnvironmentName
+from tasks.analysis.uncertainty import RESOLUTION
 
 Quantity = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]
 """What is measured of a champion [m]."""
@@ -172,6 +173,15 @@ def estimate(trials: Iterable[TrialResult], quantity: Quantity) -> Estimate | No
     )
 
 
+def all_diverged(trials: Sequence[TrialResult]) -> bool:
+    """Tell whether trials have run, and no design of any of them stayed finite."""
+    return bool(trials) and all(len(trial.curve) > 0 and not np.isfinite(trial.curve).any() for trial in trials)
+
+
+ALL_DIVERGED = "every design of every trial diverged"
+"""Why there is then nothing to show of champions."""
+
+
 def depths(trials: Iterable[TrialResult]) -> list[float]:
     """List the depths that trials were made at [m], shallowest first."""
     return sorted({trial.depth for trial in trials})
@@ -197,6 +207,6 @@ def environments(trials: Iterable[TrialResult]) -> list[EnvironmentName]:
 
 def ratio(part: Estimate | None, whole: Estimate | None) -> float | None:
     """Say what share of one mean another is; None where there is none to compare with, or it went nowhere."""
-    if part is None or whole is None or whole.mean <= 0:
+    if part is None or whole is None or whole.mean <= RESOLUTION:
         return None
     return part.mean / whole.mean

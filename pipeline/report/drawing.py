@@ -96,6 +96,17 @@ def _round_paths(svg: bytes) -> bytes:
     return re.sub(rb' d="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path[0]), svg)
 
 
+LEAST_RANGE = 0.1
+"""Of an axis of displacements [m]: where nothing moves, rounding is not blown up to a figure."""
+
+
+def show_at_least(axes: Any, span: float) -> None:
+    """Widen the upright axis to a span around its middle, if it is narrower."""
+    low, high = axes.get_ylim()
+    if high - low < span:
+        axes.set_ylim((low + high - span) / 2, (low + high + span) / 2)
+
+
 def count(things: Sequence[Any], name: str) -> str:
     """Say how many there are: "1 member", "8 members"."""
     return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"

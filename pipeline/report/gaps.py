@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pipeline.report.data import ENVIRONMENTS, StudyReport
-from pipeline.report.drawing import INK, WIDTH, NothingToDraw
+from pipeline.report.drawing import INK, LEAST_RANGE, WIDTH, NothingToDraw, show_at_least
 from pipeline.report.words import number
 from tasks.analysis import Attribution, TransferMatrix
 
@@ -34,6 +34,7 @@ def attribution(report: StudyReport) -> tuple[Figure, str]:
         panel.grid(axis="y")
         panel.set_axisbelow(True)
         panel.set_ylabel("gap [m]")
+    show_at_least(panels[0], LEAST_RANGE)
     panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
     panels[-1].set_xlim(-0.6, len(listed) - 0.4)
     panels[-1].set_xlabel("depth [m]")

@@ -40,8 +40,13 @@ def document(*, title: str, policy: str, body: str, css: str = "") -> str:
 # -- the gallery ------------------------------------------------------------------------------------------------------
 
 
-def gallery(replays: Sequence[Replay]) -> str:
-    """Show at each depth the exemplar that evolved with residuals above the one that evolved without."""
+def gallery(replays: Sequence[Replay], *, lost: str | None = None) -> str:
+    """Show at each depth the exemplar that evolved with residuals above the one that evolved without.
+
+    Args:
+        replays: of the study.
+        lost: why no champion can be filmed, where that is known.
+    """
     shown = sorted(
         (replay.depth, EXEMPLARS.index(environment), index)
         for index, replay in enumerate(replays)
@@ -49,7 +54,8 @@ def gallery(replays: Sequence[Replay]) -> str:
         if replay.environment == environment and replay.in_true_slush
     )
     if not shown:
-        return absent("The gallery", "no champion evolved with residuals or on Dry Land has been filmed in slush yet")
+        none_yet = "no champion evolved with residuals or on Dry Land has been filmed in slush yet"
+        return absent("The gallery", lost or none_yet)
     cards = []
     for depth, group in groupby(shown, key=lambda entry: entry[0]):
         films = "".join(_film(replays[index], index) for _, _, index in group)
@@ -71,10 +77,10 @@ def _film(replay: Replay, index: int) -> str:
 # -- the viewer -------------------------------------------------------------------------------------------------------
 
 
-def viewer(replays: Sequence[Replay]) -> str:
-    """Lay out the viewer's canvas and controls."""
+def viewer(replays: Sequence[Replay], *, lost: str | None = None) -> str:
+    """Lay out the viewer's canvas and controls; ``lost`` as of :func:`gallery`."""
     if not replays:
-        return absent("The replay viewer", "no champion’s motion has been kept yet")
+        return absent("The replay viewer", lost or "no champion’s motion has been kept yet")
     numbered = sorted(enumerate(replays), key=lambda item: item[1].depth)
     # The first thing to see is what the study is about: a robot evolved with residuals, where they matter most, and
     # beside what it does what it promised.

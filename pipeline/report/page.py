@@ -12,11 +12,13 @@ from html import escape
 from string import Template
 
 from pipeline.report.data import (
+    ALL_DIVERGED,
     ENVIRONMENTS,
     Draws,
     Estimate,
     StudyReport,
     TrialResult,
+    all_diverged,
     arm,
     deepest_scored,
     environments,
@@ -52,13 +54,14 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         for name, drawing in drawn.items()
         if not name.endswith("_wide")
     }
+    lost = ALL_DIVERGED if all_diverged(report.trials) else None
     pieces = {
         "title": escape(report.title),
         "name": escape(report.name),
         "finding": _finding(report.trials),
         "set_aside": _set_aside(report.set_aside),
-        "gallery": gallery(report.replays),
-        "viewer": viewer(report.replays),
+        "gallery": gallery(report.replays, lost=lost),
+        "viewer": viewer(report.replays, lost=lost),
         "transfer_table": transfer_table(report.trials),
         "against_paper": against_paper(report.findings),
         "contrasts": contrasts(report.findings),
@@ -83,6 +86,8 @@ def _finding(trials: Sequence[TrialResult]) -> str:
     if not trials:
         return '<p class="finding">No trial has finished yet; this page fills as the study goes on.</p>'
     depth = deepest_scored(trials)
+    if all_diverged(trials):
+        return f'<p class="finding">There is no champion: {ALL_DIVERGED}.</p>'
     if depth is None:
         return '<p class="finding">Robots have evolved, but none has been in True Slush yet.</p>'
     scored: dict[EnvironmentName, Estimate] = {

@@ -85,7 +85,7 @@ _PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comp
 def _paper_cells(row: Row) -> list[str]:
     kind = row.verdict.replace(" ", "-")
     return [
-        f"{escape(row.what)}<small>{escape(row.source)}</small>",
+        f"{_minus(escape(row.what))}<small>{escape(row.source)}</small>",
         _minus(escape(row.paper)),
         _minus(escape(row.this_run) + (f"<small>{escape(row.interval)}</small>" if row.interval else "")),
         f'<span class="verdict {kind}"><span aria-hidden="true">{MARKS[row.verdict]}</span> {row.verdict}</span>',
@@ -94,8 +94,8 @@ def _paper_cells(row: Row) -> list[str]:
 
 
 def _minus(text: str) -> str:
-    """Write the minus of numbers as such."""
-    return re.sub(r"(?<![\w.])-(?=\d)", "−", text)
+    """Write the minus of numbers as such, and keep a number and its metres on one line."""
+    return re.sub(r"(?<=\d) m\b", "\u00a0m", re.sub(r"(?<![\w.])-(?=\d)", "−", text))
 
 
 # -- tests ------------------------------------------------------------------------------------------------------------
@@ -103,7 +103,7 @@ def _minus(text: str) -> str:
 
 def contrasts(findings: Findings) -> str:
     """Tabulate every contrast over depths, each folded under its name."""
-    title = "The tests"
+    title = "The table of tests"
     if not findings.contrasts:
         return absent(title, findings.why("contrasts", "no two arms have champions at one depth yet"))
     folded = []

@@ -309,7 +309,7 @@ def _report_exploiters(files: Files) -> Report:
     label = segments.trial_label(table["environment"][i], table["depth"][i], table["trial"][i])
     worst = float(table["excess"][i])
     predicted, true = table["predicted"][i], table["true"][i]
-    line = f"the champion with most imagined: {label}, predicted {predicted:.1f} m, truly {true:.1f} m"
+    line = f"the champion with most imagined: {label}, predicted {predicted:z.1f} m, truly {true:z.1f} m"
     return [line], {"imagined.worst_champion": worst}
 
 

@@ -67,11 +67,14 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
             rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
         params: dict[str, str | int | float] = {"environment": environment, "depth": depth, "trial": trial}
         trials.append(TrialSummary(name=label, params=params, metrics={"champion_fitness": final}, curves=curves))
-    lines = [
-        f"{environment:>15} at {depth:g} m: champions' fitness {np.mean(of):6.2f} ± {np.std(of):.2f} m (n = {len(of)})"
-        for (environment, depth), of in best.items()
-    ]
-    metrics = {f"champion_fitness.{name}.{depth:g}m": float(np.mean(of)) for (name, depth), of in best.items()}
+    lines, metrics = [], {}
+    for (world, depth), of in best.items():
+        known = [fitness for fitness in of if np.isfinite(fitness)]
+        said = f"{np.mean(known):z6.2f} ± {np.std(known):.2f} m (n = {len(known)})" if known else "     -"
+        lost = f"; in {len(of) - len(known)} of {len(of)} trials every design diverged" if len(known) < len(of) else ""
+        lines.append(f"{world:>15} at {depth:g} m: champions' fitness {said}{lost}")
+        if known:
+            metrics[f"champion_fitness.{world}.{depth:g}m"] = float(np.mean(known))
     shares = {operator: rejected[operator] / drawn[operator] for operator in OPERATORS if rejected[operator]}
     if shares:
         said = ", ".join(f"{share:.1%} of {drawn[operator]:,} by {operator}" for operator, share in shares.items())

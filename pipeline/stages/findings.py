@@ -103,6 +103,16 @@ def findings(inputs: Mapping[str, Files], *, assessed_depth: float, tank: Tank |
     }
     statistics = analysed.get(STATISTICS, {})
     arms = {label: files for label, files in analysed.items() if label.startswith(f"{INSTRUMENTS}/")}
+    ensemble = f"{INSTRUMENTS}/residual_slush/{assessed_depth:g}m"
+    for label, files in arms.items():  # a reason is shown only where there is nothing else
+        told = read_reasons(files)
+        if "champions" in told:
+            missing["retried"] = told["champions"]
+        if "member_errors" in told and label == ensemble:
+            missing["member_errors"] = told["member_errors"]
+    family = _family(inputs)
+    if family is None and any(name.startswith(HISTORIES) for name in inputs):
+        missing["family"] = "every design of the trial whose champion it is of diverged"
     return Findings(
         throws=_throws([inputs[name] for name in sorted(inputs) if name.startswith("throws-")]),
         accuracy=_accuracy(statistics, assessed_depth),
@@ -114,9 +124,9 @@ def findings(inputs: Mapping[str, Files], *, assessed_depth: float, tank: Tank |
         retried=[row for label, files in arms.items() for row in _retried(label, files)],
         phantom_thrust=_phantom_thrust(analysed.get(MEMBERS, {})),
         member_errors=_rows(
-            MemberError, arms.get(f"{INSTRUMENTS}/residual_slush/{assessed_depth:g}m", {}), "member_errors"
+            MemberError, arms.get(ensemble, {}), "member_errors"
         ),
-        family=_family(inputs),
+        family=family,
         tank_tests=[] if tank is None else _tank_tests(analysed, tank),
         missing=missing,
     )

@@ -19,7 +19,17 @@ from numpy.random import Generator
 from scipy import special, stats
 
 from tasks.analysis.scores import EvolvedIn, Quantity, Scores
-from tasks.analysis.uncertainty import LEVEL, Estimate, Float64, Floats, bootstrap, finite, is_constant, mean
+from tasks.analysis.uncertainty import (
+    LEVEL,
+    RESOLUTION,
+    Estimate,
+    Float64,
+    Floats,
+    bootstrap,
+    finite,
+    is_constant,
+    mean,
+)
 
 EXACT = 20
 """Values in both groups up to which Mann-Whitney's p is exact, unless values are tied."""
@@ -77,7 +87,7 @@ def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
         rng: source of randomness of the ratio's interval.
     """
     x, y = finite(a), finite(b)
-    tied = "all values of both groups are equal" if is_constant(np.concatenate((x, y))) else None
+    tied = "all values of both groups are equal" if _is_constant(np.concatenate((x, y))) else None
     return Comparison(
         a=group(a),
         b=group(b),
@@ -118,7 +128,7 @@ def _pooled_deviation(x: Float64, y: Float64) -> float:
 
 def _t_test(x: Float64, y: Float64, *, equal_variances: bool) -> Any:
     """Compare means by deviations that are exactly 0 for constant groups, over which scipy would worry."""
-    described = ((v.mean(), 0.0 if is_constant(v) else v.std(ddof=1), len(v)) for v in (x, y))
+    described = ((v.mean(), 0.0 if _is_constant(v) else v.std(ddof=1), len(v)) for v in (x, y))
     return stats.ttest_ind_from_stats(*chain.from_iterable(described), equal_var=equal_variances)
 
 
@@ -130,7 +140,11 @@ def _too_few(x: Float64, y: Float64) -> str | None:
 
 def _no_spread(x: Float64, y: Float64) -> str | None:
     """Say why two groups have no variance to compare means by, if so."""
-    return _too_few(x, y) or ("both groups are constant" if is_constant(x) and is_constant(y) else None)
+    return _too_few(x, y) or ("both groups are constant" if _is_constant(x) and _is_constant(y) else None)
+
+
+def _is_constant(displacement: Float64) -> bool:
+    return is_constant(displacement, resolution=RESOLUTION)
 
 
 def _method(x: Float64, y: Float64) -> str:
@@ -181,7 +195,7 @@ def ratio(part: Floats, whole: Floats, *, rng: Generator) -> Estimate:
 
 
 def _ratio(part: Float64, whole: Float64) -> Float64:
-    return np.where(whole > 0, part / whole, np.nan)
+    return np.where(whole > RESOLUTION, part / whole, np.nan)
 
 
 def holm(p: Sequence[float | None]) -> list[float | None]:

@@ -27,7 +27,7 @@ from numpy.random import Generator
 from tasks.analysis.comparison import BEST, Arm, difference, ratio, student
 from tasks.analysis.prediction import Figure, MembersRange, Regression, mean_less_deviations
 from tasks.analysis.scores import Scores
-from tasks.analysis.uncertainty import Estimate, Float64, bootstrap, finite, is_constant, mean
+from tasks.analysis.uncertainty import RESOLUTION, Estimate, Float64, bootstrap, finite, is_constant, mean
 
 Verdict = Literal["agrees", "differs", "not comparable"]
 Claim = Literal["less", "greater", "no difference"]
@@ -256,7 +256,7 @@ def _variation_row(scores: Scores, rng: Generator) -> Row:
     single, ensemble = (
         finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush")
     )
-    if min(len(single), len(ensemble)) < 2 or is_constant(ensemble):
+    if min(len(single), len(ensemble)) < 2 or is_constant(ensemble, resolution=RESOLUTION):
         why = f"{len(single)} and {len(ensemble)} trials, expected 2 or more of both, not all equal"
         return Row(what, paper, source, "-", "not comparable", why)
     # A deviation is a function of the means of x and x², once x is centred so that no digits are lost.

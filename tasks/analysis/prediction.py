@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.analysis.uncertainty import Estimate, Float64, Floats, bootstrap, is_constant
+from tasks.analysis.uncertainty import RESOLUTION, Estimate, Float64, Floats, bootstrap, is_constant
 from tasks.evolution.objective import penalised_mean
 
 Figure = Literal["r", "slope"]
@@ -192,11 +192,11 @@ def _regression(name: str, x: Float64, y: Float64, n_designs: int, figures: tupl
     reason = None
     if n < MIN_DESIGNS:
         reason = f"{n} designs with a finite predicted and true displacement, expected {MIN_DESIGNS} or more"
-    elif is_constant(x):
+    elif is_constant(x, resolution=RESOLUTION):
         reason = "every design is predicted to go equally far"
     if reason is not None:
         slope = intercept = r = Estimate.missing(reason)
-    elif is_constant(y):
+    elif is_constant(y, resolution=RESOLUTION):
         r = Estimate.missing("every design truly goes equally far")
     return Regression(name, n, n_designs - n, slope, intercept, r)
 
@@ -234,7 +234,7 @@ def members_ranges(
     fit = {
         name: row
         for (name, row), mask in zip(members(predicted).items(), used, strict=True)
-        if mask.sum() >= MIN_DESIGNS and not is_constant(row[mask])
+        if mask.sum() >= MIN_DESIGNS and not is_constant(row[mask], resolution=RESOLUTION)
     }
     if not fit:
         nobody = Estimate.missing("no member's could be computed")

@@ -30,6 +30,8 @@ N_RESAMPLES = 2000
 """A 2.5 % tail is then 50 resamples: its place is known to about 14 % of that tail."""
 MIN_VALUES = 3
 """Values in a sample below which no bootstrap interval is given."""
+RESOLUTION = 1e-6
+"""Below which displacements are nothing [m]: the engines' positions are of single precision, 5e-7 m at 8 m."""
 NUMBERS_AT_ONCE = 4_000_000
 """Of the matrix of resamples by values: 32 MB."""
 
@@ -56,9 +58,9 @@ def finite(values: Floats) -> Float64:
     return wide[np.isfinite(wide)]
 
 
-def is_constant(values: Floats) -> bool:
-    """Tell whether values differ by no more than rounding."""
-    return len(values) == 0 or bool(np.ptp(values) <= 1e-12 * np.abs(values).max())
+def is_constant(values: Floats, *, resolution: float = 0.0) -> bool:
+    """Tell whether values differ by no more than rounding, or than a resolution below which they say nothing."""
+    return len(values) == 0 or bool(np.ptp(values) <= max(1e-12 * np.abs(values).max(), resolution))
 
 
 def mean(values: Floats) -> Estimate:
@@ -93,7 +95,7 @@ def bootstrap(
         values = statistic(*means)
         n_fewest = min(len(sample) for sample in samples)
         if n_fewest < MIN_VALUES:
-            few = f"{n_fewest} values, an interval needs {MIN_VALUES} or more"
+            few = f"{n_fewest} value{'s' * (n_fewest != 1)}, an interval needs {MIN_VALUES} or more"
             return tuple(
                 Estimate(float(v), reason=few) if np.isfinite(v) else Estimate.missing(undefined) for v in values
             )

@@ -91,6 +91,9 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     regressions = accuracy(predicted, true, rng=rng, trial=trial)
     ranges = members_ranges(predicted, true, rng=generator(spec["seed"], "analyse", "members-ranges"), trial=trial)
     reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), str(spec["not_assessed"]))
+    if shares and not (np.isfinite(predicted).all(axis=0) & np.isfinite(true)).any():
+        lost = "every assessed design diverged, in True Slush or under a member"
+        reasons |= dict.fromkeys(("regressions", "histograms"), lost)
     contrasts = sweep(scores, rng=rng)
     made = {(contrast.a, contrast.b) for contrast in contrasts}
     lacking = [f"{name_of(a)} against {name_of(b)}" for a, b in CONTRASTS if (a, b) not in made]

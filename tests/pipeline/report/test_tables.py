@@ -94,5 +94,5 @@ def test_an_interval_stands_under_the_number_and_minus_signs_are_true(findings):
     row = next(row for row in findings.against_paper if row.what == "True Slush at 9 m [m]")
     assert f'data-column="This run">{row.this_run}<small>{row.interval}</small>' in html
     assert 'data-column="Paper">−0.8<' in html
-    assert re.search(r"R of the members, at 9 m.*?<small>−?[\d.]+ to [\d.]+ and [\d.]+ to [\d.]+</small>", html)
-    assert re.search(r"Student&#x27;s t at 9 m.*?<small>difference −?[\d.]+ to −?[\d.]+ m</small>", html)
+    assert re.search(r"R of the members, at 9\u00a0m.*?<small>−?[\d.]+ to [\d.]+ and [\d.]+ to [\d.]+</small>", html)
+    assert re.search(r"Student&#x27;s t at 9\u00a0m.*?<small>difference −?[\d.]+ to −?[\d.]+\u00a0m</small>", html)
