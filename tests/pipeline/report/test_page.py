@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.report.data import TrialResult
+from pipeline.report.findings import Findings
 from pipeline.report.page import render_page
 from pipeline.report.replay import Overlay
 
@@ -191,7 +192,7 @@ def test_what_was_set_aside_is_named(study, drawn, html):
 
 
 def test_a_study_that_has_only_begun_makes_a_page(study):
-    begun = replace(study, trials=[], residual_errors=[], replays=[], digests=[], seconds={})
+    begun = replace(study, trials=[], residual_errors=[], replays=[], digests=[], seconds={}, findings=Findings())
     page = Page(render_page(begun))
     assert page.open == [] and page.scripts == {}
     for missing in ("The replay viewer", "Transfer at the deepest depth", "The transfer table"):
