@@ -8,6 +8,7 @@ from html import unescape
 
 import numpy as np
 import pytest
+from small_study import run
 
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
@@ -16,17 +17,9 @@ from pipeline.settings import Settings
 from pipeline.stages import STAGES, report, segments
 from pipeline.stages.report import PAGE
 from pipeline.store import Store
-from pipeline.study import follow, results_of, run_stage
 from tasks.world import ResidualSlush, Slush, TrueSlush
 
 TITLES = {name: title for name, (title, _) in FIGURES.items() if not name.endswith("_wide")}
-
-
-class NoBar:
-    def advance(self, work: float) -> None: ...
-
-
-def silent(line: str) -> None: ...
 
 
 @pytest.fixture
@@ -36,13 +29,9 @@ def page_of(settings, tmp_path):
     def page(*overrides: str) -> str:
         changed = parse(Settings, settings.model_dump_json(), name="tiny", overrides=overrides)
         store = Store.open(tmp_path / "store", create=True)
-        upstream = {}
         with serial_cluster() as cluster:
-            for stage in STAGES[:-1]:
-                walks = follow(stage, changed, store, upstream, say=silent)
-                run_stage(changed, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=silent)
-                upstream[stage.name] = results_of(stage, walks)
-                assert not upstream[stage.name].set_aside
+            upstream = run(changed, store, cluster, STAGES[:-1])
+        assert not any(results.set_aside for results in upstream.values())
         chain = next(chain for chain in report.STAGE.plan(changed) if chain.label == PAGE)
         item = report.STAGE.item(changed, chain, 0, None, upstream)
         inputs = {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
