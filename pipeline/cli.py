@@ -215,15 +215,16 @@ def simulate(
     design: Annotated[Path, typer.Argument(help="A design file (design.json).")],
     environment: Annotated[str, typer.Option("--environment", help="dry_land, true_slush or residual_slush.")],
     depth: Annotated[float, typer.Option("--depth", help="Of the ground below the surface [m].")],
-    out: Annotated[Path | None, typer.Option("--out", help="A .gif or .mp4 to film the robot in.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="A film (.gif, .mp4) or a page (.html) of it.")] = None,
     preset: Preset = DEFAULT_PRESET,
     settings: SettingsFile = None,
     overrides: Overrides = None,
     store: StorePath = DEFAULT_STORE,
 ) -> None:
-    """Simulate one design, say how far it gets, and film it.
+    """Simulate one design, say how far it gets, and show it.
 
-    The settings say how long it is watched; residual_slush takes the networks that the store holds for them.
+    The settings say how long it is watched; residual_slush takes the networks that the store holds for them. So does a
+    page, in any world: its colours show where the networks disagree, and how far from the throws the robot strays.
     """
     from pipeline.single import simulate_design
 

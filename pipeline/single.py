@@ -1,4 +1,4 @@
-"""One design, simulated and filmed."""
+"""One design, simulated and shown: how far it gets, a film, a page with what networks say of it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ import numpy as np
 from pipeline import disk
 from pipeline.design_file import read_design
 from pipeline.errors import PuddleError
-from pipeline.report import render_gif, render_mp4, replay_of
+from pipeline.report import Replay, render_gif, render_mp4, render_robot, replay_of
 from pipeline.report.data import ENVIRONMENTS as STYLES
 from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
-from pipeline.stage import MissingInputs
+from pipeline.stage import Files, MissingInputs
 from pipeline.stages import STAGES
-from pipeline.stages.analyses.films import median_member
-from pipeline.stages.segments import WEIGHTS, segment_spec, world_inputs, world_of
+from pipeline.stages.analyses.films import NOBODY, median_member
+from pipeline.stages.collect import data_set
+from pipeline.stages.replays import looked_at, push_of
+from pipeline.stages.segments import segment_spec, world_inputs, world_of
 from pipeline.store import Store
 from pipeline.study import survey
 from tasks.evolution import evaluate
@@ -25,8 +27,9 @@ from tasks.simulation import OK, simulate
 
 WORLDS = tuple(name for name in ENVIRONMENTS if name != "single_member")
 
-FORMATS = {".gif": render_gif, ".mp4": render_mp4}
+FILMS = {".gif": render_gif, ".mp4": render_mp4}
 """How a film is made, by the end of its file's name."""
+PAGE = ".html"
 
 
 def simulate_design(
@@ -39,13 +42,16 @@ def simulate_design(
     open_store: Callable[[], Store],
     how_to_run: Callable[[str], str],
 ) -> list[str]:
-    """Simulate the design in a file, and film it if asked to.
+    """Simulate the design in a file, and show it if asked to.
+
+    A page shows beside the robot what the networks' members disagree about at each link, and how far its state is from
+    the throws: in any world, as long as the store holds networks for these settings.
 
     Args:
         path: of the design file.
         environment: dry_land, true_slush or residual_slush.
         depth: of the ground [m].
-        out: where to put a GIF or an MP4, if anywhere; in Residual Slush, of the median member's world.
+        out: where to put a GIF, an MP4 or a page, if anywhere; in Residual Slush, of the median member's world.
         settings: how long the design is watched, and which networks residual_slush means.
         open_store: gives the store that holds the networks.
         how_to_run: gives the command line that runs a stage, for messages.
@@ -57,19 +63,22 @@ def simulate_design(
     if environment not in WORLDS:
         raise PuddleError(f"--environment: expected one of {', '.join(WORLDS)}, came {environment!r}")
     world = cast(EnvironmentName, environment)
-    if out is not None and (out.suffix.lower() not in FORMATS or not out.parent.is_dir()):
-        ends = " or ".join(FORMATS)
+    kind = None if out is None else out.suffix.lower()
+    if out is not None and (kind not in (*FILMS, PAGE) or not out.parent.is_dir()):
+        ends = " or ".join((*FILMS, PAGE))
         raise PuddleError(f"--out: expected a file name that ends in {ends}, in a folder that exists, came {out}")
     spec = segment_spec(settings, stage="simulate", environment=world, world=world, depth=depth, trial=0)
-    files = {}
-    if world == "residual_slush":
-        store = open_store()
-        upstream = survey(settings, STAGES[:2], store, say=lambda line: None)
+    spec |= {"slush": settings.slush.model_dump(mode="json"), "held_out": settings.training.held_out}
+    files: dict[str, Files] = {}
+    why = ""
+    if world == "residual_slush" or kind == PAGE:
         try:
-            inputs = world_inputs(settings, world, 0, upstream)
-        except MissingInputs as missing:
-            raise PuddleError(f"{missing}. `{how_to_run('study')}` makes it.") from None
-        files = {name: {WEIGHTS: store.read(source.manifest, WEIGHTS)} for name, source in inputs.items()}
+            files = _learned(settings, open_store(), throws=kind == PAGE)
+        except PuddleError as missing:
+            advice = f". `{how_to_run('study')}` makes it." if isinstance(missing, MissingInputs) else ""
+            why = f"{missing}{advice}"
+            if world == "residual_slush":
+                raise PuddleError(why) from None
     try:
         place = world_of(spec, files)
     except ValueError as error:
@@ -93,22 +102,41 @@ def simulate_design(
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
         lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
     if out is not None and rollouts.trace is not None:
-        trace, words = rollouts.trace[0], STYLES[world].label
-        if world == "residual_slush":
-            member = median_member(rollouts.displacement[:, 0])
-            trace, words = rollouts.trace[member, 0], f"{words} (member {member})"
+        member = median_member(rollouts.displacement[:, 0]) if world == "residual_slush" else NOBODY
+        trace = rollouts.trace if member == NOBODY else rollouts.trace[member]
         replay = replay_of(
             design,
-            trace,
+            trace[0],
             title=path.stem,
             environment=world,
-            world=words,
+            world=STYLES[world].label if member == NOBODY else f"{STYLES[world].label} (member {member})",
             depth=depth,
             has_medium=world != "dry_land",
             imagined=world == "residual_slush",
             n_settle=settings.rollout.n_settle,
+            overlays=looked_at(spec, design, trace, files) if kind == PAGE and files else (),
+            push=push_of(spec, world, member, design, trace, files) if kind == PAGE else None,
         )
-        with disk.explained("writing the film", out):
-            out.write_bytes(FORMATS[out.suffix.lower()]([replay]))
-        lines.append(f"  filmed in {out}")
+        if kind == PAGE and why:
+            lines.append(f"  shown without what networks say of it: {why}")
+        with disk.explained("writing what is shown", out):
+            out.write_bytes(_shown(replay, lines, kind))
+        lines.append(f"  shown in {out}")
     return lines
+
+
+def _learned(settings: Settings, store: Store, *, throws: bool) -> dict[str, Files]:
+    """Read every member of the ensemble, and the throws that they learned from if asked to.
+
+    Raises:
+        MissingInputs: names what the store does not hold.
+    """
+    upstream = survey(settings, STAGES[:2], store, say=lambda line: None)
+    inputs = world_inputs(settings, "residual_slush", 0, upstream)
+    if throws:
+        inputs |= data_set(upstream["collect"])
+    return {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()}
+
+
+def _shown(replay: Replay, lines: list[str], kind: str | None) -> bytes:
+    return render_robot(replay, lines).encode() if kind == PAGE else FILMS[str(kind)]([replay])

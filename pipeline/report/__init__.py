@@ -8,7 +8,7 @@ from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.gif import render_gif
 from pipeline.report.mp4 import render_mp4
-from pipeline.report.page import render_page
+from pipeline.report.page import render_page, render_robot
 from pipeline.report.replay import Replay, replay_of
 
 __all__ = [
@@ -23,5 +23,6 @@ __all__ = [
     "render_gif",
     "render_mp4",
     "render_page",
+    "render_robot",
     "replay_of",
 ]

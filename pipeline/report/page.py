@@ -28,6 +28,7 @@ from pipeline.report.data import (
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.moving import document, gallery, resource, script, viewer
+from pipeline.report.replay import Replay
 from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
 from pipeline.report.transfer_table import transfer_table
 from pipeline.report.words import absent, number, percent
@@ -76,6 +77,21 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         **figures,
     }
     return document(title=pieces["title"], policy=POLICY, body=Template(resource("page.html")).substitute(pieces))
+
+
+def render_robot(replay: Replay, lines: Sequence[str]) -> str:
+    """Write a page with one robot in the viewer.
+
+    Args:
+        replay: what it does.
+        lines: what is said of it.
+    """
+    said = "<br>".join(escape(line.strip()) for line in lines)
+    body = (
+        f'<main><header><p class="study">puddle · one design</p><h1>{escape(replay.title)}</h1><p>{said}</p></header>'
+        f"<section><h2>Watch it move</h2>{viewer([replay])}</section></main>{script([replay])}"
+    )
+    return document(title=escape(replay.title), policy=POLICY, body=body)
 
 
 # -- words ------------------------------------------------------------------------------------------------------------

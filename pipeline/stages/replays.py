@@ -18,7 +18,9 @@ from pipeline.stage import Files, Spec
 from pipeline.stages.analyse import arm_label, read_table
 from pipeline.stages.analyses.champions import champions, ensemble_of
 from pipeline.stages.analyses.films import NOBODY, Filmed, film_arm
-from tasks.analysis import acceleration, link_states
+from pipeline.stages.analyses.instruments import transitions_of
+from tasks.analysis import acceleration, disagreement, link_states, novelty, thrown
+from tasks.design import Designs
 from tasks.world import Medium, Physics, Slush
 
 LAID_OVER = (
@@ -66,7 +68,7 @@ def _replay(spec: Spec, film: Filmed, overlays: tuple[Overlay, ...], networks: M
         imagined=film.world in RESIDUAL_ENVIRONMENTS,
         n_settle=spec["rollout"]["n_settle"],
         overlays=overlays,
-        push=_push(spec, film, networks),
+        push=push_of(spec, film.world, film.member, champion.design, film.trace, networks),
     )
 
 
@@ -94,14 +96,43 @@ def _overlays(spec: Spec, film: Filmed, instruments: Files) -> tuple[Overlay, ..
     )
 
 
-def _push(spec: Spec, film: Filmed, networks: Mapping[str, Files]) -> npt.NDArray[np.float64] | None:
+def looked_at(
+    spec: Spec, design: Designs, trace: npt.NDArray[np.floating], inputs: Mapping[str, Files]
+) -> tuple[Overlay, ...]:
+    """Put one rollout of any design under the instruments, as analyse does for champions.
+
+    Args:
+        spec: physics and rollout, and which of the throws the members did not learn from.
+        design: the one design.
+        trace: (1, n_steps, n_links, 6)
+        inputs: every ``member-<n>``, and the throws.
+    """
+    physics = Physics.model_validate(spec["physics"])
+    learned, _ = transitions_of(spec, inputs)
+    said = disagreement(design, trace, ensemble_of(inputs), physics).magnitude[0]
+    new = novelty(link_states(design, trace, physics), thrown(learned.observation, learned.throw)).novelty[0]
+    return tuple(
+        Overlay(label, unit, at_frames(values, spec["rollout"]["n_settle"]), least)
+        for (_, label, unit, least), values in zip(LAID_OVER, (said, new), strict=True)
+        if np.isfinite(values).any()
+    )
+
+
+def push_of(
+    spec: Spec,
+    world: str,
+    member: int,
+    design: Designs,
+    trace: npt.NDArray[np.floating],
+    networks: Mapping[str, Files],
+) -> npt.NDArray[np.float64] | None:
     """Compute how the medium, or the member that stands for it, speeds up each link: (n_frames, n_links, 2) [m/s²]."""
-    if film.world == "dry_land":
+    if world == "dry_land":
         return None
     medium: Medium = Slush.model_validate(spec["slush"])
-    if film.member != NOBODY:
-        name = sorted(networks)[film.member]
+    if member != NOBODY:
+        name = sorted(name for name in networks if name.startswith("member-"))[member]
         medium = ensemble_of({name: networks[name]})
     physics = Physics.model_validate(spec["physics"])
-    change = acceleration(medium, link_states(film.champion.design, film.trace, physics), physics)
+    change = acceleration(medium, link_states(design, trace, physics), physics)
     return at_frames(change[0, ..., :2], spec["rollout"]["n_settle"])

@@ -1,6 +1,7 @@
 """The command line as a person uses it: each mistake gives one clear message and exit code 2, never a traceback."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -90,6 +91,22 @@ def test_simulate_reports_every_world_and_films(study, design, capsys, tmp_path)
         assert "root" in said and "whole robot" in said and str(out) in said
         assert out.read_bytes()[:12].endswith(b"ftypisom") if film == "mp4" else out.read_bytes().startswith(b"GIF89a")
     assert "members" in said  # of the last world
+
+
+def test_a_page_of_one_design_shows_what_networks_say_of_it(study, design, capsys, tmp_path):
+    for world, depth in (("dry_land", "1"), ("true_slush", "1"), ("residual_slush", "1")):
+        out = tmp_path / f"{world}.html"
+        arguments = (str(design), "--environment", world, "--depth", depth, "--out", str(out))
+        assert call("simulate", *arguments, *study) == 0
+        (replay,) = json.loads(re.search(r'id="replays">(.*?)</script>', out.read_text()).group(1))
+        assert [overlay["unit"] for overlay in replay["overlays"]] == ["m/s²", "× usual"]
+        assert bool(replay["push"]) == (world != "dry_land")
+    alone = tmp_path / "alone.html"
+    arguments = (str(design), "--environment", "dry_land", "--depth", "1", "--out", str(alone))
+    capsys.readouterr()
+    assert call("simulate", *arguments, "--store", str(tmp_path / "none")) == 0
+    assert "shown without what networks say of it" in capsys.readouterr().out
+    assert "<canvas" in alone.read_text()
 
 
 def test_forecast_prices_what_is_left(study, settings, capsys, tmp_path):

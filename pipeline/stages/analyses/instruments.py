@@ -46,7 +46,7 @@ N_TRIES = 32
 """Times that each champion is tried again: its loss is then known to a fifth of the tries' deviation."""
 
 
-def _transitions(spec: Spec, inputs: Mapping[str, Files]) -> tuple[Transitions, Transitions]:
+def transitions_of(spec: Spec, inputs: Mapping[str, Files]) -> tuple[Transitions, Transitions]:
     """Load the throws that the members learned from, and those held out."""
     from tasks.residual.training import validation_rows  # torch takes a second to import; only workers need it
 
@@ -75,7 +75,7 @@ def compute_members(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reas
     if not why:
         physics = Physics.model_validate(job.spec["physics"])
         medium = Slush.model_validate(job.spec["slush"])
-        ensemble, (_, held_out) = ensemble_of(inputs), _transitions(job.spec, inputs)
+        ensemble, (_, held_out) = ensemble_of(inputs), transitions_of(job.spec, inputs)
         rng = generator(job.spec["seed"], "analyse", "phantom thrust")
         found = phantom_thrust(ensemble, held_out, physics, rng=rng)
         thrusts = [ThrustRow(member, thrust) for member, thrust in enumerate(found)]
@@ -152,7 +152,7 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
     ensemble, physics = ensemble_of(inputs), Physics.model_validate(spec["physics"])
     links = link_states(designs, in_slush.trace, physics)
     errors = member_errors(ensemble, Slush.model_validate(spec["slush"]), links, physics)
-    learned, _ = _transitions(spec, inputs)
+    learned, _ = transitions_of(spec, inputs)
     index = thrown(learned.observation, learned.throw)
     champion, traced = arm[best], in_slush.trace[best : best + 1]
     films = [Filmed(champion, "true_slush", NOBODY, champion.zero_shot, traced)] if survives else []
