@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from small_study import run
 
+from pipeline.artifacts import encode_arrays
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.report.figures import FIGURES
 from pipeline.settings import Settings
-from pipeline.stages import STAGES, report, segments
+from pipeline.stages import STAGES, report, segments, train
 from pipeline.stages.report import PAGE
 from pipeline.store import Store
 from tasks.world import ResidualSlush, Slush, TrueSlush
@@ -26,12 +27,12 @@ TITLES = {name: title for name, (title, _) in FIGURES.items() if not name.endswi
 def page_of(settings, tmp_path):
     """Run the tiny study otherwise, and give its page without the films."""
 
-    def page(*overrides: str) -> str:
+    def page(*overrides: str, all_done: bool = True) -> str:
         changed = parse(Settings, settings.model_dump_json(), name="tiny", overrides=overrides)
         store = Store.open(tmp_path / "store", create=True)
         with serial_cluster() as cluster:
             upstream = run(changed, store, cluster, STAGES[:-1])
-        assert not any(results.set_aside for results in upstream.values())
+        assert all_done == (not any(results.set_aside for results in upstream.values()))
         chain = next(chain for chain in report.STAGE.plan(changed) if chain.label == PAGE)
         item = report.STAGE.item(changed, chain, 0, None, upstream)
         inputs = {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
@@ -121,3 +122,23 @@ def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
     assert f"There is no champion: {everyone}." in words
     assert "evolve: residual_slush/1m/trial-0 no champion: every design of the trial diverged" in words
     assert {f'<figure id="{name}">' in html for name in ("data_set", "residual_error", "phantom_thrust")} == {True}
+
+
+def test_members_that_observe_different_things_are_named_and_the_rest_is_there(page_of, monkeypatch):
+    """The second member was made by a code that observed five things of a link."""
+
+    def older(arrays, **said):
+        if said["producer"] != first.setdefault("key", said["producer"]):
+            arrays = {**arrays, "observation_mean": arrays["observation_mean"][:5]}
+        return encode_arrays(arrays, **said)
+
+    first: dict[str, str] = {}
+    monkeypatch.setattr(train, "encode_arrays", older)
+    html = page_of("grid.n_trials=1", all_done=False)
+    fault = "WeightsError: member 1: observation_mean has shape (5,), expected (6,)"
+    missing = absent(html)
+    assert missing["Prediction accuracy"].count(fault) == missing["What the members say together"].count(fault) == 2
+    assert f"residual_slush/1m/trial-0 set aside after 2 attempts at residual_slush/1m/trial-0/segment-0: {fault}" in (
+        words_of(html)
+    )
+    assert {f'<figure id="{name}">' in html for name in ("data_set", "fitness_curves", "transfer_at_depth")} == {True}
