@@ -139,7 +139,7 @@ class Killed:
         self.kept = now
 
 
-@pytest.mark.share(10)
+@pytest.mark.share(30)
 @pytest.mark.timeout(3600)  # Ray starts for every few kills
 def test_kill_9_at_random_moments(torture, settings, tmp_path):
     undisturbed = serially(settings, tmp_path / "undisturbed")
