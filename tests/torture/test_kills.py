@@ -128,7 +128,7 @@ class Killed:
         if victim == "driver":
             assert code == -9, said
         else:
-            assert code == 0 or (code == 1 and "stopped: Ray" in said), said
+            assert code == 0 or "Ray on this machine died" in said or "Ray did not start on this machine" in said, said
         assert victim != "worker" or code == 0, said
         self.ended = code == 0
         self.look()
