@@ -27,7 +27,7 @@ from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
 from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_held, signals_unwind
-from pipeline.cluster.session import PLACE, session
+from pipeline.cluster.session import DEAD, PLACE, session
 from pipeline.errors import PuddleError
 
 N_INFRASTRUCTURE_RETRIES = 1
@@ -82,7 +82,7 @@ class _Ray:
         """Refuse to wait for a Ray that is dead: it would take a minute to say so, and fail every call meanwhile."""
         if not self._alive():
             self._running.clear()
-            raise _dead()
+            raise PuddleError(DEAD)
 
     @property
     def n_cores(self) -> float:
@@ -311,20 +311,12 @@ def _outcome(name: str, reference: Any) -> Outcome:
     try:
         return Done(ray.get(reference))
     except LocalRayletDiedError as error:  # no call's fault, and every call's from now on
-        raise _dead() from error
+        raise PuddleError(DEAD) from error
     except RayTaskError as error:
         return failure(name, error.cause, re.sub(r"\x1b\[[0-9;]*m", "", str(error)))
     except RayError as error:
         message = str(error) or type(error).__name__
         return TaskFailed(name, f"{type(error).__name__}: {message.strip().splitlines()[0]}", message, True)
-
-
-def _dead() -> PuddleError:
-    return PuddleError(
-        "Ray on this machine died: its raylet or its GCS is gone (killed, or out of memory).\n"
-        "What was kept before is safe: give the same command again, and it goes on from there. Fewer `--workers` need "
-        "less memory."
-    )
 
 
 def _cancel(references: Any) -> None:

@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,15 @@ PLACE = Path("/tmp")
 """Where sessions' folders are. The path of a Unix socket in one may have 107 bytes, so it must be short."""
 
 PREFIX = "puddle-"
+
+STUCK_SECONDS = 10.0
+"""How long a driver may take to notice that its Ray is dead. Ray itself gives up after a minute."""
+
+DEAD = (
+    "Ray on this machine died: its raylet or its GCS is gone (killed, or out of memory).\n"
+    "What was kept before is safe: give the same command again, and it goes on from there. Fewer `--workers` need less "
+    "memory."
+)
 
 START_SECONDS = 120.0
 """How long Ray may take to start on a machine that has much else to do; ten seconds are usual."""
@@ -64,6 +74,7 @@ def session(n_cores: int | None) -> Iterator[Session]:
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=PLACE))
     lock = _hold(folder)
     kept: subprocess.Popen[str] | None = None
+    over = threading.Event()
     environment = {**os.environ, **PINNED_THREADS}  # the workers inherit it from Ray, and Ray from the keeper
     try:
         token = token_of(folder)
@@ -77,8 +88,11 @@ def session(n_cores: int | None) -> Iterator[Session]:
                 env={**environment, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)},
                 start_new_session=True,  # so that Ctrl-C in the terminal reaches Ray through us alone
             )  # fmt: skip
-        yield Session(_address(kept, folder), token, alive=functools.partial(_runs, kept))
+        address = _address(kept, folder)
+        threading.Thread(target=_end_if_stuck, args=(kept, over), daemon=True).start()
+        yield Session(address, token, alive=functools.partial(_runs, kept))
     finally:
+        over.set()
         if kept is not None:
             with contextlib.suppress(BrokenPipeError):
                 kept.communicate()  # closes the pipe: the keeper kills what is left, removes the folder, and ends
@@ -88,6 +102,14 @@ def session(n_cores: int | None) -> Iterator[Session]:
 
 def _runs(process: subprocess.Popen[str]) -> bool:
     return process.poll() is None
+
+
+def _end_if_stuck(kept: subprocess.Popen[str], over: threading.Event) -> None:
+    """End this process where Ray died and the driver does not notice: it may be in a call that waits for Ray."""
+    kept.wait()
+    if not over.wait(STUCK_SECONDS):
+        os.write(2, f"\nError: {DEAD}\n".encode())
+        os._exit(2)
 
 
 def token_of(folder: Path) -> Path:

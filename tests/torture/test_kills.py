@@ -128,7 +128,7 @@ class Killed:
         if victim == "driver":
             assert code == -9, said
         else:
-            assert code == 0 or (code == 1 and "stopped: Ray" in said), said
+            assert code == 0 or "Ray on this machine died" in said or "Ray did not start on this machine" in said, said
         assert victim != "worker" or code == 0, said
         self.ended = code == 0
         self.look()
@@ -139,7 +139,7 @@ class Killed:
         self.kept = now
 
 
-@pytest.mark.share(10)
+@pytest.mark.share(30)
 @pytest.mark.timeout(3600)  # Ray starts for every few kills
 def test_kill_9_at_random_moments(torture, settings, tmp_path):
     undisturbed = serially(settings, tmp_path / "undisturbed")

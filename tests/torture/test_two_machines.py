@@ -138,7 +138,7 @@ def serially(settings: Settings, folder: Path) -> dict[str, list[str]]:
 
 
 def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_path):
-    overrides = ["grid.n_trials=12", "evolution.n_generations=400"] if torture.large else []
+    overrides = ["grid.n_trials=8", "evolution.n_generations=120"] if torture.large else []
     settings = parse(Settings, EVOLUTION, name="two", overrides=tuple(overrides))
     expected = serially(settings, tmp_path / "expected")
     n_pieces = sum(len(chain) for chain in expected.values())
