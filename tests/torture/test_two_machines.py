@@ -149,7 +149,8 @@ def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_
         assert found == expected
         torture.note("share of the time with a task of ours: " + ", ".join(f"{share:.0%}" for share in busy))
         assert len(busy) in (2, 3)  # the third may come too late for work
-        assert min(busy) >= 0.85
+        if "PYTEST_XDIST_WORKER" not in os.environ:  # beside other tests the cores are theirs, too
+            assert min(busy) >= 0.85
 
 
 def on_machines_that_change(folder: Path, overrides: list[str], half_way: int) -> tuple[dict, list[float]]:
