@@ -19,6 +19,7 @@ N_GENERATIONS = 100
 def own_work() -> list[Figure]:
     """Ask, tell and record generations of 64 designs, over whole generations in a world without networks."""
     worlds = DryLand(9.0), TrueSlush(1.0), TrueSlush(9.0)
+    _share(worlds[0], 0)  # compiles
     return [
         Figure(f"AFPO's own work, {type(world).__name__}, d = {world.depth:g}",
                [_share(world, trial) for trial in range(N_ROUNDS)], "% of a generation", 5.0)
