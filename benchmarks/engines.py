@@ -74,7 +74,7 @@ def _batch_of_bodies(designs: Designs, environment: Environment) -> float:
     return seconds(lambda: robots.advance(world, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
 
 
-def _bare_steps(designs: Designs, environment: Environment, n_steps: int, physics: Physics = PHYSICS) -> float:
+def _bare_steps(designs: Designs, environment: Environment, physics: Physics = PHYSICS) -> float:
     """pybox2d's own Step of 64 worlds and nothing else."""
     trees, drive = kinematic_trees(designs, density=physics.link_density), Drive.of(designs)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
@@ -84,31 +84,31 @@ def _bare_steps(designs: Designs, environment: Environment, n_steps: int, physic
     ]
 
     def run() -> None:
-        for _ in range(n_steps):
+        for _ in range(N_STEPS):
             for world in worlds:
                 world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
 
-    return seconds(run) / len(designs) / n_steps * 1e6
+    return seconds(run) / len(designs) / N_STEPS * 1e6
 
 
-def _reference(designs: Designs, environment: Environment, n_steps: int) -> float:
-    run = partial(simulate, designs, environment, n_settle=0, n_measure=n_steps, engine="reference")
-    return seconds(run) / len(designs) / n_steps * 1e6
+def _reference(designs: Designs, environment: Environment) -> float:
+    run = partial(simulate, designs, environment, n_settle=0, n_measure=N_STEPS, engine="reference")
+    return seconds(run) / len(designs) / N_STEPS * 1e6
 
 
-def _obvious(designs: Designs, environment: Environment, n_steps: int) -> float:
+def _obvious(designs: Designs, environment: Environment) -> float:
     robots = [obvious.Robot(designs, i, environment.depth, PHYSICS, Slush()) for i in range(len(designs))]
 
     def run() -> None:
         for robot in robots:
-            for _ in range(n_steps):
+            for _ in range(N_STEPS):
                 robot.step()
 
-    return seconds(run) / len(designs) / n_steps * 1e6
+    return seconds(run) / len(designs) / N_STEPS * 1e6
 
 
 def steps() -> list[Figure]:
-    """Step 64 robots in true slush: the batch engine and its peers."""
+    """Step 64 robots in true slush, from the spawn on: the batch engine and its peers, who all take the same steps."""
     figures = []
     population = designs()
     _batch(population, DryLand(0.0))
@@ -117,9 +117,9 @@ def steps() -> list[Figure]:
         ours, bare, whole, script = [], [], [], []
         for _ in range(N_ROUNDS):
             ours.append(_batch(population, environment))
-            bare.append(_bare_steps(population, environment, 200))
-            whole.append(_reference(population, environment, 100))
-            script.append(_obvious(population[:8], environment, 100))
+            bare.append(_bare_steps(population, environment))
+            whole.append(_reference(population, environment))
+            script.append(_obvious(population, environment))
         unit = "µs per robot and step"
         figures += [
             Figure(f"batch engine, d = {depth:g}", ours, unit, promise),
@@ -142,7 +142,7 @@ def bodies() -> list[Figure]:
         ours, bare = [], []
         for _ in range(N_ROUNDS):
             ours.append(_batch_of_bodies(population, environment))
-            bare.append(_bare_steps(population, environment, 200, AS_BUILT))
+            bare.append(_bare_steps(population, environment, AS_BUILT))
         unit = "µs per robot and step"
         figures += [
             Figure(f"batch engine, bodies, d = {depth:g}", ours, unit),

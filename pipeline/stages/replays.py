@@ -56,7 +56,7 @@ def replays_of(spec: Spec, how: Spec, inputs: Mapping[str, Files]) -> list[Repla
 
 
 def _replay(spec: Spec, film: Filmed, overlays: tuple[Overlay, ...], networks: Mapping[str, Files]) -> Replay:
-    champion, style = film.champion, ENVIRONMENTS[film.champion.environment]  # type: ignore[index]  # one of its names
+    champion, style = film.champion, ENVIRONMENTS[film.champion.environment]
     return replay_of(
         champion.design,
         film.trace[0],
@@ -76,7 +76,7 @@ def _words(film: Filmed) -> str:
     """Name the world of a film; both kinds of residual worlds are Residual Slush as a member has it."""
     if film.world in RESIDUAL_ENVIRONMENTS:
         return f"Residual Slush (member {film.member})"
-    return ENVIRONMENTS[film.world].label  # type: ignore[index]
+    return ENVIRONMENTS[film.world].label
 
 
 def _overlays(spec: Spec, film: Filmed, instruments: Files) -> tuple[Overlay, ...]:

@@ -71,8 +71,12 @@ DEEPEST = float(-np.float32(3.0) * np.float32(LINEAR_SLOP))
 
 
 @inline
-def collide(block: Any, link: int, ground: Any) -> None:
-    """b2CollidePolygons and b2Contact::Update: the points that touch, with the impulses of their last step."""
+def collide(block: Any, link: int, ground: Any) -> bool:
+    """b2CollidePolygons and b2Contact::Update: the points that touch, with the impulses of their last step.
+
+    Returns:
+        Whether the link touches the ground in any lane.
+    """
     x, y, c, s = block[X + link], block[Y + link], block[COS + link], block[SIN + link]
     hx, hy = block[HALF_WIDTH + link], block[HALF_HEIGHT + link]
     old_vertex_1, old_vertex_2 = block[VERTEX_1 + link], block[VERTEX_2 + link]
@@ -81,7 +85,7 @@ def collide(block: Any, link: int, ground: Any) -> None:
             block[VERTEX_1 + link], block[VERTEX_2 + link] = NO_VERTEX, NO_VERTEX
             block[NORMAL_1 + link], block[TANGENT_1 + link] = 0.0, 0.0
             block[NORMAL_2 + link], block[TANGENT_2 + link] = 0.0, 0.0
-        return
+        return False
 
     # b2FindIncidentEdge: the first of the normals (0, -1), (1, 0), (0, 1), (-1, 0) that points down most.
     least = -c
@@ -125,12 +129,7 @@ def collide(block: Any, link: int, ground: Any) -> None:
     block[NORMAL_2 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
     block[TANGENT_2 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
     block[VERTEX_1 + link], block[VERTEX_2 + link] = vertex_1, vertex_2
-
-
-@inline
-def touching(block: Any, link: int) -> bool:
-    """Whether a link touches the ground in any lane."""
-    return any_lane(block[VERTEX_1 + link] != NO_VERTEX)
+    return any_lane(vertex_1 != NO_VERTEX)
 
 
 @inline
@@ -144,53 +143,97 @@ def _lever(block: Any, link: int, local_x: Any, local_y: Any, ground: Any) -> An
 
 
 @inline
-def init_velocity_constraint(block: Any, link: int, ground: Any, restitution: Any, dt_ratio: Any) -> None:
-    """b2ContactSolver's InitializeVelocityConstraints and WarmStart."""
-    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
-    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
-    touches_1, both = block[VERTEX_1 + link] != NO_VERTEX, block[VERTEX_2 + link] != NO_VERTEX
-    r1_x, r1_y = _lever(block, link, block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link], ground)
-    r2_x, r2_y = _lever(block, link, block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link], ground)
-
-    k11 = mB + iB * r1_x * r1_x
-    k22 = mB + iB * r2_x * r2_x
-    k12 = mB + iB * r1_x * r2_x
-    in_block = both & (k11 * k11 < MAX_CONDITION_NUMBER * (k11 * k22 - k12 * k12))
-    det = k11 * k22 - k12 * k12
-    block[K_11 + link], block[K_12 + link], block[K_22 + link] = k11, k12, k22
-    block[K_INVERSE_DETERMINANT + link] = select(det != 0.0, 1.0 / det, det)
-
-    block[R_X_1 + link], block[R_Y_1 + link] = r1_x, r1_y
-    block[R_X_2 + link], block[R_Y_2 + link] = r2_x, r2_y
-    block[NORMAL_MASS_1 + link] = select(touches_1, 1.0 / k11, 0.0)
-    block[NORMAL_MASS_2 + link] = select(in_block, 1.0 / k22, 0.0)
-    block[TANGENT_MASS_1 + link] = select(touches_1, 1.0 / (mB + iB * r1_y * r1_y), 0.0)
-    block[TANGENT_MASS_2 + link] = select(in_block, 1.0 / (mB + iB * r2_y * r2_y), 0.0)
-    v_rel_1, v_rel_2 = vy + w * r1_x, vy + w * r2_x
-    block[BIAS_1 + link] = select(v_rel_1 < -VELOCITY_THRESHOLD, -(restitution * v_rel_1), 0.0)
-    block[BIAS_2 + link] = select(v_rel_2 < -VELOCITY_THRESHOLD, -(restitution * v_rel_2), 0.0)
-
-    normal_1, tangent_1 = dt_ratio * block[NORMAL_1 + link], dt_ratio * block[TANGENT_1 + link]
-    block[NORMAL_1 + link], block[TANGENT_1 + link] = normal_1, tangent_1
-    # Where the block is ill-conditioned the second point is left out, and keeps its impulses for the next step.
-    normal_2, tangent_2 = block[NORMAL_2 + link], block[TANGENT_2 + link]
-    block[NORMAL_2 + link] = select(in_block, dt_ratio * normal_2, normal_2)
-    block[TANGENT_2 + link] = select(in_block, dt_ratio * tangent_2, tangent_2)
-    normal_2 = select(in_block, dt_ratio * normal_2, 0.0)
-    tangent_2 = select(in_block, dt_ratio * tangent_2, 0.0)
-    w = w + iB * (r1_x * normal_1 - r1_y * tangent_1)
-    w = w + iB * (r2_x * normal_2 - r2_y * tangent_2)
-    block[OMEGA + link] = w
-    block[VX + link] = (vx + mB * tangent_1) + mB * tangent_2
-    block[VY + link] = (vy + mB * normal_1) + mB * normal_2
+def _bounce(v_rel: Any, restitution: Any) -> Any:
+    """b2VelocityConstraintPoint's velocityBias."""
+    return select(v_rel < -VELOCITY_THRESHOLD, -(restitution * v_rel), 0.0)
 
 
 @inline
-def solve_velocity_constraint(block: Any, link: int, friction: Any) -> None:
-    """b2ContactSolver::SolveVelocityConstraints: friction at each point, then the normal impulses of both together.
+def init_velocity_constraint(block: Any, link: int, ground: Any, restitution: Any, dt_ratio: Any) -> bool:
+    """b2ContactSolver's InitializeVelocityConstraints and WarmStart.
+
+    Most links that touch stand on one point: the second costs time only where a lane has it.
+
+    Returns:
+        Whether any lane has a block of two points.
+    """
+    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
+    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
+    touches = block[VERTEX_1 + link] != NO_VERTEX
+    r_x, r_y = _lever(block, link, block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link], ground)
+    k = mB + iB * r_x * r_x
+    block[R_X_1 + link], block[R_Y_1 + link] = r_x, r_y
+    block[NORMAL_MASS_1 + link] = select(touches, 1.0 / k, 0.0)
+    block[TANGENT_MASS_1 + link] = select(touches, 1.0 / (mB + iB * r_y * r_y), 0.0)
+    block[BIAS_1 + link] = _bounce(vy + w * r_x, restitution)
+    normal, tangent = dt_ratio * block[NORMAL_1 + link], dt_ratio * block[TANGENT_1 + link]
+    block[NORMAL_1 + link], block[TANGENT_1 + link] = normal, tangent
+    block[VX + link], block[VY + link] = vx + mB * tangent, vy + mB * normal
+    block[OMEGA + link] = w + iB * (r_x * normal - r_y * tangent)
+
+    if any_lane(block[VERTEX_2 + link] != NO_VERTEX):
+        return _init_second_point(block, link, ground, restitution, dt_ratio, k, vy, w)
+    return False
+
+
+@inline
+def _init_second_point(
+    block: Any, link: int, ground: Any, restitution: Any, dt_ratio: Any, k11: Any, vy: Any, w: Any
+) -> bool:
+    """Initialize and warm-start the second point and the block of both; vy and w were before the warm start."""
+    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
+    r1_x = block[R_X_1 + link]
+    r_x, r_y = _lever(block, link, block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link], ground)
+    k22 = mB + iB * r_x * r_x
+    k12 = mB + iB * r1_x * r_x
+    det = k11 * k22 - k12 * k12
+    in_block = (block[VERTEX_2 + link] != NO_VERTEX) & (k11 * k11 < MAX_CONDITION_NUMBER * det)
+    block[K_11 + link], block[K_12 + link], block[K_22 + link] = k11, k12, k22
+    block[K_INVERSE_DETERMINANT + link] = select(det != 0.0, 1.0 / det, det)
+    block[R_X_2 + link], block[R_Y_2 + link] = r_x, r_y
+    block[NORMAL_MASS_2 + link] = select(in_block, 1.0 / k22, 0.0)
+    block[TANGENT_MASS_2 + link] = select(in_block, 1.0 / (mB + iB * r_y * r_y), 0.0)
+    block[BIAS_2 + link] = _bounce(vy + w * r_x, restitution)
+
+    # Where the block is ill-conditioned the second point is left out, and keeps its impulses for the next step.
+    old_normal, old_tangent = block[NORMAL_2 + link], block[TANGENT_2 + link]
+    normal, tangent = dt_ratio * old_normal, dt_ratio * old_tangent
+    block[NORMAL_2 + link] = select(in_block, normal, old_normal)
+    block[TANGENT_2 + link] = select(in_block, tangent, old_tangent)
+    normal, tangent = select(in_block, normal, 0.0), select(in_block, tangent, 0.0)
+    block[VX + link] = block[VX + link] + mB * tangent
+    block[VY + link] = block[VY + link] + mB * normal
+    block[OMEGA + link] = block[OMEGA + link] + iB * (r_x * normal - r_y * tangent)
+    return any_lane(in_block)
+
+
+@inline
+def solve_point(block: Any, link: int, friction: Any) -> None:
+    """b2ContactSolver::SolveVelocityConstraints of single points: friction, then the normal impulse.
 
     The impulses stay where they are for the next step, so there is nothing left for StoreImpulses.
     """
+    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
+    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
+    r_x, r_y = block[R_X_1 + link], block[R_Y_1 + link]
+    normal, tangent = block[NORMAL_1 + link], block[TANGENT_1 + link]
+
+    max_friction = friction * normal
+    new = clamp(tangent - block[TANGENT_MASS_1 + link] * (vx - w * r_y), -max_friction, max_friction)
+    block[TANGENT_1 + link] = new
+    block[VX + link] = vx + mB * (new - tangent)
+    w = w - iB * (r_y * (new - tangent))
+
+    new = normal - block[NORMAL_MASS_1 + link] * (vy + w * r_x - block[BIAS_1 + link])
+    new = select(new > 0.0, new, 0.0)
+    block[NORMAL_1 + link] = new
+    block[VY + link] = vy + mB * (new - normal)
+    block[OMEGA + link] = w + iB * (r_x * (new - normal))
+
+
+@inline
+def solve_both_points(block: Any, link: int, friction: Any) -> None:
+    """b2ContactSolver::SolveVelocityConstraints where some lane has two points, whose normal impulses go together."""
     mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
     vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
     r1_x, r1_y = block[R_X_1 + link], block[R_Y_1 + link]
@@ -225,14 +268,15 @@ def solve_velocity_constraint(block: Any, link: int, friction: Any) -> None:
     b2 = b2 - (k12 * a1 + k22 * a2)
     x1 = -(inverse_det * k22 * b1 - inverse_det * k12 * b2)
     x2 = -(inverse_det * k11 * b2 - inverse_det * k12 * b1)
-    case_1 = (x1 >= 0.0) & (x2 >= 0.0)
-    only_1 = -(block[NORMAL_MASS_1 + link] * b1)
-    case_2 = (only_1 >= 0.0) & (k12 * only_1 + b2 >= 0.0)
-    only_2 = -(block[NORMAL_MASS_2 + link] * b2)
-    case_3 = (only_2 >= 0.0) & (k12 * only_2 + b1 >= 0.0)
-    case_4 = (b1 >= 0.0) & (b2 >= 0.0)
-    x1 = select(case_1, x1, select(case_2, only_1, select(case_3 | case_4, 0.0, a1)))
-    x2 = select(case_1, x2, select(case_2, 0.0, select(case_3, only_2, select(case_4, 0.0, a2))))
+    solved = (x1 >= 0.0) & (x2 >= 0.0)
+    if any_lane(in_block & ~solved):
+        only_1 = -(block[NORMAL_MASS_1 + link] * b1)
+        case_2 = (only_1 >= 0.0) & (k12 * only_1 + b2 >= 0.0)
+        only_2 = -(block[NORMAL_MASS_2 + link] * b2)
+        case_3 = (only_2 >= 0.0) & (k12 * only_2 + b1 >= 0.0)
+        case_4 = (b1 >= 0.0) & (b2 >= 0.0)
+        x1 = select(solved, x1, select(case_2, only_1, select(case_3 | case_4, 0.0, a1)))
+        x2 = select(solved, x2, select(case_2, 0.0, select(case_3, only_2, select(case_4, 0.0, a2))))
 
     x1 = select(in_block, x1, alone)
     x2 = select(in_block, x2, a2)
@@ -265,9 +309,13 @@ def _push_out(block: Any, link: int, local_x: Any, local_y: Any, ground: Any, pu
 @inline
 def solve_position_constraint(block: Any, link: int, ground: Any, unsolved: Any) -> Any:
     """b2ContactSolver::SolvePositionConstraints in the unsolved lanes; return where the link was not too deep."""
-    touches_1, both = block[VERTEX_1 + link] != NO_VERTEX, block[VERTEX_2 + link] != NO_VERTEX
+    touches = block[VERTEX_1 + link] != NO_VERTEX
     local_x, local_y = block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link]
-    separation_1 = _push_out(block, link, local_x, local_y, ground, unsolved & touches_1)
-    local_x, local_y = block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link]
-    separation_2 = _push_out(block, link, local_x, local_y, ground, unsolved & both)
-    return (~touches_1 | (separation_1 >= DEEPEST)) & (~both | (separation_2 >= DEEPEST))
+    separation = _push_out(block, link, local_x, local_y, ground, unsolved & touches)
+    shallow = ~touches | (separation >= DEEPEST)
+    both = block[VERTEX_2 + link] != NO_VERTEX
+    if any_lane(both):
+        local_x, local_y = block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link]
+        separation = _push_out(block, link, local_x, local_y, ground, unsolved & both)
+        shallow = shallow & (~both | (separation >= DEEPEST))
+    return shallow

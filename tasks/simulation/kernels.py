@@ -49,6 +49,9 @@ MAX_ROTATION = float(np.float32(0.5) * np.float32(3.14159265359))
 """b2_maxRotation [rad]."""
 MAX_ROTATION_SQUARED = float(np.float32(MAX_ROTATION) * np.float32(MAX_ROTATION))
 
+MOST_ABREAST = 2
+"""Groups that take a step together; what the velocity solver touches of two still fits a core's L1 cache."""
+
 
 class World(NamedTuple):
     """What all robots of a call share, rounded once to float32."""
@@ -162,27 +165,42 @@ def integrate_position(block: Any, link: int, dt: Any) -> None:
 
 
 @inline
-def solve_velocities(block: Any, world: Any) -> None:
-    """Sweeps of the velocity solver."""
-    for _ in range(world.velocity_iterations):
-        joint.solve_velocity_constraint(block, 0)
-        joint.solve_velocity_constraint(block, 1)
-        joint.solve_velocity_constraint(block, 2)
-        joint.solve_velocity_constraint(block, 3)
-        joint.solve_velocity_constraint(block, 4)
-        for link in range(world.n_links):
-            if contact.touching(block, link):
-                contact.solve_velocity_constraint(block, link, world.friction)
+def sweep_joint(blocks: Any, n_abreast: int, j: int) -> None:
+    """Solve a joint's velocity constraint in groups abreast."""
+    for k in range(n_abreast):
+        joint.solve_velocity_constraint(from_row(blocks, k * N_ROWS), j)
 
 
 @inline
-def solve_positions(block: Any, world: Any) -> None:
+def solve_velocities(blocks: Any, n_abreast: int, world: Any, touching: int, on_two_points: int) -> None:
+    """Sweeps of the velocity solver, in groups abreast.
+
+    Every joint waits for the one before it. So the processor has the other group's to do meanwhile.
+    """
+    for _ in range(world.velocity_iterations):
+        sweep_joint(blocks, n_abreast, 0)
+        sweep_joint(blocks, n_abreast, 1)
+        sweep_joint(blocks, n_abreast, 2)
+        sweep_joint(blocks, n_abreast, 3)
+        sweep_joint(blocks, n_abreast, 4)
+        for k in range(n_abreast):
+            block = from_row(blocks, k * N_ROWS)
+            for link in range(world.n_links):
+                bit = k * world.n_links + link
+                if on_two_points >> bit & 1:
+                    contact.solve_both_points(block, link, world.friction)
+                elif touching >> bit & 1:
+                    contact.solve_point(block, link, world.friction)
+
+
+@inline
+def solve_positions(block: Any, world: Any, touching: int) -> None:
     """Sweeps of the position solver; a lane is left alone once all its errors were small in one sweep."""
     unsolved = block[DIVERGENCE] == 0.0
     for _ in range(world.position_iterations):
         solved = unsolved
         for link in range(world.n_links):
-            if contact.touching(block, link):
+            if touching >> link & 1:
                 solved = solved & contact.solve_position_constraint(block, link, world.ground, unsolved)
         solved = solved & joint.solve_position_constraint(block, 0, unsolved)
         solved = solved & joint.solve_position_constraint(block, 1, unsolved)
@@ -195,34 +213,58 @@ def solve_positions(block: Any, world: Any) -> None:
 
 
 @inline
-def take_step(block: Any, world: Any, step: int) -> None:
-    """Run the motors, the slush, and b2World::Step."""
+def begin_step(block: Any, world: Any, step: int) -> Any:
+    """Run the motors, the slush, and b2World::Step up to the velocity solver.
+
+    Returns:
+        The links that touch the ground in any lane, and those that lie on two points, each as the bits of a number.
+    """
     time = np.float32(step) * world.dt
     command_motor(block, 0, time, world.motor_gain)
     command_motor(block, 1, time, world.motor_gain)
     command_motor(block, 2, time, world.motor_gain)
     command_motor(block, 3, time, world.motor_gain)
     command_motor(block, 4, time, world.motor_gain)
+    touching, on_two_points = 0, 0
     for link in range(world.n_links):
         if world.slush:
             submerge(block, link, world)
         block[VY + link] = block[VY + link] + world.fall
-        contact.collide(block, link, world.ground)
-        if contact.touching(block, link):
-            contact.init_velocity_constraint(block, link, world.ground, world.restitution, world.dt_ratio)
+        if contact.collide(block, link, world.ground):
+            touching |= 1 << link
+            if contact.init_velocity_constraint(block, link, world.ground, world.restitution, world.dt_ratio):
+                on_two_points |= 1 << link
     joint.init_velocity_constraint(block, 0, world.dt_ratio)
     joint.init_velocity_constraint(block, 1, world.dt_ratio)
     joint.init_velocity_constraint(block, 2, world.dt_ratio)
     joint.init_velocity_constraint(block, 3, world.dt_ratio)
     joint.init_velocity_constraint(block, 4, world.dt_ratio)
-    solve_velocities(block, world)
+    return touching, on_two_points
+
+
+@inline
+def end_step(block: Any, world: Any, touching: int) -> None:
+    """Run b2World::Step from the velocity solver on."""
     for link in range(world.n_links):
         integrate_position(block, link, world.dt)
-    solve_positions(block, world)
+    solve_positions(block, world, touching)
     divergence = block[DIVERGENCE]
     for row in range(N_TRACED):
         divergence = divergence + 0.0 * block[row]
     block[DIVERGENCE] = divergence
+
+
+@inline
+def take_step(blocks: Any, n_abreast: int, world: Any, step: int) -> None:
+    """Take a step with groups abreast."""
+    touching, on_two_points = 0, 0  # of the first group in the lowest bits
+    for k in range(n_abreast):
+        links, links_on_two = begin_step(from_row(blocks, k * N_ROWS), world, step)
+        touching |= links << (k * world.n_links)
+        on_two_points |= links_on_two << (k * world.n_links)
+    solve_velocities(blocks, n_abreast, world, touching, on_two_points)
+    for k in range(n_abreast):
+        end_step(from_row(blocks, k * N_ROWS), world, touching >> (k * world.n_links))
 
 
 @inline
@@ -244,13 +286,17 @@ def advance(blocks: Any, n_groups: int, world: Any, first_step: int, n_steps: in
         trace: a block of n_groups · n_steps · N_TRACED rows to fill with the states after each step.
         traced: whether to.
     """
-    for group in range(n_groups):
-        block = from_row(blocks, group * N_ROWS)
+    for group in range(0, n_groups, MOST_ABREAST):
+        abreast = from_row(blocks, group * N_ROWS)
+        n_abreast = min(MOST_ABREAST, n_groups - group)
         if first_step == 0:
-            orient(block, world)
+            for k in range(n_abreast):
+                orient(from_row(abreast, k * N_ROWS), world)
         for step in range(n_steps):
-            take_step(block, world, first_step + step)
+            take_step(abreast, n_abreast, world, first_step + step)
             if traced:
-                kept = from_row(trace, (group * n_steps + step) * N_TRACED)
-                for row in range(N_TRACED):
-                    kept[row] = block[row] + block[DIVERGENCE]
+                for k in range(n_abreast):
+                    block = from_row(abreast, k * N_ROWS)
+                    kept = from_row(trace, ((group + k) * n_steps + step) * N_TRACED)
+                    for row in range(N_TRACED):
+                        kept[row] = block[row] + block[DIVERGENCE]

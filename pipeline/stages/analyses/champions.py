@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from pipeline.artifacts import decode_json
 from pipeline.design_file import design_from
+from pipeline.settings import EnvironmentName
 from pipeline.stage import Files, Job, Spec
 from pipeline.stages import segments
 from pipeline.stages.analyses.statistics import Reasons, Tables
@@ -31,7 +32,7 @@ from tasks.world import EnsembleMedium, Environment, ResidualSlush
 class Champion:
     """The champion of a trial, and what transfer says of it."""
 
-    environment: str
+    environment: EnvironmentName
     depth: float
     trial: int
     design: Designs
@@ -41,7 +42,7 @@ class Champion:
     """Displacement in True Slush [m]; NaN where diverged."""
 
 
-def champions(trials: Sequence[tuple[str, float, int]], inputs: Mapping[str, Files]) -> list[Champion]:
+def champions(trials: Sequence[tuple[EnvironmentName, float, int]], inputs: Mapping[str, Files]) -> list[Champion]:
     """Take up the champions of trials; those that were set aside or have none are left out."""
     found = []
     for environment, depth, trial in trials:

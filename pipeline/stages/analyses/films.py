@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.settings import RESIDUAL_ENVIRONMENTS
+from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName
 from pipeline.stage import Files, Spec
 from pipeline.stages import segments
 from pipeline.stages.analyses.champions import Champion, true_slush
@@ -26,7 +26,7 @@ class Filmed:
     """A rollout of a champion."""
 
     champion: Champion
-    world: str
+    world: EnvironmentName
     """Name of the environment."""
     member: int
     """Whose world it is, or NOBODY's."""
