@@ -3,10 +3,10 @@
 Millimetres, as everywhere in fabrication; torques and speeds are SI, at the voltage that stands beside them. A hobby
 servo's torque falls linearly from stall to no-load speed.
 
-Every number of the table carries the letter of its source, or a question mark: then it is what such servos commonly
-have, and nobody here has checked it. Horns come in many shapes, all of theirs are of that kind, and clones of a servo
-differ by some tenths of a millimetre. So a kit lists what to measure (``kit.measured`` takes what you found), and holds
-two small gauges to print first: the cradle's plate and the horn's recess.
+Every number of the tables carries the letter of its source, or a question mark: then it is what such servos commonly
+have, and nobody here has checked it. No source is better than second-hand, horns come in many shapes, and clones of a
+servo differ by some tenths of a millimetre. So a kit lists what to measure (``kit.measured`` takes what you found), and
+holds two small gauges to print first: the cradle's plate and the horn's recess.
 
 The frame of a servo: u along the body's long side, v along its short side, w along the shaft towards the horn. The
 origin is on the shaft at the top of the case. The body reaches from u = -shaft_offset to u = length - shaft_offset.
@@ -52,6 +52,8 @@ class Horn:
     screw_mm: float
     """Diameter of those screws."""
     screw_name: str
+    sources: Mapping[str, str] = field(default_factory=dict)
+    """By field, where its number is from; a field that is missing has no source."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ class Servo:
     cable_width_mm: float
     """Of the flat cable; it leaves at one end of the body, near the bottom. Clones differ in which end."""
     horns: tuple[Horn, ...]
-    """Those that come with it, the one to prefer first. Their numbers have no source."""
+    """Those that come with it or are sold for its spline, the one to prefer first."""
     sources: Mapping[str, str] = field(default_factory=dict)
     """By field, where its number is from; a field that is missing has no source."""
 
@@ -139,62 +141,104 @@ def _per_60_degrees(seconds: float) -> float:
 
 
 _SOURCES = {
-    "D": "DSServo's figures for the DS3225 at 5 V, as sellers repeat them (wiki.52pi.com, D-0001)",
+    "A": "a robot arm of DS3225s by adamb314 (github.com/adamb314/ServoProject: CadFiles/Robot/robot2CadQuery.py)",
+    "B": "the DS3218, of the same size, after typical data sheets "
+         "(github.com/agenticcad/agenticcad: designkit/components/motors.py)",
+    "C": "chosen here, for the hole of the ear or of the horn",
+    "D": "DSServo's figures for the DS3225 at 5 V, as sellers repeat them "
+         "(wiki.52pi.com, D-0001; github.com/vniclos/-6-Axis-Robot-Arm---ESP-32)",
+    "F": "Fabian Kung's servo driver, calibrated with an HS-85MG (RCServo_API_V100.c, 2016): 10 µs a degree from 610 "
+         "to 2190 µs, of which a part is used here",
+    "G": "Kpower's guide to drawings of servos: typical sizes (kpower.com/insight_gearbox/7396.html)",
     "H": "Hitec's figures for the HS-85MG at 6 V, as a pilot's page repeats them (docaustinextreme.blogspot.com, 2016)",
-    "J": "openscad-library by Josh Gadeken (github.com/process1183), after Hitec and ServoCity",
-    "T": "Tower Pro's page of the MG90S (towerpro.com.tw/product/mg90s-3), as others quote it",
+    "I": "Hitec's sheet of the HS-311, and Blue Robotics' page of a camera tilt with an HS-5055MG: longer pulses turn "
+         "clockwise; taken for the HS-85MG too",
+    "J": "openscad-library by Josh Gadeken, after Hitec and ServoCity "
+         "(github.com/process1183/openscad-library: servos/hitec_hs-85mg.scad)",
+    "K": "measured on a clone by Brad Kartchner (github.com/kartchnb/openscad-servo-library: servos/mg90s_clone.scad)",
+    "L": "Lynxmotion's wiki, on the horns of its own servos (wiki.lynxmotion.com, SES gearing and horn information)",
+    "M": "a horn of 20 teeth, not said whose, by Brad Kartchner (github.com/kartchnb/servohorn_lib: servohorns/20t)",
     "P": "the sheet MG90S_Tower-Pro.pdf that sellers hand out (6 V)",
-    "K": "measured on a clone: openscad-servo-library by Brad Kartchner (github.com/kartchnb)",
-}
+    "S": "a list of servos with SparkFun's numbers, in a page for syringe pumps (JavaScript by Priya, 2016)",
+    "T": "Tower Pro's page of the MG90S (towerpro.com.tw/product/mg90s-3), as others quote it",
+    "V": "sellers of the 20 mm aluminium disc of 25 teeth (Amazon B07D56FVK5), as a hexapod's builder quotes them "
+         "(github.com/lukas/weird_objects: hexapod_walker/prototype_sts3215/hexapod_prototype.py)",
+    "W": "a hexapod of DS3225s, the reach of its cross horns by caliper "
+         "(github.com/lukas/weird_objects: hexapod_walker/prototype/hexapod_prototype.py)",
+    "Y": "Shenzhen Sky Star's sheet of its MG90S, a clone (tinytronics.nl, 000263), as a hexapod's builder quotes it",
+}  # fmt: skip
 """By letter. They were read in what others quote and publish; the makers' own pages were not at hand."""
 
 _NAMES = ("ds3225", "hs85mg", "mg90s")
 _TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
-    # DS3225: the one that is sold as turning 270°; its case is the standard size, 40.5 × 20 × 38 mm, while source D has
-    # 40 × 20 × 40.5 for it.
+    # DS3225: the one that is sold as turning 270°. Where sources differ, the maker's figure is taken, then the one that
+    # most agree on.
+    # Length: D, B and W have 40, drawings of its like up to 40.7. Height: D has 40.5, W 38 without the tower.
+    # Its shaft: A, B and W have 10 from the end, not the 10.2 of an MG996R. Ears: W and B have 54 over both, others up
+    # to 55. Underside of the ears: W has 27; what the case is higher than the ears, 10, is about 10.7 in A.
+    # The cable's moulded root is 7 mm wide and 6.5 long (W): it lies within the pocket, beside the case.
+    # HS-85MG: its ears' holes are 4.5 mm wide (J), for a grommet. Its spline: 24 or 25 teeth, sources differ.
+    # MG90S: 20 teeth or 21, 4.6 to 4.9 mm wide; sellers of clones differ.
     # field                  ds3225                         hs85mg                          mg90s
     "voltage_v":           ((5.0, "D"),                    (6.0, "H"),                    (6.0, "P")),
     "stall_torque_nm":     ((21.0 * KG_CM, "D"),           (3.5 * KG_CM, "H"),            (2.2 * KG_CM, "P")),
     "no_load_speed_rad_s": ((_per_60_degrees(0.15), "D"),  (_per_60_degrees(0.14), "H"),  (_per_60_degrees(0.08), "P")),
     "mass_g":              ((67.0, "D"),                   (21.8, "H"),                   (13.4, "T")),
-    "min_pulse_us":        ((500.0, "D"),                  (900.0, "?"),                  (500.0, "?")),
-    "max_pulse_us":        ((2500.0, "D"),                 (2100.0, "?"),                 (2500.0, "?")),
-    "travel_rad":          ((radians(270.0), "D"),         (radians(120.0), "?"),         (radians(180.0), "P")),
-    "deadband_us":         ((3.0, "D"),                    (8.0, "?"),                    (5.0, "P")),
-    "sense":               ((1, "D"),                      (-1, "?"),                     (1, "?")),
-    "length_mm":           ((40.5, "?"),                   (29.1, "J"),                   (22.8, "T")),
+    "min_pulse_us":        ((500.0, "D"),                  (900.0, "F"),                  (500.0, "Y")),
+    "max_pulse_us":        ((2500.0, "D"),                 (2100.0, "F"),                 (2500.0, "Y")),
+    "travel_rad":          ((radians(270.0), "D"),         (radians(120.0), "F"),         (radians(180.0), "P")),
+    "deadband_us":         ((3.0, "D"),                    (8.0, "S"),                    (5.0, "P")),
+    "sense":               ((1, "D"),                      (-1, "I"),                     (1, "Y")),
+    "length_mm":           ((40.0, "D"),                   (29.1, "J"),                   (22.8, "T")),
     "width_mm":            ((20.0, "D"),                   (13.0, "J"),                   (12.4, "T")),
-    "height_mm":           ((38.0, "?"),                   (29.9, "J"),                   (28.4, "T")),
-    "shaft_offset_mm":     ((10.2, "?"),                   (6.55, "J"),                   (6.2, "K")),
-    "ear_length_mm":       ((54.5, "?"),                   (40.0, "J"),                   (32.1, "T")),
-    "ear_bottom_mm":       ((28.0, "?"),                   (18.5, "J"),                   (18.5, "T")),
-    "ear_thickness_mm":    ((2.5, "?"),                    (2.0, "J"),                    (2.5, "K")),
-    "hole_span_mm":        ((49.5, "?"),                   (35.6, "J"),                   (28.3, "K")),
-    "hole_pitch_mm":       ((10.0, "?"),                   (0.0, "J"),                    (0.0, "K")),
-    "ear_screw_mm":        ((3.0, "?"),                    (2.0, "?"),                    (2.0, "K")),
-    "ear_screw_name":      (("M3 self-tapping", "?"),      ("2 mm self-tapping", "?"),    ("2 mm self-tapping", "?")),
-    "spline_mm":           ((5.9, "?"),                    (4.8, "?"),                    (4.7, "K")),
-    "spline_teeth":        ((25, "?"),                     (24, "?"),                     (20, "K")),
-    "centre_screw_mm":     ((3.0, "?"),                    (2.0, "?"),                    (2.0, "?")),
-    "centre_screw_name":   (("M3 × 8", "?"),               ("M2 × 6", "?"),               ("M2 × 6", "?")),
-    "cable_width_mm":      ((4.0, "?"),                    (4.0, "?"),                    (4.0, "?")),
+    "height_mm":           ((40.5, "D"),                   (29.9, "J"),                   (28.4, "T")),
+    "shaft_offset_mm":     ((10.0, "A"),                   (6.55, "J"),                   (6.2, "K")),
+    "ear_length_mm":       ((54.0, "W"),                   (40.0, "J"),                   (32.1, "T")),
+    "ear_bottom_mm":       ((28.0, "B"),                   (18.5, "J"),                   (18.5, "T")),
+    "ear_thickness_mm":    ((2.5, "W"),                    (2.0, "J"),                    (2.5, "K")),
+    "hole_span_mm":        ((49.5, "A"),                   (35.6, "J"),                   (28.3, "K")),
+    "hole_pitch_mm":       ((10.0, "W"),                   (0.0, "J"),                    (0.0, "K")),
+    "ear_screw_mm":        ((3.0, "W"),                    (2.0, "C"),                    (2.0, "K")),
+    "ear_screw_name":      (("M3 self-tapping", "C"),      ("2 mm self-tapping", "C"),    ("2 mm self-tapping", "C")),
+    "spline_mm":           ((5.9, "B"),                    (4.8, "?"),                    (4.7, "K")),
+    "spline_teeth":        ((25, "W"),                     (24, "?"),                     (20, "K")),
+    "centre_screw_mm":     ((3.0, "W"),                    (2.0, "?"),                    (2.0, "?")),
+    "centre_screw_name":   (("M3 × 8", "L"),               ("M2 × 6", "?"),               ("M2 × 6", "?")),
+    "cable_width_mm":      ((4.0, "G"),                    (4.0, "G"),                    (4.0, "G")),
 }  # fmt: skip
 
-# Horns, common sizes all of them: kind, long, short, arm width, hub, top, thickness, screws' radius, screws
-_STANDARD_DISC = Horn("disc", 10.0, 10.0, 20.0, 9.0, 7.5, 2.5, 7.0, 3.0, "M3")
-_STANDARD_CROSS = Horn("cross", 18.0, 14.0, 7.0, 10.0, 6.5, 2.0, 11.0, 2.0, "2 mm self-tapping")
-_MICRO_DISC = Horn("disc", 8.0, 8.0, 16.0, 7.0, 5.5, 2.0, 5.5, 2.0, "M2")
-_MICRO_CROSS = Horn("cross", 16.0, 8.5, 4.5, 7.0, 5.0, 1.6, 6.5, 1.5, "1.5 mm self-tapping")
-_HORNS = ((_STANDARD_DISC, _STANDARD_CROSS), (_MICRO_CROSS, _MICRO_DISC), (_MICRO_CROSS, _MICRO_DISC))
+_TAPS_2, _TAPS_1_5 = "2 mm self-tapping", "1.5 mm self-tapping"
+_KINDS: tuple[HornKind, ...] = ("disc", "cross", "cross", "cross", "disc")
+_HORN_TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
+    # The HS-85MG's hub, top and thickness are those of its double arm, whose holes are 1.15 mm wide. M's arms taper,
+    # from the hub's 6.9 mm to 4; of the two holes in its short arms, 1.5 mm wide, the inner one is taken.
+    # field              disc, 25 teeth   cross, 25 teeth    hs85mg's cross      mg90s's cross      micro disc
+    "long_mm":         ((10.0, "V"),     (18.0, "W"),       (16.0, "?"),        (18.5, "M"),       (8.0, "?")),
+    "short_mm":        ((10.0, "V"),     (18.0, "W"),       (8.5, "?"),         (8.3, "M"),        (8.0, "?")),
+    "arm_width_mm":    ((20.0, "V"),     (7.0, "?"),        (4.5, "?"),         (6.9, "M"),        (16.0, "?")),
+    "hub_mm":          ((9.0, "V"),      (12.0, "W"),       (7.0, "J"),         (6.9, "M"),        (7.0, "?")),
+    "top_mm":          ((7.5, "?"),      (6.5, "?"),        (5.1, "J"),         (5.0, "?"),        (5.5, "?")),
+    "thickness_mm":    ((2.5, "?"),      (3.0, "W"),        (1.6, "J"),         (1.4, "M"),        (2.0, "?")),
+    "screw_radius_mm": ((7.0, "V"),      (10.4, "W"),       (6.5, "?"),         (5.0, "M"),        (5.5, "?")),
+    "screw_mm":        ((3.0, "V"),      (2.0, "W"),        (1.5, "C"),         (2.0, "C"),        (2.0, "?")),
+    "screw_name":      (("M3", "V"),     (_TAPS_2, "C"),    (_TAPS_1_5, "C"),   (_TAPS_2, "C"),    ("M2", "?")),
+}  # fmt: skip
+
+
+def _numbers(table: Mapping[str, tuple[tuple[Any, str], ...]], column: int) -> dict[str, Any]:
+    """Give a column's numbers, and the sources of those that have one."""
+    rows = {key: row[column] for key, row in table.items()}
+    sources = {key: _SOURCES[letter] for key, (_, letter) in rows.items() if letter != "?"}
+    return {key: number for key, (number, _) in rows.items()} | {"sources": sources}
+
+
+_DISC, _CROSS, _HS85MG_CROSS, _MG90S_CROSS, _MICRO_DISC = (
+    Horn(kind=kind, **_numbers(_HORN_TABLE, column)) for column, kind in enumerate(_KINDS)
+)
+_HORNS = ((_DISC, _CROSS), (_HS85MG_CROSS, _MICRO_DISC), (_MG90S_CROSS, _MICRO_DISC))
 
 SERVOS: dict[str, Servo] = {
-    name: Servo(
-        name=name,
-        horns=_HORNS[column],
-        sources={key: _SOURCES[row[column][1]] for key, row in _TABLE.items() if row[column][1] in _SOURCES},
-        **{key: row[column][0] for key, row in _TABLE.items()},
-    )
-    for column, name in enumerate(_NAMES)
+    name: Servo(name=name, horns=_HORNS[column], **_numbers(_TABLE, column)) for column, name in enumerate(_NAMES)
 }
 """The library, by name."""
 
@@ -244,7 +288,7 @@ def servo_named(name: str) -> Servo:
 
 
 def as_measured(servo: Servo, kind: HornKind, measured: Mapping[str, float]) -> Servo:
-    """Give a servo with one horn, as it lies on the table.
+    """Give a servo with one horn, as it lies on the table; its sources are those of both.
 
     Args:
         servo: of the library.
@@ -258,7 +302,7 @@ def as_measured(servo: Servo, kind: HornKind, measured: Mapping[str, float]) -> 
     horn_changes: dict[str, Any] = {name: value for name, value in measured.items() if name in of_horn}
     case_changes: dict[str, Any] = {name: value for name, value in measured.items() if name not in of_horn}
     horn = replace(servo.horn(kind), **horn_changes)
-    sources = {**servo.sources, **dict.fromkeys(measured, YOURS)}
+    sources = {**servo.sources, **horn.sources, **dict.fromkeys(measured, YOURS)}
     servo = replace(servo, horns=(horn,), sources=sources, **case_changes)
     measures = {name: getattr(horn if name in of_horn else servo, name) for name in MEASURES}
     measures[EARS] = servo.ear_bottom_mm + servo.ear_thickness_mm

@@ -54,9 +54,9 @@ def test_links_whose_joint_is_locked_are_one_part(kit):
 
 
 def test_outlines_with_bosses_and_fillets(kit):
-    # A cradle is 20 + 2·(0.3 + 3) = 26.6 wide and reaches 10.2 + 7 + 0.3 + 3 = 20.5 beyond the joint at its link's end.
+    # A cradle is 20 + 2·(0.3 + 3) = 26.6 wide and reaches 10 + 7 + 0.3 + 3 = 20.3 beyond the joint at its link's end.
     # Its own corners are rounded with the wall's 3 mm. Beside it the link's end is 4.2 mm long: room for 2.5, not 5.
-    cradle = 26.6 * 20.5 - 2 * CORNER * 3.0**2 + 2 * CORNER * 2.5**2
+    cradle = 26.6 * 20.3 - 2 * CORNER * 3.0**2 + 2 * CORNER * 2.5**2
     assert kit.profiles[0].face.area == pytest.approx(2 * LINK - 35**2 + 4 * CORNER * 25 + 2 * cradle, rel=EXACT)
     # A horn's seat is half a disc beyond the link's end.
     seat = pi * SEAT**2 / 2 + 2 * fillet_between_line_and_disc(SEAT, 2.5)
@@ -66,8 +66,8 @@ def test_outlines_with_bosses_and_fillets(kit):
 
 def test_volumes(kit):
     rod = pin = pi * 1.55**2 * 25
-    plate = 38.0 - 28.0 - 2.5
-    cradle = 55.1 * 20.6 * (25 - plate) + 41.1 * 20.6 * plate + 4 * pi * 1.275**2 * plate + 2 * 5.0 * 3.0 * 5.0
+    plate = 40.5 - 28.0 - 2.5
+    cradle = 54.6 * 20.6 * (25 - plate) + 40.6 * 20.6 * plate + 4 * pi * 1.275**2 * plate + 2 * 5.0 * 3.0 * 5.0
     assert part(kit, "part-1-left").volume_mm3 == pytest.approx(
         25 * kit.profiles[0].face.area - cradle - pin - 2 * rod, rel=EXACT
     )
@@ -95,8 +95,8 @@ def holes(solid, radius: float):
 
 
 def test_places_of_holes(kit):
-    # Joint 2 is at (0, 70); its servo lies along link 0, downward: its middle is 40.5 / 2 - 10.2 = 10.05 below.
-    ears = [(x, 70 - 10.05 + end) for x in (-5.0, 5.0) for end in (-24.75, 24.75)]
+    # Joint 2 is at (0, 70); its servo lies along link 0, downward: its middle is 40 / 2 - 10 = 10 below.
+    ears = [(x, 70 - 10.0 + end) for x in (-5.0, 5.0) for end in (-24.75, 24.75)]
     assert np.allclose(holes(part(kit, "part-1-left").solid, 1.275), sorted(ears))
     # The horn's screws are 7 mm from the shaft, the centre screw's hole on it.
     assert np.allclose(holes(part(kit, "part-2-left").solid, 1.7), sorted([(-7, 70), (7, 70), (0, 63), (0, 77)]))
@@ -182,8 +182,8 @@ def test_the_bill(kit):
     assert lines["pin", rod, 51.0].count == 2
     assert lines["rod", rod, 325.0].mass_g == pytest.approx(2 * outer * 7.9e-3 * pi * 1.5**2 * 325)
     assert lines["servo", "ds3225 with a disc horn", None].count == 2
-    # Ears of 2.5 mm on a plate of 7.5: 10 mm. A disc of 2.5, 5 mm of web and the tip: 8.
-    assert lines["screw", "M3 self-tapping × 10", None].count == 8
+    # Ears of 2.5 mm on a plate of 10: 12.5 mm. A disc of 2.5, 5 mm of web and the tip: 8.
+    assert lines["screw", "M3 self-tapping × 12", None].count == 8
     (horn_screws,) = (line for line in kit.bill if line.note == "horn")
     assert (horn_screws.item, horn_screws.count) == ("M3 × 8", 8)
     printed = part(kit, "part-2-right")
@@ -202,12 +202,12 @@ def test_parts_lie_on_the_bed(kit):
         assert (lying.vertices.max(axis=0)[:2] <= 210.0).all()
         a, b, c = (lying.vertices[lying.triangles[:, corner]] for corner in range(3))
         assert (np.cross(a, b) * c).sum() / 6 == pytest.approx(piece.volume_mm3, rel=2e-3)  # turned, not mirrored
-    # The pocket of part 1 opens upward: at the height of the back, its rim is cut by 55.1 × 20.6.
+    # The pocket of part 1 opens upward: at the height of the back, its rim is cut by 54.6 × 20.6.
     lying = on_bed(part(kit, "part-1-left"), mesh_of(part(kit, "part-1-left").solid))
     a, b, c = (lying.vertices[lying.triangles[:, corner]] for corner in range(3))
     area = np.cross(b - a, c - a)[:, 2] / 2
     top = area[(np.abs(np.stack([a, b, c])[:, :, 2] - 25.0) < 1e-6).all(axis=0)].sum()
-    expected = kit.profiles[0].face.area - 55.1 * 20.6 - 2 * 5.0 * 3.0 - 3 * pi * 1.55**2
+    expected = kit.profiles[0].face.area - 54.6 * 20.6 - 2 * 5.0 * 3.0 - 3 * pi * 1.55**2
     assert top == pytest.approx(expected, rel=1e-3)
 
 

@@ -39,9 +39,22 @@ def test_servos_are_what_their_sources_say():
         assert {"voltage_v", "stall_torque_nm", "no_load_speed_rad_s", "mass_g"} <= servo.sources.keys()
         assert servo.sources.keys() <= {field.name for field in fields(Servo)}
         for horn in servo.horns:  # screws on the horn, clear of its hub's middle
+            assert horn.sources.keys() <= {field.name for field in fields(Horn)}
             as_measured(servo, horn.kind, {})
             assert servo.centre_screw_mm / 2 < horn.screw_radius_mm - horn.screw_mm / 2
             assert horn.screw_radius_mm + horn.screw_mm / 2 < min(horn.long_mm, horn.short_mm)
+
+
+def test_what_has_no_source_is_known():
+    def missing(item: Servo | Horn) -> set[str]:
+        return {field.name for field in fields(item)} - item.sources.keys() - {"name", "kind", "horns", "sources"}
+
+    spline = {"spline_mm", "spline_teeth", "centre_screw_mm", "centre_screw_name"}
+    assert [missing(servo) for servo in SERVOS.values()] == [set(), spline, spline - {"spline_mm", "spline_teeth"}]
+    (disc, cross), (small, micro), (clone, same) = (servo.horns for servo in SERVOS.values())
+    assert (missing(disc), missing(cross)) == ({"top_mm", "thickness_mm"}, {"top_mm", "arm_width_mm"})
+    assert missing(small) == {"long_mm", "short_mm", "arm_width_mm", "screw_radius_mm"} and missing(clone) == {"top_mm"}
+    assert micro is same and not micro.sources
 
 
 def test_every_measure_is_one_of_a_servo_or_its_horn():
@@ -53,13 +66,14 @@ def test_what_a_caliper_says_takes_the_place_of_the_library():
     settings = KitSettings(measured={"length_mm": 40.1, "top_mm": 7.0})
     servo = servo_of(settings)
     assert (servo.length_mm, servo.width_mm, servo.horns[0].top_mm) == (40.1, 20.0, 7.0)
-    assert servo.sources["length_mm"] == servo.sources["top_mm"] == YOURS and "height_mm" not in servo.sources
+    assert servo.sources["length_mm"] == servo.sources["top_mm"] == YOURS != servo.sources["height_mm"]
+    assert servo.sources["hub_mm"] == servo.horns[0].sources["hub_mm"] and "thickness_mm" not in servo.sources
     with pytest.raises(ValidationError, match="came lenght_mm"):
         KitSettings(measured={"lenght_mm": 40.1})
     with pytest.raises(ServoError, match=r"ds3225: length_mm is 50, expected less than hole_span_mm, 49\.5"):
         servo_of(KitSettings(measured={"length_mm": 50.0}))
-    with pytest.raises(ServoError, match=r"ear_bottom_mm \+ ear_thickness_mm is 38\.5, expected less than h.*, 38"):
-        servo_of(KitSettings(measured={"ear_bottom_mm": 36.0}))
+    with pytest.raises(ServoError, match=r"ear_bottom_mm \+ ear_thickness_mm is 41\.5, expected less than h.*, 40\.5"):
+        servo_of(KitSettings(measured={"ear_bottom_mm": 39.0}))
 
 
 def test_a_kit_says_what_nobody_has_checked(crane):
@@ -109,16 +123,16 @@ def test_gauges_are_slices_of_the_parts(crane):
     settings = KitSettings()
     servo, horn = gauges_of(drives_of(mechanism_of(crane, settings), settings), settings)
     assert [servo.name, horn.name] == ["gauge-servo", "gauge-horn"]
-    # The plate of 38 - 28 - 2.5 = 7.5 mm and 3 mm of the pocket's rim; the boss is the pocket's with 3 mm of wall.
-    boss = 61.1 * 26.6 - (4 - pi) * 3.0**2
+    # The plate of 40.5 - 28 - 2.5 = 10 mm and 3 mm of the pocket's rim; the boss is the pocket's with 3 mm of wall.
+    boss = 60.6 * 26.6 - (4 - pi) * 3.0**2
     assert servo.volume_mm3 == pytest.approx(
-        10.5 * boss - 3 * 55.1 * 20.6 - 7.5 * (41.1 * 20.6 + 4 * pi * 1.275**2), rel=1e-9
+        13 * boss - 3 * 54.6 * 20.6 - 10 * (40.6 * 20.6 + 4 * pi * 1.275**2), rel=1e-9
     )
     # The recess of 6.5 mm and the web of 5.
     assert horn.volume_mm3 == pytest.approx(
         11.5 * pi * 13.3**2 - 6.5 * pi * 10.3**2 - 5 * pi * (3.5**2 + 4 * 1.7**2), rel=1e-9
     )
-    for gauge, opening in ((servo, 55.1 * 20.6), (horn, pi * 10.3**2)):
+    for gauge, opening in ((servo, 54.6 * 20.6), (horn, pi * 10.3**2)):
         box, mesh = gauge.solid.bounding_box(), mesh_of(gauge.solid)
         assert abs(box.min.Z) < 1e-6
         planes = [face for face in gauge.solid.faces() if face.geom_type == GeomType.PLANE]
