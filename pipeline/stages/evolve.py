@@ -70,7 +70,7 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     lines, metrics = [], {}
     for (world, depth), of in best.items():
         known = [fitness for fitness in of if np.isfinite(fitness)]
-        said = f"{np.mean(known):z6.2f} ± {np.std(known):.2f} m (n = {len(known)})" if known else "     -"
+        said = f"{segments.mean_and_deviation(known)} m (n = {len(known)})" if known else "     -"
         lost = f"; in {len(of) - len(known)} of {len(of)} trials every design diverged" if len(known) < len(of) else ""
         lines.append(f"{world:>15} at {depth:g} m: champions' fitness {said}{lost}")
         if known:

@@ -51,6 +51,13 @@ def trial_label(environment: str, depth: float, trial: int) -> str:
     return f"{environment}/{depth:g}m/trial-{trial}"
 
 
+def mean_and_deviation(values: Sequence[float]) -> str:
+    """Give trials' mean ± sample deviation, as the page does; of one trial the mean alone, of none a dash."""
+    if not values:
+        return "-"
+    return f"{np.mean(values):z6.2f}" + (f" ± {np.std(values, ddof=1):5.2f}" if len(values) > 1 else "")
+
+
 def segment_spec(
     settings: Settings, *, stage: str, environment: EnvironmentName, world: EnvironmentName, depth: float, trial: int
 ) -> dict[str, Any]:

@@ -117,7 +117,7 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
             cells = []
             for name in ("predicted", "zero_shot", "adapted"):
                 values = [row[name] for row in arm if row.get(name) is not None]
-                cells.append(f"{np.mean(values):z6.2f} ± {np.std(values):5.2f}" if values else "-")
+                cells.append(segments.mean_and_deviation(values))
                 if values:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
             lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))

@@ -13,6 +13,7 @@ from pipeline.configuration import load, preset_names, preset_path
 from pipeline.settings import Settings
 from pipeline.stage import Item
 from pipeline.stages import STAGES
+from pipeline.stages.segments import mean_and_deviation
 from tasks.design import Designs, check
 from tasks.evolution import OPERATORS
 
@@ -52,6 +53,13 @@ def test_contract(stage, settings, study):
     summary = stage.summarise(settings, upstream[stage.name], store)
     assert summary.lines
     assert all(np.isfinite(value) for value in summary.metrics.values())
+
+
+def test_trials_are_summed_up_by_their_sample_deviation():
+    """Of 1 and 3 that is √2, as on the page; one trial deviates from nothing."""
+    assert mean_and_deviation([1.0, 3.0]).split() == ["2.00", "±", "1.41"]
+    assert mean_and_deviation([1.0]).split() == ["1.00"]
+    assert mean_and_deviation([]) == "-"
 
 
 def test_histories_hold_every_design_and_other_readers_read_them(settings, study, tmp_path):
