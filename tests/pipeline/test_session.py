@@ -1,0 +1,44 @@
+"""A driver that waits for a Ray that died ends, and says so: its call would never return."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from pipeline.cluster.session import DEAD
+
+WAITS = """
+import threading
+from pipeline.cluster import session
+session.STUCK_SECONDS = 1.0
+with session.session(1):
+    print("up", flush=True)
+    threading.Event().wait()
+"""
+"""A driver in a call that never returns."""
+
+
+@pytest.mark.parametrize("server", ["raylet", "gcs_server"])
+def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server):
+    driver = subprocess.Popen(
+        [sys.executable, "-c", WAITS], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert driver.stdout is not None
+        assert driver.stdout.readline() == "up\n"
+        processes = psutil.Process(driver.pid).children(recursive=True)
+        (victim,) = (process for process in processes if process.name() == server)
+        victim.send_signal(signal.SIGKILL)
+        _, said = driver.communicate(timeout=60)
+        assert driver.returncode == 2
+        assert DEAD in said
+        end = time.monotonic() + 15
+        while time.monotonic() < end and any(process.is_running() for process in processes):
+            time.sleep(0.1)
+        assert not any(process.is_running() for process in processes)
+    finally:
+        driver.kill()
+        driver.wait()
