@@ -23,9 +23,7 @@ with session.session(1):
 
 @pytest.mark.parametrize("server", ["raylet", "gcs_server"])
 def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server):
-    driver = subprocess.Popen(
-        [sys.executable, "-c", WAITS], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    driver = subprocess.Popen([sys.executable, "-c", WAITS], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         assert driver.stdout is not None
         assert driver.stdout.readline() == "up\n"
