@@ -32,7 +32,7 @@ from typing import Any
 
 from pipeline import disk
 from pipeline.artifacts import Json, decode_json, decode_sealed, encode_json, encode_sealed
-from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.items import KEY, NAME, Items, check_name
 from pipeline.manifest import are_file_names
 
@@ -172,6 +172,7 @@ class Store(Items):
 
         Raises:
             DamagedArtifact: names the file. Running the study again writes it anew.
+            OtherVersion: another puddle wrote it.
         """
         path = disk.inside(self._study(name), "study.json")
         with disk.explained(f"reading study {name}", self.root):
@@ -190,7 +191,9 @@ class Store(Items):
             if body["name"] != name:
                 raise DamagedArtifact(f"came those of study {body['name']}")
             return StudyRecord(name, body["settings"], items, set_aside)
-        except (DamagedArtifact, KeyError, TypeError) as error:
+        except OtherVersion:
+            raise
+        except (PuddleError, KeyError, TypeError) as error:  # damaged, or a foreign document where ours was
             raise DamagedArtifact(
                 f"{path}: expected a study's name, settings and items: {error}. "
                 f"Its results are safe; running the study again writes the file anew."

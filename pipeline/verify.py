@@ -58,7 +58,7 @@ def _lacking(store: Store, name: str) -> Iterator[PuddleError]:
 def _items(store: Store, name: str) -> Sequence[StudyItem]:
     try:
         record = store.read_study(name)
-    except DamagedArtifact:  # said already
+    except PuddleError:  # said already
         return ()
     return record.items if record else ()
 

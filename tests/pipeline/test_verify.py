@@ -78,6 +78,29 @@ def test_damage_is_named_discarded_and_mended(options, store, capsys):
     assert call("verify", *options) == 0
 
 
+def swap_for_a_manifest(record: Path) -> None:
+    shutil.copy(next(record.parents[2].rglob("manifest.json")), record)
+
+
+def make_newer(record: Path) -> None:
+    record.write_text(record.read_text().replace('"version": 1', '"version": 2'))
+
+
+@pytest.mark.parametrize(("spoil", "mends"), [(swap_for_a_manifest, True), (make_newer, False)])
+def test_damage_is_named_where_the_record_can_not_be_read_either(spoil, mends, options, store, capsys):
+    """A foreign file where the record was is damage; a newer puddle's record is none, and is left as it is."""
+    (path,) = list(store.root.glob("items/evolve/*/*/history.parquet"))[:1]
+    path.write_bytes(b"")
+    record = store.root / "studies" / "tiny" / "study.json"
+    spoil(record)
+    assert call("verify", "--discard", *options) == 1
+    said = capsys.readouterr().out
+    assert str(record) in said and f"of no study: evolve {path.parent.name}" in said
+    assert not path.exists()
+    assert call("study", "--workers", "0", *options) == (0 if mends else 2)
+    assert call("verify", *options) == (0 if mends else 1)
+
+
 def test_a_report_that_was_edited_is_noticed(options, store, capsys):
     (store.export_path("tiny") / "index.html").write_text("better")
     assert call("verify", *options) == 1
