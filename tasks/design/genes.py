@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +20,9 @@ N_LINKS = 6
 
 ROOT_PARENT = -1
 """The parent of a root."""
+
+Table = npt.NDArray[np.float64]
+"""(n_designs, N_COLUMNS) designs as a table: what variation and selection work on."""
 
 Part = Literal["body", "control"]
 Kind = Literal["interval", "angle", "flag"]
@@ -143,6 +147,22 @@ class Designs:
         """Gather the fields of designs from a mapping that may hold other arrays too."""
         return Designs(**{name: arrays[name] for name in DTYPES})
 
+    @cached_property
+    def table(self) -> Table:
+        """(n_designs, N_COLUMNS) all numbers of a design in a row, at COLUMNS: exact, and quick to choose and join."""
+        several = [array[:, None] if name in PER_DESIGN else array for name, array in self.arrays()]
+        return np.concatenate(several, axis=1, dtype=np.float64)
+
+    @staticmethod
+    def from_table(table: Table) -> Designs:
+        """Restore designs from their table, which is theirs from then on and can't be changed."""
+        several = {name: table[:, columns].astype(DTYPES[name]) for name, columns in COLUMNS.items()}
+        designs = Designs(**{name: of[:, 0] if name in PER_DESIGN else of for name, of in several.items()})
+        designs.__dict__["table"] = table  # the cached property's value, which nobody may make untrue
+        for array in (table, *(array for _, array in designs.arrays())):
+            array.flags.writeable = False
+        return designs
+
     def equals(self, other: Designs) -> bool:
         """Tell whether every gene of every design is the same."""
         return all(np.array_equal(array, getattr(other, name)) for name, array in self.arrays())
@@ -151,6 +171,23 @@ class Designs:
 DTYPES: dict[str, type[np.generic]] = {
     field.name: {"parent": np.int64, "motor_on": np.bool_}.get(field.name, np.float64) for field in fields(Designs)
 }
+
+
+def _columns() -> dict[str, slice]:
+    columns, first = {}, 0
+    for name in DTYPES:
+        n = 1 if name in PER_DESIGN else N_LINKS
+        columns[name] = slice(first, first + n)
+        first += n
+    return columns
+
+
+COLUMNS = _columns()
+"""Where each field of Designs is in a table of designs, a link after the other."""
+LINK_OF_COLUMN = np.concatenate([[N_LINKS] if name in PER_DESIGN else np.arange(N_LINKS) for name in COLUMNS])
+"""(N_COLUMNS,) whose each column is; N_LINKS where it is the whole design's."""
+N_COLUMNS = max(columns.stop for columns in COLUMNS.values())
+"""Columns of a table of designs: 49, what roots have no use for included."""
 
 
 def _converted(name: str, values: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:

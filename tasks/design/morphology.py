@@ -17,7 +17,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from tasks.design.body import rest_pose
-from tasks.design.genes import N_LINKS, DesignError, Designs, concatenate
+from tasks.design.genes import N_LINKS, DesignError, Designs, Table
 from tasks.parameters import Parameters
 
 Ints = npt.NDArray[np.int64]
@@ -50,10 +50,15 @@ ANY_BODY = Morphology()
 class Drawn:
     """Designs that a morphology allows, and what it took to find them."""
 
-    designs: Designs
-    """n_designs designs."""
+    table: Table
+    """(n_designs, N_COLUMNS)"""
     n_draws: Ints
     """(n_designs,) how many were drawn for each, itself among them: n_draws - 1 were rejected."""
+
+    @property
+    def designs(self) -> Designs:
+        """n_designs designs."""
+        return Designs.from_table(self.table)
 
 
 def links_apart(designs: Designs) -> npt.NDArray[np.bool_]:
@@ -109,11 +114,11 @@ def separation(one: Floats, other: Floats) -> Floats:
 
 
 def until_apart(
-    draw: Callable[[Ints], Designs],
+    draw: Callable[[Ints], Table],
     wanted: npt.NDArray[np.bool_],
     *,
     max_draws: int = MAX_DRAWS,
-    otherwise: Designs | None = None,
+    otherwise: Table | None = None,
 ) -> Drawn:
     """Draw designs, and draw those again whose unjoined links overlap.
 
@@ -124,7 +129,7 @@ def until_apart(
         draw: gives one design for each index that it is called with; an index may come several times.
         wanted: (n_designs,) which must be apart; the others keep their first draw.
         max_draws: of each design.
-        otherwise: (n_designs,) what to take after so many.
+        otherwise: (n_designs, N_COLUMNS) what to take after so many.
 
     Raises:
         DesignError: none of max_draws draws of a design is apart, and there is nothing to take instead.
@@ -132,12 +137,12 @@ def until_apart(
     n_draws = np.ones(len(wanted), dtype=np.int64)
     found, place = [draw(np.arange(len(wanted)))], np.arange(len(wanted))
     waiting = np.flatnonzero(wanted)
-    waiting = waiting[~links_apart(found[0][waiting])]
+    waiting = waiting[~links_apart(Designs.from_table(found[0][waiting]))]
     n_found, n_drawn, each = len(wanted), 1, 1
     while waiting.size and n_drawn < max_draws:
         each = max(1, min(2 * each, MOST_AT_ONCE // waiting.size, max_draws - n_drawn))
         drawn = draw(np.repeat(waiting, each))
-        apart = links_apart(drawn).reshape(waiting.size, each)
+        apart = links_apart(Designs.from_table(drawn)).reshape(waiting.size, each)
         lucky, chosen = apart.any(axis=1), apart.argmax(axis=1)
         n_draws[waiting] += np.where(lucky, chosen + 1, each)
         found.append(drawn[(np.arange(waiting.size) * each + chosen)[lucky]])
@@ -152,4 +157,4 @@ def until_apart(
         n_draws[waiting] += 1
         found.append(otherwise[waiting])
         place[waiting] = n_found + np.arange(waiting.size)
-    return Drawn(concatenate(found)[place], n_draws)
+    return Drawn(np.concatenate(found)[place], n_draws)

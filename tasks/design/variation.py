@@ -9,7 +9,6 @@ A morphology that asks for something makes operators draw again what it refuses.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,7 +17,19 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field
 
-from tasks.design.genes import GENES, N_GENES, N_LINKS, ROOT_PARENT, Designs, Gene, Part
+from tasks.design.genes import (
+    COLUMNS,
+    GENES,
+    LINK_OF_COLUMN,
+    N_COLUMNS,
+    N_GENES,
+    N_LINKS,
+    ROOT_PARENT,
+    Designs,
+    Gene,
+    Part,
+    Table,
+)
 from tasks.design.morphology import ANY_BODY, Drawn, Floats, Ints, Morphology, until_apart
 from tasks.parameters import Parameters
 
@@ -35,6 +46,10 @@ class Mutation(Parameters):
 
 
 MUTATION = Mutation()
+
+PARENT = COLUMNS["parent"]
+MOTORS = slice(COLUMNS["motor_on"].start + 1, COLUMNS["motor_on"].stop)
+"""Columns of the joints' motors; a root has none."""
 
 
 def random_designs(
@@ -70,23 +85,24 @@ def draw_random(
     return until_apart(lambda which: _random(len(which), rng, body, morphology), wanted)
 
 
-def _drawn_once(designs: Designs) -> Drawn:
-    return Drawn(designs, np.ones(len(designs), dtype=np.int64))
+def _drawn_once(table: Table) -> Drawn:
+    return Drawn(table, np.ones(len(table), dtype=np.int64))
 
 
-def _random(n_designs: int, rng: Generator, body: Designs | None, morphology: Morphology) -> Designs:
-    drawn: dict[str, npt.NDArray[Any]] = {gene.name: _draw(gene, n_designs, rng) for gene in GENES}
-    parent = np.full((n_designs, N_LINKS), ROOT_PARENT, dtype=np.int64)
+def _random(n_designs: int, rng: Generator, body: Designs | None, morphology: Morphology) -> Table:
+    table = np.empty((n_designs, N_COLUMNS))
+    for gene in GENES:
+        table[:, COLUMNS[gene.name]] = _draw(gene, n_designs, rng)
+    table[:, PARENT.start] = ROOT_PARENT
     for link in range(1, N_LINKS):
-        parent[:, link] = rng.integers(0, link, n_designs)
+        table[:, PARENT.start + link] = rng.integers(0, link, n_designs)
     if morphology.n_actuated is not None:
-        drawn["motor_on"][:, 1:] = _highest(rng.random((n_designs, N_LINKS - 1)), morphology.n_actuated)
-    designs = Designs(parent=parent, **drawn)
-    return designs if body is None else _with_body(designs, body, morphology)
+        table[:, MOTORS] = _highest(rng.random((n_designs, N_LINKS - 1)), morphology.n_actuated)
+    return table if body is None else _with_body(table, body.table, morphology)
 
 
 def _draw(gene: Gene, n_designs: int, rng: Generator) -> npt.NDArray[Any]:
-    shape = (n_designs, N_LINKS) if gene.per_link else (n_designs,)
+    shape = (n_designs, N_LINKS if gene.per_link else 1)
     drawn = rng.random(shape) < 0.5 if gene.kind == "flag" else rng.uniform(gene.low, gene.high, shape)
     if not gene.of_root:
         drawn[:, 0] = 0  # so that designs that behave alike are equal
@@ -107,11 +123,12 @@ def _part_of(gene: Gene, morphology: Morphology) -> Part:
     return "body" if gene.kind == "flag" and morphology.n_actuated is not None else gene.part
 
 
-def _with_body(designs: Designs, bodies: Designs, morphology: Morphology) -> Designs:
+def _with_body(table: Table, bodies: Table, morphology: Morphology) -> Table:
     """Give every design the body of another, or all of them the body of one."""
-    names = ("parent", *(gene.name for gene in GENES if _part_of(gene, morphology) == "body"))
-    shape = (len(designs), N_LINKS)
-    return replace(designs, **{name: np.broadcast_to(getattr(bodies, name), shape).copy() for name in names})
+    changed = table.copy()
+    for name in ("parent", *(gene.name for gene in GENES if _part_of(gene, morphology) == "body")):
+        changed[:, COLUMNS[name]] = bodies[:, COLUMNS[name]]
+    return changed
 
 
 def mutate(
@@ -138,57 +155,50 @@ def mutate(
     Raises:
         DesignError: a parent has no mutant that keeps to the morphology.
     """
-    return draw_mutants(designs, rng, mutation=mutation, parts=parts, morphology=morphology).designs
+    return draw_mutants(designs.table, rng, mutation=mutation, parts=parts, morphology=morphology).designs
 
 
 def draw_mutants(
-    designs: Designs,
+    table: Table,
     rng: Generator,
     *,
     mutation: Mutation = MUTATION,
     parts: tuple[Part, ...] = ("body", "control"),
     morphology: Morphology = ANY_BODY,
 ) -> Drawn:
-    """Mutate designs as :func:`mutate` does, and count the draws."""
+    """Mutate designs, given as their table, as :func:`mutate` does, and count the draws."""
     if "body" not in parts or morphology.unjoined_links == "may_overlap":
-        return _drawn_once(_mutant(designs, rng, mutation, parts, morphology))
-    everybody = np.ones(len(designs), dtype=bool)
-    return until_apart(lambda which: _mutant(designs[which], rng, mutation, parts, morphology), everybody)
+        return _drawn_once(_mutant(table, rng, mutation, parts, morphology))
+    everybody = np.ones(len(table), dtype=bool)
+    return until_apart(lambda which: _mutant(table[which], rng, mutation, parts, morphology), everybody)
 
 
-def _mutant(
-    designs: Designs, rng: Generator, mutation: Mutation, parts: tuple[Part, ...], morphology: Morphology
-) -> Designs:
-    genes = tuple(gene for gene in GENES if _part_of(gene, morphology) in parts)
-    limits = _limits(genes)
-    table = np.concatenate([_columns(gene, getattr(designs, gene.name)) for gene in genes], axis=1)
-    varied = table.copy()
-    changes = rng.random(table.shape) < mutation.genes_changed / N_GENES
+def _mutant(table: Table, rng: Generator, mutation: Mutation, parts: tuple[Part, ...], morphology: Morphology) -> Table:
+    limits = _limits(tuple(gene for gene in GENES if _part_of(gene, morphology) in parts))
+    old = table.take(limits.columns, axis=1)
+    new = old.copy()
+    changes = rng.random(old.shape) < mutation.genes_changed / N_GENES
     while True:
-        steps = rng.standard_normal(table.shape) * mutation.step
+        steps = rng.standard_normal(old.shape) * mutation.step
         if morphology.n_actuated is not None:
-            flags = table[:, limits.is_flag]
+            flags = old[:, limits.is_flag]
             moved = _moved(flags, changes[:, limits.is_flag], rng)
-            varied[:, limits.is_flag] = np.where(moved == flags, varied[:, limits.is_flag], moved)
+            new[:, limits.is_flag] = np.where(moved == flags, new[:, limits.is_flag], moved)
             changes &= ~limits.is_flag  # a flag that moved took the place of another
-        rows, columns = changes.nonzero()  # a few in a hundred
-        varied[rows, columns] = _stepped(limits, columns, table[rows, columns], steps[rows, columns])
-        same = (varied == table).all(axis=1)
+        rows, numbers = changes.nonzero()  # a few in a hundred
+        new[rows, numbers] = _stepped(limits, numbers, old[rows, numbers], steps[rows, numbers])
+        same = (new == old).all(axis=1)
         if not same.any():
             break
         # No gene was drawn, or a bound held those that were: draw one until it moves.
-        drawn = rng.integers(0, table.shape[1], len(designs))
-        changes = same[:, None] & (np.arange(table.shape[1]) == drawn[:, None])
+        drawn = rng.integers(0, old.shape[1], len(old))
+        changes = same[:, None] & (np.arange(old.shape[1]) == drawn[:, None])
 
-    changed = {name: array.copy() for name, array in designs.arrays()}
-    first = 0
-    for gene in genes:
-        numbers = _columns(gene, changed[gene.name])
-        numbers[:] = varied[:, first : first + gene.n_numbers]
-        first += gene.n_numbers
+    mutants = table.copy()
+    mutants[:, limits.columns] = new
     if "body" in parts:
-        _rewire(changed["parent"], rng, mutation.rewiring)
-    return Designs(**changed)
+        _rewire(mutants[:, PARENT], rng, mutation.rewiring)
+    return mutants
 
 
 def _moved(flags: Floats, moves: npt.NDArray[np.bool_], rng: Generator) -> Floats:
@@ -208,14 +218,11 @@ def _moved(flags: Floats, moves: npt.NDArray[np.bool_], rng: Generator) -> Float
     return flags
 
 
-def _columns(gene: Gene, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """View a gene's numbers, what a root ignores left out, as (n_designs, numbers of this gene)."""
-    return array[:, gene.first_link :] if gene.per_link else array[:, None]
-
-
 class _Limits(NamedTuple):
-    """Of every number in a table of genes."""
+    """Of every number that some genes are."""
 
+    columns: Ints
+    """In a table of designs."""
     low: Floats
     high: Floats
     is_angle: npt.NDArray[np.bool_]
@@ -226,6 +233,7 @@ class _Limits(NamedTuple):
 def _limits(genes: tuple[Gene, ...]) -> _Limits:
     numbers = [gene for gene in genes for _ in range(gene.n_numbers)]
     return _Limits(
+        columns=np.concatenate([np.arange(N_COLUMNS)[COLUMNS[gene.name]][-gene.n_numbers :] for gene in genes]),
         low=np.array([gene.low for gene in numbers]),
         high=np.array([gene.high for gene in numbers]),
         is_angle=np.array([gene.kind == "angle" for gene in numbers]),
@@ -233,9 +241,9 @@ def _limits(genes: tuple[Gene, ...]) -> _Limits:
     )
 
 
-def _stepped(limits: _Limits, columns: Ints, values: Floats, steps: Floats) -> Floats:
-    """Move numbers of some columns of a table of genes by a share of their gene's range, and back within its bounds."""
-    low, high, is_angle, is_flag = (of_all.take(columns) for of_all in limits)
+def _stepped(limits: _Limits, numbers: Ints, values: Floats, steps: Floats) -> Floats:
+    """Move some numbers by a share of their gene's range, and back within its bounds."""
+    _, low, high, is_angle, is_flag = (of_all.take(numbers) for of_all in limits)
     moved = values + steps * (high - low)
     wrapped = low + np.mod(moved - low, high - low)
     # The clip also catches the rounding of a remainder just below an angle's end.
@@ -243,12 +251,12 @@ def _stepped(limits: _Limits, columns: Ints, values: Floats, steps: Floats) -> F
     return np.where(is_flag, 1.0 - values, within)
 
 
-def _rewire(parent: npt.NDArray[np.int64], rng: Generator, probability: float) -> None:
+def _rewire(parent: Floats, rng: Generator, probability: float) -> None:
     """Hang one link of some designs from another of the links before it, in place. Link 1 has the root alone."""
     n_designs = len(parent)
-    chosen = np.flatnonzero(rng.random(n_designs) < probability)
+    chosen = (rng.random(n_designs) < probability).nonzero()[0]
     link = rng.integers(2, N_LINKS, n_designs)[chosen]
-    other = np.floor(rng.random(n_designs)[chosen] * (link - 1)).astype(np.int64)
+    other = np.floor(rng.random(n_designs)[chosen] * (link - 1))
     parent[chosen, link] = other + (other >= parent[chosen, link])  # skips the present parent
 
 
@@ -269,39 +277,39 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
         morphology: what bodies keep to; a child that does not is drawn again, MAX_RECOMBINATIONS times at most: then it
             gets the body of one and the controller of the other, which is a recombination that always keeps to it.
     """
-    return draw_recombinations(one, other, rng, morphology=morphology).designs
+    return draw_recombinations(one.table, other.table, rng, morphology=morphology).designs
 
 
 MAX_RECOMBINATIONS = 256
 """Draws of a pair's child before the pair is taken to have none that is allowed: there are 62 choices of links."""
 
 
-def draw_recombinations(one: Designs, other: Designs, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Drawn:
-    """Recombine designs as :func:`crossover` does, and count the draws."""
+def draw_recombinations(one: Table, other: Table, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Drawn:
+    """Recombine designs, given as their tables, as :func:`crossover` does, and count the draws."""
     if morphology.unjoined_links == "may_overlap":
         return _drawn_once(_recombination(one, other, rng, morphology))
 
-    def draw(which: Ints) -> Designs:
+    def draw(which: Ints) -> Table:
         return _recombination(one[which], other[which], rng, morphology)
 
     everybody = np.ones(len(one), dtype=bool)
-    return until_apart(draw, everybody, max_draws=MAX_RECOMBINATIONS, otherwise=_with_body(other, one, morphology))
+    otherwise = _with_body(other, one, morphology)
+    return until_apart(draw, everybody, max_draws=MAX_RECOMBINATIONS, otherwise=otherwise)
 
 
-def _recombination(one: Designs, other: Designs, rng: Generator, morphology: Morphology) -> Designs:
+def _recombination(one: Table, other: Table, rng: Generator, morphology: Morphology) -> Table:
     n_designs = len(one)
-    from_one = rng.random((n_designs, N_LINKS)) < 0.5
-    same = np.flatnonzero(from_one.all(axis=1) | ~from_one.any(axis=1))
+    from_one = np.empty((n_designs, N_LINKS + 1), dtype=bool)  # each link's genes, and those of the whole design
+    links = from_one[:, :N_LINKS]
+    links[:] = rng.random(links.shape) < 0.5
+    same = np.flatnonzero(links.all(axis=1) | ~links.any(axis=1))
     flipped = rng.integers(0, N_LINKS, n_designs)[same]
-    from_one[same, flipped] ^= True
-    frequency_from_one = rng.random(n_designs) < 0.5
-    child = {
-        name: np.where(frequency_from_one if array.ndim == 1 else from_one, array, getattr(other, name))
-        for name, array in one.arrays()
-    }
+    links[same, flipped] ^= True
+    from_one[:, N_LINKS] = rng.random(n_designs) < 0.5
+    child = np.where(from_one.take(LINK_OF_COLUMN, axis=1), one, other)
     if morphology.n_actuated is not None:
-        on_in = one.motor_on.astype(np.int64) + other.motor_on
-        preference = np.minimum(on_in, 1) + (on_in == 2) + child["motor_on"]  # 3 on in both, 2 inherited, 1, 0 in none
-        score = preference[:, 1:] + rng.random((n_designs, N_LINKS - 1))
-        child["motor_on"][:, 1:] = _highest(score, morphology.n_actuated)
-    return Designs(**child)
+        on_in = one[:, MOTORS] + other[:, MOTORS]
+        preference = np.minimum(on_in, 1) + (on_in == 2) + child[:, MOTORS]  # 3 on in both, 2 inherited, 1, 0 in none
+        score = preference + rng.random((n_designs, N_LINKS - 1))
+        child[:, MOTORS] = _highest(score, morphology.n_actuated)
+    return child

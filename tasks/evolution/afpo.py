@@ -24,7 +24,6 @@ from tasks.design import (
     Designs,
     Morphology,
     Mutation,
-    concatenate,
     draw_mutants,
     draw_random,
     draw_recombinations,
@@ -160,45 +159,37 @@ def ask(
         morphology: what bodies keep to.
     """
     n_children, n_parents = afpo.population_size, len(population.designs)
-    operator = rng.choice(len(OPERATORS), size=n_children, p=afpo.shares)
+    grown = population.designs.table
+    operator = np.searchsorted(np.cumsum(afpo.shares)[:-1], rng.random(n_children), side="right")
     if n_parents == 0:
         operator[:] = RANDOM
     drawn = draw_random(operator == RANDOM, rng, body=body, morphology=morphology)
-    groups, place = [drawn.designs], np.arange(n_children)
-    n_draws = drawn.n_draws.copy()
+    table, n_draws = drawn.table.copy(), drawn.n_draws.copy()
     age = np.zeros(n_children, dtype=np.int64)
     parents = np.full((n_children, 2), NOBODY, dtype=np.int64)
 
-    mutants = np.flatnonzero(operator == MUTATION)
+    mutants = (operator == MUTATION).nonzero()[0]
     one = rng.integers(0, max(n_parents, 1), n_children)
     further = rng.integers(1, max(n_parents, 2), n_children)
     other = (one + further) % max(n_parents, 1)  # another one, wherever there are two
     if mutants.size:
         chosen = one[mutants]
         parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
-        mutated = draw_mutants(
-            population.designs[chosen], rng, mutation=afpo.mutation, parts=parts, morphology=morphology
-        )
-        groups.append(mutated.designs)
-        place[mutants] = n_children + np.arange(mutants.size)
-        n_draws[mutants] = mutated.n_draws
+        mutated = draw_mutants(grown[chosen], rng, mutation=afpo.mutation, parts=parts, morphology=morphology)
+        table[mutants], n_draws[mutants] = mutated.table, mutated.n_draws
         age[mutants] = population.age[chosen]
         parents[mutants, 0] = population.identity[chosen]
-    recombined = np.flatnonzero(operator == CROSSOVER)
+    recombined = (operator == CROSSOVER).nonzero()[0]
     if recombined.size:
         left, right = one[recombined], other[recombined]
-        crossed = draw_recombinations(
-            population.designs[left], population.designs[right], rng, morphology=morphology
-        )
-        groups.append(crossed.designs)
-        place[recombined] = n_children + mutants.size + np.arange(recombined.size)
-        n_draws[recombined] = crossed.n_draws
+        crossed = draw_recombinations(grown[left], grown[right], rng, morphology=morphology)
+        table[recombined], n_draws[recombined] = crossed.table, crossed.n_draws
         age[recombined] = np.maximum(population.age[left], population.age[right])
         parents[recombined] = np.stack([population.identity[left], population.identity[right]], axis=1)
 
     identity = population.n_evaluated + np.arange(n_children)
     return Children(
-        designs=concatenate(groups)[place],
+        designs=Designs.from_table(table),
         age=age,
         identity=identity,
         operator=operator.astype(np.int64),
@@ -225,7 +216,7 @@ def tell(
     all_age = np.concatenate([population.age, children.age])
     survivors = select(all_fitness, all_age, rng, afpo.population_size)
     return Population(
-        designs=concatenate([population.designs, children.designs])[survivors],
+        designs=Designs.from_table(np.concatenate([population.designs.table, children.designs.table])[survivors]),
         fitness=all_fitness[survivors],
         age=all_age[survivors] + 1,
         identity=np.concatenate([population.identity, children.identity])[survivors],
@@ -245,15 +236,15 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     Returns:
         Indices of the survivors.
     """
-    eligible = np.flatnonzero(np.isfinite(fitness))
+    eligible = np.isfinite(fitness).nonzero()[0]
     fitness, age = fitness[eligible], age[eligible]
     by_age = np.argsort(age, kind="stable")
     best_so_far = np.maximum.accumulate(fitness[by_age])
     as_young = np.searchsorted(age[by_age], age, side="right")  # how many are of a design's age or younger
     beaten = best_so_far[as_young - 1] > fitness
-    front = np.flatnonzero(~beaten)
+    front = (~beaten).nonzero()[0]
     front = front[np.argsort(-fitness[front], kind="stable")][:n_survivors]
-    dominated = np.flatnonzero(beaten)
+    dominated = beaten.nonzero()[0]
     n_more = min(n_survivors - len(front), len(dominated))
     rest = rng.choice(dominated, size=n_more, replace=False)
     survivors: Ints = eligible[np.concatenate([front, rest])]

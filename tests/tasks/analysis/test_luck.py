@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,9 @@ def rng(seed=0):
 
 def test_attachments_move_by_the_jitter_and_nothing_else_does():
     designs = random_designs(50, rng())
-    designs.parent_attachment[:, 1], designs.child_attachment[:, 2] = 1.0, -1.0  # at the bounds
+    upper, lower = designs.parent_attachment.copy(), designs.child_attachment.copy()
+    upper[:, 1], lower[:, 2] = 1.0, -1.0  # at the bounds
+    designs = replace(designs, parent_attachment=upper, child_attachment=lower)
     moved = jittered(designs, rng(1))
     check(moved)
     for name, array in designs.arrays():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tasks.design import GENES, N_LINKS, DesignError, Designs, check, concatenate, random_designs
-from tasks.design.genes import N_GENES, Gene
+from tasks.design.genes import COLUMNS, N_COLUMNS, N_GENES, Gene
 
 
 @pytest.fixture
@@ -137,6 +137,18 @@ def test_a_broken_tree_is_named(designs: Designs, link: int, parent: int, expect
     with pytest.raises(DesignError) as refused:
         check(with_value(designs, "parent", (2, link), parent))
     assert str(refused.value) == f"design 2: parent of link {link} is {parent}, expected {expected}"
+
+
+def test_a_table_holds_designs_exactly_and_can_not_be_made_untrue(designs: Designs) -> None:
+    assert designs.table.shape == (len(designs), N_COLUMNS)
+    restored = Designs.from_table(designs.table[::-1].copy())
+    assert restored.equals(designs[::-1])
+    for name, array in restored.arrays():
+        np.testing.assert_array_equal(array.reshape(len(designs), -1), restored.table[:, COLUMNS[name]])
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        restored.table[0] = 0
 
 
 def test_the_first_of_several_bad_designs_is_named(designs: Designs) -> None:

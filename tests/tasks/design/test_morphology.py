@@ -81,14 +81,13 @@ def test_draws_go_on_until_every_design_is_apart() -> None:
     asked = np.zeros(3, dtype=np.int64)
     succeeds_at = np.array([1, 5, 40])
 
-    def draw(which: np.ndarray) -> Designs:
+    def draw(which: np.ndarray) -> np.ndarray:
         numbers = np.empty(len(which), dtype=np.int64)
         for place, index in enumerate(which):
             asked[index] += 1
             numbers[place] = asked[index]
         ok = numbers >= succeeds_at[which]
-        return Designs(**{name: np.where(ok if a.ndim == 1 else ok[:, None], a, getattr(bad, name))
-                          for name, a in good.arrays()})  # fmt: skip
+        return np.where(ok[:, None], good.table, bad.table)
 
     drawn = until_apart(draw, np.ones(3, dtype=bool))
     assert links_apart(drawn.designs).all()
@@ -97,7 +96,7 @@ def test_draws_go_on_until_every_design_is_apart() -> None:
 
 def test_what_is_not_wanted_keeps_its_first_draw() -> None:
     bad = upright_columns(-0.1)
-    drawn = until_apart(lambda which: bad[np.zeros(len(which), int)], np.zeros(4, dtype=bool))
+    drawn = until_apart(lambda which: bad.table[np.zeros(len(which), int)], np.zeros(4, dtype=bool))
     assert drawn.n_draws.tolist() == [1] * 4
     assert not links_apart(drawn.designs).any()
 
@@ -106,16 +105,16 @@ def test_draws_end() -> None:
     bad, good = upright_columns(-0.1), upright_columns(0.1)
     n_asked = 0
 
-    def draw(which: np.ndarray) -> Designs:
+    def draw(which: np.ndarray) -> np.ndarray:
         nonlocal n_asked
         n_asked += len(which)
         assert len(which) <= MOST_AT_ONCE
-        return bad[np.zeros(len(which), int)]
+        return bad.table[np.zeros(len(which), int)]
 
     with pytest.raises(DesignError, match="design 0: links that no joint ties overlap at rest in each of 1000 draws"):
         until_apart(draw, np.ones(2, dtype=bool), max_draws=1000)
     assert n_asked == 2000
-    instead = until_apart(draw, np.ones(2, dtype=bool), max_draws=1000, otherwise=good[[0, 0]])
+    instead = until_apart(draw, np.ones(2, dtype=bool), max_draws=1000, otherwise=good.table[[0, 0]])
     assert links_apart(instead.designs).all()
     assert instead.n_draws.tolist() == [1001, 1001]
 

@@ -401,7 +401,7 @@ def test_parents_without_a_common_child_give_the_body_of_one_and_the_controller_
     rng = np.random.default_rng(31)
     pairs = rng.permuted(np.tile(np.arange(48), (60, 1)), axis=1)[:, :2]
     one, other = buildable[pairs[:, 0]], buildable[pairs[:, 1]]
-    drawn = draw_recombinations(one, other, rng, morphology=BUILDABLE)
+    drawn = draw_recombinations(one.table, other.table, rng, morphology=BUILDABLE)
     assert keeps_to_it(drawn.designs)
     hopeless = drawn.n_draws > MAX_RECOMBINATIONS
     assert hopeless.any()

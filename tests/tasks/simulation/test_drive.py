@@ -1,5 +1,7 @@
 """The controller: a sine good to its stated error, and θ*(t) = rest + range · sin(2π f t + phase)."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -69,8 +71,7 @@ def test_the_range_is_an_amplitude() -> None:
 
 
 def test_a_root_has_no_motor() -> None:
-    designs = random_designs(5, np.random.default_rng(45))
-    designs.motor_on[:] = True
+    designs = replace(random_designs(5, np.random.default_rng(45)), motor_on=np.ones((5, 6), dtype=bool))
     on = Drive.of(designs).motor_on
     assert not on[:, 0].any()
     assert on[:, 1:].all()
