@@ -165,13 +165,28 @@ def decode_sealed(data: bytes, *, schema: str, version: int, source: str) -> dic
         value = decode_json(data, source)
     except PuddleError as error:
         raise DamagedArtifact(str(error)) from None
-    check_format(value, schema=schema, version=version, source=source)
-    seal = value.pop("sha256", None)
-    names = ("schema", "version")
-    body = {name: inner for name, inner in value.items() if name not in names}
-    if encode_sealed(body, schema=schema, version=version) != data:
-        raise DamagedArtifact(f"{source}: expected SHA-256 {seal}, came {digest(canonical_json(value))}")
-    return body
+    try:
+        check_format(value, schema=schema, version=version, source=source)
+    except OtherVersion:
+        if _seal_holds(value, data):
+            raise
+        raise DamagedArtifact(f"{source}: expected {schema!r} version {version}, came version {value['version']} and "
+                              "another SHA-256 than it says") from None  # fmt: skip
+    if not _seal_holds(value, data):
+        unsealed = {name: inner for name, inner in value.items() if name != "sha256"}
+        raise DamagedArtifact(
+            f"{source}: expected SHA-256 {value.get('sha256')}, came {digest(canonical_json(unsealed))}"
+        )
+    return _body(value)
+
+
+def _body(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: inner for name, inner in document.items() if name not in ("schema", "version", "sha256")}
+
+
+def _seal_holds(document: Mapping[str, Any], data: bytes) -> bool:
+    """Tell whether a document is, to the byte, what was sealed: by this puddle, or by one of another version."""
+    return encode_sealed(_body(document), schema=document["schema"], version=document["version"]) == data
 
 
 # -- tables: Parquet -------------------------------------------------------------------------------------------------

@@ -384,3 +384,5 @@ def test_a_sealed_document_tells_damage_from_a_foreign_one() -> None:
         decode_sealed(good.replace(b"1.5", b"1.7"), **FORMAT, source="s")
     with pytest.raises(DamagedArtifact, match="expected SHA-256"):
         decode_sealed(good.replace(b"\n ", b"\n  ", 1), **FORMAT, source="s")
+    with pytest.raises(DamagedArtifact, match="version 3, came version 7 and another SHA-256 than it says"):
+        decode_sealed(good.replace(b'"version": 3', b'"version": 7'), **FORMAT, source="s")

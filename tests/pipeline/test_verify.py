@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from pipeline import doctor, gc
+from pipeline.artifacts import encode_sealed
 from pipeline.cli import main
 from pipeline.cluster import session
 from pipeline.configuration import parse
@@ -83,7 +84,7 @@ def swap_for_a_manifest(record: Path) -> None:
 
 
 def make_newer(record: Path) -> None:
-    record.write_text(record.read_text().replace('"version": 1', '"version": 2'))
+    record.write_bytes(encode_sealed({"all": "new"}, schema="puddle.study", version=2))
 
 
 @pytest.mark.parametrize(("spoil", "mends"), [(swap_for_a_manifest, True), (make_newer, False)])
