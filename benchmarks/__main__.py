@@ -12,6 +12,7 @@ os.environ.update({"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM
 
 import json
 import platform
+import subprocess
 from pathlib import Path
 
 from rich.console import Console
@@ -30,7 +31,9 @@ def machine() -> dict[str, str | int | None]:
         cpu = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
         cpu = platform.processor()
-    return {"cpu": cpu, "cores": os.cpu_count(), "python": platform.python_version(), "lanes": engines.N_LANES}
+    said = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
+    return {"cpu": cpu, "cores": os.cpu_count(), "python": platform.python_version(), "lanes": engines.N_LANES,
+            "commit": said.stdout.strip() or None}  # fmt: skip
 
 
 def main() -> None:

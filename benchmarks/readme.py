@@ -22,8 +22,9 @@ BEGIN, END = "<!-- from benchmarks/results.json: python -m benchmarks.readme -->
 def section(results: dict[str, Any], *, promised: bool) -> str:
     """Give the table of a run in Markdown: of all figures, or of those that something was promised of."""
     machine = results["machine"]
+    where = f"{machine['cpu']}, {machine['lanes']} lanes, Python {machine['python']}, commit {machine['commit']}"
     lines = [
-        f"One core of: {machine['cpu']}, {machine['lanes']} lanes, Python {machine['python']}.",
+        f"One core of: {where}.",
         "Medians of repeated rounds; a ratio compares what ran in the same round.",
         "",
         "| what | median | spread | unit | promised |",
