@@ -42,10 +42,11 @@ SETTLING = 0.3
 FOLLOWING = 0.1
 """How far behind what it is sent a controller may be [s]: two frames, its own period and the reading."""
 
+AT_NEUTRAL = 1.0
+"""How far from its neutral pulse a servo counts as there [µs]: a tenth of a degree of a usual one."""
 
 UNCONFIRMED = (
-    "they were told to go to neutral and to switch off, and the controller does not confirm it; cut their power if "
-    "they hold or move"
+    "they were told to switch off, and the controller does not confirm it; cut their power if they hold or move"
 )
 NOT_SWITCHED_OFF = (
     "THEY COULD NOT BE SWITCHED OFF. The controller's own time-out does that, if it is set (docs/servo.md); cut their "
@@ -255,20 +256,21 @@ class Player:
             self._note(f"{type(fault).__name__}: {fault}")
         if not self._outlet.sent:
             return
+        where = None
         try:
-            # PortLost may pass, for off, below, will fail too, and say so.
+            # PortLost may pass: where off, below, fails too, it says so.
             with suppress(PortLost, ControllerFault):
-                self._return_to_neutral(self.stop.asked)
+                where = self._return_to_neutral(self.stop.asked)
                 if fault is not None:
                     self.driver.home()
         finally:
-            self._switch_off(fault)
+            self._switch_off(fault, where or self._short_of_neutral())
 
-    def _switch_off(self, fault: BaseException | None) -> None:
+    def _switch_off(self, fault: BaseException | None, where: str) -> None:
         try:
             self._outlet.off()
             self._see_that_they_are_off()
-            self.parting = "they are at neutral and switched off"
+            self.parting = f"they were switched off {where}"
         except (PortLost, ControllerFault) as error:
             self.parting = UNCONFIRMED if isinstance(error, ControllerFault) else NOT_SWITCHED_OFF
             if fault is None:
@@ -284,8 +286,8 @@ class Player:
                 raise ControllerFault(f"{self.driver.name}: channel {servo.channel} was switched off and still gives "
                                       f"{position:g} µs")
 
-    def _return_to_neutral(self, asked: int) -> None:
-        """Go back at half speed; a second wish to stop cuts it short."""
+    def _return_to_neutral(self, asked: int) -> str:
+        """Go back at half speed; a second wish to stop cuts it short. Says, in words, where that left the servos."""
         step = {servo.channel: RETURN_SPEED * servo.max_rate_us * FRAME for servo in self.servos}
         neutral = {servo.channel: servo.centre_us for servo in self.servos}
         still = 0
@@ -293,8 +295,30 @@ class Player:
             sent = self._outlet.sent
             away = {channel: neutral[channel] - pulse for channel, pulse in sent.items()}
             self._command({c: sent[c] + min(max(rest, -step[c]), step[c]) for c, rest in away.items()})
-            still = still + 1 if max(map(abs, away.values())) < 1.0 else 0
+            still = still + 1 if max(map(abs, away.values())) < AT_NEUTRAL else 0
             self.clock.sleep(FRAME)
+        if still * FRAME < SETTLING:
+            return self._short_of_neutral()
+        if not self._gives_neutral():
+            return "where they stood: told to go to neutral, and the controller does not confirm that they are there"
+        return "at neutral"
+
+    def _gives_neutral(self) -> bool:
+        """Whether the controller gives neutral too, where it can say: its own limits may keep a servo elsewhere."""
+        try:
+            gives = [(servo, self.driver.position(servo.channel)) for servo in self.servos]
+        except ControllerFault:
+            return False
+        return all(pulse is None or abs(pulse - servo.centre_us) < AT_NEUTRAL for servo, pulse in gives)
+
+    def _short_of_neutral(self) -> str:
+        """Say where the servos were sent last; the horns may lag behind."""
+        sent = self._outlet.sent
+        angles = ", ".join(
+            f"joint {servo.joint} (channel {servo.channel}) to {np.degrees(servo.angle(sent[servo.channel])):+.0f}°"
+            for servo in self.servos
+        )
+        return f"where they stood, not at neutral: last sent were {angles}"
 
     # -- the log ---------------------------------------------------------------------------------------------------
 

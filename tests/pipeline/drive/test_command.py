@@ -1,6 +1,7 @@
 """``puddle drive`` as a person uses it: in a process of its own, in real time, against a pty."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 from pipeline.artifacts import decode_table
 from pipeline.cli import app, main
 from pipeline.drive.log import JOURNAL
+from pipeline.drive.player import RealClock
 from pipeline.timeline_file import calibration_yaml, timeline_json
 from tasks.fabrication.timeline import Playback, Timeline, envelope
 
@@ -136,6 +138,26 @@ def started(kit: Path, fake, log: Path, *options: str) -> subprocess.Popen:
         assert time.monotonic() < patience
         time.sleep(0.01)
     return process
+
+
+def test_a_second_ctrl_c_is_not_said_to_leave_them_at_neutral(kit, tmp_path, plug, capsys, monkeypatch):
+    fake, log, time_now = plug(), tmp_path / "run.parquet", 0.0
+
+    def sleep(self, duration: float) -> None:
+        nonlocal time_now
+        time_now += duration
+        if time_now > 2.5:  # in the run, and again on the way home
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(RealClock, "now", lambda self: time_now)
+    monkeypatch.setattr(RealClock, "sleep", sleep)
+    assert call("drive", str(kit), "--port", fake.path, "--log", str(log), "--yes") == 130
+    fake.finish()
+    assert not fake.on and abs(fake.pulses(0)[-2] - 1500.0) > 100
+    said, noted = capsys.readouterr().out, "\n".join(table_of(log)["event"])
+    for words in (said, noted):
+        assert "switched off where they stood, not at neutral: last sent were joint 2 (channel 0) to " in words
+        assert "switched off at neutral" not in words
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])

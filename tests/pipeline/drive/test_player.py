@@ -75,7 +75,7 @@ def test_a_timeline_from_rest_to_rest(plug, calibration, wanted, clock):
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     check_neutral_and_off(fake, calibration)
-    assert fake.errors == 0 and player.worst_lateness == 0 and "switched off" in player.parting
+    assert fake.errors == 0 and player.worst_lateness == 0 and player.parting == "they were switched off at neutral"
     for column, servo in enumerate(calibration.servos):
         sent = np.array(fake.pulses(servo.channel)[50 : 50 + N_FRAMES])  # after a second at neutral
         np.testing.assert_allclose(sent, wanted[:, column], rtol=0, atol=0.125 + 1e-9)
@@ -233,6 +233,41 @@ def test_a_second_signal_switches_off_at_once(plug, calibration, wanted):
     check_what_it_was_sent(fake, calibration)
     assert not fake.on and fake.pulses(0)[-1] == 0
     assert abs(fake.pulses(0)[-2] - 1500.0) > 100
+    angles = [np.degrees(servo.angle(fake.pulses(servo.channel)[-2])) for servo in calibration.servos]
+    assert player.parting == (
+        f"they were switched off where they stood, not at neutral: last sent were joint 2 (channel 0) to "
+        f"{angles[0]:+.0f}°, joint 4 (channel 3) to {angles[1]:+.0f}°"
+    )
+    assert player.log.entries[-1].event == f"the servos: {player.parting}"
+
+
+def test_a_controller_whose_own_limits_leave_no_room_for_neutral(plug, calibration, wanted, clock):
+    fake = plug()
+    fake.channel_range = (4 * 1600, 4 * 1700)
+    player = player_of(fake, calibration, clock)
+    with pytest.raises(ControllerFault, match="gives 1600 µs"):
+        player.play(wanted)
+    fake.finish()
+    check_neutral_and_off(fake, calibration)  # as it was sent, which is not what it gave
+    assert player.parting.startswith("they were switched off where they stood: ")
+    assert "controller does not confirm" in player.parting
+
+
+def test_a_way_home_that_fails_is_not_said_to_have_ended(calibration, wanted, clock):
+    class Blocked(DryRun):
+        """Takes no bytes at first when it is to lead the servos home, and then does again."""
+
+        n_sent = 0
+
+        def send(self, pulses_us) -> None:
+            self.n_sent += 1
+            if self.n_sent > 120:
+                raise PortLost("blocked")
+
+    player = Player(Blocked(), calibration.servos, Memory(), Stop(), clock=clock)
+    with pytest.raises(PortLost, match="blocked"):
+        player.play(wanted)
+    assert "switched off where they stood, not at neutral" in player.parting
 
 
 def test_a_full_disk_stops_the_robot_safely(plug, calibration, wanted, clock):
