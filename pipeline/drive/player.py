@@ -162,7 +162,10 @@ class Player:
         """
         fault: BaseException | None = None
         try:
-            self.driver.prepare({servo.channel: servo.max_rate_us for servo in self.servos})
+            rates = {servo.channel: servo.max_rate_us for servo in self.servos}
+            for channel, rate in rates.items():
+                self._note(f"at most {rate:g} µs/s", channel=channel)
+            self.driver.prepare(rates)
             self._note("start")
             self._hold_neutral(STARTING)
             ended = self._follow(pulses_us, loop, duration)
@@ -227,16 +230,22 @@ class Player:
             self.driver.check()
             return
         servo = self.servos[turn]
-        position = self.driver.position(servo.channel)
+        position = self._position(servo)
         if position is None:
             return
-        self._note("position", channel=servo.channel, position=position)
         if abs(position - sent[servo.channel]) > servo.max_rate_us * FOLLOWING + 2.0:
             raise ControllerFault(
                 f"{self.driver.name}: channel {servo.channel} was sent {sent[servo.channel]:g} µs and gives "
                 f"{position:g} µs. Do the controller's own limits of that channel leave room for "
                 f"{servo.min_us:g} to {servo.max_us:g} µs, and is it in servo mode?"
             )
+
+    def _position(self, servo: ServoCalibration) -> float | None:
+        """Ask the controller what pulse a servo gets [µs], and note the answer; None where it can't say."""
+        position = self.driver.position(servo.channel)
+        if position is not None:
+            self._note("position", channel=servo.channel, position=position)
+        return position
 
     # -- the way in and the way out --------------------------------------------------------------------------------
 
@@ -262,13 +271,14 @@ class Player:
             with suppress(PortLost, ControllerFault):
                 where = self._return_to_neutral(self.stop.asked)
                 if fault is not None:
+                    self._note("home")
                     self.driver.home()
         finally:
             self._switch_off(fault, where or self._short_of_neutral())
 
     def _switch_off(self, fault: BaseException | None, where: str) -> None:
         try:
-            self._outlet.off()
+            self._off()
             self._see_that_they_are_off()
             self.parting = f"they were switched off {where}"
         except (PortLost, ControllerFault) as error:
@@ -278,10 +288,18 @@ class Player:
         finally:
             self._note(f"the servos: {self.parting}")
 
+    def _off(self) -> None:
+        """Switch off, and note it, even if it gets lost half-way."""
+        now = self.clock.now() - self._began
+        try:
+            self._outlet.off()
+        finally:
+            self._keep(*(Entry(now, event="off", channel=servo.channel, sent=0.0) for servo in self.servos))
+
     def _see_that_they_are_off(self) -> None:
         """Have the controller confirm it: bytes that were written may never have arrived."""
         for servo in self.servos:
-            position = self.driver.position(servo.channel)
+            position = self._position(servo)
             if position:
                 raise ControllerFault(f"{self.driver.name}: channel {servo.channel} was switched off and still gives "
                                       f"{position:g} µs")
@@ -306,7 +324,7 @@ class Player:
     def _gives_neutral(self) -> bool:
         """Whether the controller gives neutral too, where it can say: its own limits may keep a servo elsewhere."""
         try:
-            gives = [(servo, self.driver.position(servo.channel)) for servo in self.servos]
+            gives = [(servo, self._position(servo)) for servo in self.servos]
         except ControllerFault:
             return False
         return all(pulse is None or abs(pulse - servo.centre_us) < AT_NEUTRAL for servo, pulse in gives)

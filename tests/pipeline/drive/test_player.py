@@ -81,7 +81,7 @@ def test_a_timeline_from_rest_to_rest(plug, calibration, wanted, clock):
         np.testing.assert_allclose(sent, wanted[:, column], rtol=0, atol=0.125 + 1e-9)
         # A controller that limits the rate less than the host never lags behind it.
         assert fake.speeds[servo.channel] * 25.0 >= servo.max_rate_us
-        assert player.log.sent(servo.channel) == fake.pulses(servo.channel)[:-1]
+        assert player.log.sent(servo.channel) == fake.pulses(servo.channel)  # down to 0, which is off
 
 
 @pytest.mark.parametrize(("loop", "duration", "n_frames"), [(False, 1.0, 50), (True, 10.0, 500), (False, 99.0, 201)])
@@ -294,11 +294,30 @@ def test_a_log_is_a_table_of_what_was_sent(plug, calibration, wanted, clock, tmp
     log.close()
     assert [path.name for path in tmp_path.iterdir()] == ["run.parquet"]
     table = decode_table(log.path.read_bytes(), schema="drive_log", version=1, source="log")
+    assert table["sent"][table["event"] == "off"].tolist() == [0.0, 0.0]
     played = (table["channel"] == 3) & (table["frame"] >= 0)
     np.testing.assert_array_equal(table["wanted"][played], wanted[:, 1])
     assert (np.diff(table["time"]) >= 0).all()
     read = table["event"] == "position"
     assert read.sum() > 100 and np.isfinite(table["position"][read]).all()
+
+
+def test_every_command_to_the_controller_has_its_row(plug, calibration, wanted, clock):
+    fake = plug()
+    player = player_of(fake, calibration, clock)
+    player.show = lambda moment: setattr(fake, "errors", 1 << 2 if moment.time > 2 else 0)  # a fault, so that it homes
+    with pytest.raises(ControllerFault, match="serial buffer full"):
+        player.play(wanted)
+    fake.finish()
+    rows = player.log.entries
+    targets = [(row.channel, row.sent) for row in rows if row.sent is not None]
+    assert targets == fake.targets
+    assert [(row.event, row.channel) for row in rows[:2]] == [("at most 1800 µs/s", 0), ("at most 1800 µs/s", 3)]
+    assert [row.event for row in rows].count("home") == [command for command, *_ in fake.commands].count(0xA2) == 1
+    asked = [channel for command, channel, *_ in (c for c in fake.commands if c[0] == 0x90)]
+    assert [row.channel for row in rows if row.event == "position"] == asked
+    off = [row for row in rows if row.sent == 0]
+    assert [(row.event, row.channel, row.frame) for row in off] == [("off", 0, -1), ("off", 3, -1)]
 
 
 def test_a_killed_drive_leaves_a_journal_that_the_next_one_makes_a_log_of(tmp_path):
