@@ -41,7 +41,7 @@ class Wish:
     port: str | None = None
     dry_run: bool = False
     duration: float | None = None
-    """[s]"""
+    """After which to stop [s]; more than 0."""
     loop: bool = False
     log: Path | None = None
     """Where to write what was sent; beside the timeline, with the time in its name, unless given."""
@@ -78,6 +78,8 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
         PuddleError: files that are none, a port that fails, a controller that errs; the servos are safe, or the
             message says that they are not.
     """
+    if wish.duration is not None and wish.duration <= 0:
+        raise PuddleError(f"--duration: expected more than 0 s, came {wish.duration:g}. Nothing was moved.")
     path = wish.timeline / TIMELINE if wish.timeline.is_dir() else wish.timeline
     if wish.timeline.is_dir() and not path.exists() and (wish.timeline / MARK).is_file():
         raise PuddleError(f"{wish.timeline}: the kit has no timeline: its servos can't play this gait. "
@@ -127,14 +129,16 @@ def _plan(
             f"{column.min():.0f} to {column.max():.0f} µs"
         )
     length = (len(wanted) - 1) / FRAMES_PER_SECOND
-    until = f", over and over, {f'for {wish.duration:g} s' if wish.duration else 'until Ctrl-C'}" if wish.loop else ""
-    if wish.duration is not None and not wish.loop:
+    until = ""
+    if wish.loop:
+        until = f", over and over, {'until Ctrl-C' if wish.duration is None else f'for {wish.duration:g} s'}"
+    elif wish.duration is not None:
         until = f", stopped after {min(wish.duration, length):g} s"
     yield f"{length:g} s of timeline on {driver.name}{until}."
     yield (
         f"At first the servos jump to neutral, from wherever they are, and stay there for {STARTING:g} s. Keep fingers "
         f"out of the joints and the servos' power switch in reach. Ctrl-C brings them back to neutral and switches "
-        f"them off; a second one switches them off at once."
+        f"them off; a second one switches them off at once, wherever they stand."
     )
 
 

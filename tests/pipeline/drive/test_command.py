@@ -58,7 +58,7 @@ def test_a_dry_run(kit, tmp_path, capsys):
 def test_the_log_goes_beside_the_timeline(kit, tmp_path, capsys, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    assert call("drive", str(kit), "--dry-run", "--duration", "0") in (0, 2)  # 2: this computer was late
+    assert call("drive", str(kit), "--dry-run", "--duration", "0.1") in (0, 2)  # 2: this computer was late
     (log,) = kit.glob("drive-20??????-??????.parquet")
     assert f"What is sent will be in {log}" in capsys.readouterr().out
     assert "start" in table_of(log)["event"]
@@ -70,7 +70,7 @@ def test_the_faults_of_a_kit_are_told_before_it_moves(kit, capsys):
                         (["fault"], "1 fault found in this kit speaks against it"), (["note"], None)):  # fmt: skip
         mark = {"findings": [{"severity": severity, "where": "joint 2", "message": "x"} for severity in found]}
         (kit / "kit.json").write_text(json.dumps(mark))
-        call("drive", str(kit), "--dry-run", "--duration", "0", "--log", str(kit / f"{len(found)}{found[0]}.parquet"))
+        call("drive", str(kit), "--dry-run", "--duration", "0.1", "--log", str(kit / f"{len(found)}{found[0]}.parquet"))
         out = capsys.readouterr().out
         assert said in out if said else "speak" not in out
 
@@ -90,6 +90,17 @@ def test_nothing_moves_without_a_yes(kit, tmp_path, plug):
     assert result.exit_code == 0, result.output
     again.finish()
     assert again.pulses(0)[-1] == 0 and len(again.pulses(0)) > 50
+
+
+@pytest.mark.parametrize("loop", [(), ("--loop",)])
+def test_a_duration_of_nothing_is_refused_before_anything_moves(kit, tmp_path, plug, capsys, loop):
+    fake, log = plug(), tmp_path / "never.parquet"
+    options = ("--port", fake.path, "--yes", "--log", str(log), "--duration", "0")
+    assert call("drive", str(kit), *options, *loop) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and "--duration: expected more than 0 s, came 0" in said.err
+    fake.finish()
+    assert fake.n_bytes == 0 and not log.exists()
 
 
 def test_mistakes(kit, tmp_path, capsys, monkeypatch):
@@ -186,7 +197,7 @@ def test_killed(kit, tmp_path, plug):
     fake.finish()
     assert Path(f"{log}{JOURNAL}").exists() and not log.exists()
     # The next drive into the same folder makes a log of it, down to what was sent last; the bytes come after the note.
-    assert call("drive", str(kit), "--dry-run", "--duration", "0", "--log", str(tmp_path / "next.parquet")) == 0
+    assert call("drive", str(kit), "--dry-run", "--duration", "0.1", "--log", str(tmp_path / "next.parquet")) == 0
     table = table_of(log)
     sent = table["sent"][(table["channel"] == 0) & np.isfinite(table["sent"])].tolist()
     received = fake.pulses(0)
