@@ -20,7 +20,7 @@ from pipeline.drive.player import STARTING, Moment, Player, stopped_by_signals
 from pipeline.errors import PuddleError
 from pipeline.fabrication.folder import MARK
 from pipeline.timeline_file import read_calibration, read_timeline
-from tasks.fabrication.calibration import ServoCalibration
+from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import FRAMES_PER_SECOND, TimelineError, pulses
 
 TIMELINE, CALIBRATION = "timeline.json", "calibration.yaml"
@@ -86,7 +86,7 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
                           f"{wish.timeline / MARK} says why.")
     timeline = read_timeline(path)
     calibrated_by = wish.calibration or path.with_name(CALIBRATION)
-    servos = read_calibration(calibrated_by)
+    servos = _calibration(calibrated_by)
     try:
         wanted = pulses(timeline, servos)
     except TimelineError as error:
@@ -102,6 +102,16 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
             say("Nothing was moved.")
             return False
         return _play(driver, servos.servos, wanted, wish, log_path, say)
+
+
+def _calibration(path: Path) -> Calibration:
+    """Read a calibration; where there is no such file, call it what it should be, which is not settings."""
+    try:
+        return read_calibration(path)
+    except PuddleError as error:
+        if isinstance(error.__cause__, OSError):
+            raise PuddleError(f"{path}: expected a calibration file, came: {error.__cause__.strerror}") from error
+        raise
 
 
 def open_driver(wish: Wish) -> ServoDriver:

@@ -123,6 +123,12 @@ def test_mistakes(kit, tmp_path, capsys, monkeypatch):
     (tmp_path / "narrow.yaml").write_text(truth)
     said = refused(str(kit), "--calibration", str(tmp_path / "narrow.yaml"), "--dry-run")
     assert "expected 1 or -1, came true" in said
+    (tmp_path / "narrow.yaml").write_text((kit / "calibration.yaml").read_text().replace("joint: ", "joint: 4"))
+    said = refused(str(kit), "--calibration", str(tmp_path / "narrow.yaml"), "--dry-run")
+    assert said.count("joint: expected a number less than 6") == 2 and len(said.splitlines()) == 2
+    for gone in (tmp_path / "gone.yaml", tmp_path):
+        said = refused(str(kit), "--calibration", str(gone), "--dry-run")
+        assert f"{gone}: expected a calibration file" in said and "settings" not in said
     (tmp_path / "bare").mkdir()
     (tmp_path / "bare" / "kit.json").write_text("{}")
     said = refused(str(tmp_path / "bare"), "--dry-run")
