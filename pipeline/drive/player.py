@@ -1,8 +1,8 @@
 """Playing a timeline, and the way out of it: whatever happens, servos go to neutral and are switched off.
 
 The ways to end: the timeline's own, ``--duration``, a signal, a late host, a controller that errs, a port that is lost,
-any exception at all. Each leads through :func:`_way_out`. Where the port is lost nothing more can be said, and the
-controller's own time-out does the rest.
+any exception at all. Each leads through :func:`_way_out`. A second signal there switches off at once, short of neutral.
+Where the port is lost nothing more can be said, and the controller's own time-out does the rest.
 """
 
 from __future__ import annotations
