@@ -107,7 +107,7 @@ def parse(model: type[M], text: str, *, name: str, overrides: Sequence[str] = ()
     except ValidationError as errors:
         found = errors.errors(include_url=False)
         # Of a list whose elements were refused, pydantic says too that it is too short.
-        faulty = {error["loc"][:-1] for error in found}
+        faulty = {error["loc"][:depth] for error in found for depth in range(len(error["loc"]))}
         found = [error for error in found if error["type"] != "too_short" or error["loc"] not in faulty]
         lines = [_explain(model, root, error) for error in found]
         raise PuddleError("\n".join(lines)) from None

@@ -20,7 +20,7 @@ from pipeline.drive.player import STARTING, Moment, Player, stopped_by_signals
 from pipeline.errors import PuddleError
 from pipeline.fabrication.folder import MARK
 from pipeline.timeline_file import read_calibration, read_timeline
-from tasks.fabrication.calibration import ServoCalibration
+from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import FRAMES_PER_SECOND, TimelineError, pulses
 
 TIMELINE, CALIBRATION = "timeline.json", "calibration.yaml"
@@ -41,7 +41,7 @@ class Wish:
     port: str | None = None
     dry_run: bool = False
     duration: float | None = None
-    """[s]"""
+    """After which to stop [s]; more than 0."""
     loop: bool = False
     log: Path | None = None
     """Where to write what was sent; beside the timeline, with the time in its name, unless given."""
@@ -78,13 +78,15 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
         PuddleError: files that are none, a port that fails, a controller that errs; the servos are safe, or the
             message says that they are not.
     """
+    if wish.duration is not None and wish.duration <= 0:
+        raise PuddleError(f"--duration: expected more than 0 s, came {wish.duration:g}. Nothing was moved.")
     path = wish.timeline / TIMELINE if wish.timeline.is_dir() else wish.timeline
     if wish.timeline.is_dir() and not path.exists() and (wish.timeline / MARK).is_file():
         raise PuddleError(f"{wish.timeline}: the kit has no timeline: its servos can't play this gait. "
                           f"{wish.timeline / MARK} says why.")
     timeline = read_timeline(path)
     calibrated_by = wish.calibration or path.with_name(CALIBRATION)
-    servos = read_calibration(calibrated_by)
+    servos = _calibration(calibrated_by)
     try:
         wanted = pulses(timeline, servos)
     except TimelineError as error:
@@ -100,6 +102,16 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
             say("Nothing was moved.")
             return False
         return _play(driver, servos.servos, wanted, wish, log_path, say)
+
+
+def _calibration(path: Path) -> Calibration:
+    """Read a calibration; where there is no such file, call it what it should be, which is not settings."""
+    try:
+        return read_calibration(path)
+    except PuddleError as error:
+        if isinstance(error.__cause__, OSError):
+            raise PuddleError(f"{path}: expected a calibration file, came: {error.__cause__.strerror}") from error
+        raise
 
 
 def open_driver(wish: Wish) -> ServoDriver:
@@ -127,14 +139,16 @@ def _plan(
             f"{column.min():.0f} to {column.max():.0f} µs"
         )
     length = (len(wanted) - 1) / FRAMES_PER_SECOND
-    until = f", over and over, {f'for {wish.duration:g} s' if wish.duration else 'until Ctrl-C'}" if wish.loop else ""
-    if wish.duration is not None and not wish.loop:
+    until = ""
+    if wish.loop:
+        until = f", over and over, {'until Ctrl-C' if wish.duration is None else f'for {wish.duration:g} s'}"
+    elif wish.duration is not None:
         until = f", stopped after {min(wish.duration, length):g} s"
     yield f"{length:g} s of timeline on {driver.name}{until}."
     yield (
         f"At first the servos jump to neutral, from wherever they are, and stay there for {STARTING:g} s. Keep fingers "
         f"out of the joints and the servos' power switch in reach. Ctrl-C brings them back to neutral and switches "
-        f"them off; a second one switches them off at once."
+        f"them off; a second one switches them off at once, wherever they stand."
     )
 
 

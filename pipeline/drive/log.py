@@ -23,22 +23,22 @@ JOURNAL = ".journal"
 
 @dataclass(frozen=True)
 class Entry:
-    """A command to one servo, or an event of the whole run."""
+    """A command to one servo, what the controller said of one, or an event of the whole run."""
 
     time: float
     """Since the drive began [s], by the host's monotonic clock."""
     event: str = ""
-    """What happened, where it is not a plain command."""
+    """Empty for a pulse. Else "at most N µs/s", "position", "off" or "home", or in words how the run began or ended."""
     frame: int = -1
     """Of the timeline; -1 before, after and in between."""
     channel: int = -1
-    """-1 for an event."""
+    """-1 for what is of the whole run."""
     wanted: float | None = None
     """Pulse that the timeline asked for [µs]."""
     sent: float | None = None
     """Pulse that was sent [µs]; 0 is off."""
     position: float | None = None
-    """Pulse that the controller said it gives [µs], read after this command; most commands are not read back."""
+    """Pulse that the controller said it gives [µs]; 0 is off. In the rows of the event "position" alone."""
     lateness: float | None = None
     """Of the command, behind the timeline [s]."""
 

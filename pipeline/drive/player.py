@@ -1,8 +1,8 @@
 """Playing a timeline, and the way out of it: whatever happens, servos go to neutral and are switched off.
 
 The ways to end: the timeline's own, ``--duration``, a signal, a late host, a controller that errs, a port that is lost,
-any exception at all. Each leads through :func:`_way_out`. Where the port is lost nothing more can be said, and the
-controller's own time-out does the rest.
+any exception at all. Each leads through :func:`_way_out`. A second signal there switches off at once, short of neutral.
+Where the port is lost nothing more can be said, and the controller's own time-out does the rest.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ SETTLING = 0.3
 FOLLOWING = 0.1
 """How far behind what it is sent a controller may be [s]: two frames, its own period and the reading."""
 
+AT_NEUTRAL = 1.0
+"""How far from its neutral pulse a servo counts as there [µs]: a tenth of a degree of a usual one."""
 
 UNCONFIRMED = (
-    "they were told to go to neutral and to switch off, and the controller does not confirm it; cut their power if "
-    "they hold or move"
+    "they were told to switch off, and the controller does not confirm it; cut their power if they hold or move"
 )
 NOT_SWITCHED_OFF = (
     "THEY COULD NOT BE SWITCHED OFF. The controller's own time-out does that, if it is set (docs/servo.md); cut their "
@@ -161,7 +162,10 @@ class Player:
         """
         fault: BaseException | None = None
         try:
-            self.driver.prepare({servo.channel: servo.max_rate_us for servo in self.servos})
+            rates = {servo.channel: servo.max_rate_us for servo in self.servos}
+            for channel, rate in rates.items():
+                self._note(f"at most {rate:g} µs/s", channel=channel)
+            self.driver.prepare(rates)
             self._note("start")
             self._hold_neutral(STARTING)
             ended = self._follow(pulses_us, loop, duration)
@@ -226,16 +230,22 @@ class Player:
             self.driver.check()
             return
         servo = self.servos[turn]
-        position = self.driver.position(servo.channel)
+        position = self._position(servo)
         if position is None:
             return
-        self._note("position", channel=servo.channel, position=position)
         if abs(position - sent[servo.channel]) > servo.max_rate_us * FOLLOWING + 2.0:
             raise ControllerFault(
                 f"{self.driver.name}: channel {servo.channel} was sent {sent[servo.channel]:g} µs and gives "
                 f"{position:g} µs. Do the controller's own limits of that channel leave room for "
                 f"{servo.min_us:g} to {servo.max_us:g} µs, and is it in servo mode?"
             )
+
+    def _position(self, servo: ServoCalibration) -> float | None:
+        """Ask the controller what pulse a servo gets [µs], and note the answer; None where it can't say."""
+        position = self.driver.position(servo.channel)
+        if position is not None:
+            self._note("position", channel=servo.channel, position=position)
+        return position
 
     # -- the way in and the way out --------------------------------------------------------------------------------
 
@@ -255,20 +265,22 @@ class Player:
             self._note(f"{type(fault).__name__}: {fault}")
         if not self._outlet.sent:
             return
+        where = None
         try:
-            # PortLost may pass, for off, below, will fail too, and say so.
+            # PortLost may pass: where off, below, fails too, it says so.
             with suppress(PortLost, ControllerFault):
-                self._return_to_neutral(self.stop.asked)
+                where = self._return_to_neutral(self.stop.asked)
                 if fault is not None:
+                    self._note("home")
                     self.driver.home()
         finally:
-            self._switch_off(fault)
+            self._switch_off(fault, where or self._short_of_neutral())
 
-    def _switch_off(self, fault: BaseException | None) -> None:
+    def _switch_off(self, fault: BaseException | None, where: str) -> None:
         try:
-            self._outlet.off()
+            self._off()
             self._see_that_they_are_off()
-            self.parting = "they are at neutral and switched off"
+            self.parting = f"they were switched off {where}"
         except (PortLost, ControllerFault) as error:
             self.parting = UNCONFIRMED if isinstance(error, ControllerFault) else NOT_SWITCHED_OFF
             if fault is None:
@@ -276,16 +288,24 @@ class Player:
         finally:
             self._note(f"the servos: {self.parting}")
 
+    def _off(self) -> None:
+        """Switch off, and note it, even if it gets lost half-way."""
+        now = self.clock.now() - self._began
+        try:
+            self._outlet.off()
+        finally:
+            self._keep(*(Entry(now, event="off", channel=servo.channel, sent=0.0) for servo in self.servos))
+
     def _see_that_they_are_off(self) -> None:
         """Have the controller confirm it: bytes that were written may never have arrived."""
         for servo in self.servos:
-            position = self.driver.position(servo.channel)
+            position = self._position(servo)
             if position:
                 raise ControllerFault(f"{self.driver.name}: channel {servo.channel} was switched off and still gives "
                                       f"{position:g} µs")
 
-    def _return_to_neutral(self, asked: int) -> None:
-        """Go back at half speed; a second wish to stop cuts it short."""
+    def _return_to_neutral(self, asked: int) -> str:
+        """Go back at half speed; a second wish to stop cuts it short. Says, in words, where that left the servos."""
         step = {servo.channel: RETURN_SPEED * servo.max_rate_us * FRAME for servo in self.servos}
         neutral = {servo.channel: servo.centre_us for servo in self.servos}
         still = 0
@@ -293,8 +313,30 @@ class Player:
             sent = self._outlet.sent
             away = {channel: neutral[channel] - pulse for channel, pulse in sent.items()}
             self._command({c: sent[c] + min(max(rest, -step[c]), step[c]) for c, rest in away.items()})
-            still = still + 1 if max(map(abs, away.values())) < 1.0 else 0
+            still = still + 1 if max(map(abs, away.values())) < AT_NEUTRAL else 0
             self.clock.sleep(FRAME)
+        if still * FRAME < SETTLING:
+            return self._short_of_neutral()
+        if not self._gives_neutral():
+            return "where they stood: told to go to neutral, and the controller does not confirm that they are there"
+        return "at neutral"
+
+    def _gives_neutral(self) -> bool:
+        """Whether the controller gives neutral too, where it can say: its own limits may keep a servo elsewhere."""
+        try:
+            gives = [(servo, self._position(servo)) for servo in self.servos]
+        except ControllerFault:
+            return False
+        return all(pulse is None or abs(pulse - servo.centre_us) < AT_NEUTRAL for servo, pulse in gives)
+
+    def _short_of_neutral(self) -> str:
+        """Say where the servos were sent last; the horns may lag behind."""
+        sent = self._outlet.sent
+        angles = ", ".join(
+            f"joint {servo.joint} (channel {servo.channel}) to {np.degrees(servo.angle(sent[servo.channel])):+.0f}°"
+            for servo in self.servos
+        )
+        return f"where they stood, not at neutral: last sent were {angles}"
 
     # -- the log ---------------------------------------------------------------------------------------------------
 

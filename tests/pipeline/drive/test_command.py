@@ -1,6 +1,7 @@
 """``puddle drive`` as a person uses it: in a process of its own, in real time, against a pty."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 from pipeline.artifacts import decode_table
 from pipeline.cli import app, main
 from pipeline.drive.log import JOURNAL
+from pipeline.drive.player import RealClock
 from pipeline.timeline_file import calibration_yaml, timeline_json
 from tasks.fabrication.timeline import Playback, Timeline, envelope
 
@@ -56,7 +58,7 @@ def test_a_dry_run(kit, tmp_path, capsys):
 def test_the_log_goes_beside_the_timeline(kit, tmp_path, capsys, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    assert call("drive", str(kit), "--dry-run", "--duration", "0") in (0, 2)  # 2: this computer was late
+    assert call("drive", str(kit), "--dry-run", "--duration", "0.1") in (0, 2)  # 2: this computer was late
     (log,) = kit.glob("drive-20??????-??????.parquet")
     assert f"What is sent will be in {log}" in capsys.readouterr().out
     assert "start" in table_of(log)["event"]
@@ -68,7 +70,7 @@ def test_the_faults_of_a_kit_are_told_before_it_moves(kit, capsys):
                         (["fault"], "1 fault found in this kit speaks against it"), (["note"], None)):  # fmt: skip
         mark = {"findings": [{"severity": severity, "where": "joint 2", "message": "x"} for severity in found]}
         (kit / "kit.json").write_text(json.dumps(mark))
-        call("drive", str(kit), "--dry-run", "--duration", "0", "--log", str(kit / f"{len(found)}{found[0]}.parquet"))
+        call("drive", str(kit), "--dry-run", "--duration", "0.1", "--log", str(kit / f"{len(found)}{found[0]}.parquet"))
         out = capsys.readouterr().out
         assert said in out if said else "speak" not in out
 
@@ -88,6 +90,17 @@ def test_nothing_moves_without_a_yes(kit, tmp_path, plug):
     assert result.exit_code == 0, result.output
     again.finish()
     assert again.pulses(0)[-1] == 0 and len(again.pulses(0)) > 50
+
+
+@pytest.mark.parametrize("loop", [(), ("--loop",)])
+def test_a_duration_of_nothing_is_refused_before_anything_moves(kit, tmp_path, plug, capsys, loop):
+    fake, log = plug(), tmp_path / "never.parquet"
+    options = ("--port", fake.path, "--yes", "--log", str(log), "--duration", "0")
+    assert call("drive", str(kit), *options, *loop) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and "--duration: expected more than 0 s, came 0" in said.err
+    fake.finish()
+    assert fake.n_bytes == 0 and not log.exists()
 
 
 def test_mistakes(kit, tmp_path, capsys, monkeypatch):
@@ -110,6 +123,12 @@ def test_mistakes(kit, tmp_path, capsys, monkeypatch):
     (tmp_path / "narrow.yaml").write_text(truth)
     said = refused(str(kit), "--calibration", str(tmp_path / "narrow.yaml"), "--dry-run")
     assert "expected 1 or -1, came true" in said
+    (tmp_path / "narrow.yaml").write_text((kit / "calibration.yaml").read_text().replace("joint: ", "joint: 4"))
+    said = refused(str(kit), "--calibration", str(tmp_path / "narrow.yaml"), "--dry-run")
+    assert said.count("joint: expected a number less than 6") == 2 and len(said.splitlines()) == 2
+    for gone in (tmp_path / "gone.yaml", tmp_path):
+        said = refused(str(kit), "--calibration", str(gone), "--dry-run")
+        assert f"{gone}: expected a calibration file" in said and "settings" not in said
     (tmp_path / "bare").mkdir()
     (tmp_path / "bare" / "kit.json").write_text("{}")
     said = refused(str(tmp_path / "bare"), "--dry-run")
@@ -138,6 +157,26 @@ def started(kit: Path, fake, log: Path, *options: str) -> subprocess.Popen:
     return process
 
 
+def test_a_second_ctrl_c_is_not_said_to_leave_them_at_neutral(kit, tmp_path, plug, capsys, monkeypatch):
+    fake, log, time_now = plug(), tmp_path / "run.parquet", 0.0
+
+    def sleep(self, duration: float) -> None:
+        nonlocal time_now
+        time_now += duration
+        if time_now > 2.5:  # in the run, and again on the way home
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(RealClock, "now", lambda self: time_now)
+    monkeypatch.setattr(RealClock, "sleep", sleep)
+    assert call("drive", str(kit), "--port", fake.path, "--log", str(log), "--yes") == 130
+    fake.finish()
+    assert not fake.on and abs(fake.pulses(0)[-2] - 1500.0) > 100
+    said, noted = capsys.readouterr().out, "\n".join(table_of(log)["event"])
+    for words in (said, noted):
+        assert "switched off where they stood, not at neutral: last sent were joint 2 (channel 0) to " in words
+        assert "switched off at neutral" not in words
+
+
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal(kit, tmp_path, plug, kind):
     fake, log = plug(), tmp_path / "run.parquet"
@@ -164,7 +203,8 @@ def test_killed(kit, tmp_path, plug):
     fake.finish()
     assert Path(f"{log}{JOURNAL}").exists() and not log.exists()
     # The next drive into the same folder makes a log of it, down to what was sent last; the bytes come after the note.
-    assert call("drive", str(kit), "--dry-run", "--duration", "0", "--log", str(tmp_path / "next.parquet")) == 0
+    next_log = str(tmp_path / "next.parquet")
+    assert call("drive", str(kit), "--dry-run", "--duration", "0.1", "--log", next_log) in (0, 2)  # 2: it was late
     table = table_of(log)
     sent = table["sent"][(table["channel"] == 0) & np.isfinite(table["sent"])].tolist()
     received = fake.pulses(0)

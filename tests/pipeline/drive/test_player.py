@@ -75,13 +75,13 @@ def test_a_timeline_from_rest_to_rest(plug, calibration, wanted, clock):
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     check_neutral_and_off(fake, calibration)
-    assert fake.errors == 0 and player.worst_lateness == 0 and "switched off" in player.parting
+    assert fake.errors == 0 and player.worst_lateness == 0 and player.parting == "they were switched off at neutral"
     for column, servo in enumerate(calibration.servos):
         sent = np.array(fake.pulses(servo.channel)[50 : 50 + N_FRAMES])  # after a second at neutral
         np.testing.assert_allclose(sent, wanted[:, column], rtol=0, atol=0.125 + 1e-9)
         # A controller that limits the rate less than the host never lags behind it.
         assert fake.speeds[servo.channel] * 25.0 >= servo.max_rate_us
-        assert player.log.sent(servo.channel) == fake.pulses(servo.channel)[:-1]
+        assert player.log.sent(servo.channel) == fake.pulses(servo.channel)  # down to 0, which is off
 
 
 @pytest.mark.parametrize(("loop", "duration", "n_frames"), [(False, 1.0, 50), (True, 10.0, 500), (False, 99.0, 201)])
@@ -233,6 +233,41 @@ def test_a_second_signal_switches_off_at_once(plug, calibration, wanted):
     check_what_it_was_sent(fake, calibration)
     assert not fake.on and fake.pulses(0)[-1] == 0
     assert abs(fake.pulses(0)[-2] - 1500.0) > 100
+    angles = [np.degrees(servo.angle(fake.pulses(servo.channel)[-2])) for servo in calibration.servos]
+    assert player.parting == (
+        f"they were switched off where they stood, not at neutral: last sent were joint 2 (channel 0) to "
+        f"{angles[0]:+.0f}°, joint 4 (channel 3) to {angles[1]:+.0f}°"
+    )
+    assert player.log.entries[-1].event == f"the servos: {player.parting}"
+
+
+def test_a_controller_whose_own_limits_leave_no_room_for_neutral(plug, calibration, wanted, clock):
+    fake = plug()
+    fake.channel_range = (4 * 1600, 4 * 1700)
+    player = player_of(fake, calibration, clock)
+    with pytest.raises(ControllerFault, match="gives 1600 µs"):
+        player.play(wanted)
+    fake.finish()
+    check_neutral_and_off(fake, calibration)  # as it was sent, which is not what it gave
+    assert player.parting.startswith("they were switched off where they stood: ")
+    assert "controller does not confirm" in player.parting
+
+
+def test_a_way_home_that_fails_is_not_said_to_have_ended(calibration, wanted, clock):
+    class Blocked(DryRun):
+        """Takes no bytes at first when it is to lead the servos home, and then does again."""
+
+        n_sent = 0
+
+        def send(self, pulses_us) -> None:
+            self.n_sent += 1
+            if self.n_sent > 120:
+                raise PortLost("blocked")
+
+    player = Player(Blocked(), calibration.servos, Memory(), Stop(), clock=clock)
+    with pytest.raises(PortLost, match="blocked"):
+        player.play(wanted)
+    assert "switched off where they stood, not at neutral" in player.parting
 
 
 def test_a_full_disk_stops_the_robot_safely(plug, calibration, wanted, clock):
@@ -259,11 +294,30 @@ def test_a_log_is_a_table_of_what_was_sent(plug, calibration, wanted, clock, tmp
     log.close()
     assert [path.name for path in tmp_path.iterdir()] == ["run.parquet"]
     table = decode_table(log.path.read_bytes(), schema="drive_log", version=1, source="log")
+    assert table["sent"][table["event"] == "off"].tolist() == [0.0, 0.0]
     played = (table["channel"] == 3) & (table["frame"] >= 0)
     np.testing.assert_array_equal(table["wanted"][played], wanted[:, 1])
     assert (np.diff(table["time"]) >= 0).all()
     read = table["event"] == "position"
     assert read.sum() > 100 and np.isfinite(table["position"][read]).all()
+
+
+def test_every_command_to_the_controller_has_its_row(plug, calibration, wanted, clock):
+    fake = plug()
+    player = player_of(fake, calibration, clock)
+    player.show = lambda moment: setattr(fake, "errors", 1 << 2 if moment.time > 2 else 0)  # a fault, so that it homes
+    with pytest.raises(ControllerFault, match="serial buffer full"):
+        player.play(wanted)
+    fake.finish()
+    rows = player.log.entries
+    targets = [(row.channel, row.sent) for row in rows if row.sent is not None]
+    assert targets == fake.targets
+    assert [(row.event, row.channel) for row in rows[:2]] == [("at most 1800 µs/s", 0), ("at most 1800 µs/s", 3)]
+    assert [row.event for row in rows].count("home") == [command for command, *_ in fake.commands].count(0xA2) == 1
+    asked = [channel for command, channel, *_ in (c for c in fake.commands if c[0] == 0x90)]
+    assert [row.channel for row in rows if row.event == "position"] == asked
+    off = [row for row in rows if row.sent == 0]
+    assert [(row.event, row.channel, row.frame) for row in off] == [("off", 0, -1), ("off", 3, -1)]
 
 
 def test_a_killed_drive_leaves_a_journal_that_the_next_one_makes_a_log_of(tmp_path):
