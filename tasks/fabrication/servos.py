@@ -135,7 +135,7 @@ class Servo:
         raise ServoError(f"servo {self.name}: has no {kind} horn, expected {' or '.join(h.kind for h in self.horns)}")
 
 
-def _per_60_degrees(seconds: float) -> float:
+def _per_60(seconds: float) -> float:
     """Turn a data sheet's s/60° into rad/s."""
     return radians(60.0) / seconds
 
@@ -147,6 +147,8 @@ _SOURCES = {
     "C": "chosen here, for the hole of the ear or of the horn",
     "D": "DSServo's figures for the DS3225 at 5 V, as sellers repeat them "
          "(wiki.52pi.com, D-0001; github.com/vniclos/-6-Axis-Robot-Arm---ESP-32)",
+    "E": "a model of the MG996R, another servo of 40.5 mm, by electro57 "
+         "(github.com/electro57/RepRap: lib/servos/TowerPro/MG996.scad)",
     "F": "Fabian Kung's servo driver, calibrated with an HS-85MG (RCServo_API_V100.c, 2016): 10 µs a degree from 610 "
          "to 2190 µs, of which a part is used here",
     "G": "Kpower's guide to drawings of servos: typical sizes (kpower.com/insight_gearbox/7396.html)",
@@ -158,7 +160,13 @@ _SOURCES = {
     "K": "measured on a clone by Brad Kartchner (github.com/kartchnb/openscad-servo-library: servos/mg90s_clone.scad)",
     "L": "Lynxmotion's wiki, on the horns of its own servos (wiki.lynxmotion.com, SES gearing and horn information)",
     "M": "a horn of 20 teeth, not said whose, by Brad Kartchner (github.com/kartchnb/servohorn_lib: servohorns/20t)",
+    "N": "JX's figures for the PDI-6221MG at 6 V, as a seller's page (rcgoing.com) is repeated "
+         "(github.com/anglerud/makespace_servo_demo: docs/index.md; without its name, pastebin.com/iaUgYw2u)",
     "P": "the sheet MG90S_Tower-Pro.pdf that sellers hand out (6 V)",
+    "Q": "a robot's driver of the 6221MG: 0 to 180° by 500 to 2500 µs "
+         "(github.com/KKawaguchi1219/CatchRobo_2023: Servo6221MG/Servo6221MG.cpp)",
+    "R": "measured on clones of the S3003, another standard servo, by Brad Kartchner "
+         "(github.com/kartchnb/openscad-servo-library: servos/s3003_clone.scad)",
     "S": "a list of servos with SparkFun's numbers, in a page for syringe pumps (JavaScript by Priya, 2016)",
     "T": "Tower Pro's page of the MG90S (towerpro.com.tw/product/mg90s-3), as others quote it",
     "V": "sellers of the 20 mm aluminium disc of 25 teeth (Amazon B07D56FVK5), as a hexapod's builder quotes them "
@@ -169,7 +177,8 @@ _SOURCES = {
 }  # fmt: skip
 """By letter. They were read in what others quote and publish; the makers' own pages were not at hand."""
 
-_NAMES = ("ds3225", "hs85mg", "mg90s")
+_NAMES = ("ds3225", "hs85mg", "mg90s", "pdi6221mg")
+_TAPS_3, _TAPS_2, _TAPS_1_5 = "M3 self-tapping", "2 mm self-tapping", "1.5 mm self-tapping"
 _TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
     # DS3225: the one that is sold as turning 270°. Where sources differ, the maker's figure is taken, then the one that
     # most agree on.
@@ -179,35 +188,40 @@ _TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
     # The cable's moulded root is 7 mm wide and 6.5 long (W): it lies within the pocket, beside the case.
     # HS-85MG: its ears' holes are 4.5 mm wide (J), for a grommet. Its spline: 24 or 25 teeth, sources differ.
     # MG90S: 20 teeth or 21, 4.6 to 4.9 mm wide; sellers of clones differ.
-    # field                  ds3225                         hs85mg                          mg90s
-    "voltage_v":           ((5.0, "D"),                    (6.0, "H"),                    (6.0, "P")),
-    "stall_torque_nm":     ((21.0 * KG_CM, "D"),           (3.5 * KG_CM, "H"),            (2.2 * KG_CM, "P")),
-    "no_load_speed_rad_s": ((_per_60_degrees(0.15), "D"),  (_per_60_degrees(0.14), "H"),  (_per_60_degrees(0.08), "P")),
-    "mass_g":              ((67.0, "D"),                   (21.8, "H"),                   (13.4, "T")),
-    "min_pulse_us":        ((500.0, "D"),                  (900.0, "F"),                  (500.0, "Y")),
-    "max_pulse_us":        ((2500.0, "D"),                 (2100.0, "F"),                 (2500.0, "Y")),
-    "travel_rad":          ((radians(270.0), "D"),         (radians(120.0), "F"),         (radians(180.0), "P")),
-    "deadband_us":         ((3.0, "D"),                    (8.0, "S"),                    (5.0, "P")),
-    "sense":               ((1, "D"),                      (-1, "I"),                     (1, "Y")),
-    "length_mm":           ((40.0, "D"),                   (29.1, "J"),                   (22.8, "T")),
-    "width_mm":            ((20.0, "D"),                   (13.0, "J"),                   (12.4, "T")),
-    "height_mm":           ((40.5, "D"),                   (29.9, "J"),                   (28.4, "T")),
-    "shaft_offset_mm":     ((10.0, "A"),                   (6.55, "J"),                   (6.2, "K")),
-    "ear_length_mm":       ((54.0, "W"),                   (40.0, "J"),                   (32.1, "T")),
-    "ear_bottom_mm":       ((28.0, "B"),                   (18.5, "J"),                   (18.5, "T")),
-    "ear_thickness_mm":    ((2.5, "W"),                    (2.0, "J"),                    (2.5, "K")),
-    "hole_span_mm":        ((49.5, "A"),                   (35.6, "J"),                   (28.3, "K")),
-    "hole_pitch_mm":       ((10.0, "W"),                   (0.0, "J"),                    (0.0, "K")),
-    "ear_screw_mm":        ((3.0, "W"),                    (2.0, "C"),                    (2.0, "K")),
-    "ear_screw_name":      (("M3 self-tapping", "C"),      ("2 mm self-tapping", "C"),    ("2 mm self-tapping", "C")),
-    "spline_mm":           ((5.9, "B"),                    (4.8, "?"),                    (4.7, "K")),
-    "spline_teeth":        ((25, "W"),                     (24, "?"),                     (20, "K")),
-    "centre_screw_mm":     ((3.0, "W"),                    (2.0, "?"),                    (2.0, "?")),
-    "centre_screw_name":   (("M3 × 8", "L"),               ("M2 × 6", "?"),               ("M2 × 6", "?")),
-    "cable_width_mm":      ((4.0, "G"),                    (4.0, "G"),                    (4.0, "G")),
+    # PDI-6221MG: the standard size, 40.5 × 20 × 38, and the torque of the paper's servo. It is sold as turning 120, 180
+    # or 360°; the one of 180° is meant, though a page that repeats N has 120°. Nobody says what the 38 reach to: they
+    # are read as the whole case, tower included. Of an MG996R, as long, E has 37.6 to the plate around the tower and
+    # 39.7 with the tower, so measure yours. N says nothing of ears: they are those of others of this size. Their holes
+    # are 4.4 to 4.5 mm wide (R, E), lie 47.4 (E) to 49.5 (A, G) apart along the case and 9 (R) to 10.5 (E) across.
+    # Its sense is what most such servos have: try it.
+    # field                 ds3225                 hs85mg                 mg90s                  pdi6221mg
+    "voltage_v":           ((5.0, "D"),            (6.0, "H"),            (6.0, "P"),            (6.0, "N")),
+    "stall_torque_nm":     ((21.0 * KG_CM, "D"),   (3.5 * KG_CM, "H"),    (2.2 * KG_CM, "P"),    (20.32 * KG_CM, "N")),
+    "no_load_speed_rad_s": ((_per_60(0.15), "D"),  (_per_60(0.14), "H"),  (_per_60(0.08), "P"),  (_per_60(0.16), "N")),
+    "mass_g":              ((67.0, "D"),           (21.8, "H"),           (13.4, "T"),           (62.0, "N")),
+    "min_pulse_us":        ((500.0, "D"),          (900.0, "F"),          (500.0, "Y"),          (500.0, "Q")),
+    "max_pulse_us":        ((2500.0, "D"),         (2100.0, "F"),         (2500.0, "Y"),         (2500.0, "Q")),
+    "travel_rad":          ((radians(270.0), "D"), (radians(120.0), "F"), (radians(180.0), "P"), (radians(180.0), "Q")),
+    "deadband_us":         ((3.0, "D"),            (8.0, "S"),            (5.0, "P"),            (2.0, "N")),
+    "sense":               ((1, "D"),              (-1, "I"),             (1, "Y"),              (1, "?")),
+    "length_mm":           ((40.0, "D"),           (29.1, "J"),           (22.8, "T"),           (40.5, "N")),
+    "width_mm":            ((20.0, "D"),           (13.0, "J"),           (12.4, "T"),           (20.2, "N")),
+    "height_mm":           ((40.5, "D"),           (29.9, "J"),           (28.4, "T"),           (38.0, "N")),
+    "shaft_offset_mm":     ((10.0, "A"),           (6.55, "J"),           (6.2, "K"),            (10.0, "E")),
+    "ear_length_mm":       ((54.0, "W"),           (40.0, "J"),           (32.1, "T"),           (54.3, "E")),
+    "ear_bottom_mm":       ((28.0, "B"),           (18.5, "J"),           (18.5, "T"),           (27.0, "E")),
+    "ear_thickness_mm":    ((2.5, "W"),            (2.0, "J"),            (2.5, "K"),            (2.5, "E")),
+    "hole_span_mm":        ((49.5, "A"),           (35.6, "J"),           (28.3, "K"),           (48.9, "R")),
+    "hole_pitch_mm":       ((10.0, "W"),           (0.0, "J"),            (0.0, "K"),            (10.0, "W")),
+    "ear_screw_mm":        ((3.0, "W"),            (2.0, "C"),            (2.0, "K"),            (3.0, "C")),
+    "ear_screw_name":      ((_TAPS_3, "C"),        (_TAPS_2, "C"),        (_TAPS_2, "C"),        (_TAPS_3, "C")),
+    "spline_mm":           ((5.9, "B"),            (4.8, "?"),            (4.7, "K"),            (5.9, "G")),
+    "spline_teeth":        ((25, "W"),             (24, "?"),             (20, "K"),             (25, "N")),
+    "centre_screw_mm":     ((3.0, "W"),            (2.0, "?"),            (2.0, "?"),            (3.0, "?")),
+    "centre_screw_name":   (("M3 × 8", "L"),       ("M2 × 6", "?"),       ("M2 × 6", "?"),       ("M3 × 8", "?")),
+    "cable_width_mm":      ((4.0, "G"),            (4.0, "G"),            (4.0, "G"),            (4.0, "G")),
 }  # fmt: skip
 
-_TAPS_2, _TAPS_1_5 = "2 mm self-tapping", "1.5 mm self-tapping"
 _KINDS: tuple[HornKind, ...] = ("disc", "cross", "cross", "cross", "disc")
 _HORN_TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
     # The HS-85MG's hub, top and thickness are those of its double arm, whose holes are 1.15 mm wide. M's arms taper,
@@ -235,7 +249,7 @@ def _numbers(table: Mapping[str, tuple[tuple[Any, str], ...]], column: int) -> d
 _DISC, _CROSS, _HS85MG_CROSS, _MG90S_CROSS, _MICRO_DISC = (
     Horn(kind=kind, **_numbers(_HORN_TABLE, column)) for column, kind in enumerate(_KINDS)
 )
-_HORNS = ((_DISC, _CROSS), (_HS85MG_CROSS, _MICRO_DISC), (_MG90S_CROSS, _MICRO_DISC))
+_HORNS = ((_DISC, _CROSS), (_HS85MG_CROSS, _MICRO_DISC), (_MG90S_CROSS, _MICRO_DISC), (_DISC, _CROSS))
 
 SERVOS: dict[str, Servo] = {
     name: Servo(name=name, horns=_HORNS[column], **_numbers(_TABLE, column)) for column, name in enumerate(_NAMES)

@@ -23,7 +23,7 @@ class KitSettings(Parameters):
     pitch_mm: float = Field(default=300.0, ge=150.0, le=1000.0)
     """From one pontoon to the other, along the extrusion. [P]"""
     servo: str = "ds3225"
-    """Name in the library of servos. [P] has one of 20 kg·cm."""
+    """Name in the library of servos. [P] has one of 20 kg·cm, as the pdi6221mg is."""
     horn: HornKind = "disc"
     """Which of the servo's horns is used."""
     measured: dict[str, NonNegativeFloat] = Field(default_factory=dict)

@@ -20,7 +20,7 @@ EVERY_HORN = [(servo.name, horn.kind) for servo in SERVOS.values() for horn in s
 
 
 def test_unknown_servos_and_horns_are_refused_with_the_list():
-    with pytest.raises(ServoError, match=r"servo 'sg5010' is unknown, expected one of ds3225, hs85mg, mg90s"):
+    with pytest.raises(ServoError, match=r"'sg5010' is unknown, expected one of ds3225, hs85mg, mg90s, pdi6221mg"):
         servo_named("sg5010")
     disc = replace(SERVOS["ds3225"], horns=SERVOS["ds3225"].horns[:1])
     with pytest.raises(ServoError, match="has no cross horn, expected disc"):
@@ -33,6 +33,11 @@ def test_servos_are_what_their_sources_say():
     assert standard.no_load_speed_rad_s == pytest.approx(6.981, abs=1e-3)  # 60° in 0.15 s
     assert standard.torque_at(0.0) == standard.stall_torque_nm and standard.torque_at(-7.0) == 0.0
     assert standard.torque_at(standard.no_load_speed_rad_s / 2) == pytest.approx(standard.stall_torque_nm / 2)
+    paper = SERVOS["pdi6221mg"]
+    assert (paper.length_mm, paper.width_mm, paper.height_mm) == (40.5, 20.2, 38.0)  # the standard size
+    assert paper.stall_torque_nm == pytest.approx(1.993, abs=1e-3)  # 20.32 kg·cm
+    assert paper.no_load_speed_rad_s == pytest.approx(6.545, abs=1e-3)  # 60° in 0.16 s
+    assert paper.us_per_rad == pytest.approx(636.6, abs=0.1)  # 2000 µs for 180°
     for servo in SERVOS.values():
         assert servo.min_pulse_us < servo.neutral_us < servo.max_pulse_us
         # What a margin hangs on is never from memory.
@@ -50,11 +55,13 @@ def test_what_has_no_source_is_known():
         return {field.name for field in fields(item)} - item.sources.keys() - {"name", "kind", "horns", "sources"}
 
     spline = {"spline_mm", "spline_teeth", "centre_screw_mm", "centre_screw_name"}
-    assert [missing(servo) for servo in SERVOS.values()] == [set(), spline, spline - {"spline_mm", "spline_teeth"}]
-    (disc, cross), (small, micro), (clone, same) = (servo.horns for servo in SERVOS.values())
+    screw = {"centre_screw_mm", "centre_screw_name"}
+    assert [missing(servo) for servo in SERVOS.values()] == [set(), spline, screw, screw | {"sense"}]
+    (disc, cross), (small, micro), (clone, same), standard = (servo.horns for servo in SERVOS.values())
     assert (missing(disc), missing(cross)) == ({"top_mm", "thickness_mm"}, {"top_mm", "arm_width_mm"})
     assert missing(small) == {"long_mm", "short_mm", "arm_width_mm", "screw_radius_mm"} and missing(clone) == {"top_mm"}
     assert micro is same and not micro.sources
+    assert standard == (disc, cross)  # of 25 teeth too
 
 
 def test_every_measure_is_one_of_a_servo_or_its_horn():
@@ -105,6 +112,20 @@ def test_screws_reach_and_hold(crane, servo, horn):
         assert screw.engaged_mm == drive.horn.thickness_mm
         ear = ear_screw_mm(drive)
         assert drive.servo.ear_screw_mm <= ear - drive.servo.ear_thickness_mm <= plate_mm(drive)
+
+
+@pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
+def test_parts_and_gauges_of_every_servo_are_solids(crane, servo, horn):
+    kit = build_kit(crane, KitSettings(servo=servo, horn=horn))
+    assert {part.body for part in kit.parts} == set(range(len(kit.mechanism.bodies)))
+    for printed in (*kit.parts, *kit.gauges):
+        assert printed.solid.is_valid and printed.solid.volume == pytest.approx(printed.volume_mm3, rel=1e-6)
+    # A case goes into its gauge, and its ears lie on the plate.
+    case, rim = kit.drives[0].servo, kit.gauges[0].solid.bounding_box()
+    assert max(rim.size.X, rim.size.Y) > case.ear_length_mm and min(rim.size.X, rim.size.Y) > case.width_mm
+    plate = case.height_mm - case.ear_bottom_mm - case.ear_thickness_mm
+    height_mm = rim.size.Z
+    assert height_mm == pytest.approx(plate + 3.0)  # and 3 mm of the pocket's rim
 
 
 def test_threads_too_short_and_screws_that_do_not_exist(crane):
