@@ -10,7 +10,7 @@ from shapely import Point
 
 from tasks.fabrication.kit import Kit, build_kit
 from tasks.fabrication.parts import mesh_of, on_bed
-from tasks.fabrication.rigid import IN_PLACE, mechanism_of, moved
+from tasks.fabrication.rigid import Pose, mechanism_of, moved
 from tasks.fabrication.settings import KitSettings
 
 SETTINGS = KitSettings()
@@ -21,6 +21,7 @@ CORNER = 1.0 - pi / 4
 """Area that a fillet of radius 1 adds in a right angle, or a rounding takes from one."""
 EXACT = 1e-9
 """Relative. The kernel's areas of lines and arcs are closed forms too."""
+IN_PLACE: Pose = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
 def part(kit: Kit, name: str):
