@@ -290,7 +290,7 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
             f"{printed[body.index]:.0f} g",
         ])
     y = _table(sheet, x, y - 6, "Parts", rows, (10, 25, 19, 18, 25, 25))
-    bought = [["count", "item", "length", "note"]]
+    bought = [["count", "item", "each [mm]", "note"]]
     bought += [
         [f"{line.count}", line.item, "" if line.length_mm is None else f"{line.length_mm:.1f}", line.note]
         for line in kit.bill

@@ -149,8 +149,8 @@ def _bill(kit: Kit) -> str:
          "" if line.mass_g is None else f"{line.mass_g:.0f}", escape(line.note)]
         for line in kit.bill
     ]  # fmt: skip
-    rows.append(["<b>all of it</b>", "", "", f"<b>{kit.mass_g:.0f}</b>", "without screws and cables"])
-    return _table(["what", "count", "length [mm]", "mass [g]", ""], rows, "noted")
+    rows.append(["<b>all of it</b>", "", "", f"<b>{kit.mass_g:.0f}</b>", "prints, servos and steel"])
+    return _table(["what", "count", "each [mm]", "all [g]", ""], rows, "noted")
 
 
 def _scale(

@@ -193,6 +193,11 @@ def test_the_bill(kit):
     assert kit.mass_g == pytest.approx(sum(p.mass_g for p in kit.parts) + 2 * 67 + sum(
         line.mass_g for line in kit.bill if line.kind in ("rod", "pin")
     ))
+    # What docs/assembly.md and docs/servo.md ask for; an O-ring for each servo's spline.
+    assert [(line.item, line.count) for line in kit.bill if line.kind in ("supplies", "electronics")] == [
+        ("glue", 1), ("silicone sealant", 1), ("marine grease", 1), ("O-ring for a 5.9 mm shaft", 2),
+        ("Pololu Maestro", 1), ("5 V supply", 1),
+    ]  # fmt: skip
 
 
 def test_parts_lie_on_the_bed(kit):
