@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from tasks.fabrication.drives import drives_of, servo_of
 from tasks.fabrication.features import SCREW_LENGTHS_MM, KitError, ear_screw_mm, horn_screw, horn_seat_mm, plate_mm
-from tasks.fabrication.gauges import gauges_of
+from tasks.fabrication.gauges import Gauge, gauges_of
 from tasks.fabrication.kit import build_kit
 from tasks.fabrication.parts import mesh_of
 from tasks.fabrication.rigid import mechanism_of
@@ -187,3 +187,24 @@ def test_gauges_are_slices_of_the_parts(crane):
         assert rim.area == pytest.approx(whole - opening, rel=1e-6)  # it opens upward
         assert len(mesh.triangles) > 50
     assert gauges_of((), settings) == ()
+
+
+@pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
+def test_the_gap_between_the_gauges_tells_where_a_horn_s_top_is(crane, servo, horn):
+    """The servo's ears on one gauge's plate, its horn on the floor of the other: docs/assembly.md, "Measure first"."""
+    settings = KitSettings(servo=servo, horn=horn)
+    (drive, *_) = drives_of(mechanism_of(crane, settings), settings)
+
+    def floors(gauge: Gauge) -> list[float]:
+        """Heights of its faces that lie flat, from the lowest to its rim."""
+        planes = [face for face in gauge.solid.faces() if face.geom_type == GeomType.PLANE]
+        return sorted({round(face.center().Z, 6) for face in planes if abs(face.normal_at().Z) > 0.5})
+
+    plate, recess = (floors(gauge) for gauge in gauges_of((drive,), settings))
+    case = drive.servo
+    to_the_ears = case.height_mm - case.ear_bottom_mm - case.ear_thickness_mm
+    (below, ears, _) = plate
+    assert ears - below == pytest.approx(to_the_ears)  # so the case's top is flush
+    (_, floor, rim) = recess
+    gap = drive.horn.top_mm - (rim - floor)
+    assert gap == pytest.approx(settings.layer_gap_mm)
