@@ -125,11 +125,11 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
             sheet.add_patch(_patch(piece, put, fc=PART_COLOURS[body % 6], ec=INK, alpha=0.45 if outer else 0.8,
                                    zorder=3 if outer else 2))  # fmt: skip
         for link in kit.mechanism.bodies[body].links:
-            dashed = _patch(kit.mechanism.links[link], put, fill=False, ec=FAINT, lw=0.25, ls=(0, (3, 3)), zorder=4)
+            dashed = _patch(kit.mechanism.links[link], put, fill=False, ec=FAINT, lw=0.25, ls=(0, (12, 8)), zorder=4)
             sheet.add_patch(dashed)
     for drive in kit.drives:
         for hollow in (drive.pocket, drive.recess):
-            sheet.add_patch(_patch(hollow, put, fill=False, ec=INK, lw=0.4, ls=(0, (2, 1.5)), zorder=5))
+            sheet.add_patch(_patch(hollow, put, fill=False, ec=INK, lw=0.4, ls=(0, (12, 8)), zorder=5))
     (x0, y0), (x1, y1) = put([low, high])
     labels = _labelled(sheet, kit, put, scale)
     _dimension(sheet, labels, (x0, y0 - 7), (x1, y0 - 7), f"{high[0] - low[0]:.1f}")
@@ -290,7 +290,7 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
             f"{printed[body.index]:.0f} g",
         ])
     y = _table(sheet, x, y - 6, "Parts", rows, (10, 25, 19, 18, 25, 25))
-    bought = [["count", "item", "length", "note"]]
+    bought = [["count", "item", "each [mm]", "note"]]
     bought += [
         [f"{line.count}", line.item, "" if line.length_mm is None else f"{line.length_mm:.1f}", line.note]
         for line in kit.bill

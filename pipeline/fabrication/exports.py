@@ -65,7 +65,7 @@ def bill_csv(kit: Kit) -> bytes:
     """Give the bill of materials as CSV."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
-    rows.writerow(["kind", "item", "count", "length_mm", "mass_g", "note"])
+    rows.writerow(["kind", "item", "count", "each_length_mm", "all_mass_g", "note"])
     for line in kit.bill:
         length = "" if line.length_mm is None else f"{line.length_mm:.1f}"
         mass = "" if line.mass_g is None else f"{line.mass_g:.1f}"

@@ -137,8 +137,9 @@ def _measures(kit: Kit, servo: Servo) -> str:
     return (
         f"<p>Clones of a {escape(servo.name)} differ, and horns more so. Before the parts, print the two gauges, "
         f"slices of this kit's own parts: {prints}. The servo goes into the first from above, ears on the plate, and "
-        f"its screws meet their holes; the horn lies flush in the second. Where they don't fit, say what your caliper "
-        f"says, and make the kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
+        f"its screws meet their holes; the horn lies on the second's floor. With both on the servo, the gap between "
+        f"them must be {kit.settings.layer_gap_mm:g} mm. Where they don't fit, say what your caliper says, and make the "
+        f"kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
         f"<details><summary>What was taken, and from whom</summary>{taken}</details>"
     )
 
@@ -149,8 +150,8 @@ def _bill(kit: Kit) -> str:
          "" if line.mass_g is None else f"{line.mass_g:.0f}", escape(line.note)]
         for line in kit.bill
     ]  # fmt: skip
-    rows.append(["<b>all of it</b>", "", "", f"<b>{kit.mass_g:.0f}</b>", "without screws and cables"])
-    return _table(["what", "count", "length [mm]", "mass [g]", ""], rows, "noted")
+    rows.append(["<b>all of it</b>", "", "", f"<b>{kit.mass_g:.0f}</b>", "prints, servos and steel"])
+    return _table(["what", "count", "each [mm]", "all [g]", ""], rows, "noted")
 
 
 def _scale(

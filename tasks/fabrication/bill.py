@@ -19,13 +19,13 @@ class BillLine:
     """One line of the bill."""
 
     kind: str
-    """print, servo, screw, rod or pin."""
+    """print, servo, screw, rod, pin, electronics or supplies."""
     item: str
     count: int
     length_mm: float | None
-    """To cut to, of a rod or pin."""
+    """To cut each to, of a rod or pin."""
     mass_g: float | None
-    """Of all of them; screws are not counted."""
+    """Of all of them; only of prints, servos and steel."""
     note: str
 
 
@@ -58,6 +58,22 @@ def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, sett
             lines.append(_steel("rod", length, count, settings, "through both pontoons, glued"))
     if n_pins:
         lines.append(_steel("pin", pin_length_mm(settings), n_pins, settings, "turns in the part with the wider bore"))
+    return lines + _what_pages_ask_for(drives, n_servos)
+
+
+def _what_pages_ask_for(drives: Sequence[Drive], n_servos: int) -> list[BillLine]:
+    """List what docs/assembly.md and docs/servo.md need beside the robot's own things."""
+    lines = [BillLine("supplies", "glue", 1, None, None, "rods, pins, pieces of split parts")]
+    if n_servos:
+        servo = drives[0].servo
+        lines += [
+            BillLine("supplies", "silicone sealant", 1, None, None, "seams of the servos' cases, cables' entries"),
+            BillLine("supplies", "marine grease", 1, None, None, "in the servos' gearboxes, on the O-rings"),
+            BillLine("supplies", f"O-ring for a {servo.spline_mm:g} mm shaft", n_servos, None, None, "under the horn"),
+            BillLine("electronics", "Pololu Maestro", 1, None, None, f"of {n_servos} channels or more"),
+            BillLine("electronics", f"{servo.voltage_v:g} V supply", 1, None, None,
+                     "2.5 A for each standard servo, with a switch"),
+        ]  # fmt: skip
     return lines
 
 

@@ -18,12 +18,9 @@ import shapely
 from tasks.design import Designs
 from tasks.fabrication.rigid import Mechanism
 from tasks.fabrication.rods import Layers
+from tasks.simulation.contact import TOTAL_RADIUS
 
 Floats = npt.NDArray[np.floating]
-
-TOUCH_M = 0.02
-"""Distance at which Box2D has two polygons touch: the skins of both, each of 2 b2_linearSlop [m of simulation].
-Source: b2_polygonRadius in Box2D 2.3's Common/b2Settings.h."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +62,7 @@ def passing_contacts(
         for first, second in ((min(i, k), max(i, k)) for i in a.links for k in b.links):
             if mechanism.parent_link[second] == first:
                 continue  # joined links never collide
-            touching = shapely.distance(outlines[:, first], outlines[:, second]) <= TOUCH_M
+            touching = shapely.distance(outlines[:, first], outlines[:, second]) <= TOTAL_RADIUS
             if touching.any():
                 found.append(Contact((first, second), (a.index, b.index), joints, float(touching.mean()),
                                      float(touching.argmax() + 1) * time_step))  # fmt: skip

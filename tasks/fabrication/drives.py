@@ -10,7 +10,7 @@ How a joint is assembled, decided here:
   away from the other layer, until its top is flush with the part's face; the ears bear on the plate that the pocket
   leaves there and are screwed to it from behind. What is longer than the part stands out behind, where nothing moves.
 - The horn lies in a recess in the face of the other part and is held by screws that go through that part; a hole over
-  the shaft lets the centre screw through, so the part with its horn is put on last.
+  the shaft lets the centre screw in from that part's back when the two lie face to face.
 - With one servo at a joint, as in the paper (two servos in all), the servos of successive joints sit in the left and in
   the right pontoon by turns, for balance. The other pontoon turns on a pin of the rods' steel. Both have one outline.
 - Either of the joint's two parts may carry the servo, along or across its link: whichever makes the least stand out.

@@ -2,7 +2,8 @@
 
 A servo's numbers may be another clone's (tasks/fabrication/servos.py). The gauges are slices of a kit's own parts: the
 plate that the ears are screwed to, with a rim of the pocket, and the horn's recess with the plastic under it. What fits
-them fits the parts; what does not goes into ``kit.measured``.
+them fits the parts; what does not goes into ``kit.measured``. With servo and horn between them they are as far
+apart as the layers.
 """
 
 from __future__ import annotations

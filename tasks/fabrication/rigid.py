@@ -21,8 +21,6 @@ Point = tuple[float, float]
 Pose = npt.NDArray[np.float64]
 """A rigid motion of the plane as (cos, -sin, sin, cos, x, y), the order in which shapely takes it."""
 
-IN_PLACE: Pose = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
-
 SWEEP_STEP = np.radians(2.5)
 """Between the poses in which a turning part is looked at; at 300 mm from the joint its corners miss 0.07 mm."""
 N_GAIT = 96

@@ -1,8 +1,9 @@
 """Rods: which layer is the outer one, and where steel rods tie every part to its copy in the other pontoon.
 
 The pontoons mirror one another, so the outer layers are the pitch apart and the inner ones face each other. An inner
-part's rods run through the room between the pontoons, where there is nothing else. An outer part's rods pass the inner
-layer too, and must miss whatever sweeps there: of the two ways to name a layer the outer one, the better is taken.
+part's rods run through the room between the pontoons, where there is nothing else; they go in before an outer part lies
+over their bores. An outer part's rods pass the inner layer too, and must miss whatever sweeps there: of the two ways to
+name a layer the outer one, the better is taken.
 """
 
 from __future__ import annotations

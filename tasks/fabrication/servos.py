@@ -281,10 +281,13 @@ MEASURES: dict[str, str] = {
 EARS = "ear_bottom_mm + ear_thickness_mm"
 _SMALL_AND_LARGE = (
     ("shaft_offset_mm", "length_mm"), ("length_mm", "hole_span_mm"), ("hole_span_mm", "ear_length_mm"),
-    ("hole_pitch_mm", "width_mm"), (EARS, "height_mm"),
+    ("hole_pitch_mm", "width_mm"), ("cable_width_mm", "width_mm"), (EARS, "height_mm"),
     ("thickness_mm", "top_mm"), ("screw_radius_mm", "short_mm"), ("screw_radius_mm", "long_mm"),
+    ("hub_mm", "2 * screw_radius_mm"), ("hub_mm", "2 * short_mm"), ("hub_mm", "2 * long_mm"),
 )  # fmt: skip
 """Of which the first is less than the second, or the measures contradict one another."""
+_EQUAL_OF_A_DISC = (("short_mm", "long_mm"), ("arm_width_mm", "2 * long_mm"))
+_SMALL_AND_LARGE_OF_A_CROSS = (("arm_width_mm", "2 * short_mm"), ("arm_width_mm", "2 * long_mm"))
 
 YOURS = "measured by you"
 """Source of what a kit's settings say of its servo."""
@@ -310,7 +313,8 @@ def as_measured(servo: Servo, kind: HornKind, measured: Mapping[str, float]) -> 
         measured: what a caliper says of both, by the names of :data:`MEASURES`.
 
     Raises:
-        ServoError: it comes without such a horn, or its measures contradict one another; says what was expected.
+        ServoError: it comes without such a horn, a measure is 0 or less, or two contradict one another; says what was
+            expected.
     """
     of_horn = {field.name for field in fields(Horn)}
     horn_changes: dict[str, Any] = {name: value for name, value in measured.items() if name in of_horn}
@@ -318,10 +322,23 @@ def as_measured(servo: Servo, kind: HornKind, measured: Mapping[str, float]) -> 
     horn = replace(servo.horn(kind), **horn_changes)
     sources = {**servo.sources, **horn.sources, **dict.fromkeys(measured, YOURS)}
     servo = replace(servo, horns=(horn,), sources=sources, **case_changes)
-    measures = {name: getattr(horn if name in of_horn else servo, name) for name in MEASURES}
-    measures[EARS] = servo.ear_bottom_mm + servo.ear_thickness_mm
-    for small, large in _SMALL_AND_LARGE:
-        if measures[small] >= measures[large]:
-            raise ServoError(f"servo {servo.name}: {small} is {measures[small]:g}, expected less than {large}, "
-                             f"{measures[large]:g}")
+    _check({name: getattr(horn if name in of_horn else servo, name) for name in MEASURES}, servo.name, kind)
     return servo
+
+
+def _check(measures: dict[str, float], servo: str, kind: HornKind) -> None:
+    """Refuse measures that no servo and horn have together; see :func:`as_measured`."""
+    for name, value in measures.items():
+        if value <= 0.0 and name != "hole_pitch_mm":
+            raise ServoError(f"servo {servo}: {name} is {value:g}, expected more than 0")
+    measures = measures | {EARS: measures["ear_bottom_mm"] + measures["ear_thickness_mm"]}
+    measures |= {f"2 * {name}": 2 * measures[name] for name in ("long_mm", "short_mm", "screw_radius_mm")}
+    disc = kind == "disc"
+    for small, large in (*_SMALL_AND_LARGE, *(() if disc else _SMALL_AND_LARGE_OF_A_CROSS)):
+        if measures[small] >= measures[large]:
+            raise ServoError(f"servo {servo}: {small} is {measures[small]:g}, expected less than {large}, "
+                             f"{measures[large]:g}")
+    for one, other in _EQUAL_OF_A_DISC if disc else ():
+        if measures[one] != measures[other]:
+            raise ServoError(f"servo {servo}: {one} of its disc is {measures[one]:g}, expected {other}, "
+                             f"{measures[other]:g}")

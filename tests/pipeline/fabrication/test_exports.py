@@ -159,13 +159,13 @@ def test_dxf_has_the_outline_and_every_bore(kit, files):
 
 def test_the_bill_as_csv(kit, files):
     rows = list(csv.DictReader(io.StringIO(files["bill.csv"].decode())))
-    assert {row["kind"] for row in rows} == {"print", "servo", "screw", "rod", "pin"}
+    assert {row["kind"] for row in rows} == {"print", "servo", "screw", "rod", "pin", "supplies", "electronics"}
     rods = [row for row in rows if row["kind"] == "rod"]
     for row in rods:
-        grams = int(row["count"]) * float(row["length_mm"]) * pi * 1.5**2 * 7.9e-3
-        assert float(row["mass_g"]) == pytest.approx(grams, abs=0.051)
+        grams = int(row["count"]) * float(row["each_length_mm"]) * pi * 1.5**2 * 7.9e-3
+        assert float(row["all_mass_g"]) == pytest.approx(grams, abs=0.051)
     assert sum(int(row["count"]) for row in rods) == sum(map(len, kit.layers.rods))
-    assert sum(float(row["mass_g"] or 0) for row in rows) == pytest.approx(kit.mass_g, abs=0.05 * len(rows))
+    assert sum(float(row["all_mass_g"] or 0) for row in rows) == pytest.approx(kit.mass_g, abs=0.05 * len(rows))
 
 
 def test_the_drawing_says_joints_angles_and_dimensions(kit, files):

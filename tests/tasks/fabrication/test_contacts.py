@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tasks.fabrication.contacts import TOUCH_M, passing_contacts
+from tasks.fabrication.contacts import passing_contacts
 from tasks.fabrication.rigid import mechanism_of
 from tasks.fabrication.rods import Layers
 from tasks.fabrication.settings import KitSettings
 from tasks.simulation import simulate
+from tasks.simulation.contact import TOTAL_RADIUS
 from tasks.world import DryLand, Physics
 
 DT = 0.1
@@ -32,7 +33,7 @@ def test_two_links_that_come_together(crane):
     pose[:, 3, 0] = 1.2 - 0.5 * DT * (np.arange(30) + 1)
     (found,) = passing_contacts(crane, mechanism, layers, pose, time_step=DT)
     assert (found.links, found.parts, found.joints) == ((0, 3), (0, 1), (2,))
-    first = np.ceil((0.7 - TOUCH_M) / 0.5 / DT)
+    first = np.ceil((0.7 - TOTAL_RADIUS) / 0.5 / DT)
     assert found.first == pytest.approx(first * DT)
     assert found.share == pytest.approx((30 - first + 1) / 30)
     turned = pose.copy()

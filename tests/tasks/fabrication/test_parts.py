@@ -10,7 +10,7 @@ from shapely import Point
 
 from tasks.fabrication.kit import Kit, build_kit
 from tasks.fabrication.parts import mesh_of, on_bed
-from tasks.fabrication.rigid import IN_PLACE, mechanism_of, moved
+from tasks.fabrication.rigid import Pose, mechanism_of, moved
 from tasks.fabrication.settings import KitSettings
 
 SETTINGS = KitSettings()
@@ -21,6 +21,7 @@ CORNER = 1.0 - pi / 4
 """Area that a fillet of radius 1 adds in a right angle, or a rounding takes from one."""
 EXACT = 1e-9
 """Relative. The kernel's areas of lines and arcs are closed forms too."""
+IN_PLACE: Pose = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
 def part(kit: Kit, name: str):
@@ -192,6 +193,11 @@ def test_the_bill(kit):
     assert kit.mass_g == pytest.approx(sum(p.mass_g for p in kit.parts) + 2 * 67 + sum(
         line.mass_g for line in kit.bill if line.kind in ("rod", "pin")
     ))
+    # What docs/assembly.md and docs/servo.md ask for; an O-ring for each servo's spline.
+    assert [(line.item, line.count) for line in kit.bill if line.kind in ("supplies", "electronics")] == [
+        ("glue", 1), ("silicone sealant", 1), ("marine grease", 1), ("O-ring for a 5.9 mm shaft", 2),
+        ("Pololu Maestro", 1), ("5 V supply", 1),
+    ]  # fmt: skip
 
 
 def test_parts_lie_on_the_bed(kit):

@@ -1,5 +1,6 @@
 """The library of servos: its sources, what a caliper says instead, screws that hold, gauges that tell."""
 
+import re
 from dataclasses import fields, replace
 from math import pi
 
@@ -9,7 +10,7 @@ from pydantic import ValidationError
 
 from tasks.fabrication.drives import drives_of, servo_of
 from tasks.fabrication.features import SCREW_LENGTHS_MM, KitError, ear_screw_mm, horn_screw, horn_seat_mm, plate_mm
-from tasks.fabrication.gauges import gauges_of
+from tasks.fabrication.gauges import Gauge, gauges_of
 from tasks.fabrication.kit import build_kit
 from tasks.fabrication.parts import mesh_of
 from tasks.fabrication.rigid import mechanism_of
@@ -81,6 +82,30 @@ def test_what_a_caliper_says_takes_the_place_of_the_library():
         servo_of(KitSettings(measured={"length_mm": 50.0}))
     with pytest.raises(ServoError, match=r"ear_bottom_mm \+ ear_thickness_mm is 41\.5, expected less than h.*, 40\.5"):
         servo_of(KitSettings(measured={"ear_bottom_mm": 39.0}))
+
+
+@pytest.mark.parametrize(
+    ("horn", "measured", "said"),
+    [
+        *(("disc", {name: 0.0}, f"{name} is 0, expected more than 0") for name in MEASURES if name != "hole_pitch_mm"),
+        ("disc", {"hub_mm": 14.0}, "hub_mm is 14, expected less than 2 * screw_radius_mm, 14"),
+        ("disc", {"screw_radius_mm": 3.0}, "hub_mm is 9, expected less than 2 * screw_radius_mm, 6"),
+        ("disc", {"cable_width_mm": 25.0}, "cable_width_mm is 25, expected less than width_mm, 20"),
+        ("disc", {"long_mm": 12.0}, "short_mm of its disc is 10, expected long_mm, 12"),
+        ("disc", {"arm_width_mm": 5.0}, "arm_width_mm of its disc is 5, expected 2 * long_mm, 20"),
+        ("cross", {"hub_mm": 500.0}, "hub_mm is 500, expected less than 2 * screw_radius_mm, 20.8"),
+        ("cross", {"arm_width_mm": 40.0}, "arm_width_mm is 40, expected less than 2 * short_mm, 36"),
+        ("cross", {"arm_width_mm": 40.0, "short_mm": 21.0}, "arm_width_mm is 40, expected less than 2 * long_mm, 36"),
+    ],
+)
+def test_measures_that_no_servo_has_are_refused(horn, measured, said):
+    with pytest.raises(ServoError, match=re.escape(f"servo ds3225: {said}")):
+        servo_of(KitSettings(horn=horn, measured=measured))
+
+
+def test_another_disc_is_taken():
+    larger = {"long_mm": 10.2, "short_mm": 10.2, "arm_width_mm": 20.4, "hole_pitch_mm": 0.0}
+    assert servo_of(KitSettings(measured=larger)).horns[0].long_mm == 10.2
 
 
 def test_a_kit_says_what_nobody_has_checked(crane):
@@ -162,3 +187,24 @@ def test_gauges_are_slices_of_the_parts(crane):
         assert rim.area == pytest.approx(whole - opening, rel=1e-6)  # it opens upward
         assert len(mesh.triangles) > 50
     assert gauges_of((), settings) == ()
+
+
+@pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
+def test_the_gap_between_the_gauges_tells_where_a_horn_s_top_is(crane, servo, horn):
+    """The servo's ears on one gauge's plate, its horn on the floor of the other: docs/assembly.md, "Measure first"."""
+    settings = KitSettings(servo=servo, horn=horn)
+    (drive, *_) = drives_of(mechanism_of(crane, settings), settings)
+
+    def floors(gauge: Gauge) -> list[float]:
+        """Heights of its faces that lie flat, from the lowest to its rim."""
+        planes = [face for face in gauge.solid.faces() if face.geom_type == GeomType.PLANE]
+        return sorted({round(face.center().Z, 6) for face in planes if abs(face.normal_at().Z) > 0.5})
+
+    plate, recess = (floors(gauge) for gauge in gauges_of((drive,), settings))
+    case = drive.servo
+    to_the_ears = case.height_mm - case.ear_bottom_mm - case.ear_thickness_mm
+    (below, ears, _) = plate
+    assert ears - below == pytest.approx(to_the_ears)  # so the case's top is flush
+    (_, floor, rim) = recess
+    gap = drive.horn.top_mm - (rim - floor)
+    assert gap == pytest.approx(settings.layer_gap_mm)
