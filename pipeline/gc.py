@@ -43,7 +43,8 @@ def find_garbage(store: Store) -> Garbage:
     Raises:
         PuddleError: where it can't be told what a study needs; says why, and what to do.
     """
-    needed = {item for name in store.studies() for item in _needs(store, name)}
+    studies = [*store.studies(), *store.studies(recorded=False)]
+    needed = {item for name in studies for item in _needs(store, name)}
     stages = store.stages()
     return Garbage(
         items=tuple((stage, key) for stage in stages for key in store.keys(stage) if (stage, key) not in needed),
@@ -55,10 +56,13 @@ def find_garbage(store: Store) -> Garbage:
 
 def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
     """Give stage and key of every item that a study needs."""
-    advice = f"Run study {name} again, or delete {store.root / 'studies' / name} to forget it; then collect garbage."
+    advice = f"Run study {name} again, or delete {store.study_path(name)} to forget it; then collect garbage."
     record = store.read_study(name)
     if record is None:
-        return
+        raise PuddleError(
+            f"{store.study_path(name) / 'study.json'}: expected a study's record, came no file. So it can't be told "
+            f"what study {name} needs, and nothing is removed. {advice}"
+        )
     damage: list[str] = []
     settings = _settings(record, advice)
     upstream: dict[str, Results] = {}

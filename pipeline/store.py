@@ -132,7 +132,7 @@ class Store(Items):
         if not links:
             items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
             checks += [(self._item(*item), functools.partial(self._verified, *item)) for item in items]
-            checks += [(self._study(name), functools.partial(self.read_study, name)) for name in self.studies()]
+            checks += [(self.study_path(name), functools.partial(self.read_study, name)) for name in self.studies()]
         wrong = []
         for path, check in checks:
             try:
@@ -156,7 +156,7 @@ class Store(Items):
         set_aside: Sequence[SetAside] = (),
     ) -> None:
         """Keep what a study is made of and lacks, in place of what was kept before."""
-        folder = self._study(name)
+        folder = self.study_path(name)
         listed: list[Json] = [[item.stage, item.label, item.key] for item in items]
         given_up: list[Json] = [[lost.stage, lost.label, lost.why] for lost in set_aside]
         body: dict[str, Json] = {"name": name, "settings": settings, "items": listed, "set_aside": given_up}
@@ -174,7 +174,7 @@ class Store(Items):
             DamagedArtifact: names the file. Running the study again writes it anew.
             OtherVersion: another puddle wrote it.
         """
-        path = disk.inside(self._study(name), "study.json")
+        path = disk.inside(self.study_path(name), "study.json")
         with disk.explained(f"reading study {name}", self.root):
             try:
                 data = disk.read_document(path)
@@ -202,17 +202,23 @@ class Store(Items):
     def studies(self, *, recorded: bool = True) -> list[str]:
         """Return the names of the studies: those that have a record, or those that have lost it."""
         names = self._names("studies")
-        return [name for name in names if os.path.lexists(self._study(name) / "study.json") == recorded]
+        return [name for name in names if os.path.lexists(self.study_path(name) / "study.json") == recorded]
 
     @contextlib.contextmanager
     def lock_study(self, name: str) -> Iterator[None]:
         """Be the one process that drives a study.
 
+        The store is held first: `puddle gc` never meets the folder of a study that has only just begun.
+
         Raises:
             PuddleError: where another process does; it is named. Or where `puddle gc` is at work.
         """
-        folder = self._study(name)
+        folder = self.study_path(name)
         with disk.explained(f"locking study {name}", self.root), contextlib.ExitStack() as held:
+            in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH)
+            if in_use is None:
+                raise PuddleError(f"{self.root}: `puddle gc` is removing what no study needs. Wait for its end.")
+            held.callback(os.close, in_use)
             disk.make_folders(self.root, folder)
             descriptor = disk.try_lock(disk.inside(folder, "driver.lock"))
             if descriptor is None:
@@ -221,10 +227,6 @@ class Store(Items):
                     f"Wait for its end, or stop it (Ctrl-C); its finished work is kept."
                 )
             held.callback(os.close, descriptor)
-            in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH)
-            if in_use is None:
-                raise PuddleError(f"{self.root}: `puddle gc` is removing what no study needs. Wait for its end.")
-            held.callback(os.close, in_use)
             os.ftruncate(descriptor, 0)
             os.write(descriptor, _own_name())
             until_the_end = held.pop_all()
@@ -254,7 +256,7 @@ class Store(Items):
 
     def driver_of(self, name: str) -> str | None:
         """Say which process drives a study, or None where none does."""
-        path = disk.inside(self._study(name), "driver.lock")
+        path = disk.inside(self.study_path(name), "driver.lock")
         with disk.explained(f"asking who drives study {name}", self.root):
             try:
                 descriptor = disk.try_lock(path, kind=fcntl.LOCK_SH, only_ask=True)
@@ -282,9 +284,10 @@ class Store(Items):
 
     def export_path(self, name: str) -> Path:
         """Return the folder of a study's report, which :meth:`export` makes."""
-        return disk.inside(self._study(name), "report")
+        return disk.inside(self.study_path(name), "report")
 
-    def _study(self, name: str) -> Path:
+    def study_path(self, name: str) -> Path:
+        """Return a study's folder, whether or not it is there."""
         return disk.inside(self.root, "studies", check_name(name, "study"))
 
 

@@ -163,6 +163,26 @@ def test_nothing_is_removed_while_a_study_is_driven_or_can_not_be_read(options, 
     assert n_items(store) == sum(1 for _ in store.root.glob("items/*/*/*/manifest.json"))
 
 
+def test_what_a_study_needs_that_lost_its_record_stays_until_it_is_forgotten(options, store, capsys):
+    before = n_items(store)
+    (store.study_path("tiny") / "study.json").unlink()
+    assert call("gc", "--remove", "--store", str(store.root)) == 2
+    said = capsys.readouterr().err
+    assert "study.json: expected a study's record, came no file" in said and "Run study tiny again, or delete" in said
+    assert n_items(store) == before
+    shutil.rmtree(store.study_path("tiny"))
+    assert call("gc", "--remove", "--store", str(store.root)) == 0
+    assert n_items(store) == 0
+
+
+def test_a_study_that_begins_while_garbage_is_collected_is_not_in_the_way(options, store):
+    with store.lock_all():
+        with pytest.raises(PuddleError, match="`puddle gc` is removing"), store.lock_study("new"):
+            pass
+        assert not gc.find_garbage(store).items
+    assert not store.study_path("new").exists()
+
+
 def test_folders_of_dead_drivers_are_swept(options, store, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(session, "PLACE", tmp_path)
     dead = tmp_path / "puddle-12345678"
