@@ -39,6 +39,9 @@ from pipeline.manifest import are_file_names
 STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
+WRITTEN_ANEW = "Its results are safe; running the study again writes the file anew."
+"""What to do where a study's record is damaged or gone."""
+
 
 @dataclass(frozen=True)
 class StudyItem:
@@ -165,7 +168,10 @@ class Store(Items):
             raise PuddleError(f"study {name}: {len(items)} pieces are too many. Cut its work into larger ones.")
         with disk.explained(f"keeping study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
-            disk.place(disk.inside(folder, "study.json"), data)
+            path = disk.inside(folder, "study.json")
+            if path.is_dir():
+                disk.rmdir(path)  # one that holds something is somebody's: it fails
+            disk.place(path, data)
 
     def read_study(self, name: str) -> StudyRecord | None:
         """Return what a study is made of, or None where there is none of that name.
@@ -180,6 +186,10 @@ class Store(Items):
                 data = disk.read_document(path)
             except FileNotFoundError:
                 return None
+            except disk.NotAFileError as error:
+                raise DamagedArtifact(
+                    f"{path}: expected a study's record, came {error.strerror}. {WRITTEN_ANEW}"
+                ) from error
         try:
             body = decode_sealed(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
             items = tuple(StudyItem(*item) for item in body["items"])
@@ -195,8 +205,7 @@ class Store(Items):
             raise
         except (PuddleError, KeyError, TypeError) as error:  # damaged, or a foreign document where ours was
             raise DamagedArtifact(
-                f"{path}: expected a study's name, settings and items: {error}. "
-                f"Its results are safe; running the study again writes the file anew."
+                f"{path}: expected a study's name, settings and items: {error}. {WRITTEN_ANEW}"
             ) from None
 
     def studies(self, *, recorded: bool = True) -> list[str]:
