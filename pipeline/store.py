@@ -129,7 +129,7 @@ class Store(Items):
         Args:
             checked: is told the length of everything once it has been looked at.
         """
-        links = sorted(path.relative_to(self.root) for path in self.root.rglob("*") if path.is_symlink())
+        links = self.links()
         checks: list[tuple[Path, Callable[[], object]]]
         checks = [(self.root / link, functools.partial(disk.inside, self.root, *link.parts)) for link in links]
         if not links:
@@ -144,6 +144,10 @@ class Store(Items):
                 wrong.append(error)
             checked(disk.size_bytes(path))
         return wrong
+
+    def links(self) -> list[Path]:
+        """Return the symbolic links in the store, as paths in it. There should be none."""
+        return sorted(path.relative_to(self.root) for path in self.root.rglob("*") if path.is_symlink())
 
     def size_bytes(self) -> int:
         """Return the length of all files together."""

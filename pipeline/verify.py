@@ -8,7 +8,7 @@ from pipeline import disk
 from pipeline.artifacts import digest
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.progress import Progress
-from pipeline.store import Store, StudyItem
+from pipeline.store import WRITTEN_ANEW, Store, StudyItem
 
 
 def find_damage(store: Store, *, checked: Callable[[int], None] = lambda n_bytes: None) -> list[PuddleError]:
@@ -22,37 +22,41 @@ def find_damage(store: Store, *, checked: Callable[[int], None] = lambda n_bytes
         What is wrong, empty where all is well. Damage to an item is a DamagedArtifact with its stage and key.
     """
     wrong = store.verify(checked=checked)
-    if all(isinstance(error, DamagedArtifact) for error in wrong):  # no links, no files of another puddle
+    if not store.links():
         for name in store.studies(recorded=False):
-            path = store.root / "studies" / name / "study.json"
-            wrong.append(DamagedArtifact(f"{path}: expected a study's record, came no file. Its results are safe; "
-                                         f"running the study again writes the file anew."))  # fmt: skip
+            path = store.study_path(name) / "study.json"
+            wrong.append(DamagedArtifact(f"{path}: expected a study's record, came no file. {WRITTEN_ANEW}"))
         for name in store.studies():
             wrong += _lacking(store, name)
-    return wrong
+    return list({str(error): error for error in wrong}.values())  # a manifest that is damaged is met twice
 
 
 def _lacking(store: Store, name: str) -> Iterator[PuddleError]:
     """Look for a study's items and for the report that people look at, a copy of one that the store holds."""
     for item in _items(store, name):
         try:
-            manifest = store.listing(item.stage, item.key)
-        except DamagedArtifact:  # said already
-            continue
-        if manifest is None:
-            yield DamagedArtifact(
-                f"study {name}: {item.stage} {item.label}: expected item {item.key}, came none. It has to be computed "
-                f"again.", stage=item.stage, key=item.key,
-            )  # fmt: skip
-        elif item.stage == "report":
-            for file, entry in manifest.files.items():
-                path = disk.inside(store.export_path(name), file)
+            yield from _lacks(store, name, item)
+        except PuddleError as error:
+            yield error
+
+
+def _lacks(store: Store, name: str, item: StudyItem) -> Iterator[PuddleError]:
+    manifest = store.listing(item.stage, item.key)
+    if manifest is None:
+        yield DamagedArtifact(
+            f"study {name}: {item.stage} {item.label}: expected item {item.key}, came none. It has to be computed "
+            f"again.", stage=item.stage, key=item.key,
+        )  # fmt: skip
+    elif item.stage == "report":
+        for file, entry in manifest.files.items():
+            path = disk.inside(store.export_path(name), file)
+            with disk.explained("reading the report", path):
                 came = digest(disk.read(path, at_most=entry.n_bytes)) if path.is_file() else "no file"
-                if came != entry.sha256:
-                    yield DamagedArtifact(
-                        f"{path}: expected SHA-256 {entry.sha256}, came {came}. It is a copy of what the store holds: "
-                        f"running study {name} puts it back."
-                    )
+            if came != entry.sha256:
+                yield DamagedArtifact(
+                    f"{path}: expected SHA-256 {entry.sha256}, came {came}. It is a copy of what the store holds: "
+                    f"running study {name} puts it back."
+                )
 
 
 def _items(store: Store, name: str) -> Sequence[StudyItem]:

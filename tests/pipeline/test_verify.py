@@ -110,6 +110,41 @@ def test_a_report_that_was_edited_is_noticed(options, store, capsys):
     assert call("verify", *options) == 0
 
 
+def make_a_manifest_newer(store: Store) -> None:
+    make_newer(next(store.root.glob("items/analyse/*/*/manifest.json")))
+
+
+def make_another_record_newer(store: Store) -> None:
+    store.write_study("newer", {}, ())
+    make_newer(store.study_path("newer") / "study.json")
+
+
+def put_a_file_for_a_folder(store: Store) -> None:
+    """No item is found below it, and asking for one that the record lists fails."""
+    prefix = next(store.root.glob("items/analyse/*"))
+    shutil.rmtree(prefix)
+    prefix.touch()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected"),
+    [
+        (make_a_manifest_newer, "A newer puddle wrote it"),
+        (make_another_record_newer, "A newer puddle wrote it"),
+        (put_a_file_for_a_folder, "Not a directory"),
+    ],
+)
+def test_what_discarding_does_not_mend_hides_nothing_else(spoil, expected, options, store, capsys):
+    spoil(store)
+    (lost,) = list(store.root.glob("items/evolve/*/*/manifest.json"))[:1]
+    lost.unlink()
+    (store.export_path("tiny") / "index.html").write_text("better")
+    assert call("verify", *options) == 1
+    said = capsys.readouterr().out
+    assert expected in said
+    assert f"expected item {lost.parent.name}, came none" in said and "index.html: expected SHA-256" in said
+
+
 # -- gc --------------------------------------------------------------------------------------------------------------
 
 
