@@ -11,12 +11,18 @@ from pipeline.progress import Progress
 from pipeline.store import WRITTEN_ANEW, Store, StudyItem
 
 
-def find_damage(store: Store, *, checked: Callable[[int], None] = lambda n_bytes: None) -> list[PuddleError]:
+def find_damage(
+    store: Store,
+    *,
+    checked: Callable[[int], None] = lambda n_bytes: None,
+    say: Callable[[str], None] = lambda line: None,
+) -> list[PuddleError]:
     """Hash everything that a store holds, and look for what its studies list and it does not hold.
 
     Args:
         store: to verify.
         checked: is told the length of everything once it has been looked at.
+        say: is told what was left out.
 
     Returns:
         What is wrong, empty where all is well. Damage to an item is a DamagedArtifact with its stage and key.
@@ -24,30 +30,37 @@ def find_damage(store: Store, *, checked: Callable[[int], None] = lambda n_bytes
     wrong = store.verify(checked=checked)
     if not store.links():
         for name in store.studies(recorded=False):
+            if store.driver_of(name):  # it has just begun, and is about to write it
+                continue
             path = store.study_path(name) / "study.json"
             wrong.append(DamagedArtifact(f"{path}: expected a study's record, came no file. {WRITTEN_ANEW}"))
         for name in store.studies():
-            wrong += _lacking(store, name)
+            wrong += _lacking(store, name, say)
     return list({str(error): error for error in wrong}.values())  # a manifest that is damaged is met twice
 
 
-def _lacking(store: Store, name: str) -> Iterator[PuddleError]:
-    """Look for a study's items and for the report that people look at, a copy of one that the store holds."""
+def _lacking(store: Store, name: str, say: Callable[[str], None]) -> Iterator[PuddleError]:
+    """Look for a study's items and for the report that people look at, a copy of one that the store holds.
+
+    A driver writes the record first and the report's copy after it.
+    """
+    if driver := store.driver_of(name):  # asked before the record is read
+        say(f"study {name} is driven by {driver}: the copy of its report was left out.")
     for item in _items(store, name):
         try:
-            yield from _lacks(store, name, item)
+            yield from _lacks(store, name, item, with_report=not driver)
         except PuddleError as error:
             yield error
 
 
-def _lacks(store: Store, name: str, item: StudyItem) -> Iterator[PuddleError]:
+def _lacks(store: Store, name: str, item: StudyItem, *, with_report: bool) -> Iterator[PuddleError]:
     manifest = store.listing(item.stage, item.key)
     if manifest is None:
         yield DamagedArtifact(
             f"study {name}: {item.stage} {item.label}: expected item {item.key}, came none. It has to be computed "
             f"again.", stage=item.stage, key=item.key,
         )  # fmt: skip
-    elif item.stage == "report":
+    elif item.stage == "report" and with_report:
         for file, entry in manifest.files.items():
             path = disk.inside(store.export_path(name), file)
             with disk.explained("reading the report", path):
@@ -85,15 +98,17 @@ def verify_lines(
         how_to_run: gives the command line that runs a command, for messages.
 
     Returns:
-        Lines: what is wrong, one each, and what mends it; and whether all is well.
+        Lines: what was left out and what is wrong, one each, and what mends it; and whether all is well.
     """
     n_bytes = store.size_bytes()
+    left_out: list[str] = []
     with progress.stage("verify", unit="MB", total=n_bytes / 1e6) as bar:
-        wrong = find_damage(store, checked=lambda n_checked: bar.advance(n_checked / 1e6))
+        wrong = find_damage(store, checked=lambda n_checked: bar.advance(n_checked / 1e6), say=left_out.append)
     n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
     if not wrong:
-        return [f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."], True
-    lines = [str(error) for error in wrong]
+        well = f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."
+        return [*left_out, well], True
+    lines = [*left_out, *(str(error) for error in wrong)]
     lines.append(f"{store.root}: {len(wrong)} things are wrong; {n_items:,} items were looked at.")
     if damaged := damaged_items(wrong):
         used = [

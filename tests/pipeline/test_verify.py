@@ -110,6 +110,17 @@ def test_a_report_that_was_edited_is_noticed(options, store, capsys):
     assert call("verify", *options) == 0
 
 
+def test_the_report_of_a_study_that_is_driven_is_left_out(options, store, capsys):
+    """Its driver keeps the record before it puts the report where people look."""
+    (store.export_path("tiny") / "index.html").write_text("an earlier one")
+    with store.lock_study("tiny"), store.lock_study("new"):
+        assert call("verify", *options) == 0
+    said = capsys.readouterr().out
+    assert "study tiny is driven by process" in said and "the copy of its report was left out" in said
+    assert "every byte is as it was committed" in said
+    assert call("verify", *options) == 1
+
+
 def make_a_manifest_newer(store: Store) -> None:
     make_newer(next(store.root.glob("items/analyse/*/*/manifest.json")))
 
