@@ -209,12 +209,23 @@ def test_nothing_is_removed_while_a_study_is_driven_or_can_not_be_read(options, 
     assert n_items(store) == sum(1 for _ in store.root.glob("items/*/*/*/manifest.json"))
 
 
+def test_a_study_of_another_puddle_is_told(options, store, tmp_path, capsys):
+    store.write_study("tiny", {**store.read_study("tiny").settings, "wings": 2}, ())
+    assert call("gc", "--remove", "--store", str(store.root)) == 2
+    said = capsys.readouterr().err
+    assert "expected settings of this puddle" in said and "wings: Extra inputs" in said and "nothing is removed" in said
+    kit = str(tmp_path / "kit")
+    assert call("fabricate", "--study", "tiny", "--out", kit, "--store", str(store.root)) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("puddle: study tiny: expected settings of this puddle") and "wings" in said
+
+
 def test_what_a_study_needs_that_lost_its_record_stays_until_it_is_forgotten(options, store, capsys):
     before = n_items(store)
     (store.study_path("tiny") / "study.json").unlink()
     assert call("gc", "--remove", "--store", str(store.root)) == 2
     said = capsys.readouterr().err
-    assert "study.json: expected a study's record, came no file" in said and "Run study tiny again, or delete" in said
+    assert "study.json: expected a study's record, came no file" in said and "Run it again, or delete" in said
     assert n_items(store) == before
     shutil.rmtree(store.study_path("tiny"))
     assert call("gc", "--remove", "--store", str(store.root)) == 0
