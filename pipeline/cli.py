@@ -165,7 +165,7 @@ def status(
     settings: SettingsFile = None,
     overrides: Overrides = None,
     store: StorePath = DEFAULT_STORE,
-    digests: Annotated[bool, typer.Option("--digests", help="Print the SHA-256 of every file that is done.")] = False,
+    digests: Annotated[bool, typer.Option("--digests", help="Print the SHA-256 of all that is done.")] = False,
 ) -> None:
     """Say what of a study is done, running and missing."""
     from pipeline.status import digest_lines, status_lines
