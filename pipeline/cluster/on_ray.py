@@ -250,11 +250,10 @@ def spread(
 ) -> list[Any]:
     """Run ``function(item, *shared)`` for every item, and return the results in the order of the items.
 
-    Evolution has two grains (architecture.md, "How data flows"). Where a generation is cheap, a segment of a trial is
-    one task and never calls this. Where a generation costs core-seconds, or cores outnumber trials, the segment is a
-    task without a core of its own, and spreads each generation's designs over the cluster with this. Outside a Ray
-    worker it is a plain loop: a result does not depend on where it ran, as long as the items are made up from the work
-    and not from timing.
+    Evolution has two grains. Where a generation is cheap, a segment of a trial is one task and never calls this. Where
+    a generation costs core-seconds, or cores outnumber trials, the segment is a task without a core of its own, and
+    spreads each generation's designs over the cluster with this. Outside a Ray worker it is a plain loop: a result does
+    not depend on where it ran, as long as the items are made up from the work and not from timing.
 
     Raises:
         TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
