@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -166,7 +165,7 @@ def status(
     settings: SettingsFile = None,
     overrides: Overrides = None,
     store: StorePath = DEFAULT_STORE,
-    digests: Annotated[bool, typer.Option("--digests", help="Print the SHA-256 of every file that is done.")] = False,
+    digests: Annotated[bool, typer.Option("--digests", help="Print the SHA-256 of all that is done.")] = False,
 ) -> None:
     """Say what of a study is done, running and missing."""
     from pipeline.status import digest_lines, status_lines
@@ -259,9 +258,9 @@ def fabricate(
     The exit code is 1 where something speaks against building it.
     """
     from pipeline.configuration import load, parse
+    from pipeline.driver import settings_of
     from pipeline.fabrication.choices import FabricationSettings
     from pipeline.fabrication.command import fabricate as make
-    from pipeline.settings import Settings
     from pipeline.tracking import open_tracker
 
     if (design is None) == (study is None):
@@ -279,7 +278,7 @@ def fabricate(
     elif (record := opened.read_study(study)) is None:
         raise PuddleError(f"--study: {store} holds no study of the name {study!r}")
     else:
-        of_study = Settings.model_validate_json(json.dumps(record.settings))
+        of_study = settings_of(record)
     with _interruptible():
         made = make(design, of_study, chosen, out, store=opened,
                     tracker=open_tracker(opened.root, tracking_uri, say=_to_stderr))

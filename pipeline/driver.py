@@ -8,9 +8,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
+from pydantic import ValidationError
+
 from pipeline.artifacts import canonical_json, digest, encode_json
 from pipeline.cluster import Cluster
-from pipeline.errors import DamagedArtifact
+from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.progress import Progress
 from pipeline.settings import Settings
 from pipeline.stage import Results, Stage, Summary, Upstream
@@ -121,6 +123,22 @@ def _introduce(settings: Settings, store: Store, say: Callable[[str], None]) -> 
             f"reports, stop (Ctrl-C) and add --set name=ANOTHER."
         )
     store.write_study(settings.name, chosen, ())
+
+
+def settings_of(record: StudyRecord) -> Settings:
+    """Return the settings that a study has on record.
+
+    Raises:
+        PuddleError: they are of another puddle, with other fields; names the first.
+    """
+    try:
+        return Settings.model_validate(record.settings)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise PuddleError(
+            f"study {record.name}: expected settings of this puddle, came those of another "
+            f"({'.'.join(map(str, first['loc']))}: {first['msg']}). The puddle that made the study can read them."
+        ) from None
 
 
 def _differences(old: Any, new: Any, name: str = "") -> list[str]:

@@ -11,15 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from pipeline import disk
 from pipeline.cluster import session
+from pipeline.driver import settings_of
 from pipeline.errors import PuddleError
-from pipeline.settings import Settings
 from pipeline.stage import Results
 from pipeline.stages import STAGES
-from pipeline.store import Store, StudyRecord
+from pipeline.store import Store
 from pipeline.study import follow, results_of
 
 
@@ -43,7 +41,15 @@ def find_garbage(store: Store) -> Garbage:
     Raises:
         PuddleError: where it can't be told what a study needs; says why, and what to do.
     """
-    needed = {item for name in store.studies() for item in _needs(store, name)}
+    needed: set[tuple[str, str]] = set()
+    for name in (*store.studies(), *store.studies(recorded=False)):
+        try:
+            needed.update(_needs(store, name))
+        except PuddleError as error:
+            raise PuddleError(
+                f"{error}\nSo it can't be told what study {name} needs, and nothing is removed. Run it again, or "
+                f"delete {store.study_path(name)} to forget it; then collect garbage."
+            ) from error
     stages = store.stages()
     return Garbage(
         items=tuple((stage, key) for stage in stages for key in store.keys(stage) if (stage, key) not in needed),
@@ -55,31 +61,19 @@ def find_garbage(store: Store) -> Garbage:
 
 def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
     """Give stage and key of every item that a study needs."""
-    advice = f"Run study {name} again, or delete {store.root / 'studies' / name} to forget it; then collect garbage."
     record = store.read_study(name)
     if record is None:
-        return
+        raise PuddleError(f"{store.study_path(name) / 'study.json'}: expected a study's record, came no file.")
     damage: list[str] = []
-    settings = _settings(record, advice)
+    settings = settings_of(record)
     upstream: dict[str, Results] = {}
     for stage in STAGES:
         walks = follow(stage, settings, store, upstream, say=damage.append)
         upstream[stage.name] = results_of(stage, walks)
         yield from ((stage.name, manifest.key) for walk in walks for manifest in walk.manifests)
     if damage:
-        raise PuddleError(f"{damage[0]}\nSo it can't be told what study {name} needs, and nothing is removed. {advice}")
+        raise PuddleError(damage[0])
     yield from ((item.stage, item.key) for item in record.items)
-
-
-def _settings(record: StudyRecord, advice: str) -> Settings:
-    try:
-        return Settings.model_validate(record.settings)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise PuddleError(
-            f"study {record.name}: its settings are of another puddle ({'.'.join(map(str, first['loc']))}: "
-            f"{first['msg']}). It can't be told what it needs, and nothing is removed. {advice}"
-        ) from None
 
 
 def remove(store: Store, garbage: Garbage) -> None:

@@ -55,10 +55,14 @@ def _set_aside(settings: Settings, store: Store) -> dict[str, dict[str, str]]:
 
 
 def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
-    """Give the SHA-256 of every file of the study that is done, in the order of the study's plan."""
+    """Give the SHA-256 of every item of the study that is done, and of its files, in the order of the study's plan.
+
+    An item's is that of the list of its files with theirs: the digest that the report and MLflow show.
+    """
     upstream = survey(settings, STAGES, store, say=lambda line: None)
     for results in upstream.values():
         for label, manifests in results.done.items():
             for index, manifest in enumerate(manifests):
+                yield f"{manifest.digest}  {results.stage}/{label}/{index}"
                 for name, entry in sorted(manifest.files.items()):
                     yield f"{entry.sha256}  {results.stage}/{label}/{index}/{name}"

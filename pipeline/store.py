@@ -39,6 +39,9 @@ from pipeline.manifest import are_file_names
 STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
+WRITTEN_ANEW = "Its results are safe; running the study again writes the file anew."
+"""What to do where a study's record is damaged or gone."""
+
 
 @dataclass(frozen=True)
 class StudyItem:
@@ -126,13 +129,13 @@ class Store(Items):
         Args:
             checked: is told the length of everything once it has been looked at.
         """
-        links = sorted(path.relative_to(self.root) for path in self.root.rglob("*") if path.is_symlink())
+        links = self.links()
         checks: list[tuple[Path, Callable[[], object]]]
         checks = [(self.root / link, functools.partial(disk.inside, self.root, *link.parts)) for link in links]
         if not links:
             items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
             checks += [(self._item(*item), functools.partial(self._verified, *item)) for item in items]
-            checks += [(self._study(name), functools.partial(self.read_study, name)) for name in self.studies()]
+            checks += [(self.study_path(name), functools.partial(self.read_study, name)) for name in self.studies()]
         wrong = []
         for path, check in checks:
             try:
@@ -141,6 +144,10 @@ class Store(Items):
                 wrong.append(error)
             checked(disk.size_bytes(path))
         return wrong
+
+    def links(self) -> list[Path]:
+        """Return the symbolic links in the store, as paths in it. There should be none."""
+        return sorted(path.relative_to(self.root) for path in self.root.rglob("*") if path.is_symlink())
 
     def size_bytes(self) -> int:
         """Return the length of all files together."""
@@ -156,7 +163,7 @@ class Store(Items):
         set_aside: Sequence[SetAside] = (),
     ) -> None:
         """Keep what a study is made of and lacks, in place of what was kept before."""
-        folder = self._study(name)
+        folder = self.study_path(name)
         listed: list[Json] = [[item.stage, item.label, item.key] for item in items]
         given_up: list[Json] = [[lost.stage, lost.label, lost.why] for lost in set_aside]
         body: dict[str, Json] = {"name": name, "settings": settings, "items": listed, "set_aside": given_up}
@@ -165,7 +172,10 @@ class Store(Items):
             raise PuddleError(f"study {name}: {len(items)} pieces are too many. Cut its work into larger ones.")
         with disk.explained(f"keeping study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
-            disk.place(disk.inside(folder, "study.json"), data)
+            path = disk.inside(folder, "study.json")
+            if path.is_dir():
+                disk.rmdir(path)  # one that holds something is somebody's: it fails
+            disk.place(path, data)
 
     def read_study(self, name: str) -> StudyRecord | None:
         """Return what a study is made of, or None where there is none of that name.
@@ -174,12 +184,16 @@ class Store(Items):
             DamagedArtifact: names the file. Running the study again writes it anew.
             OtherVersion: another puddle wrote it.
         """
-        path = disk.inside(self._study(name), "study.json")
+        path = disk.inside(self.study_path(name), "study.json")
         with disk.explained(f"reading study {name}", self.root):
             try:
                 data = disk.read_document(path)
             except FileNotFoundError:
                 return None
+            except disk.NotAFileError as error:
+                raise DamagedArtifact(
+                    f"{path}: expected a study's record, came {error.strerror}. {WRITTEN_ANEW}"
+                ) from error
         try:
             body = decode_sealed(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
             items = tuple(StudyItem(*item) for item in body["items"])
@@ -195,24 +209,29 @@ class Store(Items):
             raise
         except (PuddleError, KeyError, TypeError) as error:  # damaged, or a foreign document where ours was
             raise DamagedArtifact(
-                f"{path}: expected a study's name, settings and items: {error}. "
-                f"Its results are safe; running the study again writes the file anew."
+                f"{path}: expected a study's name, settings and items: {error}. {WRITTEN_ANEW}"
             ) from None
 
     def studies(self, *, recorded: bool = True) -> list[str]:
         """Return the names of the studies: those that have a record, or those that have lost it."""
         names = self._names("studies")
-        return [name for name in names if os.path.lexists(self._study(name) / "study.json") == recorded]
+        return [name for name in names if os.path.lexists(self.study_path(name) / "study.json") == recorded]
 
     @contextlib.contextmanager
     def lock_study(self, name: str) -> Iterator[None]:
         """Be the one process that drives a study.
 
+        The store is held first: `puddle gc` never meets the folder of a study that has only just begun.
+
         Raises:
             PuddleError: where another process does; it is named. Or where `puddle gc` is at work.
         """
-        folder = self._study(name)
+        folder = self.study_path(name)
         with disk.explained(f"locking study {name}", self.root), contextlib.ExitStack() as held:
+            in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH)
+            if in_use is None:
+                raise PuddleError(f"{self.root}: `puddle gc` is removing what no study needs. Wait for its end.")
+            held.callback(os.close, in_use)
             disk.make_folders(self.root, folder)
             descriptor = disk.try_lock(disk.inside(folder, "driver.lock"))
             if descriptor is None:
@@ -221,10 +240,6 @@ class Store(Items):
                     f"Wait for its end, or stop it (Ctrl-C); its finished work is kept."
                 )
             held.callback(os.close, descriptor)
-            in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH)
-            if in_use is None:
-                raise PuddleError(f"{self.root}: `puddle gc` is removing what no study needs. Wait for its end.")
-            held.callback(os.close, in_use)
             os.ftruncate(descriptor, 0)
             os.write(descriptor, _own_name())
             until_the_end = held.pop_all()
@@ -254,7 +269,7 @@ class Store(Items):
 
     def driver_of(self, name: str) -> str | None:
         """Say which process drives a study, or None where none does."""
-        path = disk.inside(self._study(name), "driver.lock")
+        path = disk.inside(self.study_path(name), "driver.lock")
         with disk.explained(f"asking who drives study {name}", self.root):
             try:
                 descriptor = disk.try_lock(path, kind=fcntl.LOCK_SH, only_ask=True)
@@ -282,9 +297,10 @@ class Store(Items):
 
     def export_path(self, name: str) -> Path:
         """Return the folder of a study's report, which :meth:`export` makes."""
-        return disk.inside(self._study(name), "report")
+        return disk.inside(self.study_path(name), "report")
 
-    def _study(self, name: str) -> Path:
+    def study_path(self, name: str) -> Path:
+        """Return a study's folder, whether or not it is there."""
         return disk.inside(self.root, "studies", check_name(name, "study"))
 
 

@@ -8,51 +8,68 @@ from pipeline import disk
 from pipeline.artifacts import digest
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.progress import Progress
-from pipeline.store import Store, StudyItem
+from pipeline.store import WRITTEN_ANEW, Store, StudyItem
 
 
-def find_damage(store: Store, *, checked: Callable[[int], None] = lambda n_bytes: None) -> list[PuddleError]:
+def find_damage(
+    store: Store,
+    *,
+    checked: Callable[[int], None] = lambda n_bytes: None,
+    say: Callable[[str], None] = lambda line: None,
+) -> list[PuddleError]:
     """Hash everything that a store holds, and look for what its studies list and it does not hold.
 
     Args:
         store: to verify.
         checked: is told the length of everything once it has been looked at.
+        say: is told what was left out.
 
     Returns:
         What is wrong, empty where all is well. Damage to an item is a DamagedArtifact with its stage and key.
     """
     wrong = store.verify(checked=checked)
-    if all(isinstance(error, DamagedArtifact) for error in wrong):  # no links, no files of another puddle
+    if not store.links():
         for name in store.studies(recorded=False):
-            path = store.root / "studies" / name / "study.json"
-            wrong.append(DamagedArtifact(f"{path}: expected a study's record, came no file. Its results are safe; "
-                                         f"running the study again writes the file anew."))  # fmt: skip
+            if store.driver_of(name):  # it has just begun, and is about to write it
+                continue
+            path = store.study_path(name) / "study.json"
+            wrong.append(DamagedArtifact(f"{path}: expected a study's record, came no file. {WRITTEN_ANEW}"))
         for name in store.studies():
-            wrong += _lacking(store, name)
-    return wrong
+            wrong += _lacking(store, name, say)
+    return list({str(error): error for error in wrong}.values())  # a manifest that is damaged is met twice
 
 
-def _lacking(store: Store, name: str) -> Iterator[PuddleError]:
-    """Look for a study's items and for the report that people look at, a copy of one that the store holds."""
+def _lacking(store: Store, name: str, say: Callable[[str], None]) -> Iterator[PuddleError]:
+    """Look for a study's items and for the report that people look at, a copy of one that the store holds.
+
+    A driver writes the record first and the report's copy after it.
+    """
+    if driver := store.driver_of(name):  # asked before the record is read
+        say(f"study {name} is driven by {driver}: the copy of its report was left out.")
     for item in _items(store, name):
         try:
-            manifest = store.listing(item.stage, item.key)
-        except DamagedArtifact:  # said already
-            continue
-        if manifest is None:
-            yield DamagedArtifact(
-                f"study {name}: {item.stage} {item.label}: expected item {item.key}, came none. It has to be computed "
-                f"again.", stage=item.stage, key=item.key,
-            )  # fmt: skip
-        elif item.stage == "report":
-            for file, entry in manifest.files.items():
-                path = disk.inside(store.export_path(name), file)
+            yield from _lacks(store, name, item, with_report=not driver)
+        except PuddleError as error:
+            yield error
+
+
+def _lacks(store: Store, name: str, item: StudyItem, *, with_report: bool) -> Iterator[PuddleError]:
+    manifest = store.listing(item.stage, item.key)
+    if manifest is None:
+        yield DamagedArtifact(
+            f"study {name}: {item.stage} {item.label}: expected item {item.key}, came none. It has to be computed "
+            f"again.", stage=item.stage, key=item.key,
+        )  # fmt: skip
+    elif item.stage == "report" and with_report:
+        for file, entry in manifest.files.items():
+            path = disk.inside(store.export_path(name), file)
+            with disk.explained("reading the report", path):
                 came = digest(disk.read(path, at_most=entry.n_bytes)) if path.is_file() else "no file"
-                if came != entry.sha256:
-                    yield DamagedArtifact(
-                        f"{path}: expected SHA-256 {entry.sha256}, came {came}. It is a copy of what the store holds: "
-                        f"running study {name} puts it back."
-                    )
+            if came != entry.sha256:
+                yield DamagedArtifact(
+                    f"{path}: expected SHA-256 {entry.sha256}, came {came}. It is a copy of what the store holds: "
+                    f"running study {name} puts it back."
+                )
 
 
 def _items(store: Store, name: str) -> Sequence[StudyItem]:
@@ -81,15 +98,17 @@ def verify_lines(
         how_to_run: gives the command line that runs a command, for messages.
 
     Returns:
-        Lines: what is wrong, one each, and what mends it; and whether all is well.
+        Lines: what was left out and what is wrong, one each, and what mends it; and whether all is well.
     """
     n_bytes = store.size_bytes()
+    left_out: list[str] = []
     with progress.stage("verify", unit="MB", total=n_bytes / 1e6) as bar:
-        wrong = find_damage(store, checked=lambda n_checked: bar.advance(n_checked / 1e6))
+        wrong = find_damage(store, checked=lambda n_checked: bar.advance(n_checked / 1e6), say=left_out.append)
     n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
     if not wrong:
-        return [f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."], True
-    lines = [str(error) for error in wrong]
+        well = f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."
+        return [*left_out, well], True
+    lines = [*left_out, *(str(error) for error in wrong)]
     lines.append(f"{store.root}: {len(wrong)} things are wrong; {n_items:,} items were looked at.")
     if damaged := damaged_items(wrong):
         used = [

@@ -21,6 +21,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -61,10 +62,10 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
     address = address or os.environ.get("RAY_ADDRESS") or "local"
     with (
         signals_unwind() as catch_signals,
-        _local(n_workers) if address == "local" else _existing(address) as alive,
+        _local(n_workers) if address == "local" else _existing(address) as (alive, calling),
     ):
         catch_signals()  # ray.init has put its own handler, which prints a native stack
-        cluster = _Ray(alive)
+        cluster = _Ray(alive, calling)
         try:
             yield cluster
         except BaseException:
@@ -73,8 +74,8 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
 
 
 class _Ray:
-    def __init__(self, alive: Callable[[], bool]) -> None:
-        self._alive = alive
+    def __init__(self, alive: Callable[[], bool], calling: AbstractContextManager[object]) -> None:
+        self._alive, self._calling = alive, calling
         self._numbers = itertools.count()
         self._running: dict[Any, Ticket] = {}
 
@@ -89,13 +90,15 @@ class _Ray:
         import ray
 
         self._check_alive()
-        return float(ray.cluster_resources().get("CPU", 0.0))
+        with self._calling:
+            return float(ray.cluster_resources().get("CPU", 0.0))
 
     @property
     def n_gpus(self) -> float:
         import ray
 
-        return float(ray.cluster_resources().get("GPU", 0.0))
+        with self._calling:
+            return float(ray.cluster_resources().get("GPU", 0.0))
 
     @property
     def n_running(self) -> int:
@@ -104,13 +107,15 @@ class _Ray:
     def share(self, value: Any) -> Handle:
         import ray
 
-        return Handle(ray.put(value))
+        with self._calling:
+            return Handle(ray.put(value))
 
     def submit(
         self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
-        reference = _remote_call(n_cores, ticket.name, n_gpus).remote(function, *references(args))
+        with self._calling:
+            reference = _remote_call(n_cores, ticket.name, n_gpus).remote(function, *references(args))
         self._running[reference] = ticket
         return ticket
 
@@ -124,25 +129,30 @@ class _Ray:
         while not ready:
             self._check_alive()
             left = end - time.monotonic()
-            ready, _ = ray.wait(list(self._running), num_returns=1, timeout=max(0.0, min(left, SECONDS_BETWEEN_LOOKS)))
+            look = max(0.0, min(left, SECONDS_BETWEEN_LOOKS))
+            with self._calling:
+                ready, _ = ray.wait(list(self._running), num_returns=1, timeout=look)
             if not ready and left <= 0:
                 return None
         ticket = self._running.pop(ready[0])
-        return ticket, _outcome(ticket.name, ready[0])
+        with self._calling:
+            return ticket, _outcome(ticket.name, ready[0])
 
     def give_up(self, ticket: Ticket) -> None:
         (reference,) = (reference for reference, running in self._running.items() if running is ticket)
-        _cancel([reference])
+        with self._calling:
+            _cancel([reference])
         del self._running[reference]
 
     def cancel_all(self) -> None:
-        _cancel(self._running)
+        with self._calling:
+            _cancel(self._running)
         self._running.clear()
 
 
 @contextlib.contextmanager
-def _local(n_workers: int | None) -> Iterator[Callable[[], bool]]:
-    """Start Ray on this machine, open to this user alone, and stop it; tell whether it lives."""
+def _local(n_workers: int | None) -> Iterator[tuple[Callable[[], bool], AbstractContextManager[object]]]:
+    """Start Ray on this machine, open to this user alone, and stop it; tell whether it lives, and what calls hold."""
     import ray
     import ray._private.ray_constants
 
@@ -155,18 +165,26 @@ def _local(n_workers: int | None) -> Iterator[Callable[[], bool]]:
             ours = stack.enter_context(session(n_workers))
             stack.enter_context(_environment({"RAY_AUTH_TOKEN_PATH": str(ours.token)}))
             stack.enter_context(_attribute(ray._private.ray_constants, "ENABLE_RAY_CLUSTER", False))
-            stack.callback(ray.shutdown)
-            _connect(address=ours.address)
+            stack.callback(_shut_down, ours.calling)
+            with ours.calling:
+                _connect(address=ours.address)
         except Exception as error:
             raise PuddleError(
                 f"Ray did not start on this machine: {error}\nExpected room in {PLACE} and /dev/shm, and "
                 f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` does without Ray."
             ) from error
-        yield ours.alive
+        yield ours.alive, ours.calling
+
+
+def _shut_down(calling: AbstractContextManager[object]) -> None:
+    import ray
+
+    with calling:
+        ray.shutdown()
 
 
 @contextlib.contextmanager
-def _existing(address: str) -> Iterator[Callable[[], bool]]:
+def _existing(address: str) -> Iterator[tuple[Callable[[], bool], AbstractContextManager[object]]]:
     """Connect to a cluster that somebody else started, under its own token settings, and send it our packages."""
     _check_reachable(address)
     import ray
@@ -178,7 +196,8 @@ def _existing(address: str) -> Iterator[Callable[[], bool]]:
         except Exception as error:
             raise _unusable(address, str(error)) from error
         else:
-            yield lambda: True  # it may come back; Ray says when it has waited long enough
+            # it may come back; Ray says when it has waited long enough
+            yield lambda: True, contextlib.nullcontext()
         finally:
             ray.shutdown()
 
@@ -250,11 +269,10 @@ def spread(
 ) -> list[Any]:
     """Run ``function(item, *shared)`` for every item, and return the results in the order of the items.
 
-    Evolution has two grains (architecture.md, "How data flows"). Where a generation is cheap, a segment of a trial is
-    one task and never calls this. Where a generation costs core-seconds, or cores outnumber trials, the segment is a
-    task without a core of its own, and spreads each generation's designs over the cluster with this. Outside a Ray
-    worker it is a plain loop: a result does not depend on where it ran, as long as the items are made up from the work
-    and not from timing.
+    Evolution has two grains. Where a generation is cheap, a segment of a trial is one task and never calls this. Where
+    a generation costs core-seconds, or cores outnumber trials, the segment is a task without a core of its own, and
+    spreads each generation's designs over the cluster with this. Outside a Ray worker it is a plain loop: a result does
+    not depend on where it ran, as long as the items are made up from the work and not from timing.
 
     Raises:
         TaskFailed: on Ray, the first failure among the items; the rest are cancelled.

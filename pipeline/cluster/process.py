@@ -19,7 +19,8 @@ PINNED_THREADS = {
     "OPENBLAS_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
 }
-"""One thread per process: torch's results change in their last bits with the number of threads (reliability rule 8)."""
+"""One thread per process: torch's results change in their last bits with the number of threads, and a study's must not
+depend on how many cores there are."""
 
 HELD_SECONDS = 2.0
 """How long a signal is kept back at most."""

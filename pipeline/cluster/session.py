@@ -18,6 +18,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,7 +37,10 @@ PLACE = Path("/tmp")
 PREFIX = "puddle-"
 
 STUCK_SECONDS = 10.0
-"""How long a driver may take to notice that its Ray is dead. Ray itself gives up after a minute."""
+"""How long a call into Ray may last once Ray is dead. Ray itself gives up after a minute."""
+
+SECONDS_BETWEEN_LOOKS = 1.0
+"""At whether a driver whose Ray is dead calls it."""
 
 DEAD = (
     "Ray on this machine died: its raylet or its GCS is gone (killed, or out of memory).\n"
@@ -57,6 +61,8 @@ class Session:
     """File with the token that its servers ask for."""
     alive: Callable[[], bool]
     """Tells whether it still runs."""
+    calling: AbstractContextManager[object]
+    """What the driver holds while it calls Ray: where Ray is dead and the call does not return, the process ends."""
 
 
 @contextlib.contextmanager
@@ -74,7 +80,7 @@ def session(n_cores: int | None) -> Iterator[Session]:
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=PLACE))
     lock = _hold(folder)
     kept: subprocess.Popen[str] | None = None
-    over = threading.Event()
+    calling, over = threading.RLock(), threading.Event()
     environment = {**os.environ, **PINNED_THREADS}  # the workers inherit it from Ray, and Ray from the keeper
     try:
         token = token_of(folder)
@@ -89,8 +95,8 @@ def session(n_cores: int | None) -> Iterator[Session]:
                 start_new_session=True,  # so that Ctrl-C in the terminal reaches Ray through us alone
             )  # fmt: skip
         address = _address(kept, folder)
-        threading.Thread(target=_end_if_stuck, args=(kept, over), daemon=True).start()
-        yield Session(address, token, alive=functools.partial(_runs, kept))
+        threading.Thread(target=_end_if_stuck, args=(kept, calling, over), daemon=True).start()
+        yield Session(address, token, alive=functools.partial(_runs, kept), calling=calling)
     finally:
         over.set()
         if kept is not None:
@@ -104,12 +110,15 @@ def _runs(process: subprocess.Popen[str]) -> bool:
     return process.poll() is None
 
 
-def _end_if_stuck(kept: subprocess.Popen[str], over: threading.Event) -> None:
-    """End this process where Ray died and the driver does not notice: it may be in a call that waits for Ray."""
+def _end_if_stuck(kept: subprocess.Popen[str], calling: threading.RLock, over: threading.Event) -> None:
+    """End this process where Ray died and a call into it does not return. A driver that does other work goes on."""
     kept.wait()
-    if not over.wait(STUCK_SECONDS):
-        os.write(2, f"\nError: {DEAD}\n".encode())
-        os._exit(2)
+    while calling.acquire(timeout=STUCK_SECONDS):
+        calling.release()
+        if over.wait(SECONDS_BETWEEN_LOOKS):
+            return
+    os.write(2, f"\npuddle: {DEAD}\n".encode())
+    os._exit(2)
 
 
 def token_of(folder: Path) -> Path:

@@ -77,6 +77,8 @@ def test_a_study_from_the_command_line(study, capsys, tmp_path):
     assert call("status", "--digests", *study) == 0
     lines = capsys.readouterr().out.splitlines()
     assert sum("history.parquet" in line for line in lines) == 6
+    items = [json.loads(path.read_text()) for path in Path(study[-1]).glob("items/train/*/*/manifest.json")]
+    assert {f"{item['digest']}  train/{item['record']['label']}/0" for item in items} <= set(lines)
     page = Path(study[-1]) / "studies" / "tiny" / "report" / "index.html"
     assert page.read_text().lower().startswith("<!doctype html>")
 

@@ -1,4 +1,4 @@
-"""A driver that waits for a Ray that died ends, and says so: its call would never return."""
+"""A driver that waits for a Ray that died ends, and says so: its call would never return. One that works goes on."""
 
 import signal
 import subprocess
@@ -14,11 +14,25 @@ WAITS = """
 import threading
 from pipeline.cluster import session
 session.STUCK_SECONDS = 1.0
-with session.session(1):
+with session.session(1) as ours, ours.calling:
     print("up", flush=True)
     threading.Event().wait()
 """
 """A driver in a call that never returns."""
+
+WORKS = """
+import time
+from pipeline.cluster import session
+session.STUCK_SECONDS = session.SECONDS_BETWEEN_LOOKS = 0.1
+with session.session(1) as ours:
+    print("up", flush=True)
+    while ours.alive():
+        time.sleep(0.1)
+    time.sleep(2.0)
+    with ours.calling:
+        print("kept", flush=True)
+"""
+"""A driver that does other work when its Ray dies, and then calls Ray, which answers."""
 
 
 @pytest.mark.parametrize("server", ["raylet", "gcs_server"])
@@ -32,11 +46,25 @@ def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server):
         victim.send_signal(signal.SIGKILL)
         _, said = driver.communicate(timeout=60)
         assert driver.returncode == 2
-        assert DEAD in said
+        assert f"\npuddle: {DEAD}" in said
         end = time.monotonic() + 15
         while time.monotonic() < end and any(process.is_running() for process in processes):
             time.sleep(0.1)
         assert not any(process.is_running() for process in processes)
+    finally:
+        driver.kill()
+        driver.wait()
+
+
+def test_a_driver_that_does_other_work_goes_on_when_its_ray_dies():
+    driver = subprocess.Popen([sys.executable, "-c", WORKS], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert driver.stdout is not None
+        assert driver.stdout.readline() == "up\n"
+        children = psutil.Process(driver.pid).children(recursive=True)
+        next(process for process in children if process.name() == "raylet").kill()
+        assert driver.communicate(timeout=60) == ("kept\n", "")
+        assert driver.returncode == 0
     finally:
         driver.kill()
         driver.wait()

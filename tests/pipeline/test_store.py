@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -160,6 +161,27 @@ def test_a_damaged_study_record_is_told(store: Store) -> None:
     path.write_bytes(encode_sealed({"name": "laptop", "items": [3]}, schema="puddle.study", version=1))
     with pytest.raises(DamagedArtifact, match="expected a study's name, settings and items"):
         store.read_study("laptop")
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+def test_what_took_the_place_of_a_study_record_is_damage_and_gives_way(store: Store, make: Callable) -> None:
+    store.write_study("laptop", {"seed": 1}, [])
+    path = store.study_path("laptop") / "study.json"
+    path.unlink()
+    make(path)
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected a study's record, came not a regular file. .* anew"):
+        store.read_study("laptop")
+    store.write_study("laptop", {"seed": 1}, [])
+    assert store.read_study("laptop").settings == {"seed": 1}
+
+
+def test_a_folder_in_the_place_of_a_study_record_that_holds_something_is_left_alone(store: Store) -> None:
+    path = store.study_path("laptop") / "study.json"
+    path.mkdir(parents=True)
+    (path / "theirs").touch()
+    with pytest.raises(PuddleError, match=f"not empty.*{path}"):
+        store.write_study("laptop", {"seed": 1}, [])
+    assert (path / "theirs").exists()
 
 
 DRIVER = """

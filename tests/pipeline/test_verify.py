@@ -111,6 +111,52 @@ def test_a_report_that_was_edited_is_noticed(options, store, capsys):
     assert call("verify", *options) == 0
 
 
+def test_the_report_of_a_study_that_is_driven_is_left_out(options, store, capsys):
+    """Its driver keeps the record before it puts the report where people look."""
+    (store.export_path("tiny") / "index.html").write_text("an earlier one")
+    with store.lock_study("tiny"), store.lock_study("new"):
+        assert call("verify", *options) == 0
+    said = capsys.readouterr().out
+    assert "study tiny is driven by process" in said and "the copy of its report was left out" in said
+    assert "every byte is as it was committed" in said
+    assert call("verify", *options) == 1
+
+
+def make_a_manifest_newer(store: Store) -> None:
+    make_newer(next(store.root.glob("items/analyse/*/*/manifest.json")))
+
+
+def make_another_record_newer(store: Store) -> None:
+    store.write_study("newer", {}, ())
+    make_newer(store.study_path("newer") / "study.json")
+
+
+def put_a_file_for_a_folder(store: Store) -> None:
+    """No item is found below it, and asking for one that the record lists fails."""
+    prefix = next(store.root.glob("items/analyse/*"))
+    shutil.rmtree(prefix)
+    prefix.touch()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected"),
+    [
+        (make_a_manifest_newer, "A newer puddle wrote it"),
+        (make_another_record_newer, "A newer puddle wrote it"),
+        (put_a_file_for_a_folder, "Not a directory"),
+    ],
+)
+def test_what_discarding_does_not_mend_hides_nothing_else(spoil, expected, options, store, capsys):
+    spoil(store)
+    (lost,) = list(store.root.glob("items/evolve/*/*/manifest.json"))[:1]
+    lost.unlink()
+    (store.export_path("tiny") / "index.html").write_text("better")
+    assert call("verify", *options) == 1
+    said = capsys.readouterr().out
+    assert expected in said
+    assert f"expected item {lost.parent.name}, came none" in said and "index.html: expected SHA-256" in said
+
+
 # -- gc --------------------------------------------------------------------------------------------------------------
 
 
@@ -162,6 +208,37 @@ def test_nothing_is_removed_while_a_study_is_driven_or_can_not_be_read(options, 
     assert call("gc", "--remove", "--store", str(store.root)) == 2
     assert "study.json" in capsys.readouterr().err
     assert n_items(store) == sum(1 for _ in store.root.glob("items/*/*/*/manifest.json"))
+
+
+def test_a_study_of_another_puddle_is_told(options, store, tmp_path, capsys):
+    store.write_study("tiny", {**store.read_study("tiny").settings, "wings": 2}, ())
+    assert call("gc", "--remove", "--store", str(store.root)) == 2
+    said = capsys.readouterr().err
+    assert "expected settings of this puddle" in said and "wings: Extra inputs" in said and "nothing is removed" in said
+    kit = str(tmp_path / "kit")
+    assert call("fabricate", "--study", "tiny", "--out", kit, "--store", str(store.root)) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("puddle: study tiny: expected settings of this puddle") and "wings" in said
+
+
+def test_what_a_study_needs_that_lost_its_record_stays_until_it_is_forgotten(options, store, capsys):
+    before = n_items(store)
+    (store.study_path("tiny") / "study.json").unlink()
+    assert call("gc", "--remove", "--store", str(store.root)) == 2
+    said = capsys.readouterr().err
+    assert "study.json: expected a study's record, came no file" in said and "Run it again, or delete" in said
+    assert n_items(store) == before
+    shutil.rmtree(store.study_path("tiny"))
+    assert call("gc", "--remove", "--store", str(store.root)) == 0
+    assert n_items(store) == 0
+
+
+def test_a_study_that_begins_while_garbage_is_collected_is_not_in_the_way(options, store):
+    with store.lock_all():
+        with pytest.raises(PuddleError, match="`puddle gc` is removing"), store.lock_study("new"):
+            pass
+        assert not gc.find_garbage(store).items
+    assert not store.study_path("new").exists()
 
 
 def test_folders_of_dead_drivers_are_swept(options, store, tmp_path, monkeypatch, capsys):
