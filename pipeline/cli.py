@@ -300,7 +300,7 @@ def drive(
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do everything but talk to a controller.")] = False,
     duration: Annotated[
-        float | None, typer.Option("--duration", min=0.0, help="Stop after so many seconds.")
+        float | None, typer.Option("--duration", help="Stop after so many seconds.")
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end, until stopped.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Move without asking first.")] = False,
