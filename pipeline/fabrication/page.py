@@ -138,8 +138,8 @@ def _measures(kit: Kit, servo: Servo) -> str:
         f"<p>Clones of a {escape(servo.name)} differ, and horns more so. Before the parts, print the two gauges, "
         f"slices of this kit's own parts: {prints}. The servo goes into the first from above, ears on the plate, and "
         f"its screws meet their holes; the horn lies on the second's floor. With both on the servo, the gap between "
-        f"them must be {kit.settings.layer_gap_mm:g} mm. Where they don't fit, say what your caliper says, and make the "
-        f"kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
+        f"them must be {kit.settings.layer_gap_mm:g} mm. Where they don't fit, say what your caliper says, and make "
+        f"the kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
         f"<details><summary>What was taken, and from whom</summary>{taken}</details>"
     )
 
