@@ -54,6 +54,7 @@ from tasks.analysis import (
     TransferMatrix,
 )
 from tasks.design import Designs
+from tasks.design.genes import GENES
 from tasks.evolution import OPERATORS
 
 HISTORIES = "history/"
@@ -294,8 +295,8 @@ def _family(inputs: Mapping[str, Files]) -> Family | None:
 
 def _gene_matrix(designs: Designs) -> npt.NDArray[np.float64]:
     """Lay out designs as (n_designs, n_genes), without the root's joint, which nothing depends on."""
+    first_link = {"parent": 1, **{gene.name: gene.first_link for gene in GENES}}
     columns = []
     for name, genes in designs.arrays():
-        of_joint = genes.ndim == 2 and name != "length_scale"
-        columns.append(genes.reshape(len(designs), -1)[:, 1 if of_joint else 0 :].astype(np.float64))
+        columns.append(genes.reshape(len(designs), -1)[:, first_link[name] :].astype(np.float64))
     return np.concatenate(columns, axis=1)
