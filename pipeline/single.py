@@ -8,14 +8,13 @@ from typing import cast
 
 import numpy as np
 
-from pipeline import disk
 from pipeline.design_file import read_design
 from pipeline.errors import PuddleError
 from pipeline.report import Replay, render_gif, render_mp4, render_robot, replay_of
 from pipeline.report.data import ENVIRONMENTS as STYLES
 from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Files, MissingInputs
-from pipeline.stages import STAGES
+from pipeline.stages import collect, train
 from pipeline.stages.analyses.films import NOBODY, median_member
 from pipeline.stages.collect import data_set
 from pipeline.stages.replays import looked_at, push_of
@@ -119,8 +118,11 @@ def simulate_design(
         )
         if kind == PAGE and why:
             lines.append(f"  shown without what networks say of it: {why}")
-        with disk.explained("writing what is shown", out):
-            out.write_bytes(_shown(replay, lines, kind))
+        shown = _shown(replay, lines, kind)
+        try:
+            out.write_bytes(shown)
+        except OSError as error:
+            raise PuddleError(f"--out: {out} can't be written: {error.strerror}. Name another place.") from None
         lines.append(f"  shown in {out}")
     return lines
 
@@ -131,7 +133,7 @@ def _learned(settings: Settings, store: Store, *, throws: bool) -> dict[str, Fil
     Raises:
         MissingInputs: names what the store does not hold.
     """
-    upstream = survey(settings, STAGES[:2], store, say=lambda line: None)
+    upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=lambda line: None)
     inputs = world_inputs(settings, "residual_slush", 0, upstream)
     if throws:
         inputs |= data_set(upstream["collect"])

@@ -186,6 +186,11 @@ def test_designs_that_are_none(capsys, tmp_path, design):
         capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.mp5")
     )
     assert "--out" in said
+    (tmp_path / "x.gif").mkdir()
+    said = refused(
+        capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.gif")
+    )
+    assert "--out" in said and "Is a directory" in said and "store" not in said and "kept" not in said
 
 
 def test_a_store_that_is_none_or_too_new(study, capsys, tmp_path):
