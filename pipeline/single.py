@@ -67,7 +67,7 @@ def simulate_design(
         ends = " or ".join((*FILMS, PAGE))
         raise PuddleError(f"--out: expected a file name that ends in {ends}, in a folder that exists, came {out}")
     spec = segment_spec(settings, stage="simulate", environment=world, world=world, depth=depth, trial=0)
-    spec |= {"slush": settings.slush.model_dump(mode="json"), "held_out": settings.training.held_out}
+    spec["held_out"] = settings.training.held_out
     files: dict[str, Files] = {}
     why = ""
     if world == "residual_slush" or kind == PAGE:
@@ -112,9 +112,10 @@ def simulate_design(
             depth=depth,
             has_medium=world != "dry_land",
             imagined=world == "residual_slush",
+            other_medium=world != "true_slush",
             n_settle=settings.rollout.n_settle,
             overlays=looked_at(spec, design, trace, files) if kind == PAGE and files else (),
-            push=push_of(spec, world, member, design, trace, files) if kind == PAGE else None,
+            push=push_of(spec, member, design, trace, files) if kind == PAGE else None,
         )
         if kind == PAGE and why:
             lines.append(f"  shown without what networks say of it: {why}")

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from tasks.design import N_LINKS, Designs
 
 STEPS_PER_SECOND = 60
+"""Of a trace whose time step is the paper's."""
 STEPS_PER_FRAME = 2
 
 QUANTUM = 1e-3
@@ -50,6 +51,7 @@ class Replay:
         depth: of the ground below y = 0 [m].
         has_medium: whether something fills the world below y = 0.
         imagined: whether that is what networks make of it; its surface is then dashed.
+        other_medium: whether it is another than True Slush is filled with.
         length_scale: (n_links,) long axis of each link [m]; its width is the reciprocal.
         parent: (n_links,) index of each link's parent, -1 for the root.
         parent_attachment: (n_links,) joint's place on the parent's long axis [half heights].
@@ -72,6 +74,7 @@ class Replay:
     overlays: tuple[Overlay, ...] = ()
     push: npt.NDArray[np.float64] | None = None
     imagined: bool = False
+    other_medium: bool = False
 
     def __post_init__(self) -> None:
         shape = self.frames.shape[:2]
@@ -87,7 +90,7 @@ class Replay:
     @property
     def in_true_slush(self) -> bool:
         """Whether it shows what the robot truly does in slush."""
-        return self.has_medium and not self.imagined
+        return self.has_medium and not self.imagined and not self.other_medium
 
     @property
     def duration(self) -> float:
@@ -120,6 +123,7 @@ def replay_of(
     has_medium: bool,
     n_settle: int,
     imagined: bool = False,
+    other_medium: bool = False,
     overlays: tuple[Overlay, ...] = (),
     push: npt.NDArray[np.float64] | None = None,
 ) -> Replay:
@@ -135,6 +139,7 @@ def replay_of(
         has_medium: whether something fills the world below y = 0.
         n_settle: steps at the start that are left out, as they are from the displacement; 0 shows them.
         imagined: whether networks make up what fills it.
+        other_medium: whether it is filled with something else than True Slush.
         overlays: of the frames, see :func:`at_frames`.
         push: of the frames.
 
@@ -163,6 +168,7 @@ def replay_of(
         overlays=overlays,
         push=push,
         imagined=imagined,
+        other_medium=other_medium,
     )
 
 

@@ -18,7 +18,7 @@ from pipeline.stages import segments
 from pipeline.stages.analyse import read_table, tank_label
 from pipeline.stages.transfer import CHAMPION
 from tasks.simulation import OK, simulate
-from tasks.world import DryLand, TrueSlush
+from tasks.world import DryLand
 
 Row = tuple[EnvironmentName, float, int]
 """Environment, depth [m] and number of a trial."""
@@ -61,7 +61,7 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
     tank, n_settle = settings.tank, settings.rollout.n_settle
     replays = []
     for world, words in (
-        (TrueSlush(depth=tank.simulated_depth, slush=settings.slush), "the tank"),
+        (segments.true_slush(segments.groups_of(settings, "true_slush"), tank.simulated_depth), "the tank"),
         (DryLand(depth=0.0), "the drained tank"),
     ):
         rollouts = simulate(
@@ -83,7 +83,7 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
                     environment="",
                     world=words,
                     depth=round(world.depth, 2),
-                    has_medium=isinstance(world, TrueSlush),
+                    has_medium=world.medium is not None,
                     n_settle=n_settle,
                 )
             )
