@@ -93,7 +93,8 @@ def simulate_design(
     )
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state became non-finite. There is nothing to measure.")
-    lines = [f"{STYLES[world].label}, {depth:g} m deep, {settings.rollout.n_measure / 60:.0f} s:"]
+    measured_seconds = settings.rollout.n_measure * settings.physics.time_step
+    lines = [f"{STYLES[world].label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
     evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
@@ -114,6 +115,7 @@ def simulate_design(
             imagined=world == "residual_slush",
             other_medium=world != "true_slush",
             n_settle=settings.rollout.n_settle,
+            time_step=settings.physics.time_step,
             overlays=looked_at(spec, design, trace, files) if kind == PAGE and files else (),
             push=push_of(spec, member, design, trace, files) if kind == PAGE else None,
         )

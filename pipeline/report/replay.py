@@ -1,6 +1,7 @@
 """Replays: where every link of one robot was, at a rate that an eye can follow, and a compact text of it for the page.
 
-A replay is made from a trace: a state after each step of 1/60 s. Two steps make a frame, so 30 frames a second.
+A replay is made from a trace: a state after each step. Two steps make a frame, so of steps of 1/60 s there are 30
+frames a second.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tasks.design import N_LINKS, Designs
+from tasks.world import Physics
 
 STEPS_PER_SECOND = 60
 """Of a trace whose time step is the paper's."""
@@ -122,6 +124,7 @@ def replay_of(
     depth: float,
     has_medium: bool,
     n_settle: int,
+    time_step: float = Physics().time_step,
     imagined: bool = False,
     other_medium: bool = False,
     overlays: tuple[Overlay, ...] = (),
@@ -138,6 +141,7 @@ def replay_of(
         depth: of the ground [m].
         has_medium: whether something fills the world below y = 0.
         n_settle: steps at the start that are left out, as they are from the displacement; 0 shows them.
+        time_step: from each state of the trace to the next [s]; as in a rollout, the paper's unless said.
         imagined: whether networks make up what fills it.
         other_medium: whether it is filled with something else than True Slush.
         overlays: of the frames, see :func:`at_frames`.
@@ -165,6 +169,7 @@ def replay_of(
         parent=design.parent[0],
         parent_attachment=design.parent_attachment[0],
         frames=frames,
+        fps=1 / (STEPS_PER_FRAME * time_step),
         overlays=overlays,
         push=push,
         imagined=imagined,

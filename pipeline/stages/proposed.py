@@ -26,8 +26,8 @@ Row = tuple[EnvironmentName, float, int]
 PROPOSED = "proposed-"
 """How the names of the proposed champions' design files begin."""
 
-MOST_STEPS_IN_TANK = 60 * 60
-"""Of the films of the tank; a minute of a robot that goes nowhere is enough."""
+MOST_SECONDS_IN_TANK = 60.0
+"""Of the films of the tank: a minute of a robot that goes nowhere is enough."""
 
 
 def proposed(settings: Settings, inputs: Mapping[str, Files]) -> list[Row]:
@@ -58,7 +58,7 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
     environment, _, trial = row
     label = segments.trial_label(*row)
     design = design_from(decode_json(_champion_file(row, inputs), label), label)
-    tank, n_settle = settings.tank, settings.rollout.n_settle
+    tank, n_settle, time_step = settings.tank, settings.rollout.n_settle, settings.physics.time_step
     replays = []
     for world, words in (
         (segments.true_slush(segments.groups_of(settings, "true_slush"), tank.simulated_depth), "the tank"),
@@ -68,7 +68,7 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
             design,
             world,
             n_settle=n_settle,
-            n_measure=min(tank.n_steps(settings.physics.time_step), MOST_STEPS_IN_TANK),
+            n_measure=min(tank.n_steps(time_step), round(MOST_SECONDS_IN_TANK / time_step)),
             engine=engine,
             trace=True,
             physics=settings.physics,
@@ -85,6 +85,7 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
                     depth=round(world.depth, 2),
                     has_medium=world.medium is not None,
                     n_settle=n_settle,
+                    time_step=time_step,
                 )
             )
     return replays

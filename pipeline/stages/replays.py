@@ -70,6 +70,7 @@ def _replay(spec: Spec, film: Filmed, overlays: tuple[Overlay, ...], networks: M
         imagined=film.world in RESIDUAL_ENVIRONMENTS,
         other_medium=film.world != "true_slush",
         n_settle=spec["rollout"]["n_settle"],
+        time_step=spec["physics"]["time_step"],
         overlays=overlays,
         push=push_of(here, film.member, champion.design, film.trace, networks),
     )

@@ -160,7 +160,9 @@ def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
         trials=trials,
         residual_errors=_residual_errors(inputs),
         replays=[*replays, *in_tank],
-        findings=findings(inputs, assessed_depth=settings.assessed_depth, tank=settings.tank),
+        findings=findings(
+            inputs, assessed_depth=settings.assessed_depth, tank=settings.tank, time_step=settings.physics.time_step
+        ),
         draws=_draws(inputs),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],
