@@ -18,10 +18,10 @@ from tasks.design import Morphology
 from tasks.evolution import Afpo
 from tasks.parameters import Parameters
 from tasks.residual import Architecture, Throws, Training
-from tasks.world import Physics, Slush
+from tasks.world import Physics, Slush, environment
 
-EnvironmentName = Literal["true_slush", "dry_land", "residual_slush", "single_member"]
-"""Where a trial evolves: E, E', Ê with the whole ensemble, Ê with one member of it."""
+EnvironmentName = environment.EnvironmentName
+"""Where a trial evolves."""
 
 ENVIRONMENTS: tuple[EnvironmentName, ...] = get_args(EnvironmentName)
 

@@ -8,14 +8,13 @@ from typing import cast
 
 import numpy as np
 
-from pipeline import disk
 from pipeline.design_file import read_design
 from pipeline.errors import PuddleError
 from pipeline.report import Replay, render_gif, render_mp4, render_robot, replay_of
 from pipeline.report.data import ENVIRONMENTS as STYLES
 from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Files, MissingInputs
-from pipeline.stages import STAGES
+from pipeline.stages import collect, train
 from pipeline.stages.analyses.films import NOBODY, median_member
 from pipeline.stages.collect import data_set
 from pipeline.stages.replays import looked_at, push_of
@@ -68,7 +67,7 @@ def simulate_design(
         ends = " or ".join((*FILMS, PAGE))
         raise PuddleError(f"--out: expected a file name that ends in {ends}, in a folder that exists, came {out}")
     spec = segment_spec(settings, stage="simulate", environment=world, world=world, depth=depth, trial=0)
-    spec |= {"slush": settings.slush.model_dump(mode="json"), "held_out": settings.training.held_out}
+    spec["held_out"] = settings.training.held_out
     files: dict[str, Files] = {}
     why = ""
     if world == "residual_slush" or kind == PAGE:
@@ -94,7 +93,8 @@ def simulate_design(
     )
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state became non-finite. There is nothing to measure.")
-    lines = [f"{STYLES[world].label}, {depth:g} m deep, {settings.rollout.n_measure / 60:.0f} s:"]
+    measured_seconds = settings.rollout.n_measure * settings.physics.time_step
+    lines = [f"{STYLES[world].label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
     evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
@@ -113,14 +113,19 @@ def simulate_design(
             depth=depth,
             has_medium=world != "dry_land",
             imagined=world == "residual_slush",
+            other_medium=world != "true_slush",
             n_settle=settings.rollout.n_settle,
+            time_step=settings.physics.time_step,
             overlays=looked_at(spec, design, trace, files) if kind == PAGE and files else (),
-            push=push_of(spec, world, member, design, trace, files) if kind == PAGE else None,
+            push=push_of(spec, member, design, trace, files) if kind == PAGE else None,
         )
         if kind == PAGE and why:
             lines.append(f"  shown without what networks say of it: {why}")
-        with disk.explained("writing what is shown", out):
-            out.write_bytes(_shown(replay, lines, kind))
+        shown = _shown(replay, lines, kind)
+        try:
+            out.write_bytes(shown)
+        except OSError as error:
+            raise PuddleError(f"--out: {out} can't be written: {error.strerror}. Name another place.") from None
         lines.append(f"  shown in {out}")
     return lines
 
@@ -131,7 +136,7 @@ def _learned(settings: Settings, store: Store, *, throws: bool) -> dict[str, Fil
     Raises:
         MissingInputs: names what the store does not hold.
     """
-    upstream = survey(settings, STAGES[:2], store, say=lambda line: None)
+    upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=lambda line: None)
     inputs = world_inputs(settings, "residual_slush", 0, upstream)
     if throws:
         inputs |= data_set(upstream["collect"])

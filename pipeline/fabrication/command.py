@@ -16,12 +16,12 @@ from pipeline.errors import PuddleError
 from pipeline.fabrication.choices import FabricationSettings
 from pipeline.fabrication.folder import check_place, write_kit
 from pipeline.settings import Settings
+from pipeline.stages import segments
 from pipeline.store import Store
 from pipeline.timeline_file import calibration_yaml, timeline_csv, timeline_json
 from pipeline.tracking import Run, Tracker
 from tasks.design import DesignError
 from tasks.fabrication.cad import MissingCadError, require_cad
-from tasks.world import TrueSlush
 
 if TYPE_CHECKING:  # the CAD kernel, which takes ten seconds to import
     from tasks.fabrication.checks import Finding
@@ -91,7 +91,7 @@ def fabricate(
         raise PuddleError(f"{source.name}: {error}") from None
     physics = source.settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
     simulated = run(
-        source.design, TrueSlush(depth=source.depth, slush=source.settings.slush),
+        source.design, segments.true_slush(segments.groups_of(source.settings, "true_slush"), source.depth),
         label=f"True Slush of {source.depth:g} m", physics=physics, **source.settings.rollout.model_dump(),
     )  # fmt: skip
     tank = source.settings.tank

@@ -1,6 +1,7 @@
 """Replays: where every link of one robot was, at a rate that an eye can follow, and a compact text of it for the page.
 
-A replay is made from a trace: a state after each step of 1/60 s. Two steps make a frame, so 30 frames a second.
+A replay is made from a trace: a state after each step. Two steps make a frame, so of steps of 1/60 s there are 30
+frames a second.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tasks.design import N_LINKS, Designs
+from tasks.world import Physics
 
 STEPS_PER_SECOND = 60
+"""Of a trace whose time step is the paper's."""
 STEPS_PER_FRAME = 2
 
 QUANTUM = 1e-3
@@ -50,6 +53,7 @@ class Replay:
         depth: of the ground below y = 0 [m].
         has_medium: whether something fills the world below y = 0.
         imagined: whether that is what networks make of it; its surface is then dashed.
+        other_medium: whether it is another than True Slush is filled with.
         length_scale: (n_links,) long axis of each link [m]; its width is the reciprocal.
         parent: (n_links,) index of each link's parent, -1 for the root.
         parent_attachment: (n_links,) joint's place on the parent's long axis [half heights].
@@ -72,6 +76,7 @@ class Replay:
     overlays: tuple[Overlay, ...] = ()
     push: npt.NDArray[np.float64] | None = None
     imagined: bool = False
+    other_medium: bool = False
 
     def __post_init__(self) -> None:
         shape = self.frames.shape[:2]
@@ -87,7 +92,7 @@ class Replay:
     @property
     def in_true_slush(self) -> bool:
         """Whether it shows what the robot truly does in slush."""
-        return self.has_medium and not self.imagined
+        return self.has_medium and not self.imagined and not self.other_medium
 
     @property
     def duration(self) -> float:
@@ -119,7 +124,9 @@ def replay_of(
     depth: float,
     has_medium: bool,
     n_settle: int,
+    time_step: float = Physics().time_step,
     imagined: bool = False,
+    other_medium: bool = False,
     overlays: tuple[Overlay, ...] = (),
     push: npt.NDArray[np.float64] | None = None,
 ) -> Replay:
@@ -134,7 +141,9 @@ def replay_of(
         depth: of the ground [m].
         has_medium: whether something fills the world below y = 0.
         n_settle: steps at the start that are left out, as they are from the displacement; 0 shows them.
+        time_step: from each state of the trace to the next [s]; as in a rollout, the paper's unless said.
         imagined: whether networks make up what fills it.
+        other_medium: whether it is filled with something else than True Slush.
         overlays: of the frames, see :func:`at_frames`.
         push: of the frames.
 
@@ -160,9 +169,11 @@ def replay_of(
         parent=design.parent[0],
         parent_attachment=design.parent_attachment[0],
         frames=frames,
+        fps=1 / (STEPS_PER_FRAME * time_step),
         overlays=overlays,
         push=push,
         imagined=imagined,
+        other_medium=other_medium,
     )
 
 

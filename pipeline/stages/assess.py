@@ -64,7 +64,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
             "n_designs": n,
             "rollout": settings.rollout.model_dump(mode="json"),
             "physics": settings.physics.model_dump(mode="json"),
-            "slush": settings.slush.model_dump(mode="json"),
+            **segments.groups_of(settings, "true_slush"),
         }
         if n:
             chains.append(Chain(segments.trial_label(environment, depth, trial), (n,), spec))

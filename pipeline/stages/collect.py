@@ -11,10 +11,11 @@ from pipeline.artifacts import decode_table, encode_table
 from pipeline.manifest import Manifest
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.stages import segments
 from pipeline.store import Store
 from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
 from tasks.seeding import generator
-from tasks.world import Physics, Slush
+from tasks.world import Physics
 
 NAME, VERSION = "collect", 1
 
@@ -45,7 +46,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
         spec = {
             "throws": settings.throws.model_dump(mode="json"),
             "physics": settings.physics.model_dump(mode="json"),
-            "slush": settings.slush.model_dump(mode="json"),
+            **segments.groups_of(settings, "true_slush"),
             "seed": settings.seed,
             "first": first,
             "n": n,
@@ -64,8 +65,8 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     spec = job.spec
     throws = Throws.model_validate(spec["throws"])
     starts = initial_states(throws, generator(spec["seed"], NAME))[spec["first"] : spec["first"] + spec["n"]]
-    medium = Slush.model_validate(spec["slush"])
-    transitions = simulate_throws(starts, throws.n_steps, medium, Physics.model_validate(spec["physics"]))
+    physics = Physics.model_validate(spec["physics"])
+    transitions = simulate_throws(starts, throws.n_steps, segments.true_medium(spec), physics)
     columns = {field.name: getattr(transitions, field.name) for field in fields(Transitions)}
     return {TRANSITIONS: encode_table(columns, schema=SCHEMA, version=SCHEMA_VERSION, producer=job.key, units=UNITS)}
 

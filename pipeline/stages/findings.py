@@ -25,7 +25,6 @@ from pipeline.report.findings import (
     TankTest,
     ThrownPaths,
 )
-from pipeline.report.replay import STEPS_PER_SECOND
 from pipeline.stage import Files
 from pipeline.stages import segments
 from pipeline.stages.analyse import (
@@ -54,6 +53,7 @@ from tasks.analysis import (
     TransferMatrix,
 )
 from tasks.design import Designs
+from tasks.design.genes import GENES
 from tasks.evolution import OPERATORS
 
 HISTORIES = "history/"
@@ -93,7 +93,9 @@ def arm_name(environment: str, depth: float, trial: int) -> str:
     return f"{arm_words(environment, depth)}, trial {trial}"
 
 
-def findings(inputs: Mapping[str, Files], *, assessed_depth: float, tank: Tank | None) -> Findings:
+def findings(
+    inputs: Mapping[str, Files], *, assessed_depth: float, tank: Tank | None, time_step: float
+) -> Findings:
     """Gather what the page shows from inputs named ``analyse/<label>``, ``throws-<n>`` and ``history/<trial>/<n>``."""
     analysed = {name.removeprefix("analyse/"): files for name, files in inputs.items() if name.startswith("analyse/")}
     missing = {
@@ -114,7 +116,7 @@ def findings(inputs: Mapping[str, Files], *, assessed_depth: float, tank: Tank |
     if family is None and any(name.startswith(HISTORIES) for name in inputs):
         missing["family"] = "every design of the trial whose champion it is of diverged"
     return Findings(
-        throws=_throws([inputs[name] for name in sorted(inputs) if name.startswith("throws-")]),
+        throws=_throws([inputs[name] for name in sorted(inputs) if name.startswith("throws-")], time_step),
         accuracy=_accuracy(statistics, assessed_depth),
         against_paper=_rows(Row, statistics, "paper"),
         contrasts=_contrasts(statistics),
@@ -159,7 +161,7 @@ def _estimates(columns: Columns, name: str) -> list[Estimate]:
     return found
 
 
-def _throws(chunks: Sequence[Files]) -> ThrownPaths | None:
+def _throws(chunks: Sequence[Files], time_step: float) -> ThrownPaths | None:
     """Lay out the transitions of throws as paths."""
     if not chunks:
         return None
@@ -168,7 +170,7 @@ def _throws(chunks: Sequence[Files]) -> ThrownPaths | None:
     throws, first = np.unique(table.throw[order], return_index=True)
     path = table.state[order].reshape(len(throws), -1, table.state.shape[1])[:, :, :3].astype(np.float64)
     lengths = table.length_scale[order][first].astype(np.float64)
-    return ThrownPaths(lengths, path, seconds=path.shape[1] / STEPS_PER_SECOND)
+    return ThrownPaths(lengths, path, seconds=path.shape[1] * time_step)
 
 
 def _accuracy(files: Files, depth: float) -> Accuracy | None:
@@ -294,8 +296,8 @@ def _family(inputs: Mapping[str, Files]) -> Family | None:
 
 def _gene_matrix(designs: Designs) -> npt.NDArray[np.float64]:
     """Lay out designs as (n_designs, n_genes), without the root's joint, which nothing depends on."""
+    first_link = {"parent": 1, **{gene.name: gene.first_link for gene in GENES}}
     columns = []
     for name, genes in designs.arrays():
-        of_joint = genes.ndim == 2 and name != "length_scale"
-        columns.append(genes.reshape(len(designs), -1)[:, 1 if of_joint else 0 :].astype(np.float64))
+        columns.append(genes.reshape(len(designs), -1)[:, first_link[name] :].astype(np.float64))
     return np.concatenate(columns, axis=1)

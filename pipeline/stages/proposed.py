@@ -18,7 +18,7 @@ from pipeline.stages import segments
 from pipeline.stages.analyse import read_table, tank_label
 from pipeline.stages.transfer import CHAMPION
 from tasks.simulation import OK, simulate
-from tasks.world import DryLand, TrueSlush
+from tasks.world import DryLand
 
 Row = tuple[EnvironmentName, float, int]
 """Environment, depth [m] and number of a trial."""
@@ -26,8 +26,8 @@ Row = tuple[EnvironmentName, float, int]
 PROPOSED = "proposed-"
 """How the names of the proposed champions' design files begin."""
 
-MOST_STEPS_IN_TANK = 60 * 60
-"""Of the films of the tank; a minute of a robot that goes nowhere is enough."""
+MOST_SECONDS_IN_TANK = 60.0
+"""Of the films of the tank: a minute of a robot that goes nowhere is enough."""
 
 
 def proposed(settings: Settings, inputs: Mapping[str, Files]) -> list[Row]:
@@ -58,17 +58,17 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
     environment, _, trial = row
     label = segments.trial_label(*row)
     design = design_from(decode_json(_champion_file(row, inputs), label), label)
-    tank, n_settle = settings.tank, settings.rollout.n_settle
+    tank, n_settle, time_step = settings.tank, settings.rollout.n_settle, settings.physics.time_step
     replays = []
     for world, words in (
-        (TrueSlush(depth=tank.simulated_depth, slush=settings.slush), "the tank"),
+        (segments.true_slush(segments.groups_of(settings, "true_slush"), tank.simulated_depth), "the tank"),
         (DryLand(depth=0.0), "the drained tank"),
     ):
         rollouts = simulate(
             design,
             world,
             n_settle=n_settle,
-            n_measure=min(tank.n_steps(settings.physics.time_step), MOST_STEPS_IN_TANK),
+            n_measure=min(tank.n_steps(time_step), round(MOST_SECONDS_IN_TANK / time_step)),
             engine=engine,
             trace=True,
             physics=settings.physics,
@@ -83,8 +83,9 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
                     environment="",
                     world=words,
                     depth=round(world.depth, 2),
-                    has_medium=isinstance(world, TrueSlush),
+                    has_medium=world.medium is not None,
                     n_settle=n_settle,
+                    time_step=time_step,
                 )
             )
     return replays

@@ -15,13 +15,14 @@ from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.replay import Overlay, Replay, at_frames, replay_of
 from pipeline.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.stage import Files, Spec
+from pipeline.stages import segments
 from pipeline.stages.analyse import arm_label, read_table
 from pipeline.stages.analyses.champions import champions, ensemble_of
 from pipeline.stages.analyses.films import NOBODY, Filmed, film_arm
 from pipeline.stages.analyses.instruments import transitions_of
 from tasks.analysis import acceleration, disagreement, link_states, novelty, thrown
 from tasks.design import Designs
-from tasks.world import Medium, Physics, Slush
+from tasks.world import Medium, Physics
 
 LAID_OVER = (
     ("disagreement", "what the members disagree about", "m/s²", 0.0),
@@ -40,7 +41,7 @@ def replays_of(spec: Spec, how: Spec, inputs: Mapping[str, Files]) -> list[Repla
     """Film the best champion of every arm, in True Slush and where it evolved, deepest first.
 
     Args:
-        spec: physics, slush, rollout, and trials.
+        spec: physics, rollout, what True Slush and the worlds where they evolved are made of, and trials.
         how: the engine.
         inputs: ``transfer/<trial>``, every ``member-<n>`` or none, and ``analyse/<arm>`` where there is something to
             lay over.
@@ -57,6 +58,7 @@ def replays_of(spec: Spec, how: Spec, inputs: Mapping[str, Files]) -> list[Repla
 
 def _replay(spec: Spec, film: Filmed, overlays: tuple[Overlay, ...], networks: Mapping[str, Files]) -> Replay:
     champion, style = film.champion, ENVIRONMENTS[film.champion.environment]
+    here = {**spec, "world": film.world, "depth": champion.depth}
     return replay_of(
         champion.design,
         film.trace[0],
@@ -66,9 +68,11 @@ def _replay(spec: Spec, film: Filmed, overlays: tuple[Overlay, ...], networks: M
         depth=champion.depth,
         has_medium=film.world != "dry_land",
         imagined=film.world in RESIDUAL_ENVIRONMENTS,
+        other_medium=film.world != "true_slush",
         n_settle=spec["rollout"]["n_settle"],
+        time_step=spec["physics"]["time_step"],
         overlays=overlays,
-        push=push_of(spec, film.world, film.member, champion.design, film.trace, networks),
+        push=push_of(here, film.member, champion.design, film.trace, networks),
     )
 
 
@@ -119,20 +123,27 @@ def looked_at(
 
 
 def push_of(
-    spec: Spec,
-    world: str,
-    member: int,
-    design: Designs,
-    trace: npt.NDArray[np.floating],
-    networks: Mapping[str, Files],
+    spec: Spec, member: int, design: Designs, trace: npt.NDArray[np.floating], networks: Mapping[str, Files]
 ) -> npt.NDArray[np.float64] | None:
-    """Compute how the medium, or the member that stands for it, speeds up each link: (n_frames, n_links, 2) [m/s²]."""
-    if world == "dry_land":
-        return None
-    medium: Medium = Slush.model_validate(spec["slush"])
-    if member != NOBODY:
+    """Compute how the medium, or the member that stands for it, speeds up each link: (n_frames, n_links, 2) [m/s²].
+
+    Args:
+        spec: physics, rollout, and the world: its name, its depth, and what it is made of.
+        member: whose world it is, or NOBODY's.
+        design: the one design.
+        trace: (1, n_steps, n_links, 6)
+        networks: every ``member-<n>``, where it is a member's world.
+
+    Returns:
+        None where nothing surrounds the links.
+    """
+    if member == NOBODY:
+        medium: Medium | None = segments.world_of(spec, {}).medium
+    else:
         name = sorted(name for name in networks if name.startswith("member-"))[member]
         medium = ensemble_of({name: networks[name]})
+    if medium is None:
+        return None
     physics = Physics.model_validate(spec["physics"])
     change = acceleration(medium, link_states(design, trace, physics), physics)
     return at_frames(change[0, ..., :2], spec["rollout"]["n_settle"])

@@ -15,7 +15,6 @@ from pipeline.provenance import environment as provenance
 from pipeline.report import Drawing, Replay, draw_all, render_gif, render_mp4, render_page
 from pipeline.report.data import Digest, Draws, ResidualError, StudyReport, TrialResult
 from pipeline.report.mp4 import FPS
-from pipeline.report.replay import STEPS_PER_SECOND
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
 from pipeline.stages import segments
@@ -50,13 +49,15 @@ def plan(settings: Settings) -> Sequence[Chain]:
     """One page, the films of every arm, and the film of two robots."""
     whole = settings.model_dump(mode="json", exclude={"work"})
     trials = settings.grid.trials()
-    seen = {name: whole[name] for name in ("physics", "slush", "rollout")}
-    pictures = settings.rollout.n_measure * FPS / STEPS_PER_SECOND
+    measured_seconds = settings.rollout.n_measure * settings.physics.time_step
+    pictures = measured_seconds * FPS
     deepest = max(settings.grid.depths)
 
     def films(label: str, of: Sequence[tuple[Any, float, int]], n_films: int, *, together: bool) -> Chain:
         listing = f"{FILMS}-{label}".replace("/", "-").replace(".", "_") + ".json"
-        spec = {**seen, "trials": [list(trial) for trial in of], "together": together, "listing": listing}
+        worlds = segments.groups_of(settings, "true_slush", *(environment for environment, _, _ in of))
+        spec = {"physics": whole["physics"], "rollout": whole["rollout"], **worlds}
+        spec |= {"trials": [list(trial) for trial in of], "together": together, "listing": listing}
         return Chain(f"{FILMS}/{label}", (n_films * pictures,), spec)
 
     page = {"settings": whole, "trials": [list(trial) for trial in trials]}
@@ -159,7 +160,9 @@ def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
         trials=trials,
         residual_errors=_residual_errors(inputs),
         replays=[*replays, *in_tank],
-        findings=findings(inputs, assessed_depth=settings.assessed_depth, tank=settings.tank),
+        findings=findings(
+            inputs, assessed_depth=settings.assessed_depth, tank=settings.tank, time_step=settings.physics.time_step
+        ),
         draws=_draws(inputs),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],

@@ -20,7 +20,7 @@ from tasks.design.genes import GENES
 from tasks.evolution import HISTORY_UNITS, NOBODY_YET, OPERATORS, Afpo, Evaluation, Population, evaluate, evolve
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
-from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
@@ -39,6 +39,12 @@ SETTINGS_OF: Mapping[EnvironmentName, tuple[str, ...]] = {
     "single_member": (),
 }
 """Groups of settings that each world is made of, beside the physics; :func:`world_of` finds them in its ``spec``."""
+
+
+def groups_of(settings: Settings, *worlds: EnvironmentName) -> dict[str, Any]:
+    """Give the groups of settings that worlds are made of, beside the physics, as a specification holds them."""
+    names = dict.fromkeys(group for world in worlds for group in SETTINGS_OF[world])
+    return {name: getattr(settings, name).model_dump(mode="json") for name in names}
 
 
 def member_label(member: int) -> str:
@@ -71,7 +77,7 @@ def segment_spec(
         depth: [m]
         trial: its number.
     """
-    spec = {
+    spec: dict[str, Any] = {
         "identity": [stage, depth, environment, trial],
         "seed": settings.seed,
         "world": world,
@@ -80,9 +86,8 @@ def segment_spec(
         "morphology": settings.evolution.morphology.model_dump(mode="json"),
         "rollout": settings.rollout.model_dump(mode="json"),
         "physics": settings.physics.model_dump(mode="json"),
+        **groups_of(settings, world),
     }
-    for group in SETTINGS_OF[world]:
-        spec[group] = getattr(settings, group).model_dump(mode="json")
     if world in RESIDUAL_ENVIRONMENTS:
         spec["disagreement_penalty"] = settings.ensemble.disagreement_penalty
     return spec
@@ -144,6 +149,18 @@ def world_of(spec: Spec, inputs: Mapping[str, Files]) -> Environment:
         if name.startswith("member-")
     ]
     return ResidualSlush(depth=depth, ensemble=Ensemble.from_members(members))
+
+
+def true_slush(spec: Spec, depth: float) -> Environment:
+    """Give the world that designs are made for, and champions put to the test in; ``spec`` holds what it is made of."""
+    return world_of({**spec, "world": "true_slush", "depth": depth}, {})
+
+
+def true_medium(spec: Spec) -> Medium:
+    """Give what fills that world, which the base simulator lacks and the networks learn."""
+    medium = true_slush(spec, 0.0).medium
+    assert medium is not None
+    return medium
 
 
 def roll_out(

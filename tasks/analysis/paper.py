@@ -168,6 +168,7 @@ NAMES: Mapping[str, str] = {
     "zero_shot": "zero-shot",
     "adapted": "adapted",
 }
+"""Of the paper's arms, and what is measured of them."""
 
 
 def name_of(arm: Arm) -> str:

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tasks.analysis.uncertainty import Float64
+from tasks.world.environment import EnvironmentName
 
-EvolvedIn = Literal["true_slush", "dry_land", "residual_slush", "single_member"]
-"""E, E', Ê, and Ê with one member in place of the ensemble."""
+EvolvedIn = EnvironmentName
+"""The arm of a study that a champion is of."""
 Quantity = Literal["predicted", "zero_shot", "adapted"]
 """Displacement in the world of its evolution; in True Slush; there with a controller that was evolved there."""
 

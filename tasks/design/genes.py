@@ -169,8 +169,12 @@ class Designs:
 
 
 DTYPES: dict[str, type[np.generic]] = {
-    field.name: {"parent": np.int64, "motor_on": np.bool_}.get(field.name, np.float64) for field in fields(Designs)
+    field.name: {"parent": np.int64, **{gene.name: np.bool_ for gene in GENES if gene.kind == "flag"}}.get(
+        field.name, np.float64
+    )
+    for field in fields(Designs)
 }
+"""Field of Designs -> what its values are, in order of declaration."""
 
 
 def _columns() -> dict[str, slice]:

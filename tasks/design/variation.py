@@ -37,8 +37,8 @@ from tasks.parameters import Parameters
 class Mutation(Parameters):
     """How far and how often a mutant departs from its parent."""
 
-    genes_changed: float = Field(default=3.0, ge=0.0, le=37.0)
-    """Genes that change on average, of the 37 of a whole design."""
+    genes_changed: float = Field(default=3.0, ge=0.0, le=N_GENES)
+    """Genes that change on average, of all the numbers that describe a design: 37 in the paper's table."""
     step: float = Field(default=0.1, gt=0.0, le=1.0)
     """Deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
     rewiring: float = Field(default=0.05, ge=0.0, le=1.0)
@@ -48,7 +48,8 @@ class Mutation(Parameters):
 MUTATION = Mutation()
 
 PARENT = COLUMNS["parent"]
-MOTORS = slice(COLUMNS["motor_on"].start + 1, COLUMNS["motor_on"].stop)
+MOTOR = "motor_on"
+MOTORS = slice(COLUMNS[MOTOR].start + 1, COLUMNS[MOTOR].stop)
 """Columns of the joints' motors; a root has none."""
 
 
@@ -120,7 +121,7 @@ def _part_of(gene: Gene, morphology: Morphology) -> Part:
 
     Motors are built in; and where passive joints are locked, another set of motors is another set of rigid bodies.
     """
-    return "body" if gene.kind == "flag" and morphology.n_actuated is not None else gene.part
+    return "body" if gene.name == MOTOR and morphology.n_actuated is not None else gene.part
 
 
 def _with_body(table: Table, bodies: Table, morphology: Morphology) -> Table:
@@ -181,10 +182,10 @@ def _mutant(table: Table, rng: Generator, mutation: Mutation, parts: tuple[Part,
     while True:
         steps = rng.standard_normal(old.shape) * mutation.step
         if morphology.n_actuated is not None:
-            flags = old[:, limits.is_flag]
-            moved = _moved(flags, changes[:, limits.is_flag], rng)
-            new[:, limits.is_flag] = np.where(moved == flags, new[:, limits.is_flag], moved)
-            changes &= ~limits.is_flag  # a flag that moved took the place of another
+            motors = old[:, limits.is_motor]
+            moved = _moved(motors, changes[:, limits.is_motor], rng)
+            new[:, limits.is_motor] = np.where(moved == motors, new[:, limits.is_motor], moved)
+            changes &= ~limits.is_motor  # a motor that moved took the place of another
         rows, numbers = changes.nonzero()  # a few in a hundred
         new[rows, numbers] = _stepped(limits, numbers, old[rows, numbers], steps[rows, numbers])
         same = (new == old).all(axis=1)
@@ -227,6 +228,7 @@ class _Limits(NamedTuple):
     high: Floats
     is_angle: npt.NDArray[np.bool_]
     is_flag: npt.NDArray[np.bool_]
+    is_motor: npt.NDArray[np.bool_]
 
 
 @cache
@@ -238,12 +240,13 @@ def _limits(genes: tuple[Gene, ...]) -> _Limits:
         high=np.array([gene.high for gene in numbers]),
         is_angle=np.array([gene.kind == "angle" for gene in numbers]),
         is_flag=np.array([gene.kind == "flag" for gene in numbers]),
+        is_motor=np.array([gene.name == MOTOR for gene in numbers]),
     )
 
 
 def _stepped(limits: _Limits, numbers: Ints, values: Floats, steps: Floats) -> Floats:
     """Move some numbers by a share of their gene's range, and back within its bounds."""
-    _, low, high, is_angle, is_flag = (of_all.take(numbers) for of_all in limits)
+    _, low, high, is_angle, is_flag, _ = (of_all.take(numbers) for of_all in limits)
     moved = values + steps * (high - low)
     wrapped = low + np.mod(moved - low, high - low)
     # The clip also catches the rounding of a remainder just below an angle's end.

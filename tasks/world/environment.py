@@ -9,9 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from numbers import Real
+from typing import Literal
 
 from tasks.world.medium import EnsembleMedium, Medium
 from tasks.world.slush import Slush
+
+EnvironmentName = Literal["true_slush", "dry_land", "residual_slush", "single_member"]
+"""Where a trial evolves: E, E', Ê with the whole ensemble, Ê with one member of it."""
 
 
 def _check_depth(depth: float) -> None:

@@ -95,6 +95,12 @@ def test_simulate_reports_every_world_and_films(study, design, capsys, tmp_path)
     assert "members" in said  # of the last world
 
 
+def test_simulate_tells_the_seconds_of_the_simulation(study, design, capsys):
+    arguments = (str(design), "--environment", "dry_land", "--depth", "1", "--set", "physics.time_step=0.05")
+    assert call("simulate", *arguments, *study) == 0
+    assert "Dry Land, 1 m deep, 1 s:" in capsys.readouterr().out  # 20 steps
+
+
 def test_a_page_of_one_design_shows_what_networks_say_of_it(study, design, capsys, tmp_path):
     for world, depth in (("dry_land", "1"), ("true_slush", "1"), ("residual_slush", "1")):
         out = tmp_path / f"{world}.html"
@@ -188,6 +194,11 @@ def test_designs_that_are_none(capsys, tmp_path, design):
         capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.mp5")
     )
     assert "--out" in said
+    (tmp_path / "x.gif").mkdir()
+    said = refused(
+        capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.gif")
+    )
+    assert "--out" in said and "Is a directory" in said and "store" not in said and "kept" not in said
 
 
 def test_a_store_that_is_none_or_too_new(study, capsys, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from pipeline.artifacts import decode_json, encode_json
 from pipeline.stages import report
 from pipeline.stages.analyse import read_table
+from pipeline.stages.findings import findings
 from pipeline.stages.replays import replays_of
 from pipeline.stages.report import PAGE
 from pipeline.stages.transfer import SCORE
@@ -80,6 +81,15 @@ def test_without_networks_and_analysis_there_is_what_needs_none(page):
         *((name, "True Slush") for name in ("true_slush", "dry_land", "residual_slush", "single_member")),
     }
     assert not any(replay.overlays for replay in found.values())
+
+
+def test_films_and_throws_take_as_long_as_in_the_simulation(page, settings):
+    spec, inputs = page
+    slow = {**spec, "physics": {**spec["physics"], "time_step": 0.05}}
+    for replay in replays_of(slow, HOW, inputs):
+        assert replay.duration == pytest.approx(spec["rollout"]["n_measure"] * 0.05)
+    found = findings(inputs, assessed_depth=1.0, tank=None, time_step=0.05)
+    assert found.throws.seconds == pytest.approx(settings.throws.n_steps * 0.05)
 
 
 def test_champions_that_no_true_slush_has_seen_are_filmed_where_they_evolved(page):

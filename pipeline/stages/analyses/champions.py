@@ -68,11 +68,6 @@ def roll_out(job: Job, world: Environment, designs: Designs, *, trace: bool = Fa
     return segments.roll_out(job.spec, job.how, world, designs, trace=trace)
 
 
-def true_slush(spec: Spec, depth: float) -> Environment:
-    """Give the world that designs are made for."""
-    return segments.world_of({**spec, "world": "true_slush", "depth": depth}, {})
-
-
 # -- transfer matrix -------------------------------------------------------------------------------------------------
 
 
@@ -106,7 +101,7 @@ def compute_matrix(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reaso
     entrants = champions(job.spec["trials"], inputs)
     tests: list[TestRow] = []
     for depth in job.spec["depths"] if entrants else ():
-        rollouts = roll_out(job, true_slush(job.spec, depth), concatenate([of.design for of in entrants]))
+        rollouts = roll_out(job, segments.true_slush(job.spec, depth), concatenate([of.design for of in entrants]))
         tests += [
             TestRow(of.environment, of.depth, of.trial, depth, float(root), float(whole))
             for of, root, whole in zip(entrants, rollouts.displacement, rollouts.com_displacement, strict=True)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName
 from pipeline.stage import Files, Spec
 from pipeline.stages import segments
-from pipeline.stages.analyses.champions import Champion, true_slush
+from pipeline.stages.analyses.champions import Champion
 from tasks.world import Environment
 
 NOBODY = -1
@@ -51,7 +51,7 @@ def film_arm(spec: Spec, how: Spec, arm: Sequence[Champion], networks: Mapping[s
     """Film the best champion of an arm in True Slush and, if that is elsewhere, where it evolved.
 
     Args:
-        spec: physics, slush, and rollout.
+        spec: physics, rollout, and what True Slush and the world where they evolved are made of.
         how: the engine.
         arm: its champions; none, no film.
         networks: every member's files by name; where they are missing, worlds made of them are left out.
@@ -61,7 +61,7 @@ def film_arm(spec: Spec, how: Spec, arm: Sequence[Champion], networks: Mapping[s
     best, survives = best_of(arm)
     champion, films = arm[best], []
     if survives:
-        world = true_slush(spec, champion.depth)
+        world = segments.true_slush(spec, champion.depth)
         rollouts = segments.roll_out(spec, how, world, champion.design, trace=True)
         assert rollouts.trace is not None
         films.append(Filmed(champion, "true_slush", NOBODY, float(rollouts.displacement[0]), rollouts.trace))

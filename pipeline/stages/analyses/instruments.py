@@ -15,7 +15,7 @@ import numpy.typing as npt
 from pipeline.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.stage import Files, Job, Spec
 from pipeline.stages import segments
-from pipeline.stages.analyses.champions import Champion, champions, ensemble_of, roll_out, true_slush
+from pipeline.stages.analyses.champions import Champion, champions, ensemble_of, roll_out
 from pipeline.stages.analyses.films import NOBODY, Filmed, best_of, film_at_home, home_of
 from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.stages.collect import TRANSITIONS, read_transitions
@@ -40,7 +40,7 @@ from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.residual import OBSERVATION, Transitions
 from tasks.seeding import generator
-from tasks.world import EnsembleMedium, Physics, Slush
+from tasks.world import EnsembleMedium, Physics
 
 N_TRIES = 32
 """Times that each champion is tried again: its loss is then known to a fifth of the tries' deviation."""
@@ -74,12 +74,11 @@ def compute_members(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reas
     errors: Sequence[MemberError] = ()
     if not why:
         physics = Physics.model_validate(job.spec["physics"])
-        medium = Slush.model_validate(job.spec["slush"])
         ensemble, (_, held_out) = ensemble_of(inputs), transitions_of(job.spec, inputs)
         rng = generator(job.spec["seed"], "analyse", "phantom thrust")
         found = phantom_thrust(ensemble, held_out, physics, rng=rng)
         thrusts = [ThrustRow(member, thrust) for member, thrust in enumerate(found)]
-        errors = member_errors(ensemble, medium, thrown_links(held_out, physics), physics)
+        errors = member_errors(ensemble, segments.true_medium(job.spec), thrown_links(held_out, physics), physics)
     tables = {
         "phantom_thrust": columns_of(ThrustRow, thrusts),
         "member_errors": columns_of(MemberError, errors),
@@ -142,7 +141,7 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
         tables = _arm_tables([], [], [], 1)
         return tables, dict.fromkeys(tables, "no trial of this arm has a champion")
     designs = concatenate([of.design for of in arm])
-    in_slush = roll_out(job, true_slush(spec, spec["depth"]), designs, trace=True)
+    in_slush = roll_out(job, segments.true_slush(spec, spec["depth"]), designs, trace=True)
     assert in_slush.trace is not None
     best, survives = best_of(arm)
     moved = _moved(in_slush.displacement, in_slush.com_displacement)
@@ -151,7 +150,7 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
         return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "worlds", "member_errors"), why)
     ensemble, physics = ensemble_of(inputs), Physics.model_validate(spec["physics"])
     links = link_states(designs, in_slush.trace, physics)
-    errors = member_errors(ensemble, Slush.model_validate(spec["slush"]), links, physics)
+    errors = member_errors(ensemble, segments.true_medium(spec), links, physics)
     learned, _ = transitions_of(spec, inputs)
     index = thrown(learned.observation, learned.throw)
     champion, traced = arm[best], in_slush.trace[best : best + 1]

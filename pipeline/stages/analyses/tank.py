@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.stage import Files, Job
 from pipeline.stages import segments
-from pipeline.stages.analyses.champions import Champion, champions, roll_out, true_slush
+from pipeline.stages.analyses.champions import Champion, champions, roll_out
 from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.tables import columns_of
 from tasks.analysis import Crossing, Tank, crossings, nearest_the_mean
@@ -51,7 +51,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     chosen = nearest_the_mean(np.array([of.zero_shot for of in entrants]))
     dry_land = roll_out(job, DryLand(depth=spec["depth"]), concatenate([of.design for of in entrants]))
     tank = Tank.model_validate(spec["tank"])
-    wet = _in_tank(job, tank, true_slush(spec, tank.simulated_depth), entrants)
+    wet = _in_tank(job, tank, segments.true_slush(spec, tank.simulated_depth), entrants)
     dry = _in_tank(job, tank, DryLand(depth=0.0), entrants)
     root, whole = dry_land.displacement.tolist(), dry_land.com_displacement.tolist()
     rows = [

@@ -2,11 +2,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
 
-from pipeline.report.data import Estimate, TrialResult, arm, deepest_scored, depths, environments, estimate, ratio
+from pipeline.report.data import (
+    ENVIRONMENTS,
+    Estimate,
+    TrialResult,
+    arm,
+    deepest_scored,
+    depths,
+    environments,
+    estimate,
+    ratio,
+)
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_the_page_has_every_environments_colours_for_light_and_dark(name):
+    css, style = files("pipeline.report").joinpath("page.css").read_text(encoding="utf-8"), ENVIRONMENTS[name]
+    variable = f"--{name.replace('_', '-')}"
+    assert f"{variable}: {style.color};" in css and f"{variable}-adapted: {style.adapted_color};" in css
+    assert css.count(f"{variable}: ") == css.count(f"{variable}-adapted: ") == 2
+    assert f".{name} {{ background: var({variable}); }}" in css
 
 
 def test_estimate_of_two_trials_by_hand(study):

@@ -32,6 +32,18 @@ def test_frames_begin_where_the_displacement_is_measured_from(rollout, slush_rep
     assert slush_replay.frames[-1, 0, 0] - slush_replay.frames[0, 0, 0] == pytest.approx(displacement, abs=1e-6)
 
 
+def test_time_passes_as_in_the_rollout(rollout):
+    design, trace, _ = rollout
+    slow = replay_of(design, trace, n_settle=60, time_step=0.05, **WORDS)
+    # 180 steps of 0.05 s are measured; two of them make a frame of 0.1 s.
+    assert (slow.fps, slow.duration) == (pytest.approx(10.0), pytest.approx(9.0))
+    assert encode(slow)["fps"] == slow.fps
+
+
+def test_a_film_of_another_medium_is_not_of_true_slush(slush_replay):
+    assert slush_replay.in_true_slush and not replace(slush_replay, other_medium=True).in_true_slush
+
+
 def test_joints_hold_in_the_replay(slush_replay):
     """Where the parent has a joint, the child's long axis passes, to what Box2D's position correction leaves."""
     child = slush_replay.frames[:, 1:]

@@ -1,0 +1,241 @@
+"""What the README says under "To change something", done to the letter in a copy of the sources, and run."""
+
+import base64
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars
+import pytest
+
+from pipeline.report.replay import MOST_ACCELERATION
+
+ROOT = Path(__file__).parents[2]
+
+STUDY = """
+name: changed
+throws: {n_throws: 6, n_steps: 20}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 20, batch_size: 64}
+ensemble: {n_members: 2}
+grid: {depths: [1.0], single_member_depths: [], n_trials: 1}
+rollout: {n_settle: 60, n_measure: 60}
+evolution: {n_generations: 4, afpo: {population_size: 4}}
+transfer: {n_generations: 3}
+assess: {n_designs: 5}
+work: {engine: reference}
+"""
+
+RUN = """
+import json, sys
+from pathlib import Path
+from small_study import run
+from pipeline.cluster import serial_cluster
+from pipeline.configuration import parse
+from pipeline.settings import Settings
+from pipeline.store import Store
+
+settings = parse(Settings, sys.stdin.read(), name="changed")
+store = Store.open(Path("store"), create=True)
+with serial_cluster() as cluster:
+    upstream = run(settings, store, cluster)
+for stage, results in upstream.items():
+    for label, manifests in results.done.items():
+        folder = Path("out", stage, label)
+        folder.mkdir(parents=True)
+        for manifest in manifests:
+            for name in manifest.files:
+                (folder / name).write_bytes(store.read(manifest, name))
+print(json.dumps([f"{stage} {label}: {why}" for stage in upstream for label, why in upstream[stage].set_aside.items()]))
+"""
+
+TAR = '''"""Tar: a current that carries along whatever is below y = 0."""
+
+import numpy as np
+from pydantic import Field
+
+from tasks.parameters import Parameters
+from tasks.world.medium import LinkStates, VelocityChange
+from tasks.world.physics import Physics
+
+
+class Tar(Parameters):
+    """Tar, as far as a test needs it."""
+
+    pull: float = Field(default=3.0, ge=0.0, le=10.0)
+    """[m/s²]"""
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        """Pull to the right."""
+        still = np.zeros_like(links.y)
+        return VelocityChange(np.where(links.y < 0, self.pull * physics.time_step, still), still, still)
+'''
+PULL, TIME_STEP = 3.0, 1 / 60
+
+TAR_PIT = '''@dataclass(frozen=True)
+class TarPit:
+    """Dry land whose region below y = 0 is filled with tar."""
+
+    depth: float
+    tar: Tar = field(default_factory=Tar)
+
+    @property
+    def medium(self) -> Medium:
+        """The tar."""
+        return self.tar
+
+
+'''
+
+IMPORT_TAR = "from tasks.world.tar import Tar\n"
+
+MEDIUM = {
+    "tasks/world/environment.py": [
+        ("from tasks.world.slush import Slush\n", f"from tasks.world.slush import Slush\n{IMPORT_TAR}"),
+        ('"single_member"]', '"single_member", "tar_pit"]'),
+        ("Environment = DryLand |", f"{TAR_PIT}Environment = TarPit | DryLand |"),
+    ],
+    "pipeline/settings.py": [
+        ("from tasks.world import", f"{IMPORT_TAR}from tasks.world import"),
+        ("    slush: Slush", '    tar: Tar = Tar()\n    """That of the tar pit."""\n    slush: Slush'),
+    ],
+    "pipeline/stages/segments.py": [
+        ('    "dry_land": (),\n', '    "dry_land": (),\n    "tar_pit": ("tar",),\n'),
+        ("from tasks.world import", f"from tasks.world.environment import TarPit\n{IMPORT_TAR}from tasks.world import"),
+        (
+            '    if world == "true_slush":\n',
+            '    if world == "tar_pit":\n        return TarPit(depth=depth, tar=Tar.model_validate(spec["tar"]))\n'
+            '    if world == "true_slush":\n',
+        ),
+    ],
+    "pipeline/report/page.css": [
+        ("--true-slush: #1c6fb8;", "--tar-pit: #333333; --tar-pit-adapted: #999999; --true-slush: #1c6fb8;"),
+        ("--true-slush: #4d9de0;", "--tar-pit: #cccccc; --tar-pit-adapted: #666666; --true-slush: #4d9de0;"),
+        (".true_slush {", ".tar_pit { background: var(--tar-pit); } .true_slush {"),
+    ],
+    "pipeline/report/data.py": [
+        (
+            '    "single_member": Env',
+            '    "tar_pit": EnvironmentStyle("Tar Pit", "T", "#333333", "#999999", "v", "in the Tar Pit"),\n'
+            '    "single_member": Env',
+        ),
+    ],
+}
+LEARNT = {
+    "pipeline/stages/segments.py": [
+        ('    "true_slush": ("slush",),\n', '    "true_slush": ("tar",),\n'),
+        (
+            '        return TrueSlush(depth=depth, slush=Slush.model_validate(spec["slush"]))\n',
+            '        return TarPit(depth=depth, tar=Tar.model_validate(spec["tar"]))\n',
+        ),
+    ],
+}
+
+GENE = {
+    "tasks/design/genes.py": [
+        (
+            '    Gene("frequency", ',
+            '    Gene("bend", "control", "interval", -1.0, 1.0, "rad", False),\n'
+            '    Gene("hollow", "body", "flag", 0.0, 1.0, "", True),\n'
+            '    Gene("girth", "body", "interval", 0.5, 2.0, "m", True, per_link=False),\n'
+            '    Gene("frequency", ',
+        ),
+        (
+            "    motor_on: npt.NDArray[np.bool_]\n",
+            "    motor_on: npt.NDArray[np.bool_]\n    bend: npt.NDArray[np.float64]\n"
+            "    hollow: npt.NDArray[np.bool_]\n    girth: npt.NDArray[np.float64]\n",
+        ),
+    ],
+    "pipeline/stages/evolve.py": [('"evolve", 1\n', '"evolve", 2\n')],
+}
+
+
+def change(copy: Path, edits: dict[str, list[tuple[str, str]]]) -> None:
+    for name, replacements in edits.items():
+        text = (copy / name).read_text()
+        for old, new in replacements:
+            assert text.count(old) == 1, f"{name} has {text.count(old)} times {old!r}, expected once"
+            text = text.replace(old, new)
+        (copy / name).write_text(text)
+
+
+def run(copy: Path, settings: str) -> list[str]:
+    """Run a study in a copy, whose files come to lie in out/; give what was set aside."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests" / "shared")}
+    done = subprocess.run(
+        [sys.executable, "-c", RUN], cwd=copy, env=environment, input=settings, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """A copy of the sources."""
+    for package in ("tasks", "pipeline"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def pushes(copy: Path) -> dict[tuple[str, str], np.ndarray]:
+    """Read from the page, by where a robot evolved and where it is seen, how the medium pushes its links [m/s²]."""
+    page = (copy / "out" / "report" / "index.html" / "index.html").read_text()
+    replays = json.loads(re.search(r'id="replays">(.*?)</script>', page).group(1))
+    assert all(replay["pushQuantum"] == MOST_ACCELERATION / 127 for replay in replays)
+    where = [(replay["environment"], replay["world"]) for replay in replays]
+    push = [np.frombuffer(base64.b64decode(replay["push"]), np.int8).reshape(-1, 2) for replay in replays]
+    return dict(zip(where, push, strict=True))
+
+
+@pytest.mark.timeout(600)
+def test_a_medium_to_evolve_in(copy):
+    (copy / "tasks/world/tar.py").write_text(TAR)
+    change(copy, MEDIUM)
+    assert run(copy, STUDY.replace("depths: [1.0],", "depths: [1.0], environments: [tar_pit, dry_land],", 1)) == []
+    films = copy / "out" / "report" / "films" / "tar_pit" / "1m"
+    assert {path.stem for path in films.glob("*.mp4")} == {"replay-tar_pit-1m", "replay-tar_pit-1m-at-home"}
+    seen = pushes(copy)
+    pulled = np.array([round(PULL * 127 / MOST_ACCELERATION), 0])
+    assert (seen["tar_pit", "Tar Pit"] == pulled).all(axis=1).any()
+    assert ((seen["tar_pit", "Tar Pit"] == pulled) | (seen["tar_pit", "Tar Pit"] == 0)).all()
+    assert seen["tar_pit", "True Slush"][:, 1].any()  # it lifts
+
+
+@pytest.mark.timeout(600)
+def test_a_medium_to_learn_and_to_transfer_to(copy):
+    (copy / "tasks/world/tar.py").write_text(TAR)
+    change(copy, MEDIUM)
+    change(copy, LEARNT)
+    assert run(copy, STUDY) == []
+    (throws,) = (copy / "out" / "collect").glob("*/transitions.parquet")
+    residual = np.stack(polars.read_parquet(throws)["residual"].to_numpy())
+    pulled = np.isclose(residual[:, 3], PULL * TIME_STEP, rtol=1e-4)
+    assert pulled.any() and not residual[~pulled, 3].any() and not residual[:, 4:].any()
+    scores = json.loads((copy / "out/transfer/true_slush/1m/trial-0/score.json").read_text())
+    assert scores["zero_shot"] == scores["predicted"]
+    assert not any(push[:, 1].any() for (_, world), push in pushes(copy).items() if world == "True Slush")
+    errors = polars.read_parquet(copy / "out/analyse/members/member_errors.parquet")
+    assert errors.filter(component="vy")["rms_true"].max() == 0
+
+
+@pytest.mark.timeout(600)
+def test_genes(copy):
+    change(copy, GENE)
+    settings = STUDY.replace("depths: [1.0],", "depths: [1.0], environments: [dry_land],", 1)
+    assert run(copy, settings.replace("afpo:", "morphology: {n_actuated: 2}, afpo:")) == []
+    (history,) = (copy / "out" / "evolve" / "dry_land").glob("**/history.parquet")
+    designs = polars.read_parquet(history)
+    bend, hollow, motors = (np.stack(designs[name].to_numpy()) for name in ("bend", "hollow", "motor_on"))
+    assert bend.dtype == np.float64 and (abs(bend) <= 1).all() and not bend[:, 0].any() and bend[:, 1:].all()
+    assert hollow.dtype == np.bool_ and len(set(hollow.sum(axis=1))) > 1
+    assert (motors.sum(axis=1) == 2).all()  # a flag that is no motor has no part in how many there are
+    assert designs["girth"].is_between(0.5, 2.0).all() and designs["girth"].n_unique() > 1
+    scored = copy / "out" / "transfer" / "dry_land" / "1m" / "trial-0"
+    before, after = (json.loads((scored / name).read_text()) for name in ("champion.json", "adapted.json"))
+    assert (before["hollow"], before["girth"]) == (after["hollow"], after["girth"])
+    assert before["bend"] != after["bend"]
