@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, radians
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -36,8 +37,15 @@ BRIEF = 0.001
 LOWER_BOUND = 0.2
 """Share of the run at the limit above which the torques are taken for less than the gait needs."""
 
+ENOUGH = 1.3
+"""Least margin that is not remarked on: a battery that sags, a cable and wear take a quarter of what a data sheet promises."""
+
 FAR = 2.0
 """Deviations σ of the ensemble that its mean may be off the truth before it is said."""
+
+
+Cause = Literal["travel", "speed", "torque"]
+"""What a servo may have too little of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,16 +177,13 @@ def bench_of(
     timeline: Timeline | None = None
     refused: list[Finding] = []
     if calibration is not None:
-        try:
-            timeline = timeline_of(design, settings.playback, time_scale=scales.time)
-            pulses(timeline, calibration)
-        except TimelineError as error:
+        timeline = timeline_of(design, settings.playback, time_scale=scales.time)
+        if refused := _of_timeline(timeline, calibration, settings):
             timeline = None
-            refused = [Finding("timeline", "fault", "servos", f"they can't play this gait: {error}. {SLOWER}")]
     contacts: list[Contact] = []
     if simulated is not None:
         contacts = passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step)
-    found = [*refused, *_of_loads(loads, servo, simulated), *_of_contacts(contacts), *_of_floating(floating, tank_mm),
+    found = [*refused, *_of_loads(loads, servo, simulated, settings), *_of_contacts(contacts), *_of_floating(floating, tank_mm),
              *_of_members(members, true_slush)]
     return Bench(
         scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
@@ -186,7 +191,37 @@ def bench_of(
     )  # fmt: skip
 
 
-SLOWER = "It is slower with --set scaling.law=kept_frequencies; or choose a faster servo (--set kit.servo=...)"
+def _of_timeline(timeline: Timeline, calibration: Calibration, settings: FabricationSettings) -> list[Finding]:
+    try:
+        pulses(timeline, calibration)
+    except TimelineError as error:
+        return [Finding("timeline", "fault", "servos", f"they can't play this gait: {str(error).rstrip('.')}."
+                        f"{_remedies(_too_much(timeline, calibration), settings)}")]
+    return []
+
+
+def _too_much(timeline: Timeline, calibration: Calibration) -> list[Cause]:
+    """Say what of a timeline is past its servos."""
+    far = fast = False
+    for servo in calibration.servos:
+        column = timeline.joints.index(servo.joint)
+        reach = min(servo.max_us - servo.centre_us, servo.centre_us - servo.min_us) / servo.us_per_rad
+        far |= bool(np.abs(timeline.angle[:, column]).max() > reach)
+        fast |= bool(np.abs(timeline.speed[:, column]).max() > servo.max_speed)
+    causes: list[tuple[bool, Cause]] = [(far, "travel"), (fast, "speed")]
+    return [cause for there, cause in causes if there]
+
+
+def _remedies(causes: Sequence[Cause], settings: FabricationSettings) -> str:
+    """Say what helps, for each thing that a servo falls short of; a sentence each, with a space before it."""
+    slower = "" if settings.scaling.law == "kept_frequencies" else ", or --set scaling.law=kept_frequencies"
+    two = "" if settings.kit.servos_per_joint == 2 else ", or --set kit.servos_per_joint=2"
+    remedies = {
+        "travel": " It swings too far: choose a servo that turns farther (--set kit.servo=...), or another design.",
+        "speed": f" It is too fast: choose a faster servo (--set kit.servo=...){slower}.",
+        "torque": f" It is too hard: choose a stronger servo (--set kit.servo=...){two}.",
+    }
+    return "".join(remedies[cause] for cause in causes)
 
 
 def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
@@ -208,10 +243,12 @@ def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
     return Calibration(servos=tuple(servos)) if servos else None
 
 
-def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | None) -> list[Finding]:
+def _of_loads(
+    loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | None, settings: FabricationSettings
+) -> list[Finding]:
     if simulated is None:
         return [Finding("torque", "fault", "joints", "the simulation diverged: what the joints need is not known")]
-    found, advice = [], f". {SLOWER}"
+    found: list[Finding] = []
     for load in loads:
         where = f"joint {load.joint}"
         if load.use > 1:
@@ -219,14 +256,21 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
                 "torque", "fault", where,
                 f"the servo can't do it: at the worst instant the run asks for {load.use:.2f} times what a "
                 f"{servo.name} can give (up to {load.peak_torque:.2f} N·m, up to {load.peak_speed:.1f} rad/s; it has "
-                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded){advice}",
+                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded)."
+                f"{_remedies(_short_of(load, servo), settings)}",
             ))  # fmt: skip
-            advice = ""  # once is enough
+        elif load.margin < ENOUGH:
+            found.append(Finding(
+                "margin", "warning", where,
+                f"at the worst instant a {servo.name} has {load.margin:.2f} times what the run asks for, expected "
+                f"{ENOUGH:g} or more: a real one gives less than its data sheet says."
+                f"{_remedies(_short_of(load, servo), settings)}",
+            ))  # fmt: skip
         if load.stall_share > HOT:
             found.append(Finding(
                 "heat", "warning", where,
-                f"it asks for {load.stall_share:.0%} of the stall torque on average; above {HOT:.0%} a hobby servo "
-                f"overheats within minutes",
+                f"it asks for {load.stall_share:.0%} of the stall torque (root mean square over the run); above {HOT:.0%} a "
+                f"hobby servo overheats within minutes",
             ))  # fmt: skip
         if load.saturated > LOWER_BOUND:
             found.append(Finding(
@@ -241,6 +285,14 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
                 f"otherwise there",
             ))  # fmt: skip
     return found
+
+
+def _short_of(load: JointLoad, servo: Servo) -> list[Cause]:
+    """Say what of a servo is nearly used up: speed or torque, each by itself; else both, which its line sets together."""
+    shares: list[tuple[float, Cause]] = [
+        (load.peak_speed / servo.no_load_speed_rad_s, "speed"), (load.peak_torque / servo.stall_torque_nm, "torque")
+    ]  # fmt: skip
+    return [cause for share, cause in shares if share * ENOUGH > 1] or ["speed", "torque"]
 
 
 def _of_contacts(contacts: Sequence[Contact]) -> list[Finding]:
