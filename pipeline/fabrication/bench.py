@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi, radians
+from math import isclose, pi, radians
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.fabrication.choices import FabricationSettings
+from tasks.analysis.tank import Tank
 from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import Finding, Severity
@@ -142,7 +143,8 @@ def bench_of(
     members: Members | None,
     physics: Physics,
     *,
-    tank_mm: float,
+    tank: Tank | None,
+    depth: float,
     true_slush: float | None = None,
 ) -> Bench:
     """Work out how a kit will do.
@@ -154,7 +156,8 @@ def bench_of(
         simulated: its run, None where it diverged.
         members: what the study's ensemble says of it.
         physics: of the run.
-        tank_mm: depth of what fills the tank.
+        tank: that champions were tried in, if any.
+        depth: of the slush in the run [m of simulation]; without a tank, as deep at the kit's scale is what it floats in.
         true_slush: displacement of the root in True Slush under the study's own physics [m of simulation], if known.
     """
     servo = servo_of(settings.kit)
@@ -180,11 +183,12 @@ def bench_of(
         timeline = timeline_of(design, settings.playback, time_scale=scales.time)
         if refused := _of_timeline(timeline, calibration, settings):
             timeline = None
+    tank_mm = depth * settings.kit.scale_mm_per_m if tank is None else 1000 * tank.depth
     contacts: list[Contact] = []
     if simulated is not None:
         contacts = passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step)
     found = [*refused, *_of_loads(loads, servo, simulated, settings), *_of_contacts(contacts), *_of_floating(floating, tank_mm),
-             *_of_members(members, true_slush)]
+             *_of_scale(tank, settings.kit.scale_mm_per_m), *_of_members(members, true_slush)]
     return Bench(
         scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
         tuple(found),
@@ -330,6 +334,14 @@ def _of_floating(floating: Floating, tank_mm: float) -> list[Finding]:
         return [Finding("floating", "warning", "robot", f"it stands on the floor of a tank of {tank_mm:.0f} mm: its "
                         f"draught is {floating.draught_mm:.0f} mm"), *_of_pockets(floating)]
     return _of_pockets(floating)
+
+
+def _of_scale(tank: Tank | None, scale_mm_per_m: float) -> list[Finding]:
+    if tank is None or isclose(1000 * tank.scale, scale_mm_per_m):
+        return []
+    return [Finding("scale", "warning", "robot", f"the kit has {scale_mm_per_m:g} mm for a metre of simulation, the "
+                    f"tank of the settings that it is simulated under {1000 * tank.scale:g}: what was said of it in "
+                    f"that tank is of a robot of another size (--set kit.scale_mm_per_m={1000 * tank.scale:g})")]
 
 
 def _of_pockets(floating: Floating) -> list[Finding]:

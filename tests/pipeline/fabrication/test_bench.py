@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from pipeline.configuration import parse
-from pipeline.fabrication.bench import Members, _of_floating, _of_loads, _of_members, _of_timeline
+from pipeline.fabrication.bench import Members, _of_floating, _of_loads, _of_members, _of_scale, _of_timeline
 from pipeline.fabrication.choices import FabricationSettings
+from pipeline.fabrication.figures import worst_of_each
+from tasks.analysis.tank import Tank
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.floating import Floating
 from tasks.fabrication.scaling import JointLoad
@@ -34,6 +36,18 @@ def test_torque_that_was_clipped_is_a_lower_bound(saturated, severity):
     found = _of_loads([load], servo_named("ds3225"), object(), FabricationSettings())
     assert [one.severity for one in found] == ([severity] if severity else [])
     assert ("lower bound" in "".join(one.message for one in found)) == (severity == "warning")
+
+
+def test_a_kit_and_a_tank_of_two_scales():
+    assert _of_scale(None, 100.0) == _of_scale(Tank(), 70.0) == []
+    (found,) = _of_scale(Tank(), 100.0)
+    assert found.severity == "warning" and "100 mm" in found.message and "kit.scale_mm_per_m=70" in found.message
+
+
+def test_few_points_show_the_worst_of_a_run():
+    use = np.array([0.1, 0.3, 0.2, 0.5, 0.4, 0.4, 0.9])
+    assert worst_of_each(use, 3).tolist() == [1, 3, 6]
+    assert worst_of_each(use, 1).tolist() == list(range(7))
 
 
 def chosen(*overrides: str) -> FabricationSettings:
