@@ -270,8 +270,8 @@ def fabricate(
     if (design is None) == (study is None):
         raise PuddleError("expected a design file or --study NAME, one of them: `puddle fabricate design.json`")
     if study is not None and preset is not None:
-        raise PuddleError(f"--preset: a study's champion is simulated under the study's own settings; expected a design "
-                          f"file with --preset, came --study {study}")
+        raise PuddleError(f"--preset: expected with a design file, came with --study {study}, whose champion is "
+                          f"simulated under the study's own settings")
     choices = tuple(overrides or ())
     chosen = (
         load(FabricationSettings, settings, choices)

@@ -39,7 +39,8 @@ LOWER_BOUND = 0.2
 """Share of the run at the limit above which the torques are taken for less than the gait needs."""
 
 ENOUGH = 1.3
-"""Least margin that is not remarked on: a battery that sags, a cable and wear take a quarter of what a data sheet promises."""
+"""Least margin that is not remarked on. A data sheet's torque and speed are a new servo's at its full voltage;
+a battery that sags, a cable, water at the seals and wear may well take a quarter."""
 
 FAR = 2.0
 """Deviations σ of the ensemble that its mean may be off the truth before it is said."""
@@ -157,7 +158,7 @@ def bench_of(
         members: what the study's ensemble says of it.
         physics: of the run.
         tank: that champions were tried in, if any.
-        depth: of the slush in the run [m of simulation]; without a tank, as deep at the kit's scale is what it floats in.
+        depth: of the slush in the run [m of simulation]; without a tank the robot floats in as much, at its scale.
         true_slush: displacement of the root in True Slush under the study's own physics [m of simulation], if known.
     """
     servo = servo_of(settings.kit)
@@ -187,8 +188,9 @@ def bench_of(
     contacts: list[Contact] = []
     if simulated is not None:
         contacts = passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step)
-    found = [*refused, *_of_loads(loads, servo, simulated, settings), *_of_contacts(contacts), *_of_floating(floating, tank_mm),
-             *_of_scale(tank, settings.kit.scale_mm_per_m), *_of_members(members, true_slush)]
+    found = [*refused, *_of_loads(loads, servo, simulated, settings), *_of_contacts(contacts),
+             *_of_floating(floating, tank_mm), *_of_scale(tank, settings.kit.scale_mm_per_m),
+             *_of_members(members, true_slush)]
     return Bench(
         scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
         tuple(found),
@@ -273,8 +275,8 @@ def _of_loads(
         if load.stall_share > HOT:
             found.append(Finding(
                 "heat", "warning", where,
-                f"it asks for {load.stall_share:.0%} of the stall torque (root mean square over the run); above {HOT:.0%} a "
-                f"hobby servo overheats within minutes",
+                f"it asks for {load.stall_share:.0%} of the stall torque (root mean square over the run); above "
+                f"{HOT:.0%} a hobby servo overheats within minutes",
             ))  # fmt: skip
         if load.saturated > LOWER_BOUND:
             found.append(Finding(
@@ -292,7 +294,7 @@ def _of_loads(
 
 
 def _short_of(load: JointLoad, servo: Servo) -> list[Cause]:
-    """Say what of a servo is nearly used up: speed or torque, each by itself; else both, which its line sets together."""
+    """Say what of a servo is nearly used up: speed or torque, each by itself; else both, which its line ties."""
     shares: list[tuple[float, Cause]] = [
         (load.peak_speed / servo.no_load_speed_rad_s, "speed"), (load.peak_torque / servo.stall_torque_nm, "torque")
     ]  # fmt: skip

@@ -44,13 +44,14 @@ def _torque(design: Designs, bench: Bench) -> tuple[Figure, str]:
     axes.set(xlabel="speed in the torque's sense [rad/s]", ylabel="torque of a servo [N·m]", ylim=(0, None))
     axes.grid(True, color=FAINT)
     figure.legend(loc="outside upper center", ncols=3, markerscale=4, fontsize=9)
+    instants = "every instant" if every == 1 else f"the worst of every {every} instants"
     return figure, (
-        f"The simulated run at the bench's scale{f', the worst of every {every} instants' if every > 1 else ''}, against "
-        f"what a {bench.servo.name} can give: its straight line from stall to no load. Left of zero the joint is driven by the world and the servo brakes."
+        f"The simulated run at the bench's scale, {instants}, against what a {bench.servo.name} can give: its "
+        f"straight line from stall to no load. Left of zero the joint is driven by the world and the servo brakes."
     )
 
 
-def worst_of_each(use: npt.NDArray[np.float64], every: int) -> npt.NDArray[np.int64]:
+def worst_of_each(use: npt.NDArray[np.floating], every: int) -> npt.NDArray[np.int64]:
     """Find the instant of the largest use in each span of a run, so that few points show its worst.
 
     Args:

@@ -137,8 +137,8 @@ def _measures(kit: Kit, servo: Servo) -> str:
     return (
         f"<p>Clones of a {escape(servo.name)} differ, and horns more so. Before the parts, print the two gauges, "
         f"slices of this kit's own parts: {prints}. The servo goes into the first from above, ears on the plate, and "
-        f"its screws meet their holes; the horn lies in the second with its face on the floor. Where they don't fit, say "
-        f"what your caliper says, and make the kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
+        f"its screws meet their holes; the horn lies in the second with its face on the floor. Where they don't fit, "
+        f"say what your caliper says, and make the kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
         f"<details><summary>What was taken, and from whom</summary>{taken}</details>"
     )
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import shutil
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from pipeline import disk
 from pipeline.cli import main
 from pipeline.design_file import design_document, read_design
 from pipeline.errors import PuddleError
+from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.folder import MARK, check_place, write_kit
+from pipeline.fabrication.page import _last
 from pipeline.timeline_file import read_calibration, read_timeline
 from tasks.design import Designs
 
@@ -123,6 +126,22 @@ def test_a_servo_that_is_too_weak_is_flagged_and_the_kit_replaced(made, tmp_path
     page = (tmp_path / "kit/index.html").read_text()
     assert "Not to be built as it is" in page and "mg90s" in page
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kit"]
+
+
+def test_the_design_that_the_readme_builds_has_no_fault_and_drives(tmp_path, capsys):
+    design = Path(__file__).parents[3] / "docs/design-buildable.json"
+    arguments = [str(design), "--out", str(tmp_path / "kit"), "--store", str(tmp_path / "store")]
+    assert call("fabricate", *arguments) == 0
+    assert not any(line.startswith("fault") for line in capsys.readouterr().out.splitlines())
+    assert call("drive", str(tmp_path / "kit"), "--dry-run", "--duration", "0.2") == 0
+
+
+def test_a_kit_without_a_timeline_does_not_say_to_drive_it(made):
+    page = (made / "kit/index.html").read_text()
+    assert "puddle drive kit --dry-run" in page and "Find each servo's pulses" in page
+    lame = Bench(**{field.name: None for field in fields(Bench)} | {"calibration": object()})
+    assert "puddle drive" not in _last(lame, "kit") and "Find each servo's pulses" in _last(lame, "kit")
+    assert _last(replace(lame, calibration=None), "kit") == ""
 
 
 def test_mistakes(made, crane, tmp_path, capsys):
