@@ -249,7 +249,9 @@ def fabricate(
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Change one: kit.servo=mg90s, kit.bed_mm=[180,180,180].")
     ] = None,
-    preset: Annotated[str, typer.Option("--preset", help="How a design file is simulated.")] = "pontoon",
+    preset: Annotated[
+        str | None, typer.Option("--preset", help="How a design file is simulated; pontoon by default.")
+    ] = None,
     store: StorePath = DEFAULT_STORE,
     tracking_uri: TrackingUri = None,
 ) -> None:
@@ -265,13 +267,16 @@ def fabricate(
 
     if (design is None) == (study is None):
         raise PuddleError("expected a design file or --study NAME, one of them: `puddle fabricate design.json`")
+    if study is not None and preset is not None:
+        raise PuddleError(f"--preset: expected with a design file, came with --study {study}, whose champion is "
+                          f"simulated under the study's own settings")
     choices = tuple(overrides or ())
     chosen = (
         load(FabricationSettings, settings, choices)
         if settings is not None
         else parse(FabricationSettings, "", name="the kit's settings", overrides=choices)
     )
-    shared = Chosen(preset, None, (), store)
+    shared = Chosen(preset or "pontoon", None, (), store)
     opened = shared.open_store(create=study is None)
     if study is None:
         of_study = shared.settings()

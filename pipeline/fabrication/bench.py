@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import pi, radians
+from math import isclose, pi, radians
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.fabrication.choices import FabricationSettings
+from tasks.analysis.tank import Tank
 from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import Finding, Severity
@@ -36,8 +38,16 @@ BRIEF = 0.001
 LOWER_BOUND = 0.2
 """Share of the run at the limit above which the torques are taken for less than the gait needs."""
 
+ENOUGH = 1.3
+"""Least margin that is not remarked on. A data sheet's torque and speed are a new servo's at its full voltage;
+a battery that sags, a cable, water at the seals and wear may well take a quarter."""
+
 FAR = 2.0
 """Deviations σ of the ensemble that its mean may be off the truth before it is said."""
+
+
+Cause = Literal["travel", "speed", "torque"]
+"""What a servo may have too little of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +144,8 @@ def bench_of(
     members: Members | None,
     physics: Physics,
     *,
-    tank_mm: float,
+    tank: Tank | None,
+    depth: float,
     true_slush: float | None = None,
 ) -> Bench:
     """Work out how a kit will do.
@@ -146,7 +157,8 @@ def bench_of(
         simulated: its run, None where it diverged.
         members: what the study's ensemble says of it.
         physics: of the run.
-        tank_mm: depth of what fills the tank.
+        tank: that champions were tried in, if any.
+        depth: of the slush in the run [m of simulation]; without a tank the robot floats in as much, at its scale.
         true_slush: displacement of the root in True Slush under the study's own physics [m of simulation], if known.
     """
     servo = servo_of(settings.kit)
@@ -169,16 +181,15 @@ def bench_of(
     timeline: Timeline | None = None
     refused: list[Finding] = []
     if calibration is not None:
-        try:
-            timeline = timeline_of(design, settings.playback, time_scale=scales.time)
-            pulses(timeline, calibration)
-        except TimelineError as error:
+        timeline = timeline_of(design, settings.playback, time_scale=scales.time)
+        if refused := _of_timeline(timeline, calibration, settings):
             timeline = None
-            refused = [Finding("timeline", "fault", "servos", f"they can't play this gait: {error}. {SLOWER}")]
+    tank_mm = depth * settings.kit.scale_mm_per_m if tank is None else 1000 * tank.depth
     contacts: list[Contact] = []
     if simulated is not None:
         contacts = passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step)
-    found = [*refused, *_of_loads(loads, servo, simulated), *_of_contacts(contacts), *_of_floating(floating, tank_mm),
+    found = [*refused, *_of_loads(loads, servo, simulated, settings), *_of_contacts(contacts),
+             *_of_floating(floating, tank_mm), *_of_scale(tank, settings.kit.scale_mm_per_m),
              *_of_members(members, true_slush)]
     return Bench(
         scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
@@ -186,7 +197,37 @@ def bench_of(
     )  # fmt: skip
 
 
-SLOWER = "It is slower with --set scaling.law=kept_frequencies; or choose a faster servo (--set kit.servo=...)"
+def _of_timeline(timeline: Timeline, calibration: Calibration, settings: FabricationSettings) -> list[Finding]:
+    try:
+        pulses(timeline, calibration)
+    except TimelineError as error:
+        return [Finding("timeline", "fault", "servos", f"they can't play this gait: {str(error).rstrip('.')}."
+                        f"{_remedies(_too_much(timeline, calibration), settings)}")]
+    return []
+
+
+def _too_much(timeline: Timeline, calibration: Calibration) -> list[Cause]:
+    """Say what of a timeline is past its servos."""
+    far = fast = False
+    for servo in calibration.servos:
+        column = timeline.joints.index(servo.joint)
+        reach = min(servo.max_us - servo.centre_us, servo.centre_us - servo.min_us) / servo.us_per_rad
+        far |= bool(np.abs(timeline.angle[:, column]).max() > reach)
+        fast |= bool(np.abs(timeline.speed[:, column]).max() > servo.max_speed)
+    causes: list[tuple[bool, Cause]] = [(far, "travel"), (fast, "speed")]
+    return [cause for there, cause in causes if there]
+
+
+def _remedies(causes: Sequence[Cause], settings: FabricationSettings) -> str:
+    """Say what helps, for each thing that a servo falls short of; a sentence each, with a space before it."""
+    slower = "" if settings.scaling.law == "kept_frequencies" else ", or --set scaling.law=kept_frequencies"
+    two = "" if settings.kit.servos_per_joint == 2 else ", or --set kit.servos_per_joint=2"
+    remedies = {
+        "travel": " It swings too far: choose a servo that turns farther (--set kit.servo=...), or another design.",
+        "speed": f" It is too fast: choose a faster servo (--set kit.servo=...){slower}.",
+        "torque": f" It is too hard: choose a stronger servo (--set kit.servo=...){two}.",
+    }
+    return "".join(remedies[cause] for cause in causes)
 
 
 def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
@@ -208,10 +249,12 @@ def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
     return Calibration(servos=tuple(servos)) if servos else None
 
 
-def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | None) -> list[Finding]:
+def _of_loads(
+    loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | None, settings: FabricationSettings
+) -> list[Finding]:
     if simulated is None:
         return [Finding("torque", "fault", "joints", "the simulation diverged: what the joints need is not known")]
-    found, advice = [], f". {SLOWER}"
+    found: list[Finding] = []
     for load in loads:
         where = f"joint {load.joint}"
         if load.use > 1:
@@ -219,14 +262,21 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
                 "torque", "fault", where,
                 f"the servo can't do it: at the worst instant the run asks for {load.use:.2f} times what a "
                 f"{servo.name} can give (up to {load.peak_torque:.2f} N·m, up to {load.peak_speed:.1f} rad/s; it has "
-                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded){advice}",
+                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded)."
+                f"{_remedies(_short_of(load, servo), settings)}",
             ))  # fmt: skip
-            advice = ""  # once is enough
+        elif load.margin < ENOUGH:
+            found.append(Finding(
+                "margin", "warning", where,
+                f"at the worst instant a {servo.name} has {load.margin:.2f} times what the run asks for, expected "
+                f"{ENOUGH:g} or more: a real one gives less than its data sheet says."
+                f"{_remedies(_short_of(load, servo), settings)}",
+            ))  # fmt: skip
         if load.stall_share > HOT:
             found.append(Finding(
                 "heat", "warning", where,
-                f"it asks for {load.stall_share:.0%} of the stall torque on average; above {HOT:.0%} a hobby servo "
-                f"overheats within minutes",
+                f"it asks for {load.stall_share:.0%} of the stall torque (root mean square over the run); above "
+                f"{HOT:.0%} a hobby servo overheats within minutes",
             ))  # fmt: skip
         if load.saturated > LOWER_BOUND:
             found.append(Finding(
@@ -241,6 +291,14 @@ def _of_loads(loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | N
                 f"otherwise there",
             ))  # fmt: skip
     return found
+
+
+def _short_of(load: JointLoad, servo: Servo) -> list[Cause]:
+    """Say what of a servo is nearly used up: speed or torque, each by itself; else both, which its line ties."""
+    shares: list[tuple[float, Cause]] = [
+        (load.peak_speed / servo.no_load_speed_rad_s, "speed"), (load.peak_torque / servo.stall_torque_nm, "torque")
+    ]  # fmt: skip
+    return [cause for share, cause in shares if share * ENOUGH > 1] or ["speed", "torque"]
 
 
 def _of_contacts(contacts: Sequence[Contact]) -> list[Finding]:
@@ -278,6 +336,14 @@ def _of_floating(floating: Floating, tank_mm: float) -> list[Finding]:
         return [Finding("floating", "warning", "robot", f"it stands on the floor of a tank of {tank_mm:.0f} mm: its "
                         f"draught is {floating.draught_mm:.0f} mm"), *_of_pockets(floating)]
     return _of_pockets(floating)
+
+
+def _of_scale(tank: Tank | None, scale_mm_per_m: float) -> list[Finding]:
+    if tank is None or isclose(1000 * tank.scale, scale_mm_per_m):
+        return []
+    return [Finding("scale", "warning", "robot", f"the kit has {scale_mm_per_m:g} mm for a metre of simulation, the "
+                    f"tank of the settings that it is simulated under {1000 * tank.scale:g}: what was said of it in "
+                    f"that tank is of a robot of another size (--set kit.scale_mm_per_m={1000 * tank.scale:g})")]
 
 
 def _of_pockets(floating: Floating) -> list[Finding]:

@@ -68,7 +68,7 @@ def fabricate(
         require_cad()
     except MissingCadError as error:
         raise PuddleError(str(error)) from None
-    check_place(out)
+    place = check_place(out)
     # Late, for the same reason: only once everything else is well.
     from pipeline.fabrication.bench import bench_of, run
     from pipeline.fabrication.exports import exports
@@ -94,11 +94,10 @@ def fabricate(
         source.design, segments.true_slush(segments.groups_of(source.settings, "true_slush"), source.depth),
         label=f"True Slush of {source.depth:g} m", physics=physics, **source.settings.rollout.model_dump(),
     )  # fmt: skip
-    tank = source.settings.tank
-    tank_mm = source.depth * choices.kit.scale_mm_per_m if tank is None else 1000 * tank.depth
     bench = bench_of(
-        source.design, kit, choices, simulated, source.members, physics, tank_mm=tank_mm, true_slush=source.true_slush
-    )
+        source.design, kit, choices, simulated, source.members, physics, tank=source.settings.tank, depth=source.depth,
+        true_slush=source.true_slush,
+    )  # fmt: skip
     found = sorted((*kit.findings, *bench.findings), key=lambda finding: SEVERITIES.index(finding.severity))
     drawings = {"torque": torque_figure(source.design, bench), "timeline": timeline_figure(bench)}
     title = f"A robot to build: {source.name}"
@@ -114,7 +113,7 @@ def fabricate(
             files["timeline.csv"] = timeline_csv(bench.timeline, bench.calibration)
     chosen = choices.model_dump(mode="json")
     files["index.html"] = render_kit(
-        kit, bench, found, drawings, name=source.name, title=title, origin=source.origin, folder=out.name,
+        kit, bench, found, drawings, name=source.name, title=title, origin=source.origin, folder=place.name,
         law=choices.scaling.law, physics=physics, slush_density=source.settings.slush.density,
         frequency=float(source.design.frequency[0]), settings_yaml=yaml.safe_dump(chosen, sort_keys=False),
     ).encode()  # fmt: skip
@@ -130,14 +129,14 @@ def fabricate(
         "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in found],
         "metrics": metrics,
     }
-    kept = write_kit(out, files, said)
+    kept = write_kit(place, files, said)
     _mirror(tracker, source.name, design is None, source.settings, chosen, metrics, files)
     return Made([*kept, *_lines(out, found, bench.loads, kit.mass_g)], faults)
 
 
 def _lines(out: Path, found: Sequence[Finding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:
     lines = [f"{finding.severity:<8} {finding.where}: {finding.message}" for finding in found]
-    lines += [f"joint {load.joint}: the servo has {load.margin:.1f} times what the run asks for" for load in loads]
+    lines += [f"joint {load.joint}: the servo has {load.margin:.2f} times what the run asks for" for load in loads]
     return [*lines, f"The kit, {mass_g:.0f} g of robot: {out / 'index.html'}"]
 
 
@@ -151,10 +150,9 @@ def _mirror(
     study = Run(name=settings.name, key=digest(canonical_json(values)), params=values)
     if not of_study:
         study = Run(name=f"kit of {name}", key=f"kit-{key}", status="FINISHED")
-    kept = {path: content for path, content in files.items() if "/" not in path}
     stage = Run(
         name="fabricate", key=f"fabricate-{digest(canonical_json(chosen))[:12]}", params=chosen, metrics=metrics,
-        inputs={"design": key}, outputs={path: digest(content) for path, content in files.items() if "/" in path},
-        artifacts={f"kit/{path}": content for path, content in kept.items()}, status="FINISHED",
+        inputs={"design": key}, artifacts={f"kit/{path}": content for path, content in files.items()},
+        status="FINISHED",
     )  # fmt: skip
     tracker.mirror(study, stage)

@@ -17,26 +17,33 @@ MARK = "kit.json"
 """What makes a folder a kit: its schema, what it is of, and the SHA-256 of every other file."""
 
 
-def check_place(folder: Path) -> None:
+def check_place(folder: Path) -> Path:
     """Refuse a place that holds anything but a kit.
+
+    Returns:
+        The place as an absolute path, without links and dots.
 
     Raises:
         PuddleError: says what is there.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise PuddleError(f"{folder}: expected a new folder or a kit, came a file or a link. Choose another: --out")
+    place = folder.resolve()
     if not folder.exists():
         if not folder.parent.is_dir():
             raise PuddleError(f"{folder}: expected a place in a folder that exists; {folder.parent} does not")
-        return
+        return place
+    if Path.cwd().is_relative_to(place):  # it is replaced as a whole, and a shell would stay behind in the old one
+        raise PuddleError(f"{folder}: expected a folder other than the one that you are in. Choose another: --out")
     names = sorted(path.name for path in folder.iterdir())
     if not names:
-        return
+        return place
     if MARK not in names:
         raise PuddleError(f"{folder}: expected a new folder or a kit, found {', '.join(names[:3])} and no {MARK}. "
                           f"Choose another: --out")
     check_format(decode_json(disk.read(folder / MARK), str(folder / MARK)), schema=SCHEMA, version=VERSION,
                  source=str(folder / MARK))
+    return place
 
 
 def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]) -> list[str]:
@@ -50,7 +57,7 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
     Raises:
         PuddleError: the place holds something else, or the disk fails; what was there before is still there.
     """
-    check_place(folder)
+    folder = check_place(folder)
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())}
     mark = encode_json({**said, "schema": SCHEMA, "version": VERSION, "files": digests})
     new = folder.with_name(f".{folder.name}.{os.getpid()}.new")
@@ -65,16 +72,17 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
                 disk.fsync(path)
             if folder.exists():
                 disk.rename(folder, old)
-            try:
-                disk.rename(new, folder)
-            except OSError:
-                if old.exists():
-                    disk.rename(old, folder)
-                raise
+            disk.rename(new, folder)
             disk.fsync(folder.parent)
+        except BaseException:  # Ctrl-C too: what the user put there is in no other place
+            if old.exists():
+                if folder.exists():
+                    disk.rename(folder, new)
+                disk.rename(old, folder)
+            raise
         finally:
             shutil.rmtree(new, ignore_errors=True)
-            shutil.rmtree(old, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
     return lines
 
 

@@ -70,7 +70,7 @@ def render_kit(
         "bill": _bill(kit),
         "scale": _scale(bench, drawings["torque"], law, physics, slush_density, frequency),
         "timeline": _timeline(bench, drawings["timeline"]),
-        "folder": escape(folder),
+        "last": _last(bench, folder),
         "chosen": f"<details><summary>Settings</summary><pre><code>{escape(settings_yaml)}</code></pre></details>",
     }
     body, css = (files("pipeline.fabrication").joinpath(f"kit.{kind}").read_text("utf-8") for kind in ("html", "css"))
@@ -137,9 +137,9 @@ def _measures(kit: Kit, servo: Servo) -> str:
     return (
         f"<p>Clones of a {escape(servo.name)} differ, and horns more so. Before the parts, print the two gauges, "
         f"slices of this kit's own parts: {prints}. The servo goes into the first from above, ears on the plate, and "
-        f"its screws meet their holes; the horn lies on the second's floor. With both on the servo, the gap between "
-        f"them must be {kit.settings.layer_gap_mm:g} mm. Where they don't fit, say what your caliper says, and make "
-        f"the kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
+        f"its screws meet their holes; the horn lies in the second with its face on the floor. With both on the servo, "
+        f"the gap between them must be {kit.settings.layer_gap_mm:g} mm. Where they don't fit, say what your caliper "
+        f"says, and make the kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
         f"<details><summary>What was taken, and from whom</summary>{taken}</details>"
     )
 
@@ -177,7 +177,7 @@ def _scale(
         ])  # fmt: skip
     loads = [
         [f"joint {load.joint}", f"{load.peak_torque:.3f}", f"{load.rms_torque:.3f}", f"{load.peak_speed:.2f}",
-         f"{load.margin:.1f}×", f"{load.saturated:.0%}"]
+         f"{load.margin:.2f}×", f"{load.saturated:.0%}"]
         for load in bench.loads
     ]  # fmt: skip
     ratio, weaker = max(stall, limit) / max(min(stall, limit), 1e-12), "stronger" if stall > limit else "weaker"
@@ -192,7 +192,7 @@ def _scale(
         f"{servo.no_load_speed_rad_s:.1f} rad/s unloaded, at {servo.voltage_v:g} V; {bench.servos_per_joint} at each "
         f"joint. That is {ratio:.1f} times {weaker} than the simulated "
         f"motor's limit at this scale{unlike}.</p>",
-        _table(["each servo of", "most torque [N·m]", "mean [N·m]", "most speed [rad/s]", "least margin",
+        _table(["each servo of", "most torque [N·m]", "rms [N·m]", "most speed [rad/s]", "least margin",
                 "simulated motor at its limit"], loads) if loads else "",
         _figure(figure),
         _floating(bench, physics, slush_density),
@@ -233,6 +233,17 @@ def _members(bench: Bench) -> str:
         f"this design ({each}), that is {mean_cm:+.0f} ± {deviation_cm:.0f} cm on the bench: σ is what they disagree "
         f"by, and the least doubt to have.</p>"
     )
+
+
+def _last(bench: Bench, folder: str) -> str:
+    """Say what is left once it is assembled: nothing where no joint is driven, no drive without a timeline."""
+    steps = []
+    if bench.calibration is not None:
+        steps.append("Find each servo's pulses and correct <a href=\"calibration.yaml\">calibration.yaml</a>.")
+    if bench.timeline is not None:
+        drive = f"puddle drive {escape(folder)}"
+        steps.append(f"<code>{drive} --dry-run</code>, then <code>{drive} --port /dev/ttyACM0</code>.")
+    return "".join(f"<li>{step}</li>\n" for step in steps)
 
 
 def _timeline(bench: Bench, figure: Drawing | Missing) -> str:

@@ -313,6 +313,18 @@ def _report_exploiters(files: Files) -> Report:
     return [line], {"imagined.worst_champion": worst}
 
 
+def _way(tank: Tank, crossed: bool, seconds: float, travelled: float, distance: float) -> str:
+    """Say how far a robot came, as built; of the simulation's seconds and metres."""
+    if crossed:
+        return f"crosses in {tank.built_seconds(seconds):.0f} s"
+    if not np.isfinite(travelled):
+        return "diverged"
+    if distance <= 0:
+        return "is as long as the tank"
+    travelled_cm, distance_cm = (100 * tank.scale * metres for metres in (travelled, distance))
+    return f"comes {travelled_cm:z.1f} of {distance_cm:.1f} cm in {tank.seconds:g} s"
+
+
 def _report_tank(label: str, files: Files, of: Tank) -> Report:
     """Name the champion to build, and say how it fared in the tank."""
     table = read_table(files, "tank")
@@ -321,10 +333,9 @@ def _report_tank(label: str, files: Files, of: Tank) -> Report:
         return [], {}
     row = {name: column[proposed].item() for name, column in table.items()}
     in_slush, on_floor = (
-        f"crosses in {of.built_seconds(row[f'{where}_seconds']):.0f} s" if row[f"{where}_crossed"]
-        else f"comes {row[f'{where}_travelled']:.2f} of {row[f'{where}_distance']:.2f} m in {of.seconds:g} s"
+        _way(of, row[f"{where}_crossed"], row[f"{where}_seconds"], row[f"{where}_travelled"], row[f"{where}_distance"])
         for where in ("wet", "dry")
-    )  # fmt: skip
+    )
     speed_mm = 1000 * of.built_speed(row["wet_speed"])
     lines = [
         f"{label}: to build: the champion of trial {row['trial']}, {row['zero_shot']:.2f} m in True Slush, the nearest "

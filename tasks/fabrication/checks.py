@@ -216,13 +216,15 @@ def _collisions(
         joints = " and ".join(f"joint {joint.link}" for joint, _ in mechanism.path(a.index, b.index))
         if outlines[a.index].intersection(passing).area > OVERLAP_MM2:
             yield Finding("parts collide", "fault", where,
-                          f"overlap by {outlines[a.index].intersection(passing).area:.0f} mm² at rest")
+                          f"overlap by {outlines[a.index].intersection(passing).area:.0f} mm² at rest: take another "
+                          f"design, or another rest_angle in the design file")
             continue
         in_gait = _deepest(still, passing, mechanism.poses_in_gait(a.index, b.index))
         if in_gait > OVERLAP_MM2:
             yield Finding("parts collide", "fault", where,
                           f"meet in the gait, through {joints}: by {in_gait:.0f} mm² with a clearance of "
-                          f"{settings.sweep_clearance_mm:g} mm")
+                          f"{settings.sweep_clearance_mm:g} mm. In the design file, a smaller motion_range or another "
+                          f"phase of one of these joints may keep them apart; or take another design")
             continue
         in_range = _deepest(still, passing, mechanism.poses_in_range(a.index, b.index))
         if in_range > OVERLAP_MM2:

@@ -134,7 +134,9 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     (trial,) = tank["trial"][tank["proposed"]].tolist()
     told = "\n".join(analyse.summarise(pontoon, upstream["analyse"], store).lines)
     assert f"to build: the champion of trial {trial}," in told
-    assert "in the tank of 16.7 m x 2.14 m" in told
+    (way,) = re.findall(r"in the tank of 16.7 m x 2.14 m of simulation it (.+) in 0.5 s \(.*\) as built;", told)
+    came, expected = (tank[f"wet_{name}"][tank["proposed"]][0] for name in ("travelled", "distance"))
+    assert way == f"comes {7 * came:z.1f} of {7 * expected:.1f} cm"  # as built, as its seconds are: 0.07 m for a metre
     summary = report.summarise(pontoon, upstream["report"], store)
     (path,) = (line.removesuffix(": a robot to build") for line in summary.lines if line.endswith("a robot to build"))
     page = summary.artifacts[report.PAGE].decode()

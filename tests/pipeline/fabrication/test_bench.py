@@ -1,11 +1,18 @@
 """What a kit's bench is warned of, against numbers chosen by hand."""
 
+import numpy as np
 import pytest
 
-from pipeline.fabrication.bench import Members, _of_floating, _of_loads, _of_members
+from pipeline.configuration import parse
+from pipeline.fabrication.bench import Members, _of_floating, _of_loads, _of_members, _of_scale, _of_timeline
+from pipeline.fabrication.choices import FabricationSettings
+from pipeline.fabrication.figures import worst_of_each
+from tasks.analysis.tank import Tank
+from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.floating import Floating
 from tasks.fabrication.scaling import JointLoad
 from tasks.fabrication.servos import servo_named
+from tasks.fabrication.timeline import Timeline
 
 
 def lying(draught: float | None, share: float = 0.5) -> Floating:
@@ -26,9 +33,84 @@ def test_a_robot_that_stands_on_the_floor():
 def test_torque_that_was_clipped_is_a_lower_bound(saturated, severity):
     load = JointLoad(joint=2, peak_torque=0.1, rms_torque=0.1, peak_speed=1.0, use=0.5, stall_share=0.1,
                      saturated=saturated)  # fmt: skip
-    found = _of_loads([load], servo_named("ds3225"), object())
+    found = _of_loads([load], servo_named("ds3225"), object(), FabricationSettings())
     assert [one.severity for one in found] == ([severity] if severity else [])
     assert ("lower bound" in "".join(one.message for one in found)) == (severity == "warning")
+
+
+def test_a_kit_and_a_tank_of_two_scales():
+    assert _of_scale(None, 100.0) == _of_scale(Tank(), 70.0) == []
+    (found,) = _of_scale(Tank(), 100.0)
+    assert found.severity == "warning" and "100 mm" in found.message and "kit.scale_mm_per_m=70" in found.message
+
+
+def test_few_points_show_the_worst_of_a_run():
+    use = np.array([0.1, 0.3, 0.2, 0.5, 0.4, 0.4, 0.9])
+    assert worst_of_each(use, 3).tolist() == [1, 3, 6]
+    assert worst_of_each(use, 1).tolist() == list(range(7))
+
+
+def chosen(*overrides: str) -> FabricationSettings:
+    return parse(FabricationSettings, "", name="the kit's settings", overrides=overrides)
+
+
+def asked(*, torque: float, speed: float, use: float) -> JointLoad:
+    return JointLoad(joint=2, peak_torque=torque, rms_torque=0.1, peak_speed=speed, use=use, stall_share=0.1,
+                     saturated=0.0)  # fmt: skip
+
+
+STALL, FASTEST = servo_named("ds3225").stall_torque_nm, servo_named("ds3225").no_load_speed_rad_s
+SLOWER, STRONGER = ("choose a faster servo", "kept_frequencies"), ("choose a stronger servo", "servos_per_joint=2")
+MANY = ("scaling.law=kept_frequencies", "kit.servos_per_joint=2")
+
+
+@pytest.mark.parametrize(
+    ("load", "overrides", "said", "unsaid"),
+    [
+        (asked(torque=0.1, speed=1.1 * FASTEST, use=1.1), (), SLOWER, STRONGER),
+        (asked(torque=1.2 * STALL, speed=1.0, use=1.3), (), STRONGER, SLOWER),
+        (asked(torque=0.6 * STALL, speed=0.6 * FASTEST, use=1.2), (), (*SLOWER, *STRONGER), ()),
+        # What is chosen already is no advice.
+        (asked(torque=1.2 * STALL, speed=1.1 * FASTEST, use=2.3), MANY, (SLOWER[0], STRONGER[0]),
+         (SLOWER[1], STRONGER[1])),
+    ],
+)  # fmt: skip
+def test_advice_goes_by_what_the_servo_has_too_little_of(load, overrides, said, unsaid):
+    (found,) = _of_loads([load], servo_named("ds3225"), object(), chosen(*overrides))
+    assert found.severity == "fault" and "can't do it" in found.message
+    assert all(words in found.message for words in said) and not any(words in found.message for words in unsaid)
+
+
+@pytest.mark.parametrize(("use", "severity"), [(1.01, "fault"), (1.0, "warning"), (0.8, "warning"), (0.75, None)])
+def test_a_small_margin_is_warned_of(use, severity):
+    found = _of_loads([asked(torque=use * STALL, speed=1.0, use=use)], servo_named("ds3225"), object(), chosen())
+    assert [one.severity for one in found] == ([severity] if severity else [])
+    if severity == "warning":
+        assert f"{1 / use:.2f} times" in found[0].message and "stronger" in found[0].message
+
+
+def test_heat_is_said_to_be_a_root_mean_square():
+    load = JointLoad(joint=2, peak_torque=0.1, rms_torque=0.1, peak_speed=1.0, use=0.5, stall_share=0.4, saturated=0.0)
+    (found,) = _of_loads([load], servo_named("ds3225"), object(), chosen())
+    assert found.name == "heat" and "root mean square" in found.message and "average" not in found.message
+
+
+@pytest.mark.parametrize(
+    ("degrees", "hz", "said", "unsaid"),
+    [
+        (90.0, 0.1, "turns farther", "faster"),  # 1.0 rad/s
+        (50.0, 2.0, "faster", "turns farther"),  # 11 rad/s
+        (90.0, 2.0, "turns farther", "stronger"),
+    ],
+)
+def test_a_timeline_that_is_refused(degrees, hz, said, unsaid):
+    servo = ServoCalibration(joint=2, channel=0, centre_us=1500.0, direction=1, us_per_rad=570.0, min_us=903.0,
+                             max_us=2097.0, max_speed=7.0)  # fmt: skip
+    swing = np.radians(degrees) * np.sin(2 * np.pi * hz * np.arange(500) / 50)
+    (found,) = _of_timeline(Timeline((2,), swing[:, None]), Calibration(servos=(servo,)), chosen())
+    assert found.severity == "fault" and said in found.message and unsaid not in found.message
+    assert ".." not in found.message.replace("...", "")
+    assert _of_timeline(Timeline((2,), swing[:, None] / 10), Calibration(servos=(servo,)), chosen()) == []
 
 
 @pytest.mark.parametrize(

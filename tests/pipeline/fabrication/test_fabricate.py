@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import shutil
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from pipeline import disk
 from pipeline.cli import main
 from pipeline.design_file import design_document, read_design
 from pipeline.errors import PuddleError
+from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.folder import MARK, check_place, write_kit
+from pipeline.fabrication.page import _last
 from pipeline.timeline_file import read_calibration, read_timeline
 from tasks.design import Designs
 
@@ -107,7 +110,11 @@ def test_mlflow_holds_the_kit(made):
     runs = {run.info.run_name: run for run in client.search_runs([experiment.experiment_id])}
     run = runs["fabricate"]
     assert run.data.metrics["margin.joint_2"] > 1 and run.data.params["kit.servo"] == "ds3225"
-    assert {file.path for file in client.list_artifacts(run.info.run_id, "kit")} >= {"kit/index.html", "kit/robot.png"}
+    logged = {file.path for name in ("kit", "kit/print", "kit/cad", "kit/profiles")
+              for file in client.list_artifacts(run.info.run_id, name)}  # fmt: skip
+    page = (made / "kit/index.html").read_text()
+    links = re.findall(r"""(?:href|src)=["']([^"'#:]+[^"'#:/])["']""", page)
+    assert "print/part-1-left.stl" in links and {f"kit/{link}" for link in links} <= logged
 
 
 def test_a_servo_that_is_too_weak_is_flagged_and_the_kit_replaced(made, tmp_path, capsys):
@@ -121,6 +128,22 @@ def test_a_servo_that_is_too_weak_is_flagged_and_the_kit_replaced(made, tmp_path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kit"]
 
 
+def test_the_design_that_the_readme_builds_has_no_fault_and_drives(tmp_path, capsys):
+    design = Path(__file__).parents[3] / "docs/design-buildable.json"
+    arguments = [str(design), "--out", str(tmp_path / "kit"), "--store", str(tmp_path / "store")]
+    assert call("fabricate", *arguments) == 0
+    assert not any(line.startswith("fault") for line in capsys.readouterr().out.splitlines())
+    assert call("drive", str(tmp_path / "kit"), "--dry-run", "--duration", "0.2") == 0
+
+
+def test_a_kit_without_a_timeline_does_not_say_to_drive_it(made):
+    page = (made / "kit/index.html").read_text()
+    assert "puddle drive kit --dry-run" in page and "Find each servo's pulses" in page
+    lame = Bench(**{field.name: None for field in fields(Bench)} | {"calibration": object()})
+    assert "puddle drive" not in _last(lame, "kit") and "Find each servo's pulses" in _last(lame, "kit")
+    assert _last(replace(lame, calibration=None), "kit") == ""
+
+
 def test_mistakes(made, crane, tmp_path, capsys):
     def refused(*arguments: str) -> str:
         assert call("fabricate", *arguments, "--store", str(made / "store")) == 2
@@ -129,6 +152,7 @@ def test_mistakes(made, crane, tmp_path, capsys):
     design = str(made / "crane.json")
     assert "one of them" in refused()
     assert "one of them" in refused(design, "--study", "pontoon")
+    assert "--preset" in refused("--study", "raft", "--preset", "laptop", "--out", str(tmp_path / "kit"))
     assert "no study of the name 'raft'" in refused("--study", "raft", "--out", str(tmp_path / "kit"))
     assert "ds3225" in refused(design, "--out", str(tmp_path / "kit"), "--set", "kit.servo=ds9999")
     assert "kit.servos: unknown setting" in refused(design, "--set", "kit.servos=1")
@@ -168,6 +192,35 @@ def test_a_disk_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
     assert (folder / "a.txt").read_bytes() == b"new" and not (folder / "print").exists()
 
 
+@pytest.mark.parametrize("after", [False, True])
+def test_an_interrupt_leaves_what_was_there(tmp_path, monkeypatch, after):
+    folder = tmp_path / "kit"
+    write_kit(folder, {"a.txt": b"old"}, {"name": "old"})
+    (folder / "drive-1.parquet").write_bytes(b"log")
+    left = 0
+
+    def counted(effect):
+        def interrupted(*arguments):
+            nonlocal left
+            left -= 1
+            if left == 0 and not after:
+                raise KeyboardInterrupt
+            effect(*arguments)
+            if left == 0:
+                raise KeyboardInterrupt
+
+        return interrupted
+
+    for name in ("write", "fsync", "rename"):
+        monkeypatch.setattr(disk, name, counted(getattr(disk, name)))
+    for n in range(1, 10):  # three files are written and flushed, then two renames, and their folder is flushed
+        left = n
+        with pytest.raises(KeyboardInterrupt):
+            write_kit(folder, {"a.txt": b"new"}, {"name": "new"})
+        assert (folder / "a.txt").read_bytes() == b"old" and (folder / "drive-1.parquet").read_bytes() == b"log"
+        assert [path.name for path in tmp_path.iterdir()] == ["kit"]
+
+
 def test_what_the_user_put_into_a_kit_outlives_it(tmp_path):
     folder = tmp_path / "kit"
     made = {"calibration.yaml": b"a guess", "print/gone.stl": b"part", "design.json": b"{}"}
@@ -186,7 +239,7 @@ def test_what_the_user_put_into_a_kit_outlives_it(tmp_path):
                     "calibration-yours-2.yaml": b"measured again", "drive-1.parquet": b"log", "design.json": b"{}"}
 
 
-def test_places_that_are_none(tmp_path):
+def test_places_that_are_none(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "link").symlink_to(tmp_path)
     for name in ("file", "link"):
@@ -197,7 +250,10 @@ def test_places_that_are_none(tmp_path):
     with pytest.raises(PuddleError, match="version 9"):
         check_place(tmp_path / "newer")
     (tmp_path / "empty").mkdir()
-    check_place(tmp_path / "empty")
+    assert check_place(tmp_path / "empty") == check_place(tmp_path / "newer" / ".." / "empty") == tmp_path / "empty"
+    monkeypatch.chdir(tmp_path / "empty")
+    with pytest.raises(PuddleError, match="the one that you are in"):
+        check_place(Path())
 
 
 def test_the_proposed_champion_of_a_study(study, settings):

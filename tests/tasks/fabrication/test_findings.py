@@ -103,9 +103,10 @@ def test_parts_that_collide(crane):
         (finding,) = found(build_kit(far, SETTINGS), "parts collide")
         assert (finding.severity, finding.where) == (severity, "part 2 and part 3")
         assert said in finding.message and "joint 2 and joint 4" in finding.message
+        assert ("smaller motion_range" in finding.message) == (severity == "fault")
     at_rest = with_genes(crane, rest_angle=np.array([[0, -pi / 2, -2.2, -pi / 2, 0.8, -pi / 2]]))
     (finding,) = found(build_kit(at_rest, SETTINGS), "parts collide")
-    assert finding.severity == "fault" and "at rest" in finding.message
+    assert finding.severity == "fault" and "at rest" in finding.message and "rest_angle" in finding.message
 
 
 def test_no_room_for_rods(crane):
