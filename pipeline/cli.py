@@ -204,9 +204,8 @@ def forecast(
     from pipeline.forecast import forecast_lines
 
     chosen = Chosen(preset, settings, tuple(overrides or ()), store)
-    existing = chosen.open_store(create=False) if (store / "store.json").exists() else None
     with _interruptible():
-        for line in forecast_lines(chosen.settings(), existing, tuple(cores or ()), say=_to_stderr):
+        for line in forecast_lines(chosen.settings(), store, tuple(cores or ()), say=_to_stderr):
             typer.echo(line)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from pipeline import disk
 from pipeline.rates import Rates, measure, seconds_of_a_result
 from pipeline.schedule import Schedule, Work, play
 from pipeline.settings import Settings
@@ -60,7 +61,7 @@ def _price(stage: Stage, chain: Chain, rates: Rates) -> float:
         case "iterations":
             return rates.iteration
         case "generations":
-            return rates.generation[chain.spec["world"]]
+            return rates.simulation[chain.spec["world"]] + rates.selection[stage.name]
         case "designs":
             return rates.rollout("true_slush") + rates.rollout("residual_slush")
         case "analyses":
@@ -80,9 +81,8 @@ def works_of(stage: Stage, chain: Chain, n_done: int, settings: Settings, rates:
     n_designs = rates.population_size
     if size is None or size >= n_designs:
         return [Work(1, 1, units * price) for units in chain.units[n_done:]]
-    select = min(rates.selection, price)
-    batch_seconds = (price - select) * min(size, n_designs) / n_designs
-    n_batches = math.ceil(n_designs / size)
+    batch_seconds = rates.simulation[chain.spec["world"]] * size / n_designs
+    n_batches, select = math.ceil(n_designs / size), rates.selection[stage.name]
     # What is less than a generation, such as the scoring of champions, is not split.
     return [
         Work(round(units), n_batches, batch_seconds, select) if units >= 1 else Work(1, 1, units * price)
@@ -148,17 +148,22 @@ def _advice(
     ]
 
 
-def forecast_lines(
-    settings: Settings, store: Store | None, cores: Sequence[int], *, say: Callable[[str], None]
-) -> list[str]:
+def forecast_lines(settings: Settings, root: Path, cores: Sequence[int], *, say: Callable[[str], None]) -> list[str]:
     """Say what is left of a study, for this machine's cores and for others.
 
     Args:
         settings: the study's.
-        store: what is done already; None if nothing is.
+        root: of the store, which knows what is done already; if there is none, nothing is.
         cores: numbers of cores, of this machine's kind, to say it for besides this machine's own.
         say: shows what is being measured.
+
+    Raises:
+        PuddleError: the store can't be read; or, where ``cores`` asks for it, nothing can be kept on its disk.
     """
+    root = root.expanduser().resolve()
+    with disk.explained("looking for a store", root):
+        store = Store.open(root, create=False) if (root / "store.json").exists() else None
+    driver = seconds_of_a_result(settings, root) if cores else 0.0
     upstream = survey(settings, STAGES, store, say=say) if store is not None else {}
     rates = measure(settings, say)
     say("weighing a little of everything")
@@ -182,7 +187,6 @@ def forecast_lines(
     lines.append(
         f"{'all':<10}{'':>22}{core_hours:12.2f}" + "".join(f"{total[n]:12.2f} h" for n in columns) + f"{kept:9.0f} MB"
     )
-    driver = seconds_of_a_result(settings, store.root if store is not None else Path())
     for n in dict.fromkeys(cores):
         lines += schedule_lines(settings, upstream, rates, n, driver)
     if store is not None:

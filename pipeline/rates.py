@@ -8,27 +8,27 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline import disk
 from pipeline.artifacts import Json, key_of
+from pipeline.cluster.process import signals_unwind
 from pipeline.errors import PuddleError
 from pipeline.manifest import Manifest
-from pipeline.report import render_gif, render_mp4, replay_of
-from pipeline.report.replay import STEPS_PER_SECOND, Replay
+from pipeline.report import render_gif, render_mp4
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.sizes import BYTES_OF_A_DESIGN
+from pipeline.specimens import N_FEW_THROWS, few_throws, short_film, untrained_ensemble
+from pipeline.stages import evolve, transfer
 from pipeline.stages.segments import segment_spec, world_of
 from pipeline.store import Store
 from tasks.analysis import disagreement, link_states, member_errors, novelty, thrown
-from tasks.design import random_designs
-from tasks.evolution import NOBODY_YET, ask, tell
-from tasks.residual import OBSERVATION, initial_states, simulate_throws
+from tasks.design import Designs, random_designs
+from tasks.evolution import NOBODY_YET, Population, ask, tell
+from tasks.residual import initial_states, simulate_throws
 from tasks.simulation import simulate
-from tasks.world import DryLand, Environment, ResidualSlush, TrueSlush
-
-if TYPE_CHECKING:
-    from tasks.residual.ensemble import Ensemble
+from tasks.world import Environment, ResidualSlush, TrueSlush
 
 FEWEST_STEPS = 20
 """Steps of the shortest rollout that is timed."""
@@ -36,12 +36,9 @@ ENOUGH_SECONDS = 0.3
 """Rollouts are timed over more and more steps until they take so long, or are whole."""
 N_CALIBRATION_ITERATIONS = 4
 """Iterations of training that are timed, after as many that are not."""
-N_CALIBRATION_THROWS = 8
+N_CALIBRATION_GENERATIONS = 16
+"""Generations that are asked for and told: what their draws take varies from one to the next."""
 N_CALIBRATION_RESULTS = 5
-N_OUTPUTS = 3
-"""Of a network: a residual's components."""
-BYTES_OF_A_DESIGN = 130
-"""What a history keeps of one, about."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +47,11 @@ class Rates:
 
     throw: float
     iteration: float
-    generation: Mapping[EnvironmentName, float]
-    """By the world in which designs are simulated."""
+    simulation: Mapping[EnvironmentName, float]
+    """Of a generation, by the world in which designs are simulated."""
+    selection: Mapping[str, float]
+    """Of a generation: asking and telling, by the stage that evolves. Bodies that are given are not drawn."""
     population_size: int
-    selection: float
-    """Asking and telling, a generation's part that is not simulation [s]."""
     picture: float
     """Of a film, as GIF and as MP4."""
     look: float
@@ -62,7 +59,7 @@ class Rates:
 
     def rollout(self, world: EnvironmentName) -> float:
         """Price one design in a world, as a share of a generation."""
-        return self.generation[world] / self.population_size
+        return self.simulation[world] / self.population_size
 
 
 def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
@@ -75,16 +72,21 @@ def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
     if settings.needs_ensemble:
         say("timing throws and training")
         throw, iteration = _time_of_throw(settings), _time_of_iteration(settings)
-    generation = {}
+    simulation = {}
     for world in worlds:
         say(f"timing a generation in {world.replace('_', ' ')}")
-        generation[world] = _time_of_generation(settings, world)
+        simulation[world] = _time_of_simulation(settings, world)
+    say("timing what evolution does between simulations")
+    body = random_designs(1, np.random.default_rng(0), morphology=settings.evolution.morphology)
     return Rates(
         throw=throw,
         iteration=iteration,
-        generation=generation,
+        simulation=simulation,
+        selection={
+            evolve.NAME: time_of_selection(settings, None),
+            transfer.NAME: time_of_selection(settings, body),
+        },
         population_size=settings.evolution.afpo.population_size,
-        selection=_time_of_selection(settings),
         picture=_time_of_picture(settings),
         look=_time_of_look(settings) if settings.needs_ensemble else 0.0,
     )
@@ -99,21 +101,16 @@ def _seconds(function: Callable[[], object]) -> float:
 
 
 def _time_of_throw(settings: Settings) -> float:
-    throws = settings.throws.model_copy(update={"n_throws": N_CALIBRATION_THROWS})
-    starts = initial_states(throws, np.random.default_rng(0))
-    return _seconds(lambda: simulate_throws(starts, throws.n_steps, settings.slush, settings.physics)) / len(starts)
+    return _seconds(lambda: few_throws(settings)) / N_FEW_THROWS
 
 
 def _time_of_iteration(settings: Settings) -> float:
     from tasks.residual.training import NoDevice, train_member
 
-    throws = settings.throws.model_copy(update={"n_throws": N_CALIBRATION_THROWS})
-    starts = initial_states(throws, np.random.default_rng(0))
-    transitions = simulate_throws(starts, throws.n_steps, settings.slush, settings.physics)
     times: list[float] = []
     try:
         train_member(
-            transitions,
+            few_throws(settings),
             settings.network,
             settings.training.model_copy(update={"n_iterations": 2 * N_CALIBRATION_ITERATIONS}),
             seed=0,
@@ -132,24 +129,8 @@ def _world(settings: Settings, world: EnvironmentName, depth: float) -> Environm
     return world_of(segment_spec(settings, stage="forecast", environment=world, world=world, depth=depth, trial=0), {})
 
 
-def untrained_ensemble(settings: Settings, n_members: int) -> Ensemble:
-    """Make networks of the right size that change velocities by about a millimetre per second."""
-    from tasks.residual.ensemble import Ensemble
-
-    rng = np.random.default_rng(0)
-    widths = [len(OBSERVATION), *[settings.network.width] * settings.network.hidden_layers, N_OUTPUTS]
-    scales = [1.0] * settings.network.hidden_layers + [1e-3]
-    return Ensemble(
-        weights=tuple(
-            (scale * rng.normal(size=(n_members, n_in, n_out)) / np.sqrt(n_in)).astype(np.float32)
-            for n_in, n_out, scale in zip(widths[:-1], widths[1:], scales, strict=True)
-        ),
-        biases=tuple(np.zeros((n_members, n_out), np.float32) for n_out in widths[1:]),
-    )
-
-
-def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
-    """Time a whole generation: asking, simulating a few steps for all, telling."""
+def _time_of_simulation(settings: Settings, world: EnvironmentName) -> float:
+    """Time a generation's rollouts: a few steps for all, where whole ones take long."""
     afpo = settings.evolution.afpo
     depths = [depth for environment, depth, _ in settings.grid.trials() if environment == world]
     environment = _world(settings, world, float(np.median(depths or list(settings.grid.depths))))
@@ -166,43 +147,35 @@ def _time_of_generation(settings: Settings, world: EnvironmentName) -> float:
     n_steps = min(FEWEST_STEPS, n_all)
     while (seconds := _seconds(partial(rollouts, n_steps))) < ENOUGH_SECONDS and n_steps < n_all:
         n_steps = min(4 * n_steps, n_all)
-    return seconds * n_all / n_steps + _time_of_selection(settings)
+    return seconds * n_all / n_steps
 
 
-def _time_of_selection(settings: Settings) -> float:
+def time_of_selection(settings: Settings, body: Designs | None) -> float:
+    """Time asking and telling once there are parents: a trial's first generation alone is random throughout.
+
+    Args:
+        settings: the study's.
+        body: one design whose controller alone evolves; None where bodies do too.
+
+    Returns:
+        Of a generation [s].
+    """
     afpo, morphology, rng = settings.evolution.afpo, settings.evolution.morphology, np.random.default_rng(0)
 
-    def selection() -> object:
-        children = ask(NOBODY_YET, rng, afpo, morphology=morphology)
-        population = tell(NOBODY_YET, children, rng.normal(size=afpo.population_size), rng, afpo)
-        more = ask(population, rng, afpo, morphology=morphology)
-        return tell(population, more, rng.normal(size=afpo.population_size), rng, afpo)
+    def generation(population: Population) -> Population:
+        children = ask(population, rng, afpo, body=body, morphology=morphology)
+        return tell(population, children, rng.normal(size=afpo.population_size), rng, afpo)
 
-    return _seconds(selection)
+    population = generation(generation(NOBODY_YET))
+    start = time.perf_counter()
+    for _ in range(N_CALIBRATION_GENERATIONS):
+        population = generation(population)
+    return (time.perf_counter() - start) / N_CALIBRATION_GENERATIONS
 
 
 def _time_of_picture(settings: Settings) -> float:
     film = short_film(settings)
     return _seconds(lambda: (render_gif([film]), render_mp4([film]))) / len(film.frames)
-
-
-def short_film(settings: Settings) -> Replay:
-    """Film a random design for a second."""
-    design = random_designs(1, np.random.default_rng(0))
-    rollouts = simulate(
-        design, DryLand(0.0), n_settle=0, n_measure=STEPS_PER_SECOND, engine=settings.work.engine, trace=True
-    )
-    assert rollouts.trace is not None
-    return replay_of(
-        design,
-        rollouts.trace[0],
-        title="a film",
-        environment="dry_land",
-        world="Dry Land",
-        depth=0.0,
-        has_medium=False,
-        n_settle=0,
-    )
 
 
 def _time_of_look(settings: Settings) -> float:
@@ -227,16 +200,23 @@ def _time_of_look(settings: Settings) -> float:
     return _seconds(look)
 
 
-def seconds_of_a_result(settings: Settings, folder: Path) -> float:
+def seconds_of_a_result(settings: Settings, root: Path) -> float:
     """Time what a trial's piece costs the driver: to specify it, read its input, keep its result.
 
     Args:
         settings: the study's.
-        folder: on the disk where the store is to be; nothing stays in it.
+        root: of a store, which need not be there; its disk is timed, and nothing stays on it.
+
+    Raises:
+        PuddleError: nothing can be kept there.
     """
     n_rows = settings.work.generations_per_item * settings.evolution.afpo.population_size
     history = bytes(int(n_rows * BYTES_OF_A_DESIGN))
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".puddle-forecast-") as place:
+    with (
+        signals_unwind(),
+        disk.explained("timing what a result costs", root),
+        tempfile.TemporaryDirectory(dir=_folder_on_the_disk_of(root), prefix="puddle-forecast-") as place,
+    ):
         store = Store.open(Path(place) / "store", create=True)
 
         def keep(number: int) -> Manifest:
@@ -251,3 +231,10 @@ def seconds_of_a_result(settings: Settings, folder: Path) -> float:
         for number in range(1, N_CALIBRATION_RESULTS + 1):
             keep(number)
         return (time.perf_counter() - start) / N_CALIBRATION_RESULTS
+
+
+def _folder_on_the_disk_of(root: Path) -> Path:
+    """Choose the folder of temporary files if it is on the same disk: there the system sweeps what a kill -9 leaves."""
+    nearest = next(path for path in (root, *root.parents) if path.exists())
+    temporary = Path(tempfile.gettempdir())
+    return temporary if temporary.stat().st_dev == nearest.stat().st_dev else nearest

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.artifacts import encode_arrays, encode_table
-from pipeline.rates import N_CALIBRATION_THROWS, N_OUTPUTS, short_film
 from pipeline.report import render_gif, render_mp4
 from pipeline.settings import EnvironmentName, Settings
+from pipeline.specimens import N_FEW_THROWS, few_throws, layers_of, short_film
 from pipeline.stage import Chain, Spec, Stage
 from pipeline.stages import STAGES
 from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS
@@ -23,12 +22,14 @@ from pipeline.stages.report import PAGE
 from pipeline.stages.segments import history_units
 from tasks.design import N_LINKS, Designs, random_designs
 from tasks.evolution import NOBODY_YET, Evaluation, evolve
-from tasks.residual import OBSERVATION, Transitions, initial_states, simulate_throws
+from tasks.residual import Transitions
 
 MANIFEST_BYTES = 2_500
 """Of an item; a report's is longer, and nothing beside its films."""
 CURVE_BYTES = 2_500
 """Of a segment's curve."""
+BYTES_OF_A_DESIGN = 130
+"""What a history keeps of one, about."""
 LEARNED_BYTES = 7_500
 """Of a member's learning curve and errors."""
 TABLES_BYTES = 20_000
@@ -122,16 +123,13 @@ def n_worlds_looked_at(spec: Spec) -> int:
 
 
 def _bytes_of_a_throw(settings: Settings) -> float:
-    throws = settings.throws.model_copy(update={"n_throws": N_CALIBRATION_THROWS})
-    starts = initial_states(throws, np.random.default_rng(0))
-    thrown = simulate_throws(starts, throws.n_steps, settings.slush, settings.physics)
-    return _weight({field.name: getattr(thrown, field.name) for field in fields(Transitions)}) / len(starts)
+    thrown = few_throws(settings)
+    return _weight({field.name: getattr(thrown, field.name) for field in fields(Transitions)}) / N_FEW_THROWS
 
 
 def _bytes_of_weights(settings: Settings) -> float:
     """Count the numbers of a member's network, float32 each."""
-    widths = [len(OBSERVATION), *[settings.network.width] * settings.network.hidden_layers, N_OUTPUTS]
-    return 4.0 * sum((n_in + 1) * n_out for n_in, n_out in pairwise(widths))
+    return 4.0 * sum((n_in + 1) * n_out for n_in, n_out in layers_of(settings.network))
 
 
 def _bytes_of_a_generation(settings: Settings, n_members: int, body: Designs | None) -> float:

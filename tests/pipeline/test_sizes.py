@@ -6,9 +6,11 @@ from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.settings import Settings
 from pipeline.sizes import PAGE_BYTES, bytes_left, weigh
+from pipeline.specimens import layers_of
 from pipeline.stages import STAGES
 from pipeline.store import Store
 from pipeline.study import follow, results_of, run_stage
+from tasks.residual.network import ResidualNetwork
 
 SMALL = """
 name: small
@@ -23,6 +25,12 @@ transfer: {n_generations: 40}
 assess: {n_designs: 60}
 work: {throws_per_item: 10, generations_per_item: 20}
 """
+
+
+def test_a_network_has_the_layers_that_are_priced():
+    network = parse(Settings, SMALL, name="small").network
+    layers = ResidualNetwork(network).arrays()
+    assert [layers[f"weight_{i}"].shape for i in range(len(layers) // 2)] == layers_of(network)
 
 
 class NoBar:
