@@ -21,14 +21,14 @@ from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.sizes import BYTES_OF_A_DESIGN
 from pipeline.specimens import N_FEW_THROWS, few_throws, short_film, untrained_ensemble
 from pipeline.stages import evolve, transfer
-from pipeline.stages.segments import segment_spec, world_of
+from pipeline.stages.segments import groups_of, segment_spec, true_medium, true_slush, world_of
 from pipeline.store import Store
 from tasks.analysis import disagreement, link_states, member_errors, novelty, thrown
 from tasks.design import Designs, random_designs
 from tasks.evolution import NOBODY_YET, Population, ask, tell
 from tasks.residual import initial_states, simulate_throws
 from tasks.simulation import simulate
-from tasks.world import Environment, ResidualSlush, TrueSlush
+from tasks.world import Environment, ResidualSlush
 
 FEWEST_STEPS = 20
 """Steps of the shortest rollout that is timed."""
@@ -181,9 +181,10 @@ def _time_of_picture(settings: Settings) -> float:
 def _time_of_look(settings: Settings) -> float:
     """Look at a random design's rollout as an arm's instruments do, among all that its members learn from."""
     ensemble = untrained_ensemble(settings, settings.ensemble.n_members)
-    design, medium = random_designs(1, np.random.default_rng(0)), settings.slush
+    design, spec = random_designs(1, np.random.default_rng(0)), groups_of(settings, "true_slush")
+    medium = true_medium(spec)
     in_slush = simulate(
-        design, TrueSlush(max(settings.grid.depths), medium), **settings.rollout.model_dump(),
+        design, true_slush(spec, max(settings.grid.depths)), **settings.rollout.model_dump(),
         engine=settings.work.engine, physics=settings.physics, trace=True,
     )  # fmt: skip
     assert in_slush.trace is not None

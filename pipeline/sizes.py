@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pipeline.artifacts import encode_arrays, encode_table
 from pipeline.report import render_gif, render_mp4
-from pipeline.settings import EnvironmentName, Settings
+from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.specimens import N_FEW_THROWS, few_throws, layers_of, short_film
 from pipeline.stage import Chain, Spec, Stage
 from pipeline.stages import STAGES
@@ -69,7 +69,7 @@ def weigh(settings: Settings) -> Sizes:
     return Sizes(
         throw=_bytes_of_a_throw(settings) if n_members else 0.0,
         member=_bytes_of_weights(settings) + LEARNED_BYTES if n_members else 0.0,
-        generation={"true_slush": own, "dry_land": own, "single_member": own, "residual_slush": together},
+        generation=dict.fromkeys(ENVIRONMENTS, own) | {"residual_slush": together},
         adapted_generation=_bytes_of_a_generation(settings, 1, random_designs(1, np.random.default_rng(1))),
         assessed=(many - one) / (N_CALIBRATION_DESIGNS - 1),
         assessed_table=one,
