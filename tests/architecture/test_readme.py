@@ -76,7 +76,7 @@ def test_a_command_is_taken_as_it_is_given(line):
     if name == "fabricate":
         parse(FabricationSettings, "", name="the kit's settings", overrides=overrides)
         overrides = ()
-    if "preset" in options:
+    if options.get("preset"):
         Chosen(options["preset"], None, overrides, ROOT).settings()
 
 

@@ -90,6 +90,8 @@ def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
 
     def wild(spec, inputs):
         world = real(spec, inputs)
+        if "throws" in spec:  # what the networks learn from is sound
+            return world
         if not isinstance(world, ResidualSlush):
             return TrueSlush(depth=world.depth, slush=drag)
         *biases, last = world.ensemble.biases

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import psutil
@@ -10,9 +11,15 @@ import pytest
 
 from pipeline.cluster.session import DEAD
 
+APART = """
+import pathlib, sys
+from pipeline.cluster import session
+session.PLACE = pathlib.Path(sys.argv[1])
+"""
+"""A place of its own: a session that starts sweeps what the dead drivers of other tests left."""
+
 WAITS = """
 import threading
-from pipeline.cluster import session
 session.STUCK_SECONDS = 1.0
 with session.session(1) as ours, ours.calling:
     print("up", flush=True)
@@ -22,7 +29,6 @@ with session.session(1) as ours, ours.calling:
 
 WORKS = """
 import time
-from pipeline.cluster import session
 session.STUCK_SECONDS = session.SECONDS_BETWEEN_LOOKS = 0.1
 with session.session(1) as ours:
     print("up", flush=True)
@@ -35,9 +41,20 @@ with session.session(1) as ours:
 """A driver that does other work when its Ray dies, and then calls Ray, which answers."""
 
 
+@pytest.fixture
+def place():
+    with tempfile.TemporaryDirectory(dir="/tmp", prefix="apart-") as folder:  # a socket's path in it must be short
+        yield folder
+
+
+def driving(program: str, place: str) -> subprocess.Popen[str]:
+    words = [sys.executable, "-c", APART + program, place]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
 @pytest.mark.parametrize("server", ["raylet", "gcs_server"])
-def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server):
-    driver = subprocess.Popen([sys.executable, "-c", WAITS], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server, place):
+    driver = driving(WAITS, place)
     try:
         assert driver.stdout is not None
         assert driver.stdout.readline() == "up\n"
@@ -56,8 +73,8 @@ def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server):
         driver.wait()
 
 
-def test_a_driver_that_does_other_work_goes_on_when_its_ray_dies():
-    driver = subprocess.Popen([sys.executable, "-c", WORKS], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+def test_a_driver_that_does_other_work_goes_on_when_its_ray_dies(place):
+    driver = driving(WORKS, place)
     try:
         assert driver.stdout is not None
         assert driver.stdout.readline() == "up\n"

@@ -1,5 +1,6 @@
 """`puddle verify`, `puddle gc` and `puddle doctor` as a person uses them, on a store with a study that is done."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -83,8 +84,11 @@ def swap_for_a_manifest(record: Path) -> None:
     shutil.copy(next(record.parents[2].rglob("manifest.json")), record)
 
 
-def make_newer(record: Path) -> None:
-    record.write_bytes(encode_sealed({"all": "new"}, schema="puddle.study", version=2))
+def make_newer(document: Path) -> None:
+    """As a newer puddle would have sealed it."""
+    found = json.loads(document.read_text())
+    body = {name: inner for name, inner in found.items() if name not in ("schema", "version", "sha256")}
+    document.write_bytes(encode_sealed(body, schema=found["schema"], version=found["version"] + 1))
 
 
 @pytest.mark.parametrize(("spoil", "mends"), [(swap_for_a_manifest, True), (make_newer, False)])
