@@ -173,18 +173,21 @@ def test_the_next_start_sweeps_what_a_killed_driver_and_its_keeper_left(tmp_path
         (keeper,) = wait_for(lambda: [p for p in one.family() if "keeper.py" in " ".join(p.cmdline())])
         (lock,) = wait_for(lambda: [p for p in sessions() if str(p.parent) in keeper.cmdline()])
         wait_for(lambda: [p for p in one.family() if p.name() == "raylet"])
-        for killed in (keeper, one.process):  # the keeper first: nobody is left to tidy up
+        one.process.send_signal(signal.SIGSTOP)  # so that nobody is left to tidy up
+        for killed in (keeper, one.process):
             killed.kill()
         one.process.wait()
         # An orphan as Ray would leave one, and a bystander with another session's token.
         orphan = {"PUDDLE_MARK": one.mark, "RAY_AUTH_TOKEN_PATH": str(lock.parent / "token")}
-        left = subprocess.Popen(["sleep", "600"], env=orphan)
-        bystander = subprocess.Popen(["sleep", "600"], env=orphan | {"RAY_AUTH_TOKEN_PATH": "/tmp/puddle-other/token"})
+        with lock.open() as held:
+            fcntl.flock(held, fcntl.LOCK_EX)  # another test's session that starts now would sweep it
+            left = subprocess.Popen(["sleep", "600"], env=orphan)
+            other = orphan | {"RAY_AUTH_TOKEN_PATH": "/tmp/puddle-other/token"}
+            bystander = subprocess.Popen(["sleep", "600"], env=other)
+            alive = sessions() - {lock}
         try:
-            assert lock.exists()
             from pipeline.cluster.session import sweep
 
-            alive = sessions() - {lock}
             sweep()
             assert not lock.parent.exists() and sessions() >= alive - {p for p in alive if not p.exists()}
             assert left.wait(10) == -signal.SIGKILL and bystander.poll() is None
