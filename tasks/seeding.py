@@ -8,6 +8,8 @@ import json
 import numpy as np
 from numpy.random import Generator, SeedSequence
 
+_encode = json.JSONEncoder(allow_nan=False).encode
+
 
 def generator(seed: int, *identity: str | int | float) -> Generator:
     """Make the generator of one piece of work.
@@ -16,7 +18,13 @@ def generator(seed: int, *identity: str | int | float) -> Generator:
         seed: of the whole study, 0 or more.
         identity: what tells this piece of work from every other, such as stage, depth, environment, trial, generation.
             Each part keeps its type: 1 and 1.0 are different identities.
+
+    Raises:
+        ValueError: the seed is negative.
     """
-    digest = hashlib.sha256(json.dumps(identity, allow_nan=False).encode()).digest()
-    words = np.frombuffer(digest, dtype="<u4").tolist()
-    return np.random.default_rng(SeedSequence([seed, *words]))
+    if seed < 0:
+        raise ValueError(f"seed is {seed}, expected 0 or more")
+    digest = hashlib.sha256(_encode(identity).encode()).digest()
+    n_words = max(1, -(-seed.bit_length() // 32))
+    words = np.frombuffer(seed.to_bytes(4 * n_words, "little") + digest, dtype="<u4")
+    return np.random.default_rng(SeedSequence(words))

@@ -13,7 +13,7 @@ from pipeline.stages import segments
 from pipeline.store import Store
 from tasks.evolution import OPERATORS
 
-NAME, VERSION = "evolve", 1
+NAME, VERSION = "evolve", 2
 
 
 def reads(settings: Settings) -> tuple[str, ...]:

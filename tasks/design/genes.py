@@ -149,18 +149,25 @@ class Designs:
 
     @cached_property
     def table(self) -> Table:
-        """(n_designs, N_COLUMNS) all numbers of a design in a row, at COLUMNS: exact, and quick to choose and join."""
+        """(n_designs, N_COLUMNS) all numbers of a design in a row, at COLUMNS: exact, and can't be changed."""
         several = [array[:, None] if name in PER_DESIGN else array for name, array in self.arrays()]
-        return np.concatenate(several, axis=1, dtype=np.float64)
+        table = np.concatenate(several, axis=1, dtype=np.float64)
+        table.flags.writeable = False
+        return table
 
     @staticmethod
     def from_table(table: Table) -> Designs:
         """Restore designs from their table, which is theirs from then on and can't be changed."""
-        several = {name: table[:, columns].astype(DTYPES[name]) for name, columns in COLUMNS.items()}
-        designs = Designs(**{name: of[:, 0] if name in PER_DESIGN else of for name, of in several.items()})
-        designs.__dict__["table"] = table  # the cached property's value, which nobody may make untrue
-        for array in (table, *(array for _, array in designs.arrays())):
-            array.flags.writeable = False
+        table.flags.writeable = False
+        designs = object.__new__(Designs)  # a table has no shapes or dtypes to check, and evolution makes many
+        fields = designs.__dict__
+        fields["table"] = table
+        for name, columns in COLUMNS.items():
+            field = table[:, columns.start if name in PER_DESIGN else columns]
+            if DTYPES[name] is not np.float64:
+                field = field.astype(DTYPES[name])
+                field.flags.writeable = False
+            fields[name] = field
         return designs
 
     def equals(self, other: Designs) -> bool:

@@ -114,31 +114,26 @@ def separation(one: Floats, other: Floats) -> Floats:
 
 
 def until_apart(
-    draw: Callable[[Ints], Table],
-    wanted: npt.NDArray[np.bool_],
-    *,
-    max_draws: int = MAX_DRAWS,
-    otherwise: Table | None = None,
+    first: Table, draw: Callable[[Ints], Table], *, max_draws: int = MAX_DRAWS, otherwise: Table | None = None
 ) -> Drawn:
-    """Draw designs, and draw those again whose unjoined links overlap.
+    """Draw those designs again whose unjoined links overlap.
 
-    The first draw is of all. Then each that is left gets twice as many draws as in the round before, and takes the
-    first that is apart.
+    Each that is left gets twice as many draws as in the round before, and takes the first that is apart.
 
     Args:
+        first: (n_designs, N_COLUMNS) the first draw of each.
         draw: gives one design for each index that it is called with; an index may come several times.
-        wanted: (n_designs,) which must be apart; the others keep their first draw.
         max_draws: of each design.
         otherwise: (n_designs, N_COLUMNS) what to take after so many.
 
     Raises:
         DesignError: none of max_draws draws of a design is apart, and there is nothing to take instead.
     """
-    n_draws = np.ones(len(wanted), dtype=np.int64)
-    found, place = [draw(np.arange(len(wanted)))], np.arange(len(wanted))
-    waiting = np.flatnonzero(wanted)
-    waiting = waiting[~links_apart(Designs.from_table(found[0][waiting]))]
-    n_found, n_drawn, each = len(wanted), 1, 1
+    n_designs = len(first)
+    n_draws = np.ones(n_designs, dtype=np.int64)
+    found, place = [first], np.arange(n_designs)
+    waiting = np.flatnonzero(~links_apart(Designs.from_table(first)))
+    n_found, n_drawn, each = n_designs, 1, 1
     while waiting.size and n_drawn < max_draws:
         each = max(1, min(2 * each, MOST_AT_ONCE // waiting.size, max_draws - n_drawn))
         drawn = draw(np.repeat(waiting, each))

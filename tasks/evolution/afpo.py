@@ -19,27 +19,13 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from tasks.design import (
-    ANY_BODY,
-    Designs,
-    Morphology,
-    Mutation,
-    draw_mutants,
-    draw_random,
-    draw_recombinations,
-    random_designs,
-)
-from tasks.design.genes import Part
+from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
+from tasks.design.genes import N_COLUMNS, Part, Table
+from tasks.design.variation import variation_of
+from tasks.evolution.breeding import MUTATION, NOBODY, OPERATORS, RANDOM, Grown, Litter, breed, rank
 from tasks.parameters import Parameters
 
 Ints = npt.NDArray[np.int64]
-
-OPERATORS = ("random", "mutation", "crossover")
-"""How a design came about, in the order of their codes."""
-RANDOM, MUTATION, CROSSOVER = range(3)
-
-NOBODY = -1
-"""The parent of a design that has none."""
 
 
 class Afpo(Parameters):
@@ -129,7 +115,7 @@ class Children:
 
 
 NOBODY_YET = Population(
-    designs=random_designs(0, np.random.default_rng(0)),
+    designs=Designs.from_table(np.zeros((0, N_COLUMNS))),
     fitness=np.zeros(0),
     age=np.zeros(0, dtype=np.int64),
     identity=np.zeros(0, dtype=np.int64),
@@ -158,44 +144,37 @@ def ask(
         body: one design whose body all children get; only controllers evolve then.
         morphology: what bodies keep to.
     """
-    n_children, n_parents = afpo.population_size, len(population.designs)
-    grown = population.designs.table
-    operator = np.searchsorted(np.cumsum(afpo.shares)[:-1], rng.random(n_children), side="right")
-    if n_parents == 0:
-        operator[:] = RANDOM
-    drawn = draw_random(operator == RANDOM, rng, body=body, morphology=morphology)
-    table, n_draws = drawn.table.copy(), drawn.n_draws.copy()
-    age = np.zeros(n_children, dtype=np.int64)
-    parents = np.full((n_children, 2), NOBODY, dtype=np.int64)
-
-    mutants = (operator == MUTATION).nonzero()[0]
-    one = rng.integers(0, max(n_parents, 1), n_children)
-    further = rng.integers(1, max(n_parents, 2), n_children)
-    other = (one + further) % max(n_parents, 1)  # another one, wherever there are two
-    if mutants.size:
-        chosen = one[mutants]
-        parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
-        mutated = draw_mutants(grown[chosen], rng, mutation=afpo.mutation, parts=parts, morphology=morphology)
-        table[mutants], n_draws[mutants] = mutated.table, mutated.n_draws
-        age[mutants] = population.age[chosen]
-        parents[mutants, 0] = population.identity[chosen]
-    recombined = (operator == CROSSOVER).nonzero()[0]
-    if recombined.size:
-        left, right = one[recombined], other[recombined]
-        crossed = draw_recombinations(grown[left], grown[right], rng, morphology=morphology)
-        table[recombined], n_draws[recombined] = crossed.table, crossed.n_draws
-        age[recombined] = np.maximum(population.age[left], population.age[right])
-        parents[recombined] = np.stack([population.identity[left], population.identity[right]], axis=1)
-
-    identity = population.n_evaluated + np.arange(n_children)
+    parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
+    variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
+    grown = Grown(population.designs.table, population.age)
+    litter: Litter = breed(afpo.population_size, rng, grown, afpo.random_share, afpo.mutation_share, variation)
+    n_draws = np.ones(afpo.population_size, dtype=np.int64)
+    if body is None and morphology.unjoined_links == "apart":
+        _draw_again(litter, n_draws, grown.table, rng, afpo.mutation, morphology)
     return Children(
-        designs=Designs.from_table(table),
-        age=age,
-        identity=identity,
-        operator=operator.astype(np.int64),
-        parents=parents,
+        designs=Designs.from_table(litter.table),
+        age=litter.age,
+        identity=population.n_evaluated + np.arange(afpo.population_size),
+        operator=litter.operator,
+        parents=np.append(population.identity, NOBODY)[litter.parents],  # NOBODY's place is the last
         n_draws=n_draws,
     )
+
+
+def _draw_again(
+    litter: Litter, n_draws: Ints, grown: Table, rng: Generator, mutation: Mutation, morphology: Morphology
+) -> None:
+    """Draw those children again, by their own operators, that the morphology refuses; in place."""
+    for operator in range(len(OPERATORS)):
+        children = np.flatnonzero(litter.operator == operator)
+        first, (one, other) = litter.table[children], litter.parents[children].T
+        if operator == RANDOM:
+            drawn = draw_random(len(children), rng, morphology=morphology, first=first)
+        elif operator == MUTATION:
+            drawn = draw_mutants(grown[one], rng, mutation=mutation, morphology=morphology, first=first)
+        else:
+            drawn = draw_recombinations(grown[one], grown[other], rng, morphology=morphology, first=first)
+        litter.table[children], n_draws[children] = drawn.table, drawn.n_draws
 
 
 def tell(
@@ -215,8 +194,9 @@ def tell(
     all_fitness = np.concatenate([population.fitness, fitness])
     all_age = np.concatenate([population.age, children.age])
     survivors = select(all_fitness, all_age, rng, afpo.population_size)
+    all_tables = np.concatenate([population.designs.table, children.designs.table])
     return Population(
-        designs=Designs.from_table(np.concatenate([population.designs.table, children.designs.table])[survivors]),
+        designs=Designs.from_table(all_tables.take(survivors, axis=0)),
         fitness=all_fitness[survivors],
         age=all_age[survivors] + 1,
         identity=np.concatenate([population.identity, children.identity])[survivors],
@@ -236,16 +216,8 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     Returns:
         Indices of the survivors.
     """
-    eligible = np.isfinite(fitness).nonzero()[0]
-    fitness, age = fitness[eligible], age[eligible]
-    by_age = np.argsort(age, kind="stable")
-    best_so_far = np.maximum.accumulate(fitness[by_age])
-    as_young = np.searchsorted(age[by_age], age, side="right")  # how many are of a design's age or younger
-    beaten = best_so_far[as_young - 1] > fitness
-    front = (~beaten).nonzero()[0]
-    front = front[np.argsort(-fitness[front], kind="stable")][:n_survivors]
-    dominated = beaten.nonzero()[0]
-    n_more = min(n_survivors - len(front), len(dominated))
+    front, dominated = rank(fitness, age)
+    n_more = max(0, min(n_survivors - len(front), len(dominated)))
     rest = rng.choice(dominated, size=n_more, replace=False)
-    survivors: Ints = eligible[np.concatenate([front, rest])]
+    survivors: Ints = np.concatenate([front[:n_survivors], rest])
     return survivors

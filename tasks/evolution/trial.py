@@ -10,7 +10,8 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.design import ANY_BODY, Designs, Morphology
-from tasks.evolution.afpo import OPERATORS, Afpo, Children, Population, ask, tell
+from tasks.evolution.afpo import Afpo, Children, Population, ask, tell
+from tasks.evolution.breeding import OPERATORS
 from tasks.evolution.objective import Evaluation
 
 History = dict[str, npt.NDArray[Any]]
@@ -62,13 +63,15 @@ def evolve(
     """
     if n_generations < 1:
         raise ValueError(f"n_generations is {n_generations}, expected 1 or more")
-    records = []
-    for generation in range(first_generation, first_generation + n_generations):
-        rng = generator_of(generation)
+    # Python's own work is several times slower right after a simulation, so what can be done before or afterwards is.
+    generators = [generator_of(first_generation + index) for index in range(n_generations)]
+    steps = []
+    for rng in generators:
         children = ask(population, rng, afpo, body=body, morphology=morphology)
         evaluation = evaluate(children.designs)
         population = tell(population, children, evaluation.fitness, rng, afpo)
-        records.append(_record(generation, children, evaluation, population))
+        steps.append((children, evaluation, population))
+    records = [_record(first_generation + index, *step) for index, step in enumerate(steps)]
     return population, {name: np.concatenate([record[name] for record in records]) for name in records[0]}
 
 

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tasks.compiled import compiled
 from tasks.design import genes
 from tasks.design.body import KinematicTrees, kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, rotation, rows, simd
 from tasks.simulation.bodies.robots import Robots
-from tasks.simulation.compiled import compiled
 from tasks.simulation.contact import NO_VERTEX
 from tasks.simulation.drive import Drive
 from tasks.simulation.kernels import World

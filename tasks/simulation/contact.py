@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from tasks.compiled import inline
 from tasks.simulation.joint import LINEAR_SLOP, clamp
-from tasks.simulation.lanes import any_lane, inline, select
+from tasks.simulation.lanes import any_lane, select
 from tasks.simulation.rotation import sincos
 from tasks.simulation.rows import (
     ANGLE,

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tasks.compiled import compiled
 from tasks.simulation import lanes, rotation, simd
-from tasks.simulation.compiled import compiled
 from tasks.simulation.kernels import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.simulation.lanes import Block
 from tasks.simulation.motion import ANGLE, OMEGA, VX, VY, Y

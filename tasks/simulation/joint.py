@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tasks.simulation.lanes import inline, select, sqrt
+from tasks.compiled import inline
+from tasks.simulation.lanes import select, sqrt
 from tasks.simulation.rotation import sincos
 from tasks.simulation.rows import (
     ANGLE,

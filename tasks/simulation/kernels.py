@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tasks.compiled import inline
 from tasks.simulation import contact, joint
 from tasks.simulation.drive import SINE_OF_TURNS
 from tasks.simulation.joint import of_parent
-from tasks.simulation.lanes import any_lane, floor, from_row, inline, select, sqrt
+from tasks.simulation.lanes import any_lane, floor, from_row, select, sqrt
 from tasks.simulation.rotation import sincos
 from tasks.simulation.rows import (
     ANGLE,

@@ -16,10 +16,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import llvmlite.binding as llvm
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -27,11 +26,6 @@ ALIGNMENT = 64
 """Bytes: a whole AVX-512 register, a whole cache line."""
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-def inline(function: F) -> F:
-    """Mark a piece of a kernel: compiled into whatever calls it."""
-    return cast(F, numba.njit(forceinline=True, error_model="numpy")(function))
 
 
 class Block:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numba
 
+from tasks.compiled import inline
 from tasks.design.genes import N_LINKS
-from tasks.simulation.lanes import inline
 
 
 @inline

@@ -23,7 +23,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from tasks.simulation.compiled import compiled
+from tasks.compiled import compiled
 from tasks.simulation.lanes import aligned
 
 Float32 = npt.NDArray[np.float32]

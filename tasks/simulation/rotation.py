@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from tasks.compiled import inline
 from tasks.simulation.lanes import (
     any_lane,
     count_lanes,
     fma,
-    inline,
     lane,
     select,
     to_double,

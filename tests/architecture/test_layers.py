@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SCIENCE = sorted((ROOT / "tasks").rglob("*.py"))
 
-COMPILERS_CACHE = ROOT / "tasks/simulation/compiled.py"
+COMPILERS_CACHE = ROOT / "tasks/compiled.py"
 """The one module that knows of a folder: where numba keeps compiled kernels. No result of a task passes through it."""
 
 FILE_MODULES = {

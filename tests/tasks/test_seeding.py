@@ -1,5 +1,6 @@
 """Randomness from identity: different work, different numbers; the same work, the same numbers, for good."""
 
+import hashlib
 import itertools
 
 import numpy as np
@@ -61,7 +62,7 @@ def test_numpys_integers_are_refused_rather_than_guessed_at() -> None:
 
 
 def test_a_negative_seed_is_refused() -> None:
-    with pytest.raises(ValueError, match="non-negative"):
+    with pytest.raises(ValueError, match="seed is -1, expected 0 or more"):
         generator(-1, "evolve")
 
 
@@ -79,3 +80,10 @@ def test_the_numbers_themselves() -> None:
         7836395104211133315,
         5859990788874860825,
     )
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**32 - 1, 2**32, 2**64 + 5])
+def test_the_entropy_is_the_seed_and_the_digest_of_the_identity(seed: int) -> None:
+    words = np.frombuffer(hashlib.sha256(b'["evolve", 9.0]').digest(), dtype="<u4").tolist()
+    expected = np.random.default_rng(np.random.SeedSequence([seed, *words]))
+    assert first(seed, "evolve", 9.0) == tuple(expected.integers(0, 2**63, 4).tolist())

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tasks.compiled import inline
 from tasks.simulation.bodies.polygons import update
 from tasks.simulation.bodies.records import bodies_of, contact_at, fixtures_of, rotate, transform
 from tasks.simulation.bodies.rows import (
@@ -46,7 +47,7 @@ from tasks.simulation.bodies.rows import (
     WORLD_VERTEX_Y,
 )
 from tasks.simulation.contact import POLYGON_RADIUS
-from tasks.simulation.lanes import any_lane, inline, load_whole, select, store_whole
+from tasks.simulation.lanes import any_lane, load_whole, select, store_whole
 
 AABB_EXTENSION = 0.1
 """b2_aabbExtension [m]."""

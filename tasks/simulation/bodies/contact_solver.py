@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tasks.compiled import inline
 from tasks.simulation.bodies.records import place, point_at, rotate, transform
 from tasks.simulation.bodies.rows import (
     BIAS,
@@ -49,7 +50,7 @@ from tasks.simulation.contact import (
     VELOCITY_THRESHOLD,
 )
 from tasks.simulation.joint import LINEAR_SLOP, clamp
-from tasks.simulation.lanes import any_lane, inline, load_whole, select, store_whole
+from tasks.simulation.lanes import any_lane, load_whole, select, store_whole
 
 
 @inline

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tasks.compiled import inline
 from tasks.simulation import rows
 from tasks.simulation.bodies import contact_solver, revolute_joint
 from tasks.simulation.bodies.records import bodies_of, body_at, contact_at, joint_at, place, synchronize_transform
@@ -47,7 +48,7 @@ from tasks.simulation.bodies.rows import (
 )
 from tasks.simulation.contact import DEEPEST
 from tasks.simulation.kernels import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
-from tasks.simulation.lanes import any_lane, from_row, inline, load_whole, sqrt, store_whole
+from tasks.simulation.lanes import any_lane, from_row, load_whole, sqrt, store_whole
 
 
 @inline

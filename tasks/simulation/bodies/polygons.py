@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tasks.compiled import inline
 from tasks.simulation.bodies.records import point_at, rotate, rotate_back
 from tasks.simulation.bodies.rows import (
     FACE_B,
@@ -37,7 +38,7 @@ from tasks.simulation.bodies.rows import (
     WORLD_VERTEX_Y,
 )
 from tasks.simulation.contact import TOTAL_RADIUS
-from tasks.simulation.lanes import any_lane, inline, load_whole, select, store_whole
+from tasks.simulation.lanes import any_lane, load_whole, select, store_whole
 
 RELATIVE_TOLERANCE = 0.98
 ABSOLUTE_TOLERANCE = 0.001

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tasks.compiled import inline
 from tasks.simulation.bodies.rows import (
     BODIES,
     C_X,
@@ -29,7 +30,7 @@ from tasks.simulation.bodies.rows import (
     Q_S,
     A,
 )
-from tasks.simulation.lanes import from_row, inline, load_whole
+from tasks.simulation.lanes import from_row, load_whole
 from tasks.simulation.rotation import sincos
 
 

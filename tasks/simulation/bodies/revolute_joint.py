@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tasks.compiled import inline
 from tasks.simulation.bodies.records import place, rotate
 from tasks.simulation.bodies.rows import (
     ANCHOR_A_X,
@@ -33,7 +34,7 @@ from tasks.simulation.bodies.rows import (
     W,
 )
 from tasks.simulation.joint import LINEAR_SLOP, clamp
-from tasks.simulation.lanes import any_lane, inline, select, sqrt
+from tasks.simulation.lanes import any_lane, select, sqrt
 
 
 @inline

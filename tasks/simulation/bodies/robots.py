@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tasks.compiled import compiled
 from tasks.design import genes
 from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
@@ -22,7 +23,6 @@ from tasks.simulation.bodies import (
 )
 from tasks.simulation.bodies import rows as body_rows
 from tasks.simulation.bodies.packing import body_number, pack
-from tasks.simulation.compiled import compiled
 from tasks.simulation.kernels import World
 from tasks.simulation.lanes import Block
 from tasks.simulation.networks import PackedNetworks

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tasks.compiled import inline
 from tasks.simulation import kernels, rows
 from tasks.simulation.bodies import broad_phase, island
 from tasks.simulation.bodies.records import body_at, fixture_at, joint_at, rotate, transform
@@ -49,7 +50,7 @@ from tasks.simulation.bodies.rows import (
     A,
     W,
 )
-from tasks.simulation.lanes import any_lane, from_row, inline, load_whole
+from tasks.simulation.lanes import any_lane, from_row, load_whole
 from tasks.simulation.rotation import sincos
 
 TEAM = 4

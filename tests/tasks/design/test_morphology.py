@@ -89,16 +89,9 @@ def test_draws_go_on_until_every_design_is_apart() -> None:
         ok = numbers >= succeeds_at[which]
         return np.where(ok[:, None], good.table, bad.table)
 
-    drawn = until_apart(draw, np.ones(3, dtype=bool))
+    drawn = until_apart(draw(np.arange(3)), draw)
     assert links_apart(drawn.designs).all()
     assert drawn.n_draws.tolist() == [1, 5, 40]
-
-
-def test_what_is_not_wanted_keeps_its_first_draw() -> None:
-    bad = upright_columns(-0.1)
-    drawn = until_apart(lambda which: bad.table[np.zeros(len(which), int)], np.zeros(4, dtype=bool))
-    assert drawn.n_draws.tolist() == [1] * 4
-    assert not links_apart(drawn.designs).any()
 
 
 def test_draws_end() -> None:
@@ -112,9 +105,9 @@ def test_draws_end() -> None:
         return bad.table[np.zeros(len(which), int)]
 
     with pytest.raises(DesignError, match="design 0: links that no joint ties overlap at rest in each of 1000 draws"):
-        until_apart(draw, np.ones(2, dtype=bool), max_draws=1000)
+        until_apart(draw(np.arange(2)), draw, max_draws=1000)
     assert n_asked == 2000
-    instead = until_apart(draw, np.ones(2, dtype=bool), max_draws=1000, otherwise=good.table[[0, 0]])
+    instead = until_apart(draw(np.arange(2)), draw, max_draws=1000, otherwise=good.table[[0, 0]])
     assert links_apart(instead.designs).all()
     assert instead.n_draws.tolist() == [1001, 1001]
 

@@ -9,7 +9,7 @@ from scipy import stats
 
 from tasks.design import GENES, check, random_designs
 from tasks.evolution import NOBODY_YET, OPERATORS, Afpo, Population, ask, select, tell
-from tasks.evolution.afpo import CROSSOVER, MUTATION, NOBODY, RANDOM
+from tasks.evolution.breeding import CROSSOVER, MUTATION, NOBODY, RANDOM
 
 BODY = ("parent", *(gene.name for gene in GENES if gene.part == "body"))
 

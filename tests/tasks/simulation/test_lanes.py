@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numba.core.errors import TypingError
 
+from tasks.compiled import compiled, inline
 from tasks.simulation import simd  # noqa: F401 (teaches numba what lanes are)
-from tasks.simulation.compiled import compiled
 from tasks.simulation.lanes import (
     ALIGNMENT,
     Block,
@@ -24,7 +24,6 @@ from tasks.simulation.lanes import (
     floor,
     fma,
     from_row,
-    inline,
     lane,
     select,
     sqrt,
@@ -166,12 +165,12 @@ def test_memory_begins_on_a_cache_line(shape):
 def test_an_edit_of_a_module_that_a_kernel_calls_is_not_served_from_the_cache(tmp_path):
     (tmp_path / "outer.py").write_text(
         "import sys, inner\n"
-        "from tasks.simulation.compiled import compiled\n"
+        "from tasks.compiled import compiled\n"
         "def kernel(x):\n    return inner.piece(x)\n"
         "if __name__ == '__main__':\n    import outer\n"
         "    print(compiled(outer.kernel, [outer, inner], seconds=1)(2.0))\n"
     )
-    inner = "from tasks.simulation.lanes import inline\n@inline\ndef piece(x):\n    return x * {}\n"
+    inner = "from tasks.compiled import inline\n@inline\ndef piece(x):\n    return x * {}\n"
     environment = {
         **os.environ,
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),

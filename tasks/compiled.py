@@ -20,11 +20,11 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numba
 
-from tasks.simulation import simd  # noqa: F401 (importing it teaches numba what lanes are)
+F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,11 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
             print(f"compiling {function.__module__} (once, about {seconds} s)", file=sys.stderr, flush=True)
 
     return Kernel(kernel, announce)
+
+
+def inline(function: F) -> F:
+    """Mark a piece of a kernel: compiled into whatever calls it."""
+    return cast(F, numba.njit(forceinline=True, error_model="numpy")(function))
 
 
 def _cache_folder() -> str:

@@ -1,0 +1,226 @@
+"""The operators of variation, compiled: what they do to tables of designs, number by number.
+
+In NumPy a generation's operators are some hundred calls, each of which takes longer than its work on 64 designs; a few
+kernels cost little beside the simulation.
+
+An operator draws as much for every design, whether a design needs it or not, and a gene of all designs before the next:
+so what one design becomes never shifts the draws of another.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator
+
+from tasks.compiled import inline
+from tasks.design.genes import COLUMNS, GENES, LINK_OF_COLUMN, N_COLUMNS, N_LINKS, ROOT_PARENT, Table
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Flags = npt.NDArray[np.bool_]
+
+PARENT = COLUMNS["parent"].start
+"""Column of the root's parent; those of the other links follow."""
+MOTOR = "motor_on"
+MOTORS = COLUMNS[MOTOR].start + 1
+"""Column of the first joint's motor; those of the other joints follow. A root has none."""
+N_JOINTS = N_LINKS - 1
+
+ANY_NUMBER = -1
+"""Of actuated joints: as many as it happens."""
+BODY_STAYS = -1.0
+"""In place of a probability that a link is hung from another parent."""
+
+FIRST = np.array([COLUMNS[gene.name].start for gene in GENES])
+END = np.array([COLUMNS[gene.name].stop for gene in GENES])
+LOW = np.array([gene.low for gene in GENES])
+HIGH = np.array([gene.high for gene in GENES])
+IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])
+OF_ROOT = np.array([gene.of_root for gene in GENES])
+
+
+class Numbers(NamedTuple):
+    """What some genes are in a table of designs: each of their numbers, (n_numbers,) all."""
+
+    column: Ints
+    low: Floats
+    high: Floats
+    is_angle: Flags
+    is_flag: Flags
+    is_motor: Flags
+
+
+class Variation(NamedTuple):
+    """What may vary, and how."""
+
+    body: Table
+    """(1, N_COLUMNS) the design whose body all have; (0, N_COLUMNS) if bodies vary."""
+    body_columns: Ints
+    """Columns that are of the body."""
+    n_actuated: int
+    """Joints whose motor is on; ANY_NUMBER for as many as it happens."""
+    numbers: Numbers
+    """Those that may change."""
+    change: float
+    """Probability that a number does."""
+    step: float
+    """Deviation of the Gaussian step, as a share of the gene's range."""
+    rewiring: float
+    """Probability that one link of a design is hung from another parent; BODY_STAYS if none may be."""
+
+
+def draw_table(n_designs: int, rng: Generator, variation: Variation) -> Table:
+    """Draw designs uniformly within the genes' bounds; a motor is on with probability 1/2.
+
+    Args:
+        n_designs: how many.
+        rng: source of randomness.
+        variation: what may vary.
+
+    Returns:
+        (n_designs, N_COLUMNS)
+    """
+    table = np.zeros((n_designs, N_COLUMNS))
+    for gene in range(len(FIRST)):
+        for design in range(n_designs):
+            for column in range(FIRST[gene], END[gene]):
+                drawn = rng.random()
+                if IS_FLAG[gene]:
+                    table[design, column] = 1.0 if drawn < 0.5 else 0.0
+                else:
+                    table[design, column] = LOW[gene] + (HIGH[gene] - LOW[gene]) * drawn
+            if not OF_ROOT[gene]:
+                table[design, FIRST[gene]] = 0.0  # so that designs that behave alike are equal
+    table[:, PARENT] = ROOT_PARENT
+    for link in range(1, N_LINKS):
+        for design in range(n_designs):
+            table[design, PARENT + link] = rng.integers(0, link)
+    if variation.n_actuated != ANY_NUMBER:
+        for design in range(n_designs):
+            _switch_on_highest(table[design, MOTORS : MOTORS + N_JOINTS], rng.random(N_JOINTS), variation.n_actuated)
+    if len(variation.body):
+        for design in range(n_designs):
+            for column in variation.body_columns:
+                table[design, column] = variation.body[0, column]
+    return table
+
+
+@inline
+def _switch_on_highest(flags: Floats, score: Floats, n: int) -> None:
+    """Switch on the n flags of the highest scores, the first of equals, and the others off."""
+    for this in range(len(flags)):
+        n_before = 0
+        for other in range(len(flags)):
+            if score[other] > score[this] or (score[other] == score[this] and other < this):
+                n_before += 1
+        flags[this] = 1.0 if n_before < n else 0.0
+
+
+def mutate_table(table: Table, rng: Generator, variation: Variation) -> None:
+    """Change some numbers of designs, at least one each, and hang some links from another parent, in place.
+
+    Args:
+        table: (n_designs, N_COLUMNS)
+        rng: source of randomness.
+        variation: what may vary, and how.
+    """
+    numbers = variation.numbers
+    n_designs, n_numbers, before = len(table), len(numbers.column), table.copy()
+    changes = rng.random((n_designs, n_numbers)) < variation.change
+    while True:
+        steps = rng.standard_normal((n_designs, n_numbers))
+        if variation.n_actuated != ANY_NUMBER:
+            _move_motors(table, changes, rng, numbers)
+        n_same, is_same = 0, np.ones(n_designs, dtype=np.bool_)
+        for design in range(n_designs):
+            for number in range(n_numbers):
+                column = numbers.column[number]
+                if changes[design, number]:
+                    by = steps[design, number] * variation.step
+                    table[design, column] = _stepped(numbers, number, table[design, column], by)
+                is_same[design] &= table[design, column] == before[design, column]
+            n_same += is_same[design]
+        if n_same == 0:
+            break
+        # No gene was drawn, or a bound held those that were: draw one until it moves.
+        drawn = rng.integers(0, n_numbers, n_designs)
+        changes[:] = False
+        for design in range(n_designs):
+            changes[design, drawn[design]] = is_same[design]
+    if variation.rewiring != BODY_STAYS:
+        _rewire(table, rng, variation.rewiring)
+
+
+@inline
+def _stepped(numbers: Numbers, number: int, old: float, by: float) -> float:
+    """Move a number by a share of its gene's range, and back within its bounds."""
+    low, high = float(numbers.low[number]), float(numbers.high[number])
+    if numbers.is_flag[number]:
+        return 1.0 - old
+    moved = old + by * (high - low)
+    if numbers.is_angle[number]:
+        moved = low + (moved - low) % (high - low)
+    # The bounds also catch the rounding of a remainder just below an angle's end.
+    return min(max(moved, low), high)
+
+
+@inline
+def _move_motors(table: Table, changes: Flags, rng: Generator, numbers: Numbers) -> None:
+    """Let each motor that is to change change places with one that is its opposite, drawn uniformly; none then is."""
+    for number in range(len(numbers.column)):
+        if not numbers.is_motor[number]:
+            continue
+        for design in range(len(table)):
+            this, motors = numbers.column[number] - MOTORS, table[design, MOTORS : MOTORS + N_JOINTS]
+            luckiest, most = this, -1.0
+            for other in range(N_JOINTS):
+                luck = rng.random()
+                if motors[other] != motors[this] and luck > most:
+                    luckiest, most = other, luck
+            if changes[design, number]:
+                motors[this], motors[luckiest] = motors[luckiest], motors[this]
+            changes[design, number] = False
+
+
+@inline
+def _rewire(table: Table, rng: Generator, probability: float) -> None:
+    """Hang one link of some designs from another of the links before it. Link 1 has the root alone."""
+    n_designs = len(table)
+    chosen, link, place = rng.random(n_designs), rng.integers(2, N_LINKS, n_designs), rng.random(n_designs)
+    for design in range(n_designs):
+        if chosen[design] < probability:
+            other = np.floor(place[design] * (link[design] - 1))
+            column = PARENT + link[design]
+            table[design, column] = other + (other >= table[design, column])  # skips the present parent
+
+
+def recombine_tables(child: Table, other: Table, rng: Generator, variation: Variation) -> None:
+    """Give designs some links' genes of others, in place; at least one link comes from each, at least one stays.
+
+    Args:
+        child: (n_designs, N_COLUMNS)
+        other: as many.
+        rng: source of randomness.
+        variation: what may vary.
+    """
+    n_designs = len(child)
+    stays = np.empty((n_designs, N_LINKS + 1), dtype=np.bool_)  # each link's genes, and those of the whole design
+    stays[:, :N_LINKS] = rng.random((n_designs, N_LINKS)) < 0.5
+    flipped = rng.integers(0, N_LINKS, n_designs)
+    stays[:, N_LINKS] = rng.random(n_designs) < 0.5
+    for design in range(n_designs):
+        n_stay = stays[design, :N_LINKS].sum()
+        if n_stay == 0 or n_stay == N_LINKS:
+            stays[design, flipped[design]] ^= True
+        motors = child[design, MOTORS : MOTORS + N_JOINTS]
+        on_in = motors + other[design, MOTORS : MOTORS + N_JOINTS]
+        for column in range(N_COLUMNS):
+            if not stays[design, LINK_OF_COLUMN[column]]:
+                child[design, column] = other[design, column]
+        if variation.n_actuated != ANY_NUMBER:
+            # 3 on in both, 2 inherited, 1 on in the other, 0 in none; chance decides among equals.
+            preference = np.minimum(on_in, 1) + (on_in == 2) + motors
+            _switch_on_highest(motors, preference + rng.random(N_JOINTS), variation.n_actuated)

@@ -1,0 +1,107 @@
+"""Kernels of evolution: a generation's children, and who of all is dominated."""
+
+from __future__ import annotations
+
+import sys
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numpy.random import Generator
+
+from tasks.compiled import compiled
+from tasks.design.genes import Table
+from tasks.design.operators import Variation
+from tasks.design.variation import DRAW_TABLE, MUTATE_TABLE, RECOMBINE_TABLES, SOURCES
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+
+OPERATORS = ("random", "mutation", "crossover")
+"""How a design came about, in the order of their codes."""
+RANDOM, MUTATION, CROSSOVER = range(3)
+
+NOBODY = -1
+"""The parent of a design that has none."""
+
+_draw_table, _mutate_table, _recombine_tables = DRAW_TABLE.inner, MUTATE_TABLE.inner, RECOMBINE_TABLES.inner
+
+
+class Grown(NamedTuple):
+    """Who may have children; axis 0 is the design."""
+
+    table: Table
+    """(n_designs, N_COLUMNS)"""
+    age: Ints
+    """(n_designs,)"""
+
+
+class Litter(NamedTuple):
+    """Children as they are drawn, whatever the morphology says; axis 0 is the child."""
+
+    table: Table
+    """(n_children, N_COLUMNS)"""
+    age: Ints
+    """(n_children,) that of the older parent; 0 where there is none."""
+    operator: Ints
+    """(n_children,) index into OPERATORS."""
+    parents: Ints
+    """(n_children, 2) places in the population; NOBODY where there is none."""
+
+
+def _breed(
+    n_children: int, rng: Generator, grown: Grown, random_share: float, mutation_share: float, variation: Variation
+) -> Litter:
+    n_parents = len(grown.age)
+    luck = rng.random(n_children)
+    table = _draw_table(n_children, rng, variation)
+    one = rng.integers(0, max(n_parents, 1), n_children)
+    further = rng.integers(1, max(n_parents, 2), n_children)
+    age = np.zeros(n_children, dtype=np.int64)
+    operator = np.full(n_children, RANDOM)
+    parents = np.full((n_children, 2), NOBODY)
+    for child in range(n_children):
+        if n_parents == 0 or luck[child] < random_share:
+            continue
+        parents[child, 0] = one[child]
+        age[child] = grown.age[one[child]]
+        if luck[child] < random_share + mutation_share:
+            operator[child] = MUTATION
+        else:
+            other = (one[child] + further[child]) % n_parents  # another one, wherever there are two
+            operator[child] = CROSSOVER
+            parents[child, 1] = other
+            age[child] = max(age[child], grown.age[other])
+
+    mutants = np.flatnonzero(operator == MUTATION)
+    changed = grown.table[parents[mutants, 0]]
+    _mutate_table(changed, rng, variation)
+    table[mutants] = changed
+    recombined = np.flatnonzero(operator == CROSSOVER)
+    mixed = grown.table[parents[recombined, 0]]
+    _recombine_tables(mixed, grown.table[parents[recombined, 1]], rng, variation)
+    table[recombined] = mixed
+    return Litter(table, age, operator, parents)
+
+
+def _rank(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
+    is_beaten = np.zeros(len(fitness), dtype=np.bool_)
+    best, first = -np.inf, 0
+    by_age = np.argsort(age, kind="mergesort")
+    while first < len(by_age):
+        end = first
+        while end < len(by_age) and age[by_age[end]] == age[by_age[first]]:
+            if np.isfinite(fitness[by_age[end]]):
+                best = max(best, fitness[by_age[end]])
+            end += 1
+        for place in range(first, end):
+            is_beaten[by_age[place]] = fitness[by_age[place]] < best
+        first = end
+    can_survive = np.isfinite(fitness)
+    front = np.flatnonzero(can_survive & ~is_beaten)
+    by_fitness = np.argsort(-fitness[front], kind="mergesort")
+    return front[by_fitness], np.flatnonzero(can_survive & is_beaten)
+
+
+breed = compiled(_breed, [*SOURCES, sys.modules[__name__]], seconds=10)
+rank = compiled(_rank, [sys.modules[__name__]], seconds=3)
