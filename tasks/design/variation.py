@@ -39,9 +39,9 @@ MUTATION = Mutation()
 
 SOURCES = [genes, operators]
 """Modules that go into the operators' kernels."""
-DRAW_TABLE = compiled(operators.draw_table, SOURCES, seconds=3)
-MUTATE_TABLE = compiled(operators.mutate_table, SOURCES, seconds=6)
-RECOMBINE_TABLES = compiled(operators.recombine_tables, SOURCES, seconds=3)
+draw_kernel = compiled(operators.draw_table, SOURCES, seconds=3)
+mutate_kernel = compiled(operators.mutate_table, SOURCES, seconds=6)
+recombine_kernel = compiled(operators.recombine_tables, SOURCES, seconds=3)
 
 NO_BODY = Designs.from_table(np.zeros((0, N_COLUMNS)))
 
@@ -137,7 +137,7 @@ def draw_random(
     variation = variation_of(morphology, body=body)
 
     def draw(which: Ints) -> Table:
-        table: Table = DRAW_TABLE(len(which), rng, variation)
+        table: Table = draw_kernel(len(which), rng, variation)
         return table
 
     return _drawn(draw, n_designs, first, body is None and morphology.unjoined_links == "apart")
@@ -198,7 +198,7 @@ def draw_mutants(
 
     def draw(which: Ints) -> Table:
         mutants = table[which]
-        MUTATE_TABLE(mutants, rng, variation)
+        mutate_kernel(mutants, rng, variation)
         return mutants
 
     return _drawn(draw, len(table), first, "body" in parts and morphology.unjoined_links == "apart")
@@ -236,7 +236,7 @@ def draw_recombinations(
 
     def draw(which: Ints) -> Table:
         child = one[which]
-        RECOMBINE_TABLES(child, other[which], rng, variation)
+        recombine_kernel(child, other[which], rng, variation)
         return child
 
     apart, columns = morphology.unjoined_links == "apart", variation.body_columns

@@ -19,13 +19,18 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
+from tasks.compiled import compiled
 from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
 from tasks.design.genes import N_COLUMNS, Part, Table
-from tasks.design.variation import variation_of
-from tasks.evolution.breeding import MUTATION, NOBODY, OPERATORS, RANDOM, Grown, Litter, breed, rank
+from tasks.design.variation import SOURCES, variation_of
+from tasks.evolution import breeding
+from tasks.evolution.breeding import MUTATION, NOBODY, OPERATORS, RANDOM, Grown, Litter
 from tasks.parameters import Parameters
 
 Ints = npt.NDArray[np.int64]
+
+_breed = compiled(breeding.breed, [*SOURCES, breeding], seconds=10)
+_rank = compiled(breeding.rank, [breeding], seconds=3)
 
 
 class Afpo(Parameters):
@@ -147,7 +152,7 @@ def ask(
     parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
     variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
     grown = Grown(population.designs.table, population.age)
-    litter: Litter = breed(afpo.population_size, rng, grown, afpo.random_share, afpo.mutation_share, variation)
+    litter: Litter = _breed(afpo.population_size, rng, grown, afpo.random_share, afpo.mutation_share, variation)
     n_draws = np.ones(afpo.population_size, dtype=np.int64)
     if body is None and morphology.unjoined_links == "apart":
         _draw_again(litter, n_draws, grown.table, rng, afpo.mutation, morphology)
@@ -216,7 +221,7 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     Returns:
         Indices of the survivors.
     """
-    front, dominated = rank(fitness, age)
+    front, dominated = _rank(fitness, age)
     n_more = max(0, min(n_survivors - len(front), len(dominated)))
     rest = rng.choice(dominated, size=n_more, replace=False)
     survivors: Ints = np.concatenate([front[:n_survivors], rest])

@@ -1,18 +1,19 @@
-"""Kernels of evolution: a generation's children, and who of all is dominated."""
+"""Evolution's own work, compiled: a generation's children, and who of all is dominated.
+
+In NumPy it is some hundred calls, each of which takes longer than its work on 64 designs.
+"""
 
 from __future__ import annotations
 
-import sys
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.compiled import compiled
 from tasks.design.genes import Table
 from tasks.design.operators import Variation
-from tasks.design.variation import DRAW_TABLE, MUTATE_TABLE, RECOMBINE_TABLES, SOURCES
+from tasks.design.variation import draw_kernel, mutate_kernel, recombine_kernel
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -24,7 +25,7 @@ RANDOM, MUTATION, CROSSOVER = range(3)
 NOBODY = -1
 """The parent of a design that has none."""
 
-_draw_table, _mutate_table, _recombine_tables = DRAW_TABLE.inner, MUTATE_TABLE.inner, RECOMBINE_TABLES.inner
+_draw_table, _mutate_table, _recombine_tables = draw_kernel.inner, mutate_kernel.inner, recombine_kernel.inner
 
 
 class Grown(NamedTuple):
@@ -49,9 +50,19 @@ class Litter(NamedTuple):
     """(n_children, 2) places in the population; NOBODY where there is none."""
 
 
-def _breed(
+def breed(
     n_children: int, rng: Generator, grown: Grown, random_share: float, mutation_share: float, variation: Variation
 ) -> Litter:
+    """Draw a generation of children, all of them random where nobody is grown.
+
+    Args:
+        n_children: how many.
+        rng: source of randomness.
+        grown: who may have children.
+        random_share: probability that a child is random.
+        mutation_share: probability that it is a mutant; it is a recombination otherwise.
+        variation: what may vary, and how.
+    """
     n_parents = len(grown.age)
     luck = rng.random(n_children)
     table = _draw_table(n_children, rng, variation)
@@ -84,7 +95,16 @@ def _breed(
     return Litter(table, age, operator, parents)
 
 
-def _rank(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
+def rank(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
+    """Tell the non-dominated from the dominated: those that a design of their age or younger beats.
+
+    Args:
+        fitness: (n_designs,) [m]; a design whose fitness is not finite is neither.
+        age: (n_designs,) generations.
+
+    Returns:
+        Indices of the non-dominated by decreasing fitness, the first of equals first; indices of the dominated.
+    """
     is_beaten = np.zeros(len(fitness), dtype=np.bool_)
     best, first = -np.inf, 0
     by_age = np.argsort(age, kind="mergesort")
@@ -101,7 +121,3 @@ def _rank(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
     front = np.flatnonzero(can_survive & ~is_beaten)
     by_fitness = np.argsort(-fitness[front], kind="mergesort")
     return front[by_fitness], np.flatnonzero(can_survive & is_beaten)
-
-
-breed = compiled(_breed, [*SOURCES, sys.modules[__name__]], seconds=10)
-rank = compiled(_rank, [sys.modules[__name__]], seconds=3)
