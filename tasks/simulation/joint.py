@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from tasks.compiled import inline
-from tasks.simulation.lanes import select, sqrt
+from tasks.simulation.lanes import select
 from tasks.simulation.rotation import sincos
 from tasks.simulation.rows import (
     ANGLE,
@@ -45,6 +47,19 @@ from tasks.simulation.rows import (
 
 LINEAR_SLOP = 0.005
 """b2_linearSlop [m]: separation of a joint that is good enough."""
+
+
+def _largest_square(root: float) -> float:
+    """Find the largest float32 whose root, rounded to float32, is no more than this: a comparison without a root."""
+    square = np.float32(root) * np.float32(root)
+    while np.sqrt(np.nextafter(square, np.float32(np.inf))) <= np.float32(root):
+        square = np.nextafter(square, np.float32(np.inf))
+    while np.sqrt(square) > np.float32(root):
+        square = np.nextafter(square, np.float32(0.0))
+    return float(square)
+
+
+LINEAR_SLOP_SQUARED = _largest_square(LINEAR_SLOP)
 
 
 @inline
@@ -163,7 +178,7 @@ def solve_position_constraint(block: Any, joint: int, unsolved: Any) -> Any:
 
     C_x = cB_x + rB_x - cA_x - rA_x
     C_y = cB_y + rB_y - cA_y - rA_y
-    good_enough = sqrt(C_x * C_x + C_y * C_y) <= LINEAR_SLOP
+    good_enough = C_x * C_x + C_y * C_y <= LINEAR_SLOP_SQUARED
 
     # The sums associate otherwise than in the velocity constraint.
     k_xx = mA + mB + iA * rA_y * rA_y + iB * rB_y * rB_y

@@ -166,6 +166,13 @@ def integrate_position(block: Any, link: int, dt: Any) -> None:
 
 
 @inline
+def start_joint(blocks: Any, n_abreast: int, j: int, dt_ratio: Any) -> None:
+    """Initialize a joint's velocity constraint, and warm-start it, in groups abreast."""
+    for k in range(n_abreast):
+        joint.init_velocity_constraint(from_row(blocks, k * N_ROWS), j, dt_ratio)
+
+
+@inline
 def sweep_joint(blocks: Any, n_abreast: int, j: int) -> None:
     """Solve a joint's velocity constraint in groups abreast."""
     for k in range(n_abreast):
@@ -174,10 +181,15 @@ def sweep_joint(blocks: Any, n_abreast: int, j: int) -> None:
 
 @inline
 def solve_velocities(blocks: Any, n_abreast: int, world: Any, touching: int, on_two_points: int) -> None:
-    """Sweeps of the velocity solver, in groups abreast.
+    """Start the joints, and sweep the velocity solver, in groups abreast.
 
     Every joint waits for the one before it. So the processor has the other group's to do meanwhile.
     """
+    start_joint(blocks, n_abreast, 0, world.dt_ratio)
+    start_joint(blocks, n_abreast, 1, world.dt_ratio)
+    start_joint(blocks, n_abreast, 2, world.dt_ratio)
+    start_joint(blocks, n_abreast, 3, world.dt_ratio)
+    start_joint(blocks, n_abreast, 4, world.dt_ratio)
     for _ in range(world.velocity_iterations):
         sweep_joint(blocks, n_abreast, 0)
         sweep_joint(blocks, n_abreast, 1)
@@ -215,7 +227,7 @@ def solve_positions(block: Any, world: Any, touching: int) -> None:
 
 @inline
 def begin_step(block: Any, world: Any, step: int) -> Any:
-    """Run the motors, the slush, and b2World::Step up to the velocity solver.
+    """Run the motors, the slush, and b2World::Step up to the joints.
 
     Returns:
         The links that touch the ground in any lane, and those that lie on two points, each as the bits of a number.
@@ -235,11 +247,6 @@ def begin_step(block: Any, world: Any, step: int) -> Any:
             touching |= 1 << link
             if contact.init_velocity_constraint(block, link, world.ground, world.restitution, world.dt_ratio):
                 on_two_points |= 1 << link
-    joint.init_velocity_constraint(block, 0, world.dt_ratio)
-    joint.init_velocity_constraint(block, 1, world.dt_ratio)
-    joint.init_velocity_constraint(block, 2, world.dt_ratio)
-    joint.init_velocity_constraint(block, 3, world.dt_ratio)
-    joint.init_velocity_constraint(block, 4, world.dt_ratio)
     return touching, on_two_points
 
 
