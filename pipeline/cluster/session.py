@@ -36,6 +36,10 @@ PLACE = Path("/tmp")
 
 PREFIX = "puddle-"
 
+WORKERS_ON_DEMAND = {"RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0"}
+"""Of workers that it starts before there is work, Ray lets its first driver wait for all: for ever, if one is killed
+meanwhile (ray-project/ray, issue 40131)."""
+
 STUCK_SECONDS = 10.0
 """How long a call into Ray may last once Ray is dead. Ray itself gives up after a minute."""
 
@@ -91,7 +95,7 @@ def session(n_cores: int | None) -> Iterator[Session]:
             kept = subprocess.Popen(
                 [sys.executable, "-P", *words],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, pass_fds=[lock],
-                env={**environment, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)},
+                env={**environment, **WORKERS_ON_DEMAND, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)},
                 start_new_session=True,  # so that Ctrl-C in the terminal reaches Ray through us alone
             )  # fmt: skip
         address = _address(kept, folder)

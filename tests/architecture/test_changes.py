@@ -151,7 +151,7 @@ GENE = {
             "    hollow: npt.NDArray[np.bool_]\n    girth: npt.NDArray[np.float64]\n",
         ),
     ],
-    "pipeline/stages/evolve.py": [('"evolve", 1\n', '"evolve", 2\n')],
+    "pipeline/stages/evolve.py": [('"evolve", 2\n', '"evolve", 3\n')],
 }
 
 

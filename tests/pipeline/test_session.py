@@ -1,10 +1,12 @@
 """A driver that waits for a Ray that died ends, and says so: its call would never return. One that works goes on."""
 
+import contextlib
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 
 import psutil
 import pytest
@@ -29,6 +31,7 @@ with session.session(1) as ours, ours.calling:
 
 WORKS = """
 import time
+from collections.abc import Iterator
 session.STUCK_SECONDS = session.SECONDS_BETWEEN_LOOKS = 0.1
 with session.session(1) as ours:
     print("up", flush=True)
@@ -82,6 +85,41 @@ def test_a_driver_that_does_other_work_goes_on_when_its_ray_dies(place):
         next(process for process in children if process.name() == "raylet").kill()
         assert driver.communicate(timeout=60) == ("kept\n", "")
         assert driver.returncode == 0
+    finally:
+        driver.kill()
+        driver.wait()
+
+
+CONNECTS = """
+from pipeline.cluster import ray_cluster
+with ray_cluster("local", 2):
+    print("up", flush=True)
+"""
+
+
+def workers_of(driver: psutil.Process) -> Iterator[psutil.Process]:
+    """Find the workers that its raylet has started, or is about to be."""
+    for raylet in driver.children(recursive=True):
+        if raylet.name() == "raylet":
+            for process in raylet.children():
+                starts = any("default_worker" in word for word in process.cmdline())
+                if starts or process.name().startswith("ray::IDLE"):
+                    yield process
+
+
+def test_a_worker_that_dies_while_the_driver_connects_does_not_hang_it(place):
+    """Ray keeps its first driver waiting for the workers that it starts by itself: for ever, if one of them dies."""
+    driver = driving(CONNECTS, place)
+    try:
+        end = time.monotonic() + 60
+        while driver.poll() is None:
+            assert time.monotonic() < end, "the driver hangs"
+            with contextlib.suppress(psutil.Error):
+                for worker in workers_of(psutil.Process(driver.pid)):
+                    worker.kill()
+            time.sleep(0.02)
+        said, errors = driver.communicate()
+        assert (driver.returncode, said) == (0, "up\n"), errors
     finally:
         driver.kill()
         driver.wait()
