@@ -40,7 +40,7 @@ def main() -> None:
     """Measure, print, write."""
     console = Console(width=118)
     figures: list[Figure] = []
-    for measure in (engines.first_call, engines.steps, engines.bodies, engines.packing, evolution.own_work,
+    for measure in (engines.first_generation, engines.steps, engines.bodies, engines.packing, evolution.own_work,
                     engines.two_processes, networks.inference, networks.generation):  # fmt: skip
         console.print(f"[dim]{measure.__doc__}[/dim]")
         figures += measure()

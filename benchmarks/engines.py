@@ -38,16 +38,20 @@ def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it
     return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
 
 
-def first_call() -> list[Figure]:
-    """Make the first call of the batch engine: compiled, then from the cache."""
+def first_generation() -> list[Figure]:
+    """Run the first generation of a trial: the kernels of evolution and of the engine compiled, then from the cache."""
     program = (
-        "import time, numpy as np\n"
-        "from tasks.design import random_designs\n"
-        "from tasks.simulation import batch\n"
-        "from tasks.world import Physics, TrueSlush\n"
-        "designs = random_designs(64, np.random.default_rng(0))\n"
+        "import time\n"
+        "from functools import partial\n"
+        "from tasks.evolution import NOBODY_YET, Afpo, evaluate, evolve\n"
+        "from tasks.seeding import generator\n"
+        "from tasks.simulation import simulate\n"
+        "from tasks.world import TrueSlush\n"
+        "def score(designs):\n"
+        "    rollouts = simulate(designs, TrueSlush(1.0), n_settle=1, n_measure=1)\n"
+        "    return evaluate(rollouts, disagreement_penalty=0.0)\n"
         "start = time.perf_counter()\n"
-        "batch.roll_out(designs, TrueSlush(1.0), Physics(), n_settle=1, n_measure=1, trace=False)\n"
+        "evolve(NOBODY_YET, score, partial(generator, 0), first_generation=0, n_generations=1, afpo=Afpo())\n"
         "print(time.perf_counter() - start)\n"
     )
     with tempfile.TemporaryDirectory() as cache:
@@ -57,8 +61,8 @@ def first_call() -> list[Figure]:
             for _ in range(4)
         )
     return [
-        Figure("first call, compiling", [cold], "s", 40.0),
-        Figure("first call, from the cache", warm, "s", 1.0),
+        Figure("first generation, compiling", [cold], "s", 40.0),
+        Figure("first generation, from the cache", warm, "s", 1.0),
     ]
 
 

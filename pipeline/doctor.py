@@ -225,23 +225,25 @@ def _loopback() -> Finding:
 
 
 def _kernel(settings: Settings) -> Finding:
-    """Simulate a robot: compiles what is not compiled yet."""
-    from tasks.design import random_designs
+    """Evolve two robots for a generation: compiles what is not compiled yet."""
+    from tasks.evolution import NOBODY_YET, Afpo, ask, tell
     from tasks.simulation import simulate
     from tasks.world import DryLand
 
-    start = time.perf_counter()
+    start, rng, afpo = time.perf_counter(), np.random.default_rng(0), Afpo(population_size=2)
     try:
+        children = ask(NOBODY_YET, rng, afpo)
         rollouts = simulate(
-            random_designs(1, np.random.default_rng(0)), DryLand(depth=1.0), n_settle=0, n_measure=10,
+            children.designs, DryLand(depth=1.0), n_settle=0, n_measure=10,
             engine=settings.work.engine, physics=settings.physics,
         )  # fmt: skip
+        tell(NOBODY_YET, children, rollouts.displacement.mean(axis=0), rng, afpo)
     except Exception as error:  # whatever it is, a study would meet it too
         return Finding("fail", "engine", f"{type(error).__name__}: {error}", "make clean setup; then please report it.")
     seconds = time.perf_counter() - start
     if not np.isfinite(rollouts.displacement).all():
         return Finding("fail", "engine", "a robot on dry land came to a displacement that is no number", "Report it.")
-    return Finding("ok", "engine", f"the first robot after {seconds:.1f} s")
+    return Finding("ok", "engine", f"the first generation after {seconds:.1f} s")
 
 
 def _ray() -> Finding:

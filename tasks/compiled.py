@@ -56,7 +56,8 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
         raise ValueError(f"{function.__qualname__} is a closure, expected a function of a module")
     if numba.config.DISABLE_JIT:
         return Kernel(function, lambda: None)
-    digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in sources).encode()).hexdigest()
+    read = [sys.modules[__name__], *sources]  # how pieces are inlined counts too
+    digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in read).encode()).hexdigest()
     folder = os.path.join(_cache_folder(), digest[:16])
     before = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = folder  # numba reads it here, where the function is decorated

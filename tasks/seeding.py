@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import operator
 
 import numpy as np
 from numpy.random import Generator, SeedSequence
@@ -22,6 +23,7 @@ def generator(seed: int, *identity: str | int | float) -> Generator:
     Raises:
         ValueError: the seed is negative.
     """
+    seed = operator.index(seed)
     if seed < 0:
         raise ValueError(f"seed is {seed}, expected 0 or more")
     digest = hashlib.sha256(_encode(identity).encode()).digest()

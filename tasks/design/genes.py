@@ -151,15 +151,22 @@ class Designs:
     def table(self) -> Table:
         """(n_designs, N_COLUMNS) all numbers of a design in a row, at COLUMNS: exact, and can't be changed."""
         several = [array[:, None] if name in PER_DESIGN else array for name, array in self.arrays()]
-        table = np.concatenate(several, axis=1, dtype=np.float64)
+        table = np.ascontiguousarray(np.concatenate(several, axis=1, dtype=np.float64))
         table.flags.writeable = False
         return table
 
     @staticmethod
     def from_table(table: Table) -> Designs:
-        """Restore designs from their table, which is theirs from then on and can't be changed."""
+        """Restore designs from their table, which is theirs from then on and can't be changed.
+
+        Raises:
+            DesignError: it is no (n_designs, N_COLUMNS) table of float64.
+        """
+        if table.shape[1:] != (N_COLUMNS,) or table.dtype != np.float64:
+            raise DesignError(f"designs: their table is {table.shape} {table.dtype}, "
+                              f"expected (n_designs, {N_COLUMNS}) float64")
         table.flags.writeable = False
-        designs = object.__new__(Designs)  # a table has no shapes or dtypes to check, and evolution makes many
+        designs = object.__new__(Designs)  # so the fields need no checks, and evolution makes many
         fields = designs.__dict__
         fields["table"] = table
         for name, columns in COLUMNS.items():
@@ -169,6 +176,10 @@ class Designs:
                 field.flags.writeable = False
             fields[name] = field
         return designs
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy and pickle the fields alone: a copy's table is made of them again."""
+        return Designs, tuple(array for _, array in self.arrays())
 
     def equals(self, other: Designs) -> bool:
         """Tell whether every gene of every design is the same."""

@@ -3,8 +3,7 @@
 In NumPy a generation's operators are some hundred calls, each of which takes longer than its work on 64 designs; a few
 kernels cost little beside the simulation.
 
-An operator draws as much for every design, whether a design needs it or not, and a gene of all designs before the next:
-so what one design becomes never shifts the draws of another.
+An operator draws as much for every design, whether a design needs it or not, and a gene of all designs before the next.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ MOTORS = COLUMNS[MOTOR].start + 1
 N_JOINTS = N_LINKS - 1
 
 ANY_NUMBER = -1
-"""Of actuated joints: as many as it happens."""
+"""Of actuated joints: however many there happen to be."""
 BODY_STAYS = -1.0
 """In place of a probability that a link is hung from another parent."""
 
@@ -43,10 +42,11 @@ OF_ROOT = np.array([gene.of_root for gene in GENES])
 
 
 class Numbers(NamedTuple):
-    """What some genes are in a table of designs: each of their numbers, (n_numbers,) all."""
+    """The numbers that some genes are in a table of designs; every field is (n_numbers,)."""
 
     column: Ints
     low: Floats
+    """In the gene's unit, as ``high``."""
     high: Floats
     is_angle: Flags
     is_flag: Flags
@@ -61,7 +61,7 @@ class Variation(NamedTuple):
     body_columns: Ints
     """Columns that are of the body."""
     n_actuated: int
-    """Joints whose motor is on; ANY_NUMBER for as many as it happens."""
+    """Joints whose motor is on; ANY_NUMBER for however many there happen to be."""
     numbers: Numbers
     """Those that may change."""
     change: float
@@ -72,8 +72,10 @@ class Variation(NamedTuple):
     """Probability that one link of a design is hung from another parent; BODY_STAYS if none may be."""
 
 
-def draw_table(n_designs: int, rng: Generator, variation: Variation) -> Table:
-    """Draw designs uniformly within the genes' bounds; a motor is on with probability 1/2.
+def random_table(n_designs: int, rng: Generator, variation: Variation) -> Table:
+    """Draw designs uniformly within the genes' bounds, with the given body if there is one.
+
+    A motor is on with probability 1/2; where their number is given, any joints are as likely to have them.
 
     Args:
         n_designs: how many.

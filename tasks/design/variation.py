@@ -1,10 +1,10 @@
 """Variation: random designs, mutated copies and recombinations. Paper, "Evolutionary Design".
 
-Every function takes valid designs and a generator and gives valid designs. With ``body`` given, the bodies stay as they
+Every operator takes valid designs and a generator and gives valid designs. With ``body`` given, the bodies stay as they
 are and the controllers alone vary: that is the paper's controller adaptation.
 
 A morphology that asks for something makes operators draw again what it refuses. The functions whose names begin with
-``draw`` tell how often, too.
+``draw`` tell how often, too. What is done to the numbers is compiled: operators.py.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Mutation(Parameters):
 
     genes_changed: float = Field(default=3.0, ge=0.0, le=N_GENES)
     """Genes that change on average, of all the numbers that describe a design: 37 in the paper's table."""
-    step: float = Field(default=0.1, gt=0.0, le=1.0)
+    step: float = Field(default=0.1, ge=1e-6, le=1.0)
     """Deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
     rewiring: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability that one link of a mutant is hung from another parent."""
@@ -39,11 +39,11 @@ MUTATION = Mutation()
 
 SOURCES = [genes, operators]
 """Modules that go into the operators' kernels."""
-draw_kernel = compiled(operators.draw_table, SOURCES, seconds=3)
+random_kernel = compiled(operators.random_table, SOURCES, seconds=3)
 mutate_kernel = compiled(operators.mutate_table, SOURCES, seconds=6)
 recombine_kernel = compiled(operators.recombine_tables, SOURCES, seconds=3)
 
-NO_BODY = Designs.from_table(np.zeros((0, N_COLUMNS)))
+NO_DESIGNS = Designs.from_table(np.zeros((0, N_COLUMNS)))
 
 
 def variation_of(
@@ -62,7 +62,7 @@ def variation_of(
         body: one design whose body all designs get that are drawn.
     """
     return Variation(
-        body=(NO_BODY if body is None else body).table,
+        body=(NO_DESIGNS if body is None else body).table,
         body_columns=_body_columns(morphology.n_actuated),
         n_actuated=ANY_NUMBER if morphology.n_actuated is None else morphology.n_actuated,
         numbers=_numbers(parts, morphology.n_actuated),
@@ -103,7 +103,7 @@ def _numbers(parts: tuple[Part, ...], n_actuated: int | None) -> Numbers:
 def random_designs(
     n_designs: int, rng: Generator, *, body: Designs | None = None, morphology: Morphology = ANY_BODY
 ) -> Designs:
-    """Draw designs uniformly within the genes' bounds; a motor is on with probability 1/2.
+    """Draw designs uniformly within the genes' bounds; a motor is on with probability 1/2 where their number is free.
 
     Args:
         n_designs: how many.
@@ -137,7 +137,7 @@ def draw_random(
     variation = variation_of(morphology, body=body)
 
     def draw(which: Ints) -> Table:
-        table: Table = draw_kernel(len(which), rng, variation)
+        table: Table = random_kernel(len(which), rng, variation)
         return table
 
     return _drawn(draw, n_designs, first, body is None and morphology.unjoined_links == "apart")

@@ -21,8 +21,8 @@ from pydantic import Field, model_validator
 
 from tasks.compiled import compiled
 from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
-from tasks.design.genes import N_COLUMNS, Part, Table
-from tasks.design.variation import SOURCES, variation_of
+from tasks.design.genes import Part, Table
+from tasks.design.variation import NO_DESIGNS, SOURCES, variation_of
 from tasks.evolution import breeding
 from tasks.evolution.breeding import MUTATION, NOBODY, OPERATORS, RANDOM, Grown, Litter
 from tasks.parameters import Parameters
@@ -30,7 +30,7 @@ from tasks.parameters import Parameters
 Ints = npt.NDArray[np.int64]
 
 _breed = compiled(breeding.breed, [*SOURCES, breeding], seconds=10)
-_rank = compiled(breeding.rank, [breeding], seconds=3)
+_split = compiled(breeding.front_and_dominated, [breeding], seconds=3)
 
 
 class Afpo(Parameters):
@@ -120,7 +120,7 @@ class Children:
 
 
 NOBODY_YET = Population(
-    designs=Designs.from_table(np.zeros((0, N_COLUMNS))),
+    designs=NO_DESIGNS,
     fitness=np.zeros(0),
     age=np.zeros(0, dtype=np.int64),
     identity=np.zeros(0, dtype=np.int64),
@@ -161,7 +161,7 @@ def ask(
         age=litter.age,
         identity=population.n_evaluated + np.arange(afpo.population_size),
         operator=litter.operator,
-        parents=np.append(population.identity, NOBODY)[litter.parents],  # NOBODY's place is the last
+        parents=np.append(population.identity, NOBODY)[litter.places],  # NOBODY's place is the last
         n_draws=n_draws,
     )
 
@@ -172,7 +172,7 @@ def _draw_again(
     """Draw those children again, by their own operators, that the morphology refuses; in place."""
     for operator in range(len(OPERATORS)):
         children = np.flatnonzero(litter.operator == operator)
-        first, (one, other) = litter.table[children], litter.parents[children].T
+        first, (one, other) = litter.table[children], litter.places[children].T
         if operator == RANDOM:
             drawn = draw_random(len(children), rng, morphology=morphology, first=first)
         elif operator == MUTATION:
@@ -221,7 +221,7 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     Returns:
         Indices of the survivors.
     """
-    front, dominated = _rank(fitness, age)
+    front, dominated = _split(fitness, age)
     n_more = max(0, min(n_survivors - len(front), len(dominated)))
     rest = rng.choice(dominated, size=n_more, replace=False)
     survivors: Ints = np.concatenate([front[:n_survivors], rest])

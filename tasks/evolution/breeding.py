@@ -13,7 +13,7 @@ from numpy.random import Generator
 
 from tasks.design.genes import Table
 from tasks.design.operators import Variation
-from tasks.design.variation import draw_kernel, mutate_kernel, recombine_kernel
+from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -25,7 +25,7 @@ RANDOM, MUTATION, CROSSOVER = range(3)
 NOBODY = -1
 """The parent of a design that has none."""
 
-_draw_table, _mutate_table, _recombine_tables = draw_kernel.inner, mutate_kernel.inner, recombine_kernel.inner
+_random_table, _mutate_table, _recombine_tables = random_kernel.inner, mutate_kernel.inner, recombine_kernel.inner
 
 
 class Grown(NamedTuple):
@@ -34,7 +34,7 @@ class Grown(NamedTuple):
     table: Table
     """(n_designs, N_COLUMNS)"""
     age: Ints
-    """(n_designs,)"""
+    """(n_designs,) generations."""
 
 
 class Litter(NamedTuple):
@@ -43,11 +43,11 @@ class Litter(NamedTuple):
     table: Table
     """(n_children, N_COLUMNS)"""
     age: Ints
-    """(n_children,) that of the older parent; 0 where there is none."""
+    """(n_children,) generations: that of the older parent; 0 where there is none."""
     operator: Ints
     """(n_children,) index into OPERATORS."""
-    parents: Ints
-    """(n_children, 2) places in the population; NOBODY where there is none."""
+    places: Ints
+    """(n_children, 2) the parents' places in the population; NOBODY where there is none."""
 
 
 def breed(
@@ -62,40 +62,43 @@ def breed(
         random_share: probability that a child is random.
         mutation_share: probability that it is a mutant; it is a recombination otherwise.
         variation: what may vary, and how.
+
+    Returns:
+        n_children children.
     """
     n_parents = len(grown.age)
     luck = rng.random(n_children)
-    table = _draw_table(n_children, rng, variation)
+    table = _random_table(n_children, rng, variation)
     one = rng.integers(0, max(n_parents, 1), n_children)
     further = rng.integers(1, max(n_parents, 2), n_children)
     age = np.zeros(n_children, dtype=np.int64)
     operator = np.full(n_children, RANDOM)
-    parents = np.full((n_children, 2), NOBODY)
+    places = np.full((n_children, 2), NOBODY)
     for child in range(n_children):
         if n_parents == 0 or luck[child] < random_share:
             continue
-        parents[child, 0] = one[child]
+        places[child, 0] = one[child]
         age[child] = grown.age[one[child]]
         if luck[child] < random_share + mutation_share:
             operator[child] = MUTATION
         else:
             other = (one[child] + further[child]) % n_parents  # another one, wherever there are two
             operator[child] = CROSSOVER
-            parents[child, 1] = other
+            places[child, 1] = other
             age[child] = max(age[child], grown.age[other])
 
     mutants = np.flatnonzero(operator == MUTATION)
-    changed = grown.table[parents[mutants, 0]]
+    changed = grown.table[places[mutants, 0]]
     _mutate_table(changed, rng, variation)
     table[mutants] = changed
     recombined = np.flatnonzero(operator == CROSSOVER)
-    mixed = grown.table[parents[recombined, 0]]
-    _recombine_tables(mixed, grown.table[parents[recombined, 1]], rng, variation)
+    mixed = grown.table[places[recombined, 0]]
+    _recombine_tables(mixed, grown.table[places[recombined, 1]], rng, variation)
     table[recombined] = mixed
-    return Litter(table, age, operator, parents)
+    return Litter(table, age, operator, places)
 
 
-def rank(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
+def front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
     """Tell the non-dominated from the dominated: those that a design of their age or younger beats.
 
     Args:

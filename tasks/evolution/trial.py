@@ -63,7 +63,8 @@ def evolve(
     """
     if n_generations < 1:
         raise ValueError(f"n_generations is {n_generations}, expected 1 or more")
-    # Python's own work is several times slower right after a simulation, so what can be done before or afterwards is.
+    # A rollout leaves nothing of Python's own work in the processor's caches, and it takes several times as long then.
+    # So what can be done before or after all of them is.
     generators = [generator_of(first_generation + index) for index in range(n_generations)]
     steps = []
     for rng in generators:

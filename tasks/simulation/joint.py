@@ -49,7 +49,7 @@ LINEAR_SLOP = 0.005
 """b2_linearSlop [m]: separation of a joint that is good enough."""
 
 
-def _largest_square(root: float) -> float:
+def largest_square(root: float) -> float:
     """Find the largest float32 whose root, rounded to float32, is no more than this: a comparison without a root."""
     square = np.float32(root) * np.float32(root)
     while np.sqrt(np.nextafter(square, np.float32(np.inf))) <= np.float32(root):
@@ -59,7 +59,8 @@ def _largest_square(root: float) -> float:
     return float(square)
 
 
-LINEAR_SLOP_SQUARED = _largest_square(LINEAR_SLOP)
+LINEAR_SLOP_SQUARED = largest_square(LINEAR_SLOP)
+"""[m²]"""
 
 
 @inline

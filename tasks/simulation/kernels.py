@@ -167,7 +167,7 @@ def integrate_position(block: Any, link: int, dt: Any) -> None:
 
 @inline
 def start_joint(blocks: Any, n_abreast: int, j: int, dt_ratio: Any) -> None:
-    """Initialize a joint's velocity constraint, and warm-start it, in groups abreast."""
+    """Initialise a joint's velocity constraint, and warm-start it, in groups abreast."""
     for k in range(n_abreast):
         joint.init_velocity_constraint(from_row(blocks, k * N_ROWS), j, dt_ratio)
 
@@ -180,7 +180,7 @@ def sweep_joint(blocks: Any, n_abreast: int, j: int) -> None:
 
 
 @inline
-def solve_velocities(blocks: Any, n_abreast: int, world: Any, touching: int, on_two_points: int) -> None:
+def start_joints_and_sweep(blocks: Any, n_abreast: int, world: Any, touching: int, on_two_points: int) -> None:
     """Start the joints, and sweep the velocity solver, in groups abreast.
 
     Every joint waits for the one before it. So the processor has the other group's to do meanwhile.
@@ -270,7 +270,7 @@ def take_step(blocks: Any, n_abreast: int, world: Any, step: int) -> None:
         links, links_on_two = begin_step(from_row(blocks, k * N_ROWS), world, step)
         touching |= links << (k * world.n_links)
         on_two_points |= links_on_two << (k * world.n_links)
-    solve_velocities(blocks, n_abreast, world, touching, on_two_points)
+    start_joints_and_sweep(blocks, n_abreast, world, touching, on_two_points)
     for k in range(n_abreast):
         end_step(from_row(blocks, k * N_ROWS), world, touching >> (k * world.n_links))
 

@@ -14,9 +14,8 @@ see simd.py.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from fractions import Fraction
-from typing import Any, TypeVar
+from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
@@ -24,8 +23,6 @@ import numpy.typing as npt
 
 ALIGNMENT = 64
 """Bytes: a whole AVX-512 register, a whole cache line."""
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Block:

@@ -1,5 +1,6 @@
 """The pages say what is: pictures and files are there, commands are taken as given, figures are measured."""
 
+import ast
 import json
 import re
 import shlex
@@ -127,3 +128,19 @@ def test_performance_is_that_of_a_benchmark():
     for page, promised in PAGES.items():
         text = page.read_text()
         assert with_section(text, json.loads(RESULTS.read_text()), promised=promised) == text, page.name
+
+
+def promised_names() -> Iterator[str]:
+    """Give the names of the figures that the benchmarks promise something of, as regular expressions."""
+    for module in sorted((ROOT / "benchmarks").glob("*.py")):
+        for call in ast.walk(ast.parse(module.read_text())):
+            if isinstance(call, ast.Call) and ast.unparse(call.func) == "Figure" and len(call.args) == 4:
+                parts = call.args[0].values if isinstance(call.args[0], ast.JoinedStr) else [call.args[0]]
+                yield "".join(re.escape(part.value) if isinstance(part, ast.Constant) else ".+" for part in parts)
+
+
+def test_every_promise_was_measured():
+    measured = {figure["name"] for figure in json.loads(RESULTS.read_text())["figures"] if figure["promise"]}
+    promised = list(promised_names())
+    assert len(promised) > 10
+    assert [name for name in promised if not any(re.fullmatch(name, one) for one in measured)] == []

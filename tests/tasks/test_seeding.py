@@ -87,3 +87,7 @@ def test_the_entropy_is_the_seed_and_the_digest_of_the_identity(seed: int) -> No
     words = np.frombuffer(hashlib.sha256(b'["evolve", 9.0]').digest(), dtype="<u4").tolist()
     expected = np.random.default_rng(np.random.SeedSequence([seed, *words]))
     assert first(seed, "evolve", 9.0) == tuple(expected.integers(0, 2**63, 4).tolist())
+
+
+def test_any_integer_is_a_seed() -> None:
+    assert generator(np.int64(7), "a").random() == generator(7, "a").random()

@@ -33,8 +33,8 @@ from tasks.simulation.bodies.rows import (
     A,
     W,
 )
-from tasks.simulation.joint import LINEAR_SLOP, clamp
-from tasks.simulation.lanes import any_lane, select, sqrt
+from tasks.simulation.joint import LINEAR_SLOP_SQUARED, clamp
+from tasks.simulation.lanes import any_lane, select
 
 
 @inline
@@ -109,4 +109,4 @@ def solve_position_constraints(joint: Any, body_a: Any, body_b: Any) -> bool:
     turn_a, turn_b = rA_x * impulse_y - rA_y * impulse_x, rB_x * impulse_y - rB_y * impulse_x
     place(body_a, cA_x - mA * impulse_x, cA_y - mA * impulse_y, body_a[A] - iA * turn_a)
     place(body_b, cB_x + mB * impulse_x, cB_y + mB * impulse_y, body_b[A] + iB * turn_b)
-    return any_lane(sqrt(C_x * C_x + C_y * C_y) <= LINEAR_SLOP)
+    return any_lane(C_x * C_x + C_y * C_y <= LINEAR_SLOP_SQUARED)

@@ -1,5 +1,6 @@
-"""The kernels of evolution: the bits that they always gave, with the compiler and without it."""
+"""The kernels of evolution: the bits that they gave before, with the compiler and without it."""
 
+import copy
 import hashlib
 import os
 import subprocess
@@ -8,10 +9,16 @@ import sys
 import numba
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from safetensors.numpy import load as decode
+from safetensors.numpy import save as encode
 
 from tasks.design import Morphology, random_designs
-from tasks.evolution import NOBODY_YET, Afpo, ask, tell
+from tasks.evolution import NOBODY_YET, Afpo, Population, afpo, ask, tell
 from tasks.seeding import generator
+
+compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python has nothing to compare with")
 
 TWO = Morphology(n_actuated=2)
 APART = Morphology(n_actuated=2, unjoined_links="apart")
@@ -31,14 +38,14 @@ def evolved(kind: str, n_generations: int) -> str:
     """Evolve on a landscape that costs nothing, ties and diverged designs among it; give a digest of all that was."""
     morphology = {"two": TWO, "two, body": TWO, "apart": APART}.get(kind, Morphology())
     body = random_designs(1, np.random.default_rng(3), morphology=morphology) if "body" in kind else None
-    afpo = Afpo(population_size=64 if kind in ("plain", "body") else 12)
+    size = Afpo(population_size=64 if kind in ("plain", "body") else 12)
     population, digest = NOBODY_YET, hashlib.sha256()
     for generation in range(n_generations):
         rng = generator(1, kind, generation)
-        children = ask(population, rng, afpo, body=body, morphology=morphology)
-        fitness = np.round(rng.normal(size=afpo.population_size) + children.designs.length_scale.sum(axis=1), 1)
-        fitness[rng.random(afpo.population_size) < 0.05] = -np.inf
-        population = tell(population, children, fitness, rng, afpo)
+        children = ask(population, rng, size, body=body, morphology=morphology)
+        fitness = np.round(rng.normal(size=size.population_size) + children.designs.length_scale.sum(axis=1), 1)
+        fitness[rng.random(size.population_size) < 0.05] = -np.inf
+        population = tell(population, children, fitness, rng, size)
         for array in (children.age, children.operator, children.parents, children.n_draws, children.designs.table):
             digest.update(np.ascontiguousarray(array).tobytes())
         for array in population.arrays().values():
@@ -47,13 +54,13 @@ def evolved(kind: str, n_generations: int) -> str:
 
 
 @pytest.mark.parametrize("kind", GOLDEN)
-def test_a_trial_has_the_bits_that_it_always_had(kind: str) -> None:
+def test_a_trial_has_the_bits_that_it_had_before(kind: str) -> None:
     assert evolved(kind, 10 if kind == "apart" else 60) == GOLDEN[kind]
 
 
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="the test above is of plain Python then")
+@compiled_only
 def test_plain_python_has_the_same_bits() -> None:
-    kinds = [kind for kind in GOLDEN if kind != "apart"]
+    kinds = [kind for kind in GOLDEN if kind != "apart"]  # which takes 10,000 draws
     script = f"""
 import runpy
 evolved = runpy.run_path({__file__!r})["evolved"]
@@ -62,3 +69,29 @@ print(*(evolved(kind, 4) for kind in {kinds}))
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)
     assert done.stdout.split() == [evolved(kind, 4) for kind in kinds], done.stderr
+
+
+numbers = st.one_of(st.integers(-3, 3).map(float), st.sampled_from([np.nan, np.inf, -np.inf]))
+
+
+@given(st.lists(st.tuples(numbers, st.integers(0, 3)), max_size=12))
+def test_the_front_is_what_nobody_as_young_beats(designs: list[tuple[float, int]]) -> None:
+    fitness, age = np.array([one[0] for one in designs], float), np.array([one[1] for one in designs], np.int64)
+    front, dominated = afpo._split(fitness, age)
+    finite = [index for index in range(len(designs)) if np.isfinite(fitness[index])]
+    beaten = {one for one in finite if any(age[by] <= age[one] and fitness[by] > fitness[one] for by in finite)}
+    assert dominated.tolist() == sorted(beaten)
+    assert front.tolist() == sorted(set(finite) - beaten, key=lambda index: (-fitness[index], index))
+
+
+@compiled_only
+def test_a_kernel_is_compiled_once_wherever_its_arrays_come_from() -> None:
+    """A second time would take as long as the first, without a word."""
+    for body in None, random_designs(3, np.random.default_rng(4))[[1]]:
+        population, rng, small = NOBODY_YET, np.random.default_rng(5), Afpo(population_size=6)
+        for _ in range(2):
+            restored = Population.from_arrays(decode(encode(population.arrays())))
+            for came in population, restored, copy.deepcopy(population):
+                children = ask(came, rng, small, body=body)
+                population = tell(came, children, np.arange(6.0), rng, small)
+    assert len(afpo._breed.inner.signatures) == len(afpo._split.inner.signatures) == 1
