@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from pipeline.errors import DamagedArtifact
 from pipeline.settings import Settings
+from pipeline.stage import Results
 from pipeline.stages import STAGES
+from pipeline.stages.segments import trial_label
+from pipeline.stages.transfer import NAME as TRANSFER
+from pipeline.stages.transfer import read_scores
 from pipeline.store import Store
 from pipeline.study import survey
 
 
 def status_lines(settings: Settings, store: Store) -> Iterator[str]:
-    """Give a line for the study, one for each stage, and one for each piece that was set aside."""
+    """Give a line for the study, one for each stage, and one for each piece set aside and trial without a champion."""
     notes: list[str] = []
     upstream = survey(settings, STAGES, store, say=notes.append)
     set_aside = _set_aside(settings, store)
@@ -39,6 +44,8 @@ def status_lines(settings: Settings, store: Store) -> Iterator[str]:
         for label, why in set_aside.get(stage.name, {}).items():
             if label not in found.done:
                 yield f"    {label}: {why}"
+        if stage.name == TRANSFER:
+            yield from _without_a_champion(settings, found, store, notes)
     if any(label not in upstream[name].done for name, lost in set_aside.items() for label in lost):
         yield "What was set aside is tried again by the next `puddle study`; all else is safe."
     yield from notes
@@ -52,6 +59,18 @@ def _set_aside(settings: Settings, store: Store) -> dict[str, dict[str, str]]:
         for one in record.set_aside:
             lost.setdefault(one.stage, {})[one.label] = one.why
     return lost
+
+
+def _without_a_champion(settings: Settings, scored: Results, store: Store, notes: list[str]) -> Iterator[str]:
+    """Name the trials that were done and have no champion, and say why; what can't be read is noted."""
+    try:
+        rows = read_scores(settings, scored, store)
+    except DamagedArtifact as damage:
+        notes.append(str(damage))
+        return
+    for row in rows:
+        if row["status"] != "ok":
+            yield f"    {trial_label(row['environment'], row['depth'], row['trial'])}: {row['status']}"
 
 
 def digest_lines(settings: Settings, store: Store) -> Iterator[str]:

@@ -33,6 +33,13 @@ machines differ, weights are estimates, and to stop a piece that works costs mor
 LEAST_PATIENCE_SECONDS = 600.0
 """What any piece may take, whatever others took."""
 
+BLIND_PATIENCE = 60.0
+"""Seconds a weighted unit that a piece may take while none of its stage is known to have ended. Generous: the longest
+piece of all, a training of the paper's network on one core, takes seconds a unit and days in all; this is a month."""
+
+LEAST_BLIND_PATIENCE_SECONDS = 86_400.0
+"""What any such piece may take: some units are whole analyses."""
+
 SECONDS_BETWEEN_LOOKS = 5.0
 """How often this process looks for pieces that hang, and at how many cores there are."""
 
@@ -47,6 +54,8 @@ class Walk:
     """Failures in a row of the piece that is next."""
     set_aside: str | None = None
     """Why the chain can't go on, if it can't."""
+    slowest: float = 0.0
+    """Seconds a weighted unit, of the pieces that were found kept and tell what one takes now."""
 
     @property
     def finished(self) -> bool:
@@ -102,9 +111,13 @@ def _go_on(
 ) -> None:
     """Walk a chain from where it is as far as the store holds it."""
     while not walk.finished:
-        manifest = _held(store, _next_item(stage, settings, walk, upstream), say)
+        item = _next_item(stage, settings, walk, upstream)
+        manifest = _held(store, item, say)
         if manifest is None:
             return
+        # Another engine may be a hundred times as fast, and batches share what cores there were: no measure of now.
+        if manifest.record.get("how") == item.how and not _is_batched(item):
+            walk.slowest = max(walk.slowest, float(manifest.record.get("seconds", 0.0)) / walk.next_work)
         walk.manifests.append(manifest)
 
 
@@ -208,9 +221,10 @@ class _Dispatcher:
         self._since: dict[Ticket, float] = {}
         """When a piece had a core at the latest: the cluster starts them in order."""
         self._slowest = 0.0
-        """Seconds a weighted unit, of the pieces that ended."""
+        """Seconds a weighted unit, of the pieces that ended, in this process or before."""
 
     def run(self, walks: Sequence[Walk]) -> None:
+        self._slowest = max((walk.slowest for walk in walks), default=0.0)
         ready: list[tuple[float, int]] = []
 
         def make_ready(number: int) -> None:
@@ -267,20 +281,26 @@ class _Dispatcher:
         return self._shared[slot]
 
     def _hanging(self, n_cores: float) -> list[tuple[Ticket, TaskFailed]]:
-        """Find pieces that take beyond all measure; there is none while nothing has been measured."""
+        """Find pieces that take beyond all measure."""
         now = time.monotonic()
         hanging = []
         for place, (ticket, (walk, item)) in enumerate(self._running.items()):
             if place < n_cores or _is_batched(item):
                 self._since.setdefault(ticket, now)
-            patience = max(LEAST_PATIENCE_SECONDS, PATIENCE * self._slowest * walk.next_work)
-            if self._slowest and now - self._since.get(ticket, now) > patience:
-                reason = (
-                    f"it did not end within {patience:.0f} s, {PATIENCE:.0f} times what the slowest piece of its stage "
-                    f"took for as much work, and was stopped"
-                )
+            patience, why = self._patience(walk.next_work)
+            if now - self._since.get(ticket, now) > patience:
+                reason = f"it did not end within {patience:.0f} s{why}, and was stopped"
                 hanging.append((ticket, TaskFailed(ticket.name, reason, "", False)))
         return hanging
+
+    def _patience(self, work: float) -> tuple[float, str]:
+        """Say how long a piece of so many weighted units may take [s], and why."""
+        if not self._slowest:
+            why = ", the longest that a piece may take while none of its stage has ended"
+            return max(LEAST_BLIND_PATIENCE_SECONDS, BLIND_PATIENCE * work), why
+        seconds = self._slowest * work
+        why = f", where the slowest piece of its stage took {seconds:.0f} s for as much work"
+        return max(LEAST_PATIENCE_SECONDS, PATIENCE * seconds), why
 
     def _finish(self, ticket: Ticket, outcome: Outcome) -> Walk:
         walk, item = self._running.pop(ticket)
@@ -292,7 +312,7 @@ class _Dispatcher:
                 self._say(f"{self._stage.name}: {walk.chain.label} is {walk.set_aside}")
             return walk
         files, seconds = outcome.result
-        record = {"label": item.label, "seconds": seconds}
+        record = {"label": item.label, "seconds": seconds, "how": item.how}
         manifest = self._store.commit(item.stage, item.key, item.identity, files, record=record)
         self._slowest = max(self._slowest, seconds / walk.next_work)
         left = walk.work_left
@@ -316,4 +336,3 @@ def compute_item(
     start = time.perf_counter()
     files = compute(job, dict(zip(names, contents, strict=True)))
     return files, time.perf_counter() - start
-

@@ -2,11 +2,13 @@
 
 import contextlib
 import dataclasses
+import itertools
 
 import pytest
 from small_study import NoBar, digests, run, silent
 
-from pipeline.cluster import serial_cluster
+import pipeline.study
+from pipeline.cluster import Cluster, Handle, Outcome, Ticket, serial_cluster
 from pipeline.configuration import parse
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
@@ -183,3 +185,89 @@ def test_a_damaged_item_is_computed_again(tmp_path):
         after = run(tiny(), store, cluster, STAGES[:2], said.append)
     assert digests(after) == digests(before)
     assert len(said) == 1 and "weights.safetensors" in said[0]
+
+
+class Stuck:
+    """A cluster of one core, on which the pieces of some trials never end; and a clock that knows no other time.
+
+    A piece that ends takes 100 s.
+    """
+
+    n_cores, n_gpus = 1.0, 0.0
+
+    def __init__(self, inner: Cluster, *stuck: str) -> None:
+        self.inner, self.stuck, self.now, self.numbers = inner, stuck, 0.0, itertools.count(-1, -1)
+
+    def monotonic(self) -> float:
+        assert self.now < 1e6, "it waits for ever"
+        return self.now
+
+    perf_counter = monotonic
+
+    def share(self, value: object) -> Handle:
+        return self.inner.share(value)
+
+    def submit(self, function, *arguments, name="", **options) -> Ticket:
+        if any(label in name for label in self.stuck):
+            return Ticket(next(self.numbers), name)
+
+        def slowly(*given):
+            (files, _), begin = function(*given), self.now
+            self.now += 100.0
+            return files, self.now - begin
+
+        return self.inner.submit(slowly, *arguments, name=name)
+
+    def next_done(self, timeout: float) -> tuple[Ticket, Outcome] | None:
+        finished = self.inner.next_done()
+        self.now += timeout if finished is None else 0.0
+        return finished
+
+    def give_up(self, ticket: Ticket) -> None:
+        assert ticket.number < 0, f"{ticket.name} works"
+
+
+ONE_ARM = (
+    "grid.environments=[dry_land]", "grid.single_member_depths=[]", "grid.n_trials=2", "work.generations_per_item=4",
+)  # fmt: skip
+
+
+def _evolve(settings: Settings, store: Store, monkeypatch, *stuck: str) -> dict[str, str]:
+    """Evolve where some trials hang, and give why each was set aside."""
+    with serial_cluster() as inner:
+        cluster = Stuck(inner, *stuck)
+        monkeypatch.setattr(pipeline.study, "time", cluster)
+        return dict(run(settings, store, cluster, STAGES[2:3])["evolve"].set_aside)
+
+
+def test_a_piece_that_hangs_is_set_aside_by_every_driver_that_meets_it(tmp_path, monkeypatch):
+    """The second finds the rest done: what it may take follows from what is kept, if it was made in the same way."""
+    settings, store = tiny(*ONE_ARM), Store.open(tmp_path / "store", create=True)
+    for _ in range(2):
+        (label, why), = _evolve(settings, store, monkeypatch, "trial-1").items()
+        assert label == "dry_land/1m/trial-1"
+        assert "did not end within 2000 s" in why and "slowest piece of its stage took 100 s" in why
+
+
+@pytest.mark.parametrize(
+    ("before", "now"),
+    [
+        ([], ["work.engine=batch"]),
+        ([], ["work.designs_per_batch=2"]),
+        (["work.designs_per_batch=2"], ["work.designs_per_batch=2"]),
+    ],
+)
+def test_what_was_made_in_another_way_says_nothing_of_how_long_a_piece_may_take(before, now, tmp_path, monkeypatch):
+    """Another engine takes a hundredth of the time, and batches take the longer, the fewer cores there are."""
+    store = Store.open(tmp_path / "store", create=True)
+    _evolve(tiny(*ONE_ARM, *before), store, monkeypatch, "trial-1")
+    (why,) = _evolve(tiny(*ONE_ARM, *now), store, monkeypatch, "trial-1").values()
+    assert "did not end within 86400 s" in why and "none of its stage has ended" in why
+
+
+def test_a_stage_whose_every_piece_hangs_ends(tmp_path, monkeypatch):
+    store = Store.open(tmp_path / "store", create=True)
+    assert set(_evolve(tiny(*ONE_ARM), store, monkeypatch, "trial-")) == {"dry_land/1m/trial-0", "dry_land/1m/trial-1"}
+    long = tiny(*ONE_ARM, "evolution.n_generations=2000", "work.generations_per_item=2000")
+    (why, _) = _evolve(long, store, monkeypatch, "trial-").values()
+    assert "did not end within 120000 s" in why

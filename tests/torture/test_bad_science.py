@@ -178,6 +178,12 @@ def test_trials_whose_every_design_diverges_complete_and_say_so(monkeypatch, tmp
     assert "diverged" in score["status"]
     page = store.read(upstream["report"].done["index.html"][0], "index.html").decode()
     assert "diverged" in page
+    named = "dry_land/1m/trial-0: no champion: every design of the trial diverged"
+    assert [line.strip() for line in pipeline.status.status_lines(settings, store)].count(named) == 1
+    (path,) = store.root.glob(f"items/transfer/*/{scored.key}/{SCORE}")
+    path.write_bytes(path.read_bytes()[:-1])
+    noted = list(pipeline.status.status_lines(settings, store))
+    assert SCORE in noted[-1] and not any(named in line for line in noted)
 
 
 class NoBar:
