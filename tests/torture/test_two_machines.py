@@ -5,9 +5,9 @@ the words of docker/compose.yaml, with this machine's names and ports in them. B
 assigned: Ray's own timeline says when each began and ended, and where.
 
 Two bounds hold for each core while evolution has a piece for it, 85 % both. One for half of its tasks or more, always:
-a task's share of the time from its begin to the next one's. The other for all of a core's time together, where nothing
-else runs: beside other tests a core is theirs, too, and what takes it between two of our tasks is not Ray or the
-driver. So `make test`, which runs tests in several processes, does without the second, and `make torture` has it.
+a task's share of the time from its begin to the next one's. The other for all of a core's time together, in `make
+torture` alone: until Ray notices that a machine is gone, some seconds, the pieces that it had wait, which is much of a
+short study and little of a long one; and `make test` has other tests beside it, whose the cores are, too.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def short_folder() -> Iterator[Path]:
 
 
 def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_path):
-    text = STUDY.replace("N_GENERATIONS", "160" if torture.large else "80")
+    text = STUDY.replace("N_GENERATIONS", "320" if torture.large else "80")
     settings = parse(Settings, text, name="two")
     expected = serially(text, tmp_path / "expected")
     n_pieces = sum(line.endswith("population.safetensors") and "  evolve/" in line for line in expected)
@@ -113,7 +113,7 @@ def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_
         usual, busy = [usual_share_busy(own) for own in of_machines], [share_busy(own) for own in of_machines]
         torture.note("share of the time with a task of ours: " + ", ".join(f"{share:.0%}" for share in busy))
         assert min(usual) >= 0.85
-        if "PYTEST_XDIST_WORKER" not in os.environ:
+        if torture.large:
             assert min(busy) >= 0.85
 
 
