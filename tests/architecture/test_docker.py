@@ -2,10 +2,15 @@
 
 The schemas come with two packages of the dev extra: the compose specification with check-jsonschema, Kubernetes' own
 with kubernetes-validate. KubeRay's definition is in none; of a RayCluster, all but a few names is a Pod's template.
+
+What the containers run is run without them, word by word from these files: Ray's head, its workers and the driver by
+tests/torture/test_two_machines.py, MLflow's server by tests/pipeline/test_tracking_server.py. What Kubernetes runs is
+shown to be the same, here. See ONLY_PARSED for the rest.
 """
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -16,6 +21,7 @@ import kubernetes_validate
 import pytest
 import typer
 import yaml
+from containers import COMPOSE, DOCKER, KUBERNETES, words_of
 
 from pipeline.cli import app
 from pipeline.configuration import PRESETS
@@ -25,10 +31,18 @@ with warnings.catch_warnings():
     from ray.scripts.scripts import cli as ray_cli
 
 ROOT = Path(__file__).parents[2]
-DOCKERFILE = (ROOT / "docker" / "Dockerfile").read_text()
-COMPOSE = yaml.safe_load((ROOT / "docker" / "compose.yaml").read_text())
-KUBERNETES = {part["kind"]: part for part in yaml.safe_load_all((ROOT / "docker" / "kuberay.yaml").read_text())}
+DOCKERFILE = (DOCKER / "Dockerfile").read_text()
 CONSTRAINTS = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text().split() if "==" in line)
+
+
+ONLY_PARSED = {
+    ("head", "healthcheck"): "Docker runs it: `ray health-check` is Ray's own, and its options are looked at here",
+    ("mlflow", "healthcheck"): "Docker runs it: the server's test asks MLflow for more than its health",
+    ("postgres", "healthcheck"): "PostgreSQL's own program, which is in its image alone",
+    ("postgres", "command"): "the image's own; the server's test has SQLite in its place, and the driver of PostgreSQL "
+    "is among what the image installs",
+}
+"""Commands that no test runs without containers, and why: by service."""
 
 
 def instructions(name: str) -> list[str]:
@@ -87,6 +101,46 @@ def test_every_option_of_every_command_exists():
     assert checked > 15
 
 
+RUN_BY = {
+    "head": "torture/test_two_machines.py",
+    "worker": "torture/test_two_machines.py",
+    "driver": "torture/test_two_machines.py",
+    "mlflow": "pipeline/test_tracking_server.py",
+}
+
+
+def test_every_command_is_run_by_a_test_or_is_named_with_the_reason():
+    for name, service in COMPOSE["services"].items():
+        if (name, "command") not in ONLY_PARSED:
+            text = (ROOT / "tests" / RUN_BY[name]).read_text()
+            assert f'words_of("{name}"' in text or f'["{name}"]' in text  # from the file, not typed again
+        assert ("healthcheck" in service) == ((name, "healthcheck") in ONLY_PARSED)
+    for name, kind in ONLY_PARSED:
+        assert kind == "healthcheck" or kind not in COMPOSE["services"][name]
+
+
+def test_health_checks_parse():
+    program, *words = COMPOSE["services"]["head"]["healthcheck"]["test"][1:]
+    options = {option for parameter in ray_cli.commands[words[0]].params for option in parameter.opts}
+    assert program == "ray" and {word.partition("=")[0] for word in words[1:]} <= options
+    program, option, code = COMPOSE["services"]["mlflow"]["healthcheck"]["test"][1:]
+    assert (program, option) == ("python", "-c") and compile(code, "healthcheck", "exec")
+
+
+def test_kubernetes_runs_what_compose_runs():
+    """The operator makes words of the parameters; it sets --head or --address, --block and the port (6379) itself."""
+    (driver,) = KUBERNETES["Job"]["spec"]["template"]["spec"]["containers"]
+    assert driver["command"] == words_of("driver", {"head:6379": "puddle-head-svc:6379", "${PRESET}": "$PRESET"})
+    spec = KUBERNETES["RayCluster"]["spec"]
+    for name, group in (("head", spec["headGroupSpec"]), ("worker", spec["workerGroupSpecs"][0])):
+        given = {f"--{option}" + ("" if value == "true" else f"={value}")
+                 for option, value in group["rayStartParams"].items()}
+        by_compose = set(COMPOSE["services"][name]["command"])
+        assert given - by_compose <= {"--num-cpus=0"}  # its head only leads
+        lacking = by_compose - given - {"ray", "start", "--head", "--block", "--port=6379", "--address=head:6379"}
+        assert lacking == {"--object-store-memory=500000000"}  # a Pod has Ray's default, a share of its own memory
+
+
 def test_mlflows_options_exist():
     from mlflow.cli import cli
 
@@ -96,19 +150,40 @@ def test_mlflows_options_exist():
 
 
 def test_presets_that_they_name_exist():
-    names = re.findall(r"PRESET:-(\w+)", (ROOT / "docker" / "compose.yaml").read_text())
-    names += re.findall(r"name: PRESET, value: (\w+)", (ROOT / "docker" / "kuberay.yaml").read_text())
+    names = re.findall(r"PRESET:-(\w+)", (DOCKER / "compose.yaml").read_text())
+    names += re.findall(r"name: PRESET, value: (\w+)", (DOCKER / "kuberay.yaml").read_text())
     assert len(names) == 2
     assert all((PRESETS / f"{name}.yaml").exists() for name in names)
 
 
 def test_compose_keeps_to_the_specification(tmp_path):
     check = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec"]
-    done = subprocess.run([*check, ROOT / "docker" / "compose.yaml"], capture_output=True, text=True)
+    done = subprocess.run([*check, DOCKER / "compose.yaml"], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
     slip = tmp_path / "compose.yaml"
-    slip.write_text((ROOT / "docker" / "compose.yaml").read_text().replace("retries: 24", "retrys: 24", 1))
+    slip.write_text((DOCKER / "compose.yaml").read_text().replace("retries: 24", "retrys: 24", 1))
     assert subprocess.run([*check, slip], capture_output=True).returncode == 1
+
+
+def test_compose_reads_it_itself(tmp_path):
+    """`docker compose config`, which also puts the variables in; it needs no daemon."""
+    compose = [shutil.which("docker") or "docker", "compose"]
+    try:
+        asked = subprocess.run([*compose, "version"], capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip("no docker here")
+    if asked.returncode or not re.search(r"v?([2-9]|\d\d)\.\d", asked.stdout):
+        said = (asked.stderr or asked.stdout).strip().splitlines()
+        pytest.skip(f"no `docker compose` of version 2 or later here: {said[0] if said else 'no answer'}")
+    file = DOCKER / "compose.yaml"
+    done = subprocess.run([*compose, "-f", file, "config"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    read = yaml.safe_load(done.stdout)["services"]
+    assert set(read) == set(COMPOSE["services"])
+    assert read["driver"]["environment"]["PRESET"] in {path.stem for path in PRESETS.glob("*.yaml")}
+    slip = tmp_path / "compose.yaml"
+    slip.write_text(file.read_text().replace("networks: [cluster]", "networks: [clutser]", 1))
+    assert subprocess.run([*compose, "-f", slip, "config"], capture_output=True).returncode != 0
 
 
 def test_compose_is_closed_and_whole():
