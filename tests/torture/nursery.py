@@ -9,6 +9,7 @@ for, and its bytes stay the same. It holds no threads, so that forking it is sou
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import gc
 import json
@@ -17,7 +18,7 @@ import resource
 import sys
 import tempfile
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -111,6 +112,28 @@ def run_study(
         progress=terminal,
         how_to_run=lambda name: f"puddle {name}",
     )
+
+
+def submitted_to(root: Path) -> Path:
+    """Return where :func:`noted` writes: beside the store."""
+    return root.with_suffix(".submitted")
+
+
+@contextlib.contextmanager
+def noted(cluster: AbstractContextManager[Cluster], root: Path) -> Iterator[Cluster]:
+    """Write down each piece that a driver submits to a cluster: its key, and whether the store held it by then."""
+    with cluster as inner, submitted_to(root).open("a") as log:
+
+        class Noted:
+            def __getattr__(self, name: str) -> Any:
+                return getattr(inner, name)
+
+            def submit(self, function: Callable[..., Any], compute: Any, job: Any, *rest: Any, **how: Any) -> Any:
+                held = any(root.glob(f"items/*/{job.key[:2]}/{job.key}/manifest.json"))
+                print(job.key, "held" if held else "missing", file=log, flush=True)
+                return inner.submit(function, compute, job, *rest, **how)
+
+        yield Noted()
 
 
 def tree(root: Path) -> dict[str, str]:

@@ -2,9 +2,12 @@
 
 The store holds a whole study: tables, weights, designs, figures, manifests, the study's record and its report. Loose
 files, which a person may edit, can't be sealed: a damaged design, settings, calibration or timeline is refused with its
-name and field, or is another valid one; of settings, the study then says which ones changed.
+name, a value of another type by its field too; or it is another valid one, and of settings, the study says which ones
+changed.
 """
 
+import copy
+import json
 import shutil
 from pathlib import Path
 
@@ -119,19 +122,25 @@ def test_every_damage_is_found_and_named(torture, store):
     items = [path for path in files if "items" in path.parts and "report" not in path.parts]
     good = {path: path.read_bytes() for path in files}
     n_of: dict[str, int] = {}
-    for rng in torture.attempts(1000 // N_AT_ONCE, 50_000 // N_AT_ONCE):
-        paths = chosen(files, rng)
-        alone = len(paths) == 2
-        partners = [items[int(rng.integers(len(items)))]] if alone else paths[1::2]
-        bad = [path for one, other in zip(paths[::2], partners, strict=False) for path in damage(one, [other], rng)]
-        said = [str(error) for error in find_damage(store)]
-        assert named(bad, said), (bad, said)
-        for path in bad:
-            n_of[path.suffix] = n_of.get(path.suffix, 0) + 1
-            mend(path, good[path])
+    n_attempts = n_damages = 0
+    for n_attempts, rng in enumerate(torture.attempts(1000 // N_AT_ONCE, 50_000 // N_AT_ONCE), 1):
+        while n_damages < n_attempts * N_AT_ONCE:  # what tells of others is damaged alone
+            paths, n_wanted = chosen(files, rng), n_attempts * N_AT_ONCE - n_damages
+            alone = len(paths) == 2
+            partners = [items[int(rng.integers(len(items)))]] if alone else paths[1::2]
+            pairs = list(zip(paths[::2], partners, strict=False))[:n_wanted]
+            damaged = [changed for one, other in pairs if (changed := damage(one, [other], rng))]
+            bad = [path for changed in damaged for path in changed]
+            said = [str(error) for error in find_damage(store)]
+            assert named(bad, said), (bad, said)
+            n_damages += len(damaged)
+            for path in bad:
+                n_of[path.suffix] = n_of.get(path.suffix, 0) + 1
+                mend(path, good[path])
     assert find_damage(store) == []
+    assert n_damages == n_attempts * N_AT_ONCE and (torture.large or n_damages == 1000)
     n_damaged = ", ".join(f"{number:,} {suffix}" for suffix, number in sorted(n_of.items()))
-    torture.note(f"damaged {n_damaged}: all found and named")
+    torture.note(f"{n_damages:,} damages, to {n_damaged}: all found and named")
 
 
 def test_no_damaged_item_is_read(torture, store):
@@ -236,3 +245,35 @@ def test_a_damaged_loose_file_is_refused_by_name_or_means_something_else(torture
         else:
             n_other += bool(_differences(meant, means))
     torture.note(f"{n_refused:,} refused by name, {n_other:,} valid and different, the rest in a comment or a space")
+
+
+def values(document, at=()):
+    """List where the single values of a document stand, those apart that say what it is and those that nobody reads."""
+    if not isinstance(document, dict | list):
+        return [at] if document is not None else []
+    inner = document.items() if isinstance(document, dict) else enumerate(document)
+    apart = () if at else ("schema", "version", "channels", "pulse_us")
+    return [place for key, value in inner if key not in apart for place in values(value, (*at, key))]
+
+
+@pytest.mark.parametrize("name", LOOSE)
+def test_a_value_of_another_type_is_refused_by_name_and_field(torture, tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(LOOSE[name]())
+    document = json.loads(path.read_bytes()) if path.suffix == ".json" else meaning(path)
+    places = values(document)
+    for rng in torture.attempts(100, 5000):
+        *above, last = place = places[int(rng.integers(len(places)))]
+        group = bad = copy.deepcopy(document)
+        for key in above:
+            group = group[key]
+        others = [3, 0.5] if isinstance(group[last], str) else ["soup", "3"]
+        others += [[], {}, [group[last]], *([] if isinstance(group[last], bool) else [True])]
+        group[last] = others[int(rng.integers(len(others)))]
+        path.write_text(json.dumps(bad))  # which YAML is, too
+        field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).removeprefix(".")
+        field = place[0] if path.suffix == ".json" else field
+        with pytest.raises(PuddleError) as told:
+            meaning(path)
+        assert str(path) in str(told.value) and f" {field}: " in str(told.value), (place, group[last], told.value)
+    torture.note(f"each refused by its field, of {len(places):,} values")

@@ -53,6 +53,7 @@ def test_a_disk_of_any_size_that_fills(torture, nursery, undisturbed, place):
             resumes(nursery, disk, undisturbed, kept)
         finally:
             subprocess.run(["umount", str(disk)], check=True)
+    assert n_full
     torture.note(f"{n_full} disks of 4 kB to 1.2 MB were too small; each study went on once there was room")
 
 
@@ -66,6 +67,7 @@ def test_a_limit_on_the_size_of_files(torture, nursery, undisturbed, place):
             kept = [path.parent.name for path in disk.glob("store/items/*/*/*/manifest.json")]
         resumes(nursery, disk, undisturbed, kept)
         shutil.rmtree(disk)
+    assert n_stopped
     torture.note(f"{n_stopped} limits stopped the study")
 
 

@@ -18,12 +18,14 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
+from nursery import tree
 
 from pipeline.artifacts import decode_arrays, decode_table, encode_sealed, encode_table, key_of
+from pipeline.cluster import session
 from pipeline.configuration import load
 from pipeline.design_file import read_design
 from pipeline.errors import PuddleError
-from pipeline.gc import find_garbage
+from pipeline.gc import Garbage, find_garbage, remove
 from pipeline.manifest import MANIFEST_SCHEMA, Manifest, decode_manifest
 from pipeline.settings import Settings
 from pipeline.store import STUDY_SCHEMA, Store
@@ -152,15 +154,24 @@ def pristine(nursery, tmp_path_factory):
 
 
 @pytest.fixture
-def canary(tmp_path):
-    """A folder outside the store, which stays as it is."""
-    folder = tmp_path / "canary"
-    folder.mkdir()
-    for name in ("manifest.json", "study.json", "index.html", "file"):
+def canary(pristine, place):
+    """A folder outside the store, which stays as it is. Hostile names lead to it: it has what they could be taken for.
+
+    ``../../../canary`` is this, from studies/ as a study, from items/ as a stage, and from a stage as an item.
+    """
+    folder = place().parent / "canary"
+    shutil.copytree(pristine / "studies" / "tiny", folder)
+    for stage in (pristine / "items").iterdir():
+        shutil.copytree(stage, folder, dirs_exist_ok=True)
+    for name in ("manifest.json", "index.html", "file"):
         (folder / name).write_text(f"{name} of somebody")
-    before = {path: (path.read_text(), path.stat().st_mtime_ns) for path in folder.iterdir()}
+
+    def look() -> tuple[dict[str, str], dict[Path, int]]:
+        return tree(folder), {path: path.stat().st_mtime_ns for path in (folder, *folder.rglob("*"))}
+
+    before = look()
     yield folder
-    assert {path: (path.read_text(), path.stat().st_mtime_ns) for path in folder.iterdir()} == before
+    assert look() == before
 
 
 def test_links_in_a_store_are_refused_and_not_followed(torture, nursery, pristine, place, canary):
@@ -185,26 +196,75 @@ HOSTILE_NAMES = [
 ]  # fmt: skip
 
 
-def test_a_study_record_that_a_stranger_sealed(torture, pristine, place, canary):
-    for rng in torture.attempts(60, 3000):
+def look_and_remove(store: Store) -> list[str]:
+    """Verify a store and collect its garbage; return what was refused."""
+    said = [str(error) for error in find_damage(store)]
+    try:
+        with store.lock_all():
+            remove(store, find_garbage(store))
+    except PuddleError as error:
+        said.append(str(error))
+    return said
+
+
+def test_a_study_record_that_a_stranger_sealed(torture, nursery, pristine, place, canary, monkeypatch, tmp_path):
+    monkeypatch.setattr(session, "PLACE", tmp_path)  # the garbage in /tmp is other tests'
+    undisturbed, n_refused = tree(pristine), 0
+    fields = ["name", "settings", "items", "stage", "label", "key", "folder"]
+    for number, rng in enumerate(torture.attempts(28, 3000)):
         root = place() / "store"
         shutil.copytree(pristine, root)
-        whole = json.loads((root / "studies" / "tiny" / "study.json").read_text())
+        path = root / "studies" / "tiny" / "study.json"
+        whole = json.loads(path.read_text())
         body = {name: whole[name] for name in ("name", "settings", "items")}
-        hostile = HOSTILE_NAMES[int(rng.integers(len(HOSTILE_NAMES)))]
-        match rng.choice(["name", "settings", "items", "stage", "label", "key", "folder"]):
-            case "name" | "settings" | "items" as field:
+        names = HOSTILE_NAMES if rng.random() < 0.5 else ["../../../canary", str(canary)]
+        hostile = names[int(rng.integers(len(names)))]
+        match field := fields[number % len(fields)]:
+            case "name" | "settings" | "items":
                 body[field] = hostile
             case "folder" if isinstance(hostile, str) and 0 < len(hostile) < 200 and not set(hostile) & set("/\0."):
                 shutil.copytree(root / "studies" / "tiny", root / "studies" / hostile)
-            case "stage" | "label" | "key" as field:
+            case "stage" | "label" | "key":
                 body["items"][0][["stage", "label", "key"].index(field)] = hostile
-        (root / "studies" / "tiny" / "study.json").write_bytes(encode_sealed(body, schema=STUDY_SCHEMA, version=1))
-        store = Store.open(root, create=False)
-        for ask in (find_damage, find_garbage):
-            with contextlib.suppress(PuddleError):
-                ask(store)
+        path.write_bytes(encode_sealed(body, schema=STUDY_SCHEMA, version=1))
+        means_nothing = {"label": (str,), "settings": (dict,), "items": (list, dict), "folder": (object,)}
+        harmless = isinstance(hostile, means_nothing.get(field, ())) or (field == "items" and hostile == "")
+        said = look_and_remove(Store.open(root, create=False))
+        told = nursery.drive(root, discard=True)
+        assert told["status"] == 0 and "error" not in told and told["wrong"] == [], told
+        assert told["tree"].items() >= undisturbed.items()
+        if not harmless:
+            assert any(str(path) in line for line in said), (field, hostile)
+            assert any(str(path) in line for line in told["said"]), (field, hostile)
+            n_refused += 1
         shutil.rmtree(root)
+    assert n_refused
+    torture.note(f"{n_refused} records refused by name, and written anew")
+
+
+def test_no_hostile_name_reaches_what_writes_and_removes(pristine, place, canary):
+    root = place() / "store"
+    shutil.copytree(pristine, root)
+    store, undisturbed = Store.open(root, create=False), tree(root)
+    key = next(store.keys("evolve"))
+    names = {name for name in HOSTILE_NAMES if isinstance(name, str)} - {"/etc"}  # nor is it harmed if this test fails
+    for name in sorted({*names, str(canary)}):
+        for item in ((name, key), ("evolve", name)):
+            for forget in (store.discard, store.remove, store.listing):
+                with pytest.raises(PuddleError, match="expected"):
+                    forget(*item)
+            with pytest.raises(PuddleError, match="expected"):
+                remove(store, Garbage(items=(item,), halves=(), temporary=(), sessions=()))
+        for write in (
+            lambda name=name: store.write_study(name, {}, ()),
+            lambda name=name: store.export(name, {"index.html": b""}),
+            lambda name=name: store.lock_study(name).__enter__(),
+        ):
+            with pytest.raises(PuddleError, match="expected 1 to 64 of a-z"):
+                write()
+        with pytest.raises(ValueError, match="expected file names"):
+            store.export("tiny", {name: b""})
+    assert tree(root) == undisturbed
 
 
 # -- formats ---------------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -91,6 +92,35 @@ def test_the_same_bytes_from_two_workers(expected, torture, local_ray, tmp_path)
     (rng,) = torture.attempts(1, 1)
     store = Store.open(tmp_path / "store", create=True)
     assert digests(parse(Settings, TINY, name="tiny"), store, Shuffled(local_ray, 2, rng)) == expected
+
+
+PAPER = """
+name: paper
+throws: {n_throws: 6, n_steps: 20}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 20, batch_size: 64}
+ensemble: {n_members: 2}
+grid: {depths: [1.0], environments: [residual_slush], single_member_depths: [], n_trials: 1}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 4, afpo: {population_size: 6}}
+work: {throws_per_item: 6, generations_per_item: 2, engine: batch}
+"""
+"""What the paper's preset does on a cluster, in little."""
+
+
+def test_the_same_bytes_from_the_fast_engine_in_batches(torture, local_ray, tmp_path):
+    """Generations under the ensemble: whole in this process, then cut over two workers."""
+    (rng,) = torture.attempts(1, 1)
+    cut = f"work.designs_per_batch={rng.integers(1, 6)}"
+    store, found = Store.open(tmp_path / "store", create=True), []
+    with serial_cluster() as serial:
+        for cluster, overrides in ((serial, ()), (Shuffled(local_ray, 2, rng), (cut,))):
+            settings = parse(Settings, PAPER, name="paper", overrides=overrides)
+            upstream = small_study.run(settings, store, cluster, STAGES[:3], say=print)
+            assert not any(results.set_aside for results in upstream.values())
+            found.append(small_study.digests(upstream))
+            shutil.rmtree(store.root / "items" / "evolve")  # the networks stay
+    assert found[0] == found[1] and any(label.startswith("evolve/residual_slush") for label in found[0])
 
 
 @pytest.mark.parametrize("n_workers", [1, 2, 8])

@@ -108,13 +108,17 @@ def driver(
                 os.close(ours)
 
 
+def here(seconds: float) -> float:
+    """Give how long something may take on this machine now: longer where it has more to do than it has cores."""
+    return seconds * max(1.0, os.getloadavg()[0] / os.cpu_count())
+
+
 def seconds_until_gone(one: Driver, at_most: float) -> float:
-    """Wait for the end; as much longer as the machine has more to do than it has cores."""
+    """Wait for the end."""
     begin = time.monotonic()
-    at_most *= max(1.0, os.getloadavg()[0] / os.cpu_count())
     while one.family():
         left = [f"{process.pid} {process.name()}" for process in one.family()]
-        assert time.monotonic() - begin < at_most, f"after {at_most} s still there: {left}"
+        assert time.monotonic() - begin < at_most, f"after {at_most:.1f} s still there: {left}"
         one.process.poll()
         time.sleep(0.05)
     return time.monotonic() - begin
@@ -139,8 +143,7 @@ def sessions() -> set[Path]:
 @pytest.mark.parametrize("way", ["SIGINT", "SIGTERM", "closed terminal", "SIGKILL"])
 def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
     """Gone within 5 s, 15 s where the driver had no chance to say so: at work, and at any moment while Ray starts."""
-    at_most = 15.0 if way == "SIGKILL" else 5.0
-    slowest = 0.0
+    times: list[tuple[float, float]] = []
     for number, rng in enumerate(torture.attempts(1, 40)):
         folder = tmp_path / str(number)
         with driver(folder, *ENDLESS, "--workers", "1", terminal=way == "closed terminal") as one:
@@ -155,7 +158,8 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
                 os.close(one.terminal)
             else:
                 one.process.send_signal(signal.Signals[way])
-            slowest = max(slowest, seconds_until_gone(one, at_most))
+            at_most = here(15.0 if way == "SIGKILL" else 5.0)
+            times.append((seconds_until_gone(one, at_most), at_most))
             assert not any(Path(folder).exists() for folder in folders)
             code = one.process.wait()
             if way in ("SIGINT", "SIGTERM") and spoke:
@@ -165,7 +169,8 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
                 assert "the same command goes on from there" in one.said()
         if (folder / "store" / "store.json").exists():
             assert Store.open(folder / "store", create=False).verify() == []
-    torture.note(f"the slowest took {slowest:.1f} s")
+    slowest, at_most = max(times)
+    torture.note(f"the slowest took {slowest:.1f} s; on a machine as busy as this it had {at_most:.1f} s")
 
 
 def test_the_next_start_sweeps_what_a_killed_driver_and_its_keeper_left(tmp_path: Path):
