@@ -144,12 +144,12 @@ def sessions() -> set[Path]:
 def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
     """Gone within 5 s, 15 s where the driver had no chance to say so: at work, and at any moment while Ray starts."""
     times: list[tuple[float, float]] = []
-    for number, rng in enumerate(torture.attempts(1, 40)):
+    for number, rng in enumerate(torture.attempts(2, 40)):
         folder = tmp_path / str(number)
         with driver(folder, *ENDLESS, "--workers", "1", terminal=way == "closed terminal") as one:
             if number == 0:
                 wait_for(lambda folder=folder: list(folder.glob("store/items/evolve/*/*/manifest.json")))
-            time.sleep(rng.uniform(0.0, 1.0 if number == 0 else 15.0))
+            time.sleep(rng.uniform(0.0, 1.0 if number == 0 else 15.0 if torture.large else 3.0))
             assert one.process.poll() is None, one.said()
             spoke = "starting the cluster" in one.said()
             folders = {word for process in one.family() for word in words_of(process) if SESSION.fullmatch(word)}
