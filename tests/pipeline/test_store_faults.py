@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -16,7 +17,7 @@ from pipeline.artifacts import key_of
 from pipeline.errors import PuddleError
 from pipeline.store import Store, StudyItem
 
-EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink")
+EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink", "rmdir")
 
 
 class Death(BaseException):
@@ -24,7 +25,7 @@ class Death(BaseException):
 
 
 class Seam:
-    """Stands in for the five effects: counts them, and strikes at one and at all that follow, or at one alone."""
+    """Stands in for the six effects: counts them, and strikes at one and at all that follow, or at one alone."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, strike: Callable[[], BaseException], *, for_good: bool) -> None:
         self.n_calls, self.strike_at = 0, None
@@ -88,6 +89,28 @@ def test_a_discard_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.Mon
             store.discard("evolve", KEY)
         seam.arm(None)
         whole_or_absent(store.root, undisturbed)
+
+
+def test_a_removal_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever of the item is left is no item any more, and the next removal takes it."""
+    seam = Seam(monkeypatch, Death, for_good=True)
+    # of 3 files and the manifest each is unlinked and the folder synced; then the folder goes, and its parent is synced
+    for call in range(2 * (len(FILES) + 1) + 2):
+        store = Store.open(tmp_path / f"store{call}", create=True)
+        commit(store)
+        undisturbed = tree(store.root)
+        seam.arm(call)
+        with pytest.raises(Death):
+            store.remove("evolve", KEY)
+        seam.arm(None)
+        assert list(store.keys("evolve")) == ([KEY] if call == 0 else [])
+        assert list(store.keys("evolve", committed=False)) == ([KEY] if 0 < call and item(store).exists() else [])
+        assert store.verify() == []
+        shutil.copytree(store.root, tmp_path / f"other{call}")
+        whole_or_absent(tmp_path / f"other{call}", undisturbed)
+        if item(store).exists():
+            store.remove("evolve", KEY)
+        assert not item(store).exists() and store.verify() == []
 
 
 def test_making_a_store_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
