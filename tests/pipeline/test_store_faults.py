@@ -104,7 +104,7 @@ def test_a_removal_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.Mon
             store.remove("evolve", KEY)
         seam.arm(None)
         assert list(store.keys("evolve")) == ([KEY] if call == 0 else [])
-        assert list(store.keys("evolve", committed=False)) == ([KEY] if 0 < call and item(store).exists() else [])
+        assert list(store.keys("evolve", committed=False)) == ([KEY] if call > 0 and item(store).exists() else [])
         assert store.verify() == []
         shutil.copytree(store.root, tmp_path / f"other{call}")
         whole_or_absent(tmp_path / f"other{call}", undisturbed)
@@ -139,6 +139,7 @@ def test_a_study_record_is_the_old_or_the_new_one(tmp_path: Path, monkeypatch: p
         with pytest.raises(Death):
             store.write_study("laptop", {"seed": 1}, new)
         seam.arm(None)
+        assert store.verify() == []
         seen.add(store.read_study("laptop").items[0].label)
         assert store.read_study("laptop").items[0].label == ("new" if call == 4 else "old")  # the rename is the fourth
     assert seen == {"old", "new"}
@@ -166,6 +167,50 @@ def test_a_killed_process_leaves_a_store_that_goes_on(tmp_path: Path) -> None:
     reference = Store.open(tmp_path / "reference", create=True)
     commit(reference)
     whole_or_absent(root, tree(reference.root))
+
+
+def test_nothing_changes_but_under_the_commit_lock(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A temporary file's name is always the same: two at once would write into one."""
+    lock = store.root / "commit.lock"
+    lock.touch()
+    taken = []
+
+    def watch(effect: Callable[..., None]) -> Callable[..., None]:
+        def watched(path: Path, *rest) -> None:
+            descriptor = disk.try_lock(lock, only_ask=True)
+            taken.append(descriptor is None)
+            if descriptor is not None:
+                os.close(descriptor)
+            effect(path, *rest)
+
+        return watched
+
+    for name in EFFECTS:
+        monkeypatch.setattr(disk, name, watch(getattr(disk, name)))
+    changes = (
+        lambda: commit(store),
+        lambda: store.discard("evolve", KEY),
+        lambda: store.remove("evolve", KEY),
+        lambda: store.write_study("laptop", {"seed": 1}, []),
+        lambda: store.export("laptop", {"index.html": b"page"}),
+    )
+    for change in changes:
+        taken.clear()
+        change()
+        assert taken and all(taken)
+
+
+def test_whoever_removes_and_whoever_drives_refuse_one_another(store: Store) -> None:
+    driven = pytest.raises(PuddleError, match=r"study laptop is driven by process .*; study paper is driven by")
+    with store.lock_study("laptop"), store.lock_study("paper"), driven, store.lock_all():
+        pass
+    removing = pytest.raises(PuddleError, match=r"`puddle gc` is removing what no study needs\. Wait for its end")
+    with store.lock_all(), removing, store.lock_study("paper"):
+        pass
+    with store.lock_all(), pytest.raises(PuddleError, match=f"{store.root} is in use"), store.lock_all():
+        pass
+    with store.lock_study("laptop"):
+        pass
 
 
 @pytest.mark.parametrize(
