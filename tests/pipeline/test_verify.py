@@ -1,6 +1,8 @@
 """`puddle verify`, `puddle gc` and `puddle doctor` as a person uses them, on a store with a study that is done."""
 
 import json
+import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from pipeline.artifacts import encode_sealed
 from pipeline.cli import main
 from pipeline.cluster import session
 from pipeline.configuration import parse
-from pipeline.errors import PuddleError
+from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.settings import Settings
 from pipeline.store import Store
 
@@ -158,7 +160,23 @@ def test_what_discarding_does_not_mend_hides_nothing_else(spoil, expected, optio
     assert call("verify", *options) == 1
     said = capsys.readouterr().out
     assert expected in said
-    assert f"expected item {lost.parent.name}, came none" in said and "index.html: expected SHA-256" in said
+    assert f"{lost}: expected the manifest of study tiny's evolve dry_land/1m/trial-0#" in said
+    assert "index.html: expected SHA-256" in said
+
+
+def test_what_a_message_of_damage_advises_mends_it(options, store, capsys):
+    """Whoever reads the item, and from whatever folder."""
+    (path,) = list(store.root.glob("items/evolve/*/*/history.parquet"))[:1]
+    good = path.read_bytes()
+    path.write_bytes(good[:-1] + b"?")
+    with pytest.raises(DamagedArtifact) as told:
+        store.read(store.manifest("evolve", path.parent.name), path.name)
+    assert str(path) in str(told.value) and "nothing else is lost" in str(told.value)
+    discard, study = re.findall(r"`puddle (.*?)`", str(told.value))
+    assert call(*shlex.split(discard)) == 1 and not path.exists()
+    assert call(study, "--workers", "0", *options) == 0
+    assert path.read_bytes() == good
+    assert call("verify", *options) == 0
 
 
 # -- gc --------------------------------------------------------------------------------------------------------------
