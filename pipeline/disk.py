@@ -88,7 +88,11 @@ def place(path: Path, data: bytes) -> None:
     write(temporary(path), data)
     fsync(temporary(path))
     if digest(read(temporary(path), at_most=len(data))) != digest(data):
-        raise PuddleError(f"{path}: expected the bytes just written, came others. Check the disk before going on.")
+        raise PuddleError(
+            f"{path}: expected the bytes just written, came others. They were not put in its place: whatever was kept "
+            f"before is safe. Check the disk, ask `puddle verify` whether it holds what it held, and give the same "
+            f"command again: it goes on from there."
+        )
     rename(temporary(path), path)
     fsync(path.parent)
 
@@ -153,8 +157,9 @@ def inside(root: Path, *parts: str) -> Path:
         path = path / part
         if path.is_symlink():
             raise PuddleError(
-                f"{path}: expected a file or a folder, came a symbolic link. A store holds none: replace the link by "
-                f"what it points at, or move the whole store."
+                f"{path}: expected a file or a folder, came a symbolic link. It was not followed, and whatever was "
+                f"kept is safe. A store holds none: replace the link by what it points at, or move the whole store; "
+                f"then `puddle verify` tells whether all is well, and the same command goes on from there."
             )
     return path
 

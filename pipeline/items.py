@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +124,7 @@ class Items:
                 compute it again.
         """
         manifest = self.listing(stage, key)
-        with disk.explained(f"reading {stage} {key[:12]}", self.root), _damage(stage, key):
+        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
             for name, entry in manifest.files.items() if manifest is not None else ():
                 file = disk.inside(self._item(stage, key), name)
                 n_bytes = file.stat().st_size if file.is_file() else None
@@ -134,8 +135,8 @@ class Items:
 
     def listing(self, stage: str, key: str) -> Manifest | None:
         """Return an item's manifest, verified, whatever has become of its files; otherwise as :meth:`manifest`."""
-        path = disk.inside(self._item(stage, key), MANIFEST)
-        with disk.explained(f"reading {stage} {key[:12]}", self.root), _damage(stage, key):
+        path = self.manifest_path(stage, key)
+        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
             try:
                 data = disk.read_document(path)
             except FileNotFoundError:
@@ -152,7 +153,7 @@ class Items:
         """
         path = disk.inside(self._item(manifest.stage, manifest.key), name)
         entry = manifest.files[name]
-        with disk.explained(f"reading {name}", self.root), _damage(manifest.stage, manifest.key):
+        with disk.explained(f"reading {name}", self.root), self._damage(manifest.stage, manifest.key):
             try:
                 data = disk.read(path, at_most=entry.n_bytes)
             except (FileNotFoundError, disk.NotAFileError) as error:
@@ -206,7 +207,28 @@ class Items:
         """Return the length of an item's files together."""
         return disk.size_bytes(self._item(stage, key))
 
+    def computed_again(self) -> str:
+        """Say what is safe where an item is damaged or gone, and how it is computed again."""
+        discard = shlex.join(["puddle", "verify", "--discard", "--store", str(self.root)])
+        return (
+            f"It has to be computed again; nothing else is lost. A study that meets it does so itself; otherwise "
+            f"`{discard}` forgets what is damaged, and `puddle study` with the study's settings makes it again."
+        )
+
+    @contextlib.contextmanager
+    def _damage(self, stage: str, key: str) -> Iterator[None]:
+        """Say of any damage in which item it is."""
+        try:
+            yield
+        except DamagedArtifact as damage:
+            message = f"{damage}. Item {stage} {key[:12]} is damaged. {self.computed_again()}"
+            raise DamagedArtifact(message, stage=stage, key=key) from damage
+
     # -- paths ---------------------------------------------------------------------------------------------------------
+
+    def manifest_path(self, stage: str, key: str) -> Path:
+        """Return where an item's manifest is, whether or not it was committed."""
+        return disk.inside(self._item(stage, key), MANIFEST)
 
     def _item(self, stage: str, key: str) -> Path:
         if not KEY.fullmatch(key):
@@ -225,13 +247,3 @@ class Items:
 
 def _is_folder(path: Path) -> bool:
     return path.is_dir() and not path.is_symlink()
-
-
-@contextlib.contextmanager
-def _damage(stage: str, key: str) -> Iterator[None]:
-    """Say of any damage in which item it is."""
-    try:
-        yield
-    except DamagedArtifact as damage:
-        message = f"{damage}. Item {stage} {key[:12]} is damaged and has to be computed again."
-        raise DamagedArtifact(message, stage=stage, key=key) from damage

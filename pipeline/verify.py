@@ -57,8 +57,8 @@ def _lacks(store: Store, name: str, item: StudyItem, *, with_report: bool) -> It
     manifest = store.listing(item.stage, item.key)
     if manifest is None:
         yield DamagedArtifact(
-            f"study {name}: {item.stage} {item.label}: expected item {item.key}, came none. It has to be computed "
-            f"again.", stage=item.stage, key=item.key,
+            f"{store.manifest_path(item.stage, item.key)}: expected the manifest of study {name}'s {item.stage} "
+            f"{item.label}, came no file. {store.computed_again()}", stage=item.stage, key=item.key,
         )  # fmt: skip
     elif item.stage == "report" and with_report:
         for file, entry in manifest.files.items():

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline import disk
-from pipeline.artifacts import decode_json
+from pipeline.artifacts import decode_json, digest
 from pipeline.drive.interface import DryRun, ServoDriver
 from pipeline.drive.log import DriveLog
 from pipeline.drive.player import STARTING, Moment, Player, stopped_by_signals
@@ -95,7 +95,8 @@ def drive(wish: Wish, *, confirm: Callable[[str], bool], say: Callable[[str], No
     if log_path.exists():
         raise PuddleError(f"--log: {log_path} is there already. Choose another name.")
     with contextlib.closing(open_driver(wish)) as driver:
-        for line in (*_plan(servos.servos, wanted, wish, driver), *_faults(path.with_name(MARK))):
+        of_kit = _said_by_kit(path.with_name(MARK), (path, calibrated_by))
+        for line in (*_plan(servos.servos, wanted, wish, driver), *of_kit):
             say(line)
         say(f"What is sent will be in {log_path}.")
         if not wish.dry_run and not confirm("Move the servos?"):
@@ -152,14 +153,24 @@ def _plan(
     )
 
 
-def _faults(mark: Path) -> Iterator[str]:
-    """Say how much speaks against the kit that a timeline is of, if it is of one."""
-    if mark.is_file():
-        said = decode_json(disk.read(mark), str(mark))
-        found = said.get("findings", []) if isinstance(said, dict) else []
-        n = sum(isinstance(one, dict) and one.get("severity") == "fault" for one in found)
-        if n:
-            yield f"{n} fault{'s' * (n > 1)} found in this kit speak{'s' * (n == 1)} against it: {mark} lists them."
+def _said_by_kit(mark: Path, played: Sequence[Path]) -> Iterator[str]:
+    """Say how much speaks against the kit that a timeline is of, if it is of one, and what was edited of it.
+
+    Editing is the user's right (a calibration is there for it); that a file was damaged looks the same.
+    """
+    if not mark.is_file():
+        return
+    said = decode_json(disk.read(mark), str(mark))
+    if not isinstance(said, dict):
+        return
+    n = sum(isinstance(one, dict) and one.get("severity") == "fault" for one in said.get("findings", []))
+    if n:
+        yield f"{n} fault{'s' * (n > 1)} found in this kit speak{'s' * (n == 1)} against it: {mark} lists them."
+    made = said.get("files")
+    for file in played:
+        sha256 = made.get(file.name) if isinstance(made, dict) and file.parent == mark.parent else None
+        if sha256 is not None and digest(file.read_bytes()) != sha256:
+            yield f"{file} is not as it was made with the kit. If you changed nothing in it, stop: it is damaged."
 
 
 def _play(

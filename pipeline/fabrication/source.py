@@ -46,9 +46,12 @@ def proposed(settings: Settings, store: Store) -> Source:
     Of the study's arms, Residual Slush comes first, and its deepest depth.
 
     Raises:
-        PuddleError: no champion has been scored, or none survived.
+        PuddleError: no champion has been scored, or none survived, or something of the study is damaged.
     """
-    upstream = survey(settings, STAGES, store, say=lambda line: None)
+    damage: list[str] = []
+    upstream = survey(settings, STAGES, store, say=damage.append)
+    if damage:  # a trial would be missing from the mean, and another champion be the nearest
+        raise PuddleError(damage[0])
     rows = [row for row in read_scores(settings, upstream["transfer"], store) if row.get("zero_shot") is not None]
     if not rows:
         raise PuddleError(f"study {settings.name!r}: no champion is scored in True Slush yet; `puddle study` does that")

@@ -1,6 +1,7 @@
 """The two clusters keep one contract; Ray's processes are pinned, closed to strangers, and gone when the study is."""
 
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -81,6 +82,12 @@ def test_a_failure_is_an_outcome_and_the_rest_goes_on(cluster):
     assert "return 1 / x" in failed.remote_traceback and "\x1b" not in failed.remote_traceback
     assert isinstance(failed.__cause__, ZeroDivisionError)
     assert not failed.infrastructure
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the bound is Linux's")
+def test_a_task_is_bounded_in_its_memory(cluster):
+    cluster.submit(lambda: resource.getrlimit(resource.RLIMIT_DATA)[0])
+    assert only(cluster).result != resource.RLIM_INFINITY
 
 
 def test_nothing_submitted_is_nothing_due(cluster):

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -16,7 +17,7 @@ from pipeline.artifacts import key_of
 from pipeline.errors import PuddleError
 from pipeline.store import Store, StudyItem
 
-EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink")
+EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink", "rmdir")
 
 
 class Death(BaseException):
@@ -24,7 +25,7 @@ class Death(BaseException):
 
 
 class Seam:
-    """Stands in for the five effects: counts them, and strikes at one and at all that follow, or at one alone."""
+    """Stands in for the six effects: counts them, and strikes at one and at all that follow, or at one alone."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, strike: Callable[[], BaseException], *, for_good: bool) -> None:
         self.n_calls, self.strike_at = 0, None
@@ -90,6 +91,28 @@ def test_a_discard_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.Mon
         whole_or_absent(store.root, undisturbed)
 
 
+def test_a_removal_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever of the item is left is no item any more, and the next removal takes it."""
+    seam = Seam(monkeypatch, Death, for_good=True)
+    # of 3 files and the manifest each is unlinked and the folder synced; then the folder goes, and its parent is synced
+    for call in range(2 * (len(FILES) + 1) + 2):
+        store = Store.open(tmp_path / f"store{call}", create=True)
+        commit(store)
+        undisturbed = tree(store.root)
+        seam.arm(call)
+        with pytest.raises(Death):
+            store.remove("evolve", KEY)
+        seam.arm(None)
+        assert list(store.keys("evolve")) == ([KEY] if call == 0 else [])
+        assert list(store.keys("evolve", committed=False)) == ([KEY] if call > 0 and item(store).exists() else [])
+        assert store.verify() == []
+        shutil.copytree(store.root, tmp_path / f"other{call}")
+        whole_or_absent(tmp_path / f"other{call}", undisturbed)
+        if item(store).exists():
+            store.remove("evolve", KEY)
+        assert not item(store).exists() and store.verify() == []
+
+
 def test_making_a_store_may_die_at_any_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seam = Seam(monkeypatch, Death, for_good=True)
     Store.open(tmp_path / "reference" / "deep", create=True)
@@ -116,6 +139,7 @@ def test_a_study_record_is_the_old_or_the_new_one(tmp_path: Path, monkeypatch: p
         with pytest.raises(Death):
             store.write_study("laptop", {"seed": 1}, new)
         seam.arm(None)
+        assert store.verify() == []
         seen.add(store.read_study("laptop").items[0].label)
         assert store.read_study("laptop").items[0].label == ("new" if call == 4 else "old")  # the rename is the fourth
     assert seen == {"old", "new"}
@@ -143,6 +167,50 @@ def test_a_killed_process_leaves_a_store_that_goes_on(tmp_path: Path) -> None:
     reference = Store.open(tmp_path / "reference", create=True)
     commit(reference)
     whole_or_absent(root, tree(reference.root))
+
+
+def test_nothing_changes_but_under_the_commit_lock(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A temporary file's name is always the same: two at once would write into one."""
+    lock = store.root / "commit.lock"
+    lock.touch()
+    taken = []
+
+    def watch(effect: Callable[..., None]) -> Callable[..., None]:
+        def watched(path: Path, *rest) -> None:
+            descriptor = disk.try_lock(lock, only_ask=True)
+            taken.append(descriptor is None)
+            if descriptor is not None:
+                os.close(descriptor)
+            effect(path, *rest)
+
+        return watched
+
+    for name in EFFECTS:
+        monkeypatch.setattr(disk, name, watch(getattr(disk, name)))
+    changes = (
+        lambda: commit(store),
+        lambda: store.discard("evolve", KEY),
+        lambda: store.remove("evolve", KEY),
+        lambda: store.write_study("laptop", {"seed": 1}, []),
+        lambda: store.export("laptop", {"index.html": b"page"}),
+    )
+    for change in changes:
+        taken.clear()
+        change()
+        assert taken and all(taken)
+
+
+def test_whoever_removes_and_whoever_drives_refuse_one_another(store: Store) -> None:
+    driven = pytest.raises(PuddleError, match=r"study laptop is driven by process .*; study paper is driven by")
+    with store.lock_study("laptop"), store.lock_study("paper"), driven, store.lock_all():
+        pass
+    removing = pytest.raises(PuddleError, match=r"`puddle gc` is removing what no study needs\. Wait for its end")
+    with store.lock_all(), removing, store.lock_study("paper"):
+        pass
+    with store.lock_all(), pytest.raises(PuddleError, match=f"{store.root} is in use"), store.lock_all():
+        pass
+    with store.lock_study("laptop"):
+        pass
 
 
 @pytest.mark.parametrize(
@@ -173,6 +241,25 @@ def test_a_failing_disk_is_explained_and_loses_nothing(
         assert store.read(store.manifest("collect", key_of(earlier)), "throws.parquet") == b"kept"
     commit(store)
     assert store.verify() == []
+
+
+def test_other_bytes_on_the_disk_and_links_say_what_is_safe_and_what_to_do(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (store.root / "items").symlink_to(tmp_path / "elsewhere")
+    said = r"/items: .*symbolic link\..* not followed, .* kept is safe\..* replace the link .*`puddle verify`"
+    with pytest.raises(PuddleError, match=said):
+        commit(store)
+    assert not list((tmp_path / "elsewhere").iterdir())
+    (store.root / "items").unlink()
+    commit(store)
+    write = disk.write
+    monkeypatch.setattr(disk, "write", lambda path, data: write(path, data[:-1] + b"?"))
+    said = r"study\.json: expected the bytes .*kept before is safe\. Check the disk.*`puddle verify`.* same command"
+    with pytest.raises(PuddleError, match=said):
+        store.write_study("laptop", {"seed": 1}, [])
+    assert store.verify() == [] and store.read_study("laptop") is None
 
 
 @contextlib.contextmanager

@@ -92,7 +92,7 @@ def test_a_commit_leaves_no_stray_files(store: Store) -> None:
 def test_a_disk_that_writes_other_bytes_is_found_out(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     write = disk.write
     monkeypatch.setattr(disk, "write", lambda path, data: write(path, data.replace(b"rows", b"cows")))
-    with pytest.raises(PuddleError, match=r"history\.parquet: expected the bytes just written, came others\. Check"):
+    with pytest.raises(PuddleError, match=r"history\.parquet: expected the bytes just written, came others\. They"):
         commit(store)
     assert store.manifest("evolve", KEY) is None
 

@@ -1,8 +1,15 @@
 """`puddle verify`, `puddle gc` and `puddle doctor` as a person uses them, on a store with a study that is done."""
 
+import contextlib
+import errno
 import json
+import os
+import re
+import shlex
 import shutil
+import socket
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,7 +18,7 @@ from pipeline.artifacts import encode_sealed
 from pipeline.cli import main
 from pipeline.cluster import session
 from pipeline.configuration import parse
-from pipeline.errors import PuddleError
+from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.settings import Settings
 from pipeline.store import Store
 
@@ -158,7 +165,23 @@ def test_what_discarding_does_not_mend_hides_nothing_else(spoil, expected, optio
     assert call("verify", *options) == 1
     said = capsys.readouterr().out
     assert expected in said
-    assert f"expected item {lost.parent.name}, came none" in said and "index.html: expected SHA-256" in said
+    assert f"{lost}: expected the manifest of study tiny's evolve dry_land/1m/trial-0#" in said
+    assert "index.html: expected SHA-256" in said
+
+
+def test_what_a_message_of_damage_advises_mends_it(options, store, capsys):
+    """Whoever reads the item, and from whatever folder."""
+    (path,) = list(store.root.glob("items/evolve/*/*/history.parquet"))[:1]
+    good = path.read_bytes()
+    path.write_bytes(good[:-1] + b"?")
+    with pytest.raises(DamagedArtifact) as told:
+        store.read(store.manifest("evolve", path.parent.name), path.name)
+    assert str(path) in str(told.value) and "nothing else is lost" in str(told.value)
+    discard, study = re.findall(r"`puddle (.*?)`", str(told.value))
+    assert call(*shlex.split(discard)) == 1 and not path.exists()
+    assert call(study, "--workers", "0", *options) == 0
+    assert path.read_bytes() == good
+    assert call("verify", *options) == 0
 
 
 # -- gc --------------------------------------------------------------------------------------------------------------
@@ -295,3 +318,31 @@ def test_the_doctor_finds_what_is_wrong(store, tmp_path, monkeypatch):
 def test_the_doctor_refuses_a_disk_whose_locks_do_not_lock(tmp_path, monkeypatch):
     monkeypatch.setattr(doctor.disk, "try_lock", lambda path: 0)
     assert verdicts(tmp_path)["store"].verdict == "fail"
+
+
+def test_the_doctor_finds_a_store_that_may_not_be_written_to(store, tmp_path, monkeypatch):
+    """Permissions alone would not keep root out."""
+
+    def refuse(*, prefix: str, dir: Path) -> None:  # noqa: A002
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(dir / prefix))
+
+    monkeypatch.setattr(doctor, "tempfile", SimpleNamespace(TemporaryDirectory=refuse))
+    settings = parse(Settings, SETTINGS, name="tiny")
+    for place, existing in ((store.root, store.root), (tmp_path / "new" / "store", tmp_path)):
+        _, found = doctor._store(place, settings)
+        assert (found.verdict, found.what) == ("fail", "store")
+        assert found.found.startswith(f"{existing}: a file can't be kept there for good: ")
+        assert "Permission denied" in found.found and "permission to write: --store" in found.advice
+
+
+def test_the_doctor_finds_that_a_port_is_taken(monkeypatch):
+    for name in ("RAY_ADDRESS", "MLFLOW_TRACKING_URI"):
+        monkeypatch.delenv(name, raising=False)
+    with socket.socket() as taken:
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with contextlib.suppress(OSError):  # somebody has it already: so much the better
+            taken.bind(("127.0.0.1", 5000))
+            taken.listen()
+        found = doctor._loopback()
+    assert (found.verdict, found.what) == ("warn", "ports")
+    assert "5000 is taken" in found.found and "--port" in found.advice

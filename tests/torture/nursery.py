@@ -33,6 +33,7 @@ from pipeline.cluster import Cluster, serial_cluster
 from pipeline.configuration import parse
 from pipeline.driver import drive
 from pipeline.errors import PuddleError
+from pipeline.gc import find_garbage, remove
 from pipeline.settings import Settings
 from pipeline.stage import Stage
 from pipeline.stages import STAGES
@@ -156,13 +157,17 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
         fsync, of_folders = disk.fsync, command["without"] == "fsync of folders"
         disk.fsync = lambda path: None if path.is_dir() == of_folders else fsync(path)
     for root in map(Path, command["roots"]):
-        if command.get("discard"):
-            verify_lines(Store.open(root, create=False), discard=True, progress=Quiet([]), how_to_run=str)
         answers.append({"computed": [], "committed": [], "said": []})
         volatile.arm(command.get("fault"), root.parent)
         if "survey" in command:
             survey = volatile.survey(root.parent, answers[-1]["committed"], **command["survey"])
-        study(settings, root, answers[-1], look=command.get("look", True), mlflow=command.get("mlflow", False))
+        if command.get("discard"):
+            verify_lines(Store.open(root, create=False), discard=True, progress=Quiet([]), how_to_run=str)
+        if command.get("collect"):
+            collect_garbage(Store.open(root, create=False))
+        if command.get("drive", True):
+            study(settings, root, answers[-1], mlflow=command.get("mlflow", False))
+        look_at(root, answers[-1], whole=command.get("look", True))
         if "survey" in command:
             answers[-1]["disks"] = survey.told
             for number, image in enumerate(survey.disks):
@@ -171,10 +176,14 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
             volatile.strike()
 
 
-def study(
-    settings: Settings, root: Path, answer: dict[str, Any], *, look: bool = True, mlflow: bool = False
-) -> None:
-    """Be a driver, and then look at the store: at all of it, or at its files alone."""
+def collect_garbage(store: Store) -> None:
+    """Be a `puddle gc --remove`."""
+    with store.lock_all():
+        remove(store, find_garbage(store))
+
+
+def study(settings: Settings, root: Path, answer: dict[str, Any], *, mlflow: bool = False) -> None:
+    """Be a driver."""
 
     def looked_up(compute: Callable[..., Any], job: Any, *rest: Any) -> Any:
         answer["computed"].append(job.key)
@@ -194,10 +203,14 @@ def study(
         answer["error"] = str(error)
     finally:
         pipeline.study.compute_item, Store.commit = look_up, commit
+
+
+def look_at(root: Path, answer: dict[str, Any], *, whole: bool) -> None:
+    """Look at a store: at all of it, or at its files alone."""
     answer["effects"] = list(volatile.effects())
     volatile.rest()
     answer["tree"] = tree(root)
-    is_store = look and (root / "store.json").exists()  # or there was no room even for that
+    is_store = whole and (root / "store.json").exists()  # or there was no room even for that
     answer["wrong"] = [str(error) for error in find_damage(Store.open(root, create=False))] if is_store else []
 
 

@@ -12,6 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.store import Store
+from pipeline.verify import damaged_items, find_damage
+
 pytestmark = pytest.mark.timeout(1800)  # a machine may have much else to do
 
 KINDS = ["die", "tear", "all", "contents", "names", "some"]
@@ -124,3 +127,86 @@ def test_a_dead_driver_leaves_nothing_that_a_cut_takes_from_the_next(torture, nu
         shutil.rmtree(top)
         n_tried += 1
     assert n_tried >= len(telling) or torture.large
+
+
+# -- what takes away -------------------------------------------------------------------------------------------------
+
+TAKING = {"small": ["die", "all"], "large": [kind for kind in KINDS if kind != "tear"]}
+"""Faults while something is taken away: no content is written then that could be torn."""
+
+
+def disks_left(torture, nursery, top: Path, **command) -> list[Path]:
+    """Take something away from the store ``top/disk/store``; return the stores that faults would leave of it."""
+    (top / "found").mkdir()
+    kinds = TAKING["large" if torture.large else "small"]
+    (told,) = nursery.finish(
+        [top / "disk" / "store"], drive=False, look=False, into=str(top / "found"),
+        survey={"kinds": kinds, "seed": int(torture.rng().integers(2**32))}, **command,
+    )  # fmt: skip
+    assert {"unlink", "fsync"} <= set(told["effects"])
+    torture.note(f"{len(kinds) * len(told['effects'])} faults leave {len(told['disks'])} different disks")
+    return [top / "found" / str(number) / "store" for number in range(len(told["disks"]))]
+
+
+def keys_of(root: Path) -> set[str]:
+    """Give the keys of all items that a store holds."""
+    store = Store.open(root, create=False)
+    return {key for stage in store.stages() for key in store.keys(stage)}
+
+
+def test_a_gc_that_dies_leaves_a_store_that_is_well(torture, nursery, undisturbed, place):
+    """Whatever is left of what it removes: nothing is damaged, work that is asked for again goes on from it, and the
+    next gc ends the job."""
+    torture.times(1, 1)
+    top = place()
+    (top / "disk").mkdir()
+    root = top / "disk" / "store"
+    nursery.finish([root], look=False)
+    everything = keys_of(root)
+    store = Store.open(root, create=False)
+    longer = store.read_study("tiny").settings
+    shorter = {**longer, "evolution": {**longer["evolution"], "n_generations": 2}}
+    store.write_study("tiny", shorter, ())  # it needs the first piece of what was evolved, and nothing after it
+    half = root / "items" / "evolve" / "00" / ("0" * 64)
+    half.mkdir(parents=True)
+    for path in (half / ".history.parquet.tmp", store.study_path("tiny") / ".study.json.tmp"):
+        path.write_bytes(b"half")
+    stores = disks_left(torture, nursery, top, collect=True)
+    collected, needed = contents(root), keys_of(root)
+    assert needed and len(everything - needed) > 3 and not half.exists()
+    left = [keys_of(store) for store in stores]
+    assert {len(keys) for keys in left} == set(range(len(needed), len(everything) + 1))
+    for store, keys in zip(stores, left, strict=True):
+        assert needed <= keys
+        assert find_damage(Store.open(store, create=False)) == []
+        shutil.copytree(store, store.with_name("other"))
+    nursery.finish(stores, collect=True, drive=False, look=False)
+    assert all(contents(store) == collected for store in stores)
+    again = [store.with_name("other") for store in stores]
+    for after, keys in zip(nursery.finish(again, look=False), left, strict=True):
+        assert sorted(after["computed"]) == sorted(everything - keys)
+        halves = {name for name in after["tree"] if name.endswith(".tmp")}
+        assert {name: sha256 for name, sha256 in after["tree"].items() if name not in halves} == undisturbed["tree"]
+
+
+def test_a_discard_that_dies_leaves_what_the_next_one_ends(torture, nursery, undisturbed, place):
+    """What is damaged is there, or in pieces, or gone, and nothing else is touched: it alone is computed again."""
+    torture.times(1, 1)
+    top = place()
+    (top / "disk").mkdir()
+    root = top / "disk" / "store"
+    nursery.finish([root], look=False)
+    everything = keys_of(root)
+    manifests = [path for path in sorted(root.glob("items/*/*/*/manifest.json")) if "report" not in path.parts]
+    damaged = {manifests[index].parent.name for index in torture.rng().permutation(len(manifests))[:3]}
+    for manifest in manifests:
+        if manifest.parent.name in damaged:
+            file = next(path for path in sorted(manifest.parent.iterdir()) if path != manifest)
+            file.write_bytes(file.read_bytes()[:-1] + b"?")
+    stores = disks_left(torture, nursery, top, discard=True)
+    for store in stores:
+        assert {key for _, key in damaged_items(find_damage(Store.open(store, create=False)))} <= damaged
+        assert keys_of(store) >= everything - damaged
+    for after in nursery.finish(stores, discard=True):
+        assert sorted(after["computed"]) == sorted(damaged)
+        assert after["tree"] == undisturbed["tree"]

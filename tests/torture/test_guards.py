@@ -1,6 +1,7 @@
 """Every guard is needed: with one taken out, a test fails. So these tests would notice the day it goes missing."""
 
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -21,10 +22,14 @@ def test_without_its_guard_every_test_fails(torture, tmp_path):
         cwd=ROOT, env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)}, capture_output=True,
     )  # fmt: skip
     cases = list(ElementTree.parse(report).iter("testcase"))
-    failed = {case.get("name") for case in cases if case.find("failure") is not None}
+    failed = {case.get("name"): case.find("failure").text for case in cases if case.find("failure") is not None}
     for guard, (test, _) in GUARDS.items():
-        name = test.partition("::")[2]
-        assert any(one.startswith(name) for one in failed), f"nothing fails without the {guard}: {failed}"
+        file, _, name = test.partition("::")
+        ends = [text.splitlines()[-1] for one, text in failed.items() if one.startswith(name)]
+        assert ends, f"nothing fails without the {guard}: {sorted(failed)}"
+        # what fails is what the test says of it (an assert, pytest.raises), and not the patch or what it broke
+        missed = re.compile(re.escape(file) + r":\d+: (AssertionError|Failed)")
+        assert all(missed.fullmatch(end) for end in ends), f"without the {guard} another thing fails: {ends}"
     torture.note(f"missed: the {', the '.join(GUARDS)}")
 
 

@@ -1,4 +1,4 @@
-"""A disk that can be cut off: the five effects of pipeline/disk.py, struck at any one of them.
+"""A disk that can be cut off: the six effects of pipeline/disk.py, struck at any one of them.
 
 Besides the death of the process, which loses nothing that was written, there is the loss of power, which loses what was
 not synced. POSIX promises of a file's content what its last fsync saw, and of a folder's list of names what the
@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink")
+EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink", "rmdir")
 DEAD = 9
 """Exit code of a child that was struck."""
 
@@ -87,7 +87,7 @@ class Account:
             case "mkdir":
                 if path.name not in folder.now:
                     folder.change(path.name, Folder())
-            case "unlink":
+            case "unlink" | "rmdir":
                 folder.change(path.name, None)
 
     def image(self, loses: str, chance: random.Random) -> Image:
@@ -165,7 +165,7 @@ _state = _State()
 
 
 def watch(disk: ModuleType) -> None:
-    """Stand between the store and the five effects."""
+    """Stand between the store and the six effects."""
     for name in EFFECTS:
         setattr(disk, name, _guard(name, getattr(disk, name)))
 

@@ -1,19 +1,26 @@
 """A pytest plugin that takes out one guard while the test that should miss it runs."""
 
+import contextlib
 import os
+import resource
 from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
 
 import pipeline.artifacts
+import pipeline.cluster.process
+import pipeline.cluster.serial
+import pipeline.items
 import pipeline.manifest
+import pipeline.store
 import tasks.residual.training
 from pipeline import disk
 from pipeline.manifest import Manifest
 from pipeline.store import Store
 
 STORE, ARTIFACTS = "tests/pipeline/test_store.py::test_", "tests/pipeline/test_artifacts.py::test_"
+PROCESS = "tests/pipeline/test_process.py::test_"
 FAULTS, REFUSALS = "tests/pipeline/test_store_faults.py::test_", "tests/pipeline/test_store_refusals.py::test_"
 
 
@@ -39,9 +46,26 @@ def in_place(path, data: bytes) -> None:
     disk.fsync(path.parent)
 
 
-def always(path, **how) -> int:
-    """Open a lock file, and take it whoever has it."""
-    return os.open(path, os.O_RDWR | os.O_CREAT)
+def open_to_all(name: str) -> Callable[..., int | None]:
+    """Take a lock whoever has it, if its file has that name. Who asks for its holder is told the truth."""
+    try_lock = disk.try_lock
+
+    def take(path, *, only_ask: bool = False, **how) -> int | None:
+        if path.name != name or only_ask:
+            return try_lock(path, only_ask=only_ask, **how)
+        return os.open(path, os.O_RDWR | os.O_CREAT)
+
+    return take
+
+
+def any_name(patch: pytest.MonkeyPatch) -> None:
+    for module in (pipeline.items, pipeline.store):
+        patch.setattr(module, "check_name", lambda name, what: name)
+
+
+def unbounded() -> SimpleNamespace:
+    """The limits of a process, which can't be changed."""
+    return SimpleNamespace(**{**vars(resource), "setrlimit": lambda *limits: None})
 
 
 GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
@@ -63,7 +87,28 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
     ),
     "lock of a study": (
         STORE + "a_study_has_one_driver_which_is_named_to_a_second",
-        lambda patch: patch.setattr(disk, "try_lock", always),
+        lambda patch: patch.setattr(disk, "try_lock", open_to_all("driver.lock")),
+    ),
+    "lock of a store against gc": (
+        FAULTS + "whoever_removes_and_whoever_drives_refuse_one_another",
+        lambda patch: patch.setattr(disk, "try_lock", open_to_all("use.lock")),
+    ),
+    "lock of a commit": (
+        FAULTS + "nothing_changes_but_under_the_commit_lock",
+        lambda patch: patch.setattr(disk, "locked", lambda path: contextlib.nullcontext()),
+    ),
+    "look at what was written": (
+        REFUSALS + "a_disk_that_writes_other_bytes_is_found_out",
+        lambda patch: patch.setattr(disk, "digest", lambda data: ""),
+    ),
+    "refusal of names": (REFUSALS + "hostile_names_are_refused[../x]", any_name),
+    "bound of a task's memory": (
+        PROCESS + "a_task_that_allocates_without_end_fails_and_the_bound_goes_with_it",
+        lambda patch: patch.setattr(pipeline.cluster.process, "resource", unbounded()),
+    ),
+    "bound around every task": (
+        "tests/pipeline/test_cluster.py::test_a_task_is_bounded_in_its_memory[serial]",
+        lambda patch: patch.setattr(pipeline.cluster.serial, "memory_bounded", contextlib.nullcontext),
     ),
     "refusal of links": (
         REFUSALS + "symbolic_links_are_refused_at_every_level[1]",

@@ -1,5 +1,6 @@
 """``puddle drive`` as a person uses it: in a process of its own, in real time, against a pty."""
 
+import hashlib
 import json
 import os
 import signal
@@ -73,6 +74,36 @@ def test_the_faults_of_a_kit_are_told_before_it_moves(kit, capsys):
         call("drive", str(kit), "--dry-run", "--duration", "0.1", "--log", str(kit / f"{len(found)}{found[0]}.parquet"))
         out = capsys.readouterr().out
         assert said in out if said else "speak" not in out
+
+
+def test_a_file_of_a_kit_that_was_edited_is_told_before_it_moves(kit, tmp_path, capsys):
+    """A calibration is there to be edited, and one digit of it moves a servo: who changed nothing has to hear of it."""
+
+    def said(*options: str) -> list[str]:
+        log = tmp_path / f"{len(list(tmp_path.iterdir()))}.parquet"
+        assert call("drive", str(kit), "--dry-run", "--duration", "0.1", "--log", str(log), *options) in (0, 2)
+        return [line for line in capsys.readouterr().out.splitlines() if "was made with the kit" in line]
+
+    assert said() == []  # it is no kit: nothing is known of its files
+    files = {path.name: path.read_bytes() for path in kit.iterdir()}
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    (kit / "kit.json").write_text(json.dumps({"files": digests}))
+    assert said() == []
+    calibration, timeline = files["calibration.yaml"], files["timeline.json"]
+    for name, changed in (
+        ("calibration.yaml", calibration.replace(b"1500", b"1510", 1)), ("timeline.json", timeline + b"\n")
+    ):  # fmt: skip
+        assert changed != files[name]
+        (tmp_path / name).write_bytes(files[name])
+        (kit / name).write_bytes(changed)
+        (line,) = said()
+        assert line.startswith(f"{kit / name} is not as it was made with the kit") and "changed nothing" in line
+        if name == "calibration.yaml":
+            assert said("--calibration", str(tmp_path / name)) == []  # another one, which the user chose
+        (kit / name).write_bytes(files[name])
+    for odd in ([], {"files": []}, {"files": {"calibration.yaml": 3}}):
+        (kit / "kit.json").write_text(json.dumps(odd))
+        said()
 
 
 def test_nothing_moves_without_a_yes(kit, tmp_path, plug):

@@ -17,6 +17,7 @@ from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.folder import MARK, check_place, write_kit
 from pipeline.fabrication.page import _last
+from pipeline.store import Store
 from pipeline.timeline_file import read_calibration, read_timeline
 from tasks.design import Designs
 
@@ -270,3 +271,19 @@ def test_the_proposed_champion_of_a_study(study, settings):
     mean, deviation = source.members.mean, source.members.deviation
     # The champion's fitness is μ - σ over the same members.
     assert mean - deviation == pytest.approx(nearest["predicted"], abs=1e-6)
+
+
+@pytest.mark.parametrize("file", ["score.json", "champion.json"])
+@pytest.mark.parametrize("spoil", [lambda good: good[:-2] + b"?\n", lambda good: good[:-1]])
+def test_no_other_champion_is_proposed_where_one_is_damaged(file, spoil, study, settings, tmp_path):
+    """A trial whose files are damaged would be missing from the mean."""
+    from pipeline.fabrication.source import proposed
+
+    store = Store(shutil.copytree(study[0].root, tmp_path / "store"))
+    for path in store.root.glob(f"items/transfer/*/*/{file}"):
+        path.write_bytes(spoil(path.read_bytes()))
+    with pytest.raises(PuddleError) as told:
+        proposed(settings, store)
+    said = str(told.value)
+    assert file in said and "nothing else is lost" in said
+    assert f"`puddle verify --discard --store {store.root}`" in said and "`puddle study`" in said
