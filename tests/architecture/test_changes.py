@@ -166,7 +166,8 @@ def change(copy: Path, edits: dict[str, list[tuple[str, str]]]) -> None:
 
 def run(copy: Path, settings: str) -> list[str]:
     """Run a study in a copy, whose files come to lie in out/; give what was set aside."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests" / "shared")}
+    # Its kernels would all be compiled anew, because they lie in another folder: longer than they work for.
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests" / "shared"), "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run(
         [sys.executable, "-c", RUN], cwd=copy, env=environment, input=settings, capture_output=True, text=True
     )
