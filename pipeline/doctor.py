@@ -226,7 +226,7 @@ def _loopback() -> Finding:
 
 def _kernel(settings: Settings) -> Finding:
     """Evolve two robots for a generation: compiles what is not compiled yet."""
-    from tasks.evolution import NOBODY_YET, Afpo, ask, tell
+    from tasks.evolution import NOBODY_YET, Afpo, ask, evaluate, tell
     from tasks.simulation import simulate
     from tasks.world import DryLand
 
@@ -237,7 +237,7 @@ def _kernel(settings: Settings) -> Finding:
             children.designs, DryLand(depth=1.0), n_settle=0, n_measure=10,
             engine=settings.work.engine, physics=settings.physics,
         )  # fmt: skip
-        tell(NOBODY_YET, children, rollouts.displacement.mean(axis=0), rng, afpo)
+        tell(NOBODY_YET, children, evaluate(rollouts, disagreement_penalty=0.0).fitness, rng, afpo)
     except Exception as error:  # whatever it is, a study would meet it too
         return Finding("fail", "engine", f"{type(error).__name__}: {error}", "make clean setup; then please report it.")
     seconds = time.perf_counter() - start
