@@ -63,8 +63,8 @@ def evolve(
     """
     if n_generations < 1:
         raise ValueError(f"n_generations is {n_generations}, expected 1 or more")
-    # A rollout leaves nothing of Python's own work in the processor's caches, and it takes several times as long then.
-    # So what can be done before or after all of them is.
+    # After some milliseconds of anything else, Python's own work was measured to take several times as long. So what
+    # can be done before or after all rollouts is.
     generators = [generator_of(first_generation + index) for index in range(n_generations)]
     steps = []
     for rng in generators:

@@ -154,14 +154,20 @@ def keys_of(root: Path) -> set[str]:
     return {key for stage in store.stages() for key in store.keys(stage)}
 
 
+def study_on_a_disk(nursery, top: Path) -> Path:
+    """Bring the study to its end in the store ``top/disk/store``."""
+    root = top / "disk" / "store"
+    root.parent.mkdir()
+    nursery.finish([root], look=False)
+    return root
+
+
 def test_a_gc_that_dies_leaves_a_store_that_is_well(torture, nursery, undisturbed, place):
     """Whatever is left of what it removes: nothing is damaged, work that is asked for again goes on from it, and the
     next gc ends the job."""
     torture.times(1, 1)
     top = place()
-    (top / "disk").mkdir()
-    root = top / "disk" / "store"
-    nursery.finish([root], look=False)
+    root = study_on_a_disk(nursery, top)
     everything = keys_of(root)
     store = Store.open(root, create=False)
     longer = store.read_study("tiny").settings
@@ -193,9 +199,7 @@ def test_a_discard_that_dies_leaves_what_the_next_one_ends(torture, nursery, und
     """What is damaged is there, or in pieces, or gone, and nothing else is touched: it alone is computed again."""
     torture.times(1, 1)
     top = place()
-    (top / "disk").mkdir()
-    root = top / "disk" / "store"
-    nursery.finish([root], look=False)
+    root = study_on_a_disk(nursery, top)
     everything = keys_of(root)
     manifests = [path for path in sorted(root.glob("items/*/*/*/manifest.json")) if "report" not in path.parts]
     damaged = {manifests[index].parent.name for index in torture.rng().permutation(len(manifests))[:3]}
