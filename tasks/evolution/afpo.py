@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -24,7 +25,7 @@ from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, 
 from tasks.design.genes import Part, Table
 from tasks.design.variation import NO_DESIGNS, SOURCES, variation_of
 from tasks.evolution import breeding
-from tasks.evolution.breeding import MUTATION, NOBODY, OPERATORS, RANDOM, Grown, Litter
+from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Grown, Litter
 from tasks.parameters import Parameters
 
 Ints = npt.NDArray[np.int64]
@@ -64,8 +65,8 @@ class Afpo(Parameters):
 class Population:
     """The survivors of a generation."""
 
-    designs: Designs
-    """n_designs designs; fewer than the population's size only if too many diverged."""
+    table: Table
+    """(n_designs, N_COLUMNS) their genes; fewer than the population's size only if too many diverged."""
     fitness: npt.NDArray[np.float64]
     """(n_designs,) finite [m]"""
     age: Ints
@@ -74,6 +75,11 @@ class Population:
     """(n_designs,) running number within the trial, in order of evaluation."""
     n_evaluated: int
     """Designs evaluated in the trial so far."""
+
+    @cached_property
+    def designs(self) -> Designs:
+        """The n_designs designs."""
+        return Designs.from_table(self.table)
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Give the state as named arrays, the inverse of :meth:`from_arrays`."""
@@ -89,7 +95,7 @@ class Population:
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Population:
         """Restore a state from its named arrays."""
         return Population(
-            designs=Designs.from_arrays(arrays),
+            table=Designs.from_arrays(arrays).table,
             fitness=arrays["fitness"],
             age=arrays["age"],
             identity=arrays["identity"],
@@ -120,7 +126,7 @@ class Children:
 
 
 NOBODY_YET = Population(
-    designs=NO_DESIGNS,
+    table=NO_DESIGNS.table,
     fitness=np.zeros(0),
     age=np.zeros(0, dtype=np.int64),
     identity=np.zeros(0, dtype=np.int64),
@@ -151,17 +157,17 @@ def ask(
     """
     parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
     variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
-    grown = Grown(population.designs.table, population.age)
+    grown = Grown(population.table, population.age, population.identity)
     litter: Litter = _breed(afpo.population_size, rng, grown, afpo.random_share, afpo.mutation_share, variation)
     n_draws = np.ones(afpo.population_size, dtype=np.int64)
     if body is None and morphology.unjoined_links == "apart":
-        _draw_again(litter, n_draws, grown.table, rng, afpo.mutation, morphology)
+        _draw_again(litter, n_draws, population.table, rng, afpo.mutation, morphology)
     return Children(
         designs=Designs.from_table(litter.table),
         age=litter.age,
         identity=population.n_evaluated + np.arange(afpo.population_size),
         operator=litter.operator,
-        parents=np.append(population.identity, NOBODY)[litter.places],  # NOBODY's place is the last
+        parents=litter.parents,
         n_draws=n_draws,
     )
 
@@ -199,9 +205,9 @@ def tell(
     all_fitness = np.concatenate([population.fitness, fitness])
     all_age = np.concatenate([population.age, children.age])
     survivors = select(all_fitness, all_age, rng, afpo.population_size)
-    all_tables = np.concatenate([population.designs.table, children.designs.table])
+    all_tables = np.concatenate([population.table, children.designs.table])
     return Population(
-        designs=Designs.from_table(all_tables.take(survivors, axis=0)),
+        table=all_tables.take(survivors, axis=0),
         fitness=all_fitness[survivors],
         age=all_age[survivors] + 1,
         identity=np.concatenate([population.identity, children.identity])[survivors],

@@ -35,6 +35,8 @@ class Grown(NamedTuple):
     """(n_designs, N_COLUMNS)"""
     age: Ints
     """(n_designs,) generations."""
+    identity: Ints
+    """(n_designs,) running number within the trial."""
 
 
 class Litter(NamedTuple):
@@ -47,7 +49,9 @@ class Litter(NamedTuple):
     operator: Ints
     """(n_children,) index into OPERATORS."""
     places: Ints
-    """(n_children, 2) the parents' places in the population; NOBODY where there is none."""
+    """(n_children, 2) the parents' places among those who are grown; NOBODY where there is none."""
+    parents: Ints
+    """(n_children, 2) the parents' identities; NOBODY where there is none."""
 
 
 def breed(
@@ -73,18 +77,18 @@ def breed(
     further = rng.integers(1, max(n_parents, 2), n_children)
     age = np.zeros(n_children, dtype=np.int64)
     operator = np.full(n_children, RANDOM)
-    places = np.full((n_children, 2), NOBODY)
+    places, parents = np.full((n_children, 2), NOBODY), np.full((n_children, 2), NOBODY)
     for child in range(n_children):
         if n_parents == 0 or luck[child] < random_share:
             continue
-        places[child, 0] = one[child]
+        places[child, 0], parents[child, 0] = one[child], grown.identity[one[child]]
         age[child] = grown.age[one[child]]
         if luck[child] < random_share + mutation_share:
             operator[child] = MUTATION
         else:
             other = (one[child] + further[child]) % n_parents  # another one, wherever there are two
             operator[child] = CROSSOVER
-            places[child, 1] = other
+            places[child, 1], parents[child, 1] = other, grown.identity[other]
             age[child] = max(age[child], grown.age[other])
 
     mutants = np.flatnonzero(operator == MUTATION)
@@ -95,7 +99,7 @@ def breed(
     mixed = grown.table[places[recombined, 0]]
     _recombine_tables(mixed, grown.table[places[recombined, 1]], rng, variation)
     table[recombined] = mixed
-    return Litter(table, age, operator, places)
+    return Litter(table, age, operator, places, parents)
 
 
 def front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:

@@ -26,7 +26,7 @@ def population_of(n: int, *, seed: int = 0) -> Population:
     """A population of different ages, with identities that tell one from another."""
     draw = rng(seed)
     return Population(
-        designs=random_designs(n, draw),
+        table=random_designs(n, draw).table,
         fitness=draw.normal(size=n),
         age=draw.permutation(np.arange(1, n + 1)),
         identity=np.arange(100, 100 + n),
