@@ -157,11 +157,13 @@ def ask(
     """
     parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
     variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
-    grown = Grown(population.table, population.age, population.identity)
+    table = population.table.view()
+    table.flags.writeable = False  # as that of a population from the store is: kernels are compiled for one kind
+    grown = Grown(table, population.age, population.identity)
     litter: Litter = _breed(afpo.population_size, rng, grown, afpo.random_share, afpo.mutation_share, variation)
     n_draws = np.ones(afpo.population_size, dtype=np.int64)
     if body is None and morphology.unjoined_links == "apart":
-        _draw_again(litter, n_draws, population.table, rng, afpo.mutation, morphology)
+        _draw_again(litter, n_draws, table, rng, afpo.mutation, morphology)
     return Children(
         designs=Designs.from_table(litter.table),
         age=litter.age,
