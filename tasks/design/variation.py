@@ -61,11 +61,17 @@ def variation_of(
         parts: what mutation may change; ("control",) leaves bodies alone.
         body: one design whose body all designs get that are drawn.
     """
+    variation = _variation(morphology.n_actuated, mutation, parts)
+    return variation if body is None else variation._replace(body=body.table)
+
+
+@cache
+def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[Part, ...]) -> Variation:
     return Variation(
-        body=(NO_DESIGNS if body is None else body).table,
-        body_columns=_body_columns(morphology.n_actuated),
-        n_actuated=ANY_NUMBER if morphology.n_actuated is None else morphology.n_actuated,
-        numbers=_numbers(parts, morphology.n_actuated),
+        body=NO_DESIGNS.table,
+        body_columns=_body_columns(n_actuated),
+        n_actuated=ANY_NUMBER if n_actuated is None else n_actuated,
+        numbers=_numbers(parts, n_actuated),
         change=mutation.genes_changed / N_GENES,
         step=mutation.step,
         rewiring=mutation.rewiring if "body" in parts else BODY_STAYS,
@@ -80,13 +86,11 @@ def _part_of(gene: Gene, n_actuated: int | None) -> Part:
     return "body" if gene.name == MOTOR and n_actuated is not None else gene.part
 
 
-@cache
 def _body_columns(n_actuated: int | None) -> Ints:
     names = ["parent", *(gene.name for gene in GENES if _part_of(gene, n_actuated) == "body")]
     return np.concatenate([np.arange(N_COLUMNS)[COLUMNS[name]] for name in names])
 
 
-@cache
 def _numbers(parts: tuple[Part, ...], n_actuated: int | None) -> Numbers:
     varying = [gene for gene in GENES if _part_of(gene, n_actuated) in parts]
     of_all = [gene for gene in varying for _ in range(gene.n_numbers)]

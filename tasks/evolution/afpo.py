@@ -20,7 +20,7 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from tasks.compiled import compiled
+from tasks.compiled import compiled, held
 from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
 from tasks.design.genes import Part, Table
 from tasks.design.variation import NO_DESIGNS, SOURCES, variation_of
@@ -31,7 +31,7 @@ from tasks.parameters import Parameters
 Ints = npt.NDArray[np.int64]
 
 _breed = compiled(breeding.breed, [*SOURCES, breeding], seconds=10)
-_split = compiled(breeding.front_and_dominated, [breeding], seconds=3)
+_select = compiled(breeding.select, [breeding], seconds=4)
 
 
 class Afpo(Parameters):
@@ -160,7 +160,8 @@ def ask(
     table = population.table.view()
     table.flags.writeable = False  # as that of a population from the store is: kernels are compiled for one kind
     grown = Grown(table, population.age, population.identity)
-    litter: Litter = _breed(afpo.population_size, rng, grown, afpo.random_share, afpo.mutation_share, variation)
+    of_random, of_mutants, _ = afpo.shares
+    litter: Litter = _breed(afpo.population_size, held(rng).held, grown, of_random, of_mutants, variation)
     n_draws = np.ones(afpo.population_size, dtype=np.int64)
     if body is None and morphology.unjoined_links == "apart":
         _draw_again(litter, n_draws, table, rng, afpo.mutation, morphology)
@@ -221,7 +222,7 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     """Choose survivors: the non-dominated by decreasing fitness, then a uniform sample of the dominated.
 
     Args:
-        fitness: (n_designs,) [m].
+        fitness: (n_designs,) [m]; a design whose fitness is not finite does not survive.
         age: (n_designs,) generations.
         rng: source of randomness.
         n_survivors: how many to choose; fewer are chosen only if fewer have a finite fitness.
@@ -229,8 +230,5 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     Returns:
         Indices of the survivors.
     """
-    front, dominated = _split(fitness, age)
-    n_more = max(0, min(n_survivors - len(front), len(dominated)))
-    rest = rng.choice(dominated, size=n_more, replace=False)
-    survivors: Ints = np.concatenate([front[:n_survivors], rest])
+    survivors: Ints = _select(fitness, age, held(rng).held, n_survivors)
     return survivors

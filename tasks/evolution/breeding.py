@@ -5,12 +5,12 @@ In NumPy it is some hundred calls, each of which takes longer than its work on 6
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numpy.random import Generator
 
+from tasks.compiled import inline
 from tasks.design.genes import Table
 from tasks.design.operators import Variation
 from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel
@@ -55,13 +55,13 @@ class Litter(NamedTuple):
 
 
 def breed(
-    n_children: int, rng: Generator, grown: Grown, random_share: float, mutation_share: float, variation: Variation
+    n_children: int, held: Any, grown: Grown, random_share: float, mutation_share: float, variation: Variation
 ) -> Litter:
     """Draw a generation of children, all of them random where nobody is grown.
 
     Args:
         n_children: how many.
-        rng: source of randomness.
+        held: ``rng`` of it is the source of randomness.
         grown: who may have children.
         random_share: probability that a child is random.
         mutation_share: probability that it is a mutant; it is a recombination otherwise.
@@ -70,7 +70,7 @@ def breed(
     Returns:
         n_children children.
     """
-    n_parents = len(grown.age)
+    rng, n_parents = held.rng, len(grown.age)
     luck = rng.random(n_children)
     table = _random_table(n_children, rng, variation)
     one = rng.integers(0, max(n_parents, 1), n_children)
@@ -102,15 +102,18 @@ def breed(
     return Litter(table, age, operator, places, parents)
 
 
-def front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
-    """Tell the non-dominated from the dominated: those that a design of their age or younger beats.
+def select(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
+    """Choose survivors as :func:`tasks.evolution.select` does, drawing from ``held.rng``."""
+    front, dominated = _front_and_dominated(fitness, age)
+    n_more = max(0, min(n_survivors - len(front), len(dominated)))
+    return np.concatenate((front[:n_survivors], dominated[_sample(len(dominated), n_more, held)]))
 
-    Args:
-        fitness: (n_designs,) [m]; a design whose fitness is not finite is neither.
-        age: (n_designs,) generations.
 
-    Returns:
-        Indices of the non-dominated by decreasing fitness, the first of equals first; indices of the dominated.
+@inline
+def _front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
+    """Tell the non-dominated, by decreasing fitness, the first of equals first, from those that others beat.
+
+    A design is beaten by one of its age or younger. One whose fitness is not finite is neither.
     """
     is_beaten = np.zeros(len(fitness), dtype=np.bool_)
     best, first = -np.inf, 0
@@ -128,3 +131,22 @@ def front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
     front = np.flatnonzero(can_survive & ~is_beaten)
     by_fitness = np.argsort(-fitness[front], kind="mergesort")
     return front[by_fitness], np.flatnonzero(can_survive & is_beaten)
+
+
+@inline
+def _sample(n: int, n_drawn: int, held: Any) -> Ints:
+    """Draw some of the numbers below n, in random order, as NumPy's ``choice`` without replacement does.
+
+    Floyd's algorithm, then Fisher and Yates' shuffle.
+    """
+    drawn, is_drawn = np.empty(n_drawn, dtype=np.int64), np.zeros(n, dtype=np.bool_)
+    for place in range(n_drawn):
+        last = n - n_drawn + place
+        number = held.rng.integers(0, last + 1)
+        if is_drawn[number]:
+            number = last
+        drawn[place], is_drawn[number] = number, True
+    for place in range(n_drawn - 1, 0, -1):
+        other = held.rng.integers(0, place + 1)
+        drawn[place], drawn[other] = drawn[other], drawn[place]
+    return drawn

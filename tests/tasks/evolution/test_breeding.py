@@ -15,7 +15,7 @@ from safetensors.numpy import load as decode
 from safetensors.numpy import save as encode
 
 from tasks.design import Morphology, random_designs
-from tasks.evolution import NOBODY_YET, Afpo, Population, afpo, ask, tell
+from tasks.evolution import NOBODY_YET, Afpo, Population, afpo, ask, select, tell
 from tasks.seeding import generator
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python has nothing to compare with")
@@ -71,17 +71,27 @@ print(*(evolved(kind, 4) for kind in {kinds}))
     assert done.stdout.split() == [evolved(kind, 4) for kind in kinds], done.stderr
 
 
+@given(st.integers(0, 200), st.integers(0, 200), st.integers(0, 2**32))
+def test_a_sample_is_numpys_choice(n: int, n_drawn: int, seed: int) -> None:
+    ours, theirs = np.random.default_rng(seed), np.random.default_rng(seed)
+    age, fitness = np.zeros(n + 1, np.int64), np.append(np.zeros(n), 1.0)  # the last beats all others
+    chosen = select(fitness, age, ours, n_drawn + 1).tolist()
+    assert chosen == [n, *theirs.choice(np.arange(n), min(n, n_drawn), replace=False)]
+    assert ours.random() == theirs.random()
+
+
 numbers = st.one_of(st.integers(-3, 3).map(float), st.sampled_from([np.nan, np.inf, -np.inf]))
 
 
 @given(st.lists(st.tuples(numbers, st.integers(0, 3)), max_size=12))
 def test_the_front_is_what_nobody_as_young_beats(designs: list[tuple[float, int]]) -> None:
     fitness, age = np.array([one[0] for one in designs], float), np.array([one[1] for one in designs], np.int64)
-    front, dominated = afpo._split(fitness, age)
+    survivors = select(fitness, age, np.random.default_rng(len(designs)), len(designs)).tolist()
     finite = [index for index in range(len(designs)) if np.isfinite(fitness[index])]
     beaten = {one for one in finite if any(age[by] <= age[one] and fitness[by] > fitness[one] for by in finite)}
-    assert dominated.tolist() == sorted(beaten)
-    assert front.tolist() == sorted(set(finite) - beaten, key=lambda index: (-fitness[index], index))
+    front = sorted(set(finite) - beaten, key=lambda index: (-fitness[index], index))
+    assert survivors[: len(front)] == front
+    assert sorted(survivors[len(front) :]) == sorted(beaten)
 
 
 @compiled_only
@@ -94,4 +104,4 @@ def test_a_kernel_is_compiled_once_wherever_its_arrays_come_from() -> None:
             for came in population, restored, copy.deepcopy(population):
                 children = ask(came, rng, small, body=body)
                 population = tell(came, children, np.arange(6.0), rng, small)
-    assert len(afpo._breed.inner.signatures) == len(afpo._split.inner.signatures) == 1
+    assert len(afpo._breed.inner.signatures) == len(afpo._select.inner.signatures) == 1
