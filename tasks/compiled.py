@@ -112,11 +112,11 @@ class _Plain(NamedTuple):
     rng: Generator
 
 
-def _hold(rng: Generator) -> Any:
+def _held_of(rng: Generator) -> Any:
     return _Held(rng)
 
 
-_hold_kernel = compiled(_hold, [], seconds=1)
+_held_kernel = compiled(_held_of, [], seconds=1)
 
 
 class HeldGenerator(Generator):
@@ -129,9 +129,9 @@ class HeldGenerator(Generator):
     def __init__(self, bit_generator: BitGenerator) -> None:
         super().__init__(bit_generator)
         rng = Generator(bit_generator)
-        self.held: Any = _Plain(rng) if numba.config.DISABLE_JIT else _hold_kernel(rng)
+        self.held: Any = _Plain(rng) if numba.config.DISABLE_JIT else _held_kernel(rng)
 
 
-def held(rng: Generator) -> HeldGenerator:
+def hold(rng: Generator) -> HeldGenerator:
     """Make a generator one that kernels can hold; both draw from the same stream."""
     return rng if isinstance(rng, HeldGenerator) else HeldGenerator(rng.bit_generator)

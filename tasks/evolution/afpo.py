@@ -20,7 +20,7 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from tasks.compiled import compiled, held
+from tasks.compiled import compiled, hold
 from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
 from tasks.design.genes import Part, Table
 from tasks.design.variation import NO_DESIGNS, SOURCES, variation_of
@@ -161,7 +161,7 @@ def ask(
     table.flags.writeable = False  # as that of a population from the store is: kernels are compiled for one kind
     grown = Grown(table, population.age, population.identity)
     of_random, of_mutants, _ = afpo.shares
-    litter: Litter = _breed(afpo.population_size, held(rng).held, grown, of_random, of_mutants, variation)
+    litter: Litter = _breed(afpo.population_size, hold(rng).held, grown, of_random, of_mutants, variation)
     n_draws = np.ones(afpo.population_size, dtype=np.int64)
     if body is None and morphology.unjoined_links == "apart":
         _draw_again(litter, n_draws, table, rng, afpo.mutation, morphology)
@@ -230,5 +230,5 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     Returns:
         Indices of the survivors.
     """
-    survivors: Ints = _select(fitness, age, held(rng).held, n_survivors)
+    survivors: Ints = _select(fitness, age, hold(rng).held, n_survivors)
     return survivors

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.compiled import held
+from tasks.compiled import hold
 from tasks.design import ANY_BODY, Designs, Morphology
 from tasks.evolution.afpo import Afpo, Children, Population, ask, tell
 from tasks.evolution.breeding import OPERATORS
@@ -66,7 +66,7 @@ def evolve(
         raise ValueError(f"n_generations is {n_generations}, expected 1 or more")
     # After some milliseconds of anything else, Python's own work was measured to take several times as long. So what
     # can be done before or after all rollouts is.
-    generators = [held(generator_of(first_generation + index)) for index in range(n_generations)]
+    generators = [hold(generator_of(first_generation + index)) for index in range(n_generations)]
     steps = []
     for rng in generators:
         children = ask(population, rng, afpo, body=body, morphology=morphology)
