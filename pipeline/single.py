@@ -135,8 +135,12 @@ def _learned(settings: Settings, store: Store, *, throws: bool) -> dict[str, Fil
 
     Raises:
         MissingInputs: names what the store does not hold.
+        PuddleError: names what of it is damaged.
     """
-    upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=lambda line: None)
+    damage: list[str] = []
+    upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=damage.append)
+    if damage:
+        raise PuddleError(damage[0])
     inputs = world_inputs(settings, "residual_slush", 0, upstream)
     if throws:
         inputs |= data_set(upstream["collect"])

@@ -1,6 +1,7 @@
 """The command line as a person uses it: each mistake gives one clear message and exit code 2, never a traceback."""
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -115,6 +116,15 @@ def test_a_page_of_one_design_shows_what_networks_say_of_it(study, design, capsy
     assert call("simulate", *arguments, "--store", str(tmp_path / "none")) == 0
     assert "shown without what networks say of it" in capsys.readouterr().out
     assert "<canvas" in alone.read_text()
+
+
+def test_simulate_names_a_damaged_network(study, design, capsys, tmp_path):
+    store = tmp_path / "damaged"
+    shutil.copytree(study[-1], store)
+    network = min(store.glob("items/train/*/*/*.safetensors"))
+    os.truncate(network, 100)
+    arguments = (str(design), "--environment", "residual_slush", "--depth", "1", *study[:-1], str(store))
+    assert str(network) in refused(capsys, "simulate", *arguments)
 
 
 def test_forecast_prices_what_is_left(study, settings, capsys, tmp_path):
