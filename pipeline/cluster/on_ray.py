@@ -19,6 +19,7 @@ import re
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -28,7 +29,8 @@ from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
 from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_held, signals_unwind
-from pipeline.cluster.session import DEAD, PLACE, session
+from pipeline.cluster.session import PLACE, session
+from pipeline.cluster.watch import DEAD, SECONDS_BETWEEN_LOOKS, end_if_gone
 from pipeline.errors import PuddleError
 
 N_INFRASTRUCTURE_RETRIES = 1
@@ -36,9 +38,6 @@ N_INFRASTRUCTURE_RETRIES = 1
 
 CONNECT_SECONDS = 15.0
 """How long an existing cluster may take to answer."""
-
-SECONDS_BETWEEN_LOOKS = 1.0
-"""At whether Ray lives, while a result is waited for."""
 
 PACKAGES = ("tasks", "pipeline")
 """What the workers of an existing cluster are sent, since they need not have it on disk."""
@@ -189,6 +188,7 @@ def _existing(address: str) -> Iterator[tuple[Callable[[], bool], AbstractContex
     _check_reachable(address)
     import ray
 
+    over = threading.Event()
     with _environment({}):
         try:
             packages = [_folder_of(package) for package in PACKAGES]
@@ -196,9 +196,11 @@ def _existing(address: str) -> Iterator[tuple[Callable[[], bool], AbstractContex
         except Exception as error:
             raise _unusable(address, str(error)) from error
         else:
-            # it may come back; Ray says when it has waited long enough
+            server = _server_of(ray.get_runtime_context().gcs_address if address == "auto" else address)
+            threading.Thread(target=end_if_gone, args=(address, *server, over), daemon=True).start()
             yield lambda: True, contextlib.nullcontext()
         finally:
+            over.set()
             ray.shutdown()
 
 
@@ -219,15 +221,9 @@ def _connect(**where: Any) -> None:
 def _check_reachable(address: str) -> None:
     """Ask whether a cluster answers, in a process that can be given up on: ray.init takes two minutes to say no."""
     if address != "auto":
-        parts = urlsplit(address if "://" in address else f"gcs://{address}")
+        server = _server_of(address)
         try:
-            port = parts.port
-        except ValueError:
-            port = None
-        if not parts.hostname or port is None or parts.scheme not in ("gcs", "ray"):
-            raise _unusable(address, "it is not an address; expected host:port, ray://host:port or auto")
-        try:
-            socket.create_connection((parts.hostname, port), timeout=CONNECT_SECONDS).close()
+            socket.create_connection(server, timeout=CONNECT_SECONDS).close()
         except OSError as error:
             raise _unusable(address, f"nothing answers there ({error})") from error
     hello = "import ray, sys; ray.init(address=sys.argv[1], log_to_driver=False, logging_level='ERROR')"
@@ -242,6 +238,18 @@ def _check_reachable(address: str) -> None:
         raise _unusable(address, reason) from error
     except subprocess.CalledProcessError as error:
         raise _unusable(address, _last_line(error.stderr)) from error
+
+
+def _server_of(address: str) -> tuple[str, int]:
+    """Read host and port."""
+    parts = urlsplit(address if "://" in address else f"gcs://{address}")
+    try:
+        port = parts.port
+    except ValueError:
+        port = None
+    if not parts.hostname or port is None or parts.scheme not in ("gcs", "ray"):
+        raise _unusable(address, "it is not an address; expected host:port, ray://host:port or auto")
+    return parts.hostname, port
 
 
 def _last_line(output: bytes | str | None) -> str:

@@ -26,6 +26,7 @@ import psutil
 
 from pipeline.cluster import keeper
 from pipeline.cluster.process import PINNED_THREADS
+from pipeline.cluster.watch import end_if_stuck
 from pipeline.errors import PuddleError
 
 OBJECT_STORE_BYTES = 512 * 2**20
@@ -39,18 +40,6 @@ PREFIX = "puddle-"
 WORKERS_ON_DEMAND = {"RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0"}
 """Of workers that it starts before there is work, Ray lets its first driver wait for all: for ever, if one is killed
 meanwhile (ray-project/ray, issue 40131)."""
-
-STUCK_SECONDS = 10.0
-"""How long a call into Ray may last once Ray is dead. Ray itself gives up after a minute."""
-
-SECONDS_BETWEEN_LOOKS = 1.0
-"""At whether a driver whose Ray is dead calls it."""
-
-DEAD = (
-    "Ray on this machine died: its raylet or its GCS is gone (killed, or out of memory).\n"
-    "What was kept before is safe: give the same command again, and it goes on from there. Fewer `--workers` need less "
-    "memory."
-)
 
 START_SECONDS = 120.0
 """How long Ray may take to start on a machine that has much else to do; ten seconds are usual."""
@@ -99,7 +88,7 @@ def session(n_cores: int | None) -> Iterator[Session]:
                 start_new_session=True,  # so that Ctrl-C in the terminal reaches Ray through us alone
             )  # fmt: skip
         address = _address(kept, folder)
-        threading.Thread(target=_end_if_stuck, args=(kept, calling, over), daemon=True).start()
+        threading.Thread(target=end_if_stuck, args=(kept.wait, calling, over), daemon=True).start()
         yield Session(address, token, alive=functools.partial(_runs, kept), calling=calling)
     finally:
         over.set()
@@ -112,17 +101,6 @@ def session(n_cores: int | None) -> Iterator[Session]:
 
 def _runs(process: subprocess.Popen[str]) -> bool:
     return process.poll() is None
-
-
-def _end_if_stuck(kept: subprocess.Popen[str], calling: threading.RLock, over: threading.Event) -> None:
-    """End this process where Ray died and a call into it does not return. A driver that does other work goes on."""
-    kept.wait()
-    while calling.acquire(timeout=STUCK_SECONDS):
-        calling.release()
-        if over.wait(SECONDS_BETWEEN_LOOKS):
-            return
-    os.write(2, f"\npuddle: {DEAD}\n".encode())
-    os._exit(2)
 
 
 def token_of(folder: Path) -> Path:

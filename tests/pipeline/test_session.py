@@ -11,18 +11,18 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from pipeline.cluster.session import DEAD
+from pipeline.cluster.watch import DEAD
 
 APART = """
 import pathlib, sys
-from pipeline.cluster import session
+from pipeline.cluster import session, watch
 session.PLACE = pathlib.Path(sys.argv[1])
 """
 """A place of its own: a session that starts sweeps what the dead drivers of other tests left."""
 
 WAITS = """
 import threading
-session.STUCK_SECONDS = 1.0
+watch.STUCK_SECONDS = 1.0
 with session.session(1) as ours, ours.calling:
     print("up", flush=True)
     threading.Event().wait()
@@ -31,7 +31,7 @@ with session.session(1) as ours, ours.calling:
 
 WORKS = """
 import time
-session.STUCK_SECONDS = session.SECONDS_BETWEEN_LOOKS = 0.1
+watch.STUCK_SECONDS = watch.SECONDS_BETWEEN_LOOKS = 0.1
 with session.session(1) as ours:
     print("up", flush=True)
     while ours.alive():
@@ -97,10 +97,13 @@ with ray_cluster("local", 2):
 
 
 def workers_of(driver: psutil.Process) -> Iterator[psutil.Process]:
-    """Find the processes that its raylet has started, agents apart."""
+    """Find the workers that its raylet has started. It has other children, and some are not yet what they will be."""
     for raylet in driver.children(recursive=True):
         if raylet.name() == "raylet":
-            yield from (process for process in raylet.children() if "agent" not in " ".join(process.cmdline()).lower())
+            for process in raylet.children():
+                words = process.cmdline()
+                if any("default_worker.py" in word for word in words[:3]) or words[:1] == ["ray::IDLE"]:
+                    yield process
 
 
 def test_no_worker_can_die_while_the_driver_connects(place):

@@ -1,0 +1,55 @@
+"""A driver whose existing cluster is gone ends, and says so; one whose cluster was away for a moment goes on."""
+
+import socket
+import subprocess
+import sys
+import time
+
+from pipeline.cluster.watch import GONE
+
+DRIVER = """
+import sys, threading
+from pipeline.cluster import watch
+watch.GONE_SECONDS, watch.SECONDS_BETWEEN_LOOKS = 2.0, 0.05
+over = threading.Event()
+looks = threading.Thread(target=watch.end_if_gone, args=("head:6379", "127.0.0.1", int(sys.argv[1]), over))
+looks.start()
+print("up", flush=True)
+sys.stdin.read()
+over.set()
+looks.join()
+"""
+
+
+def server(port: int = 0) -> socket.socket:
+    return socket.create_server(("127.0.0.1", port), backlog=100)
+
+
+def driving(port: int) -> subprocess.Popen[str]:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    driver = subprocess.Popen([sys.executable, "-c", DRIVER, str(port)], text=True, **pipes)
+    assert driver.stdout is not None
+    assert driver.stdout.readline() == "up\n"
+    return driver
+
+
+def test_a_driver_ends_when_its_cluster_is_gone():
+    with server() as listening:
+        driver = driving(listening.getsockname()[1])
+        time.sleep(0.5)
+        assert driver.poll() is None
+    assert driver.wait(timeout=30) == 2
+    _, said = driver.communicate()
+    assert said == f"\npuddle: {GONE.format(address='head:6379', seconds=2.0)}\n"
+
+
+def test_a_driver_goes_on_when_its_cluster_comes_back():
+    with server() as listening:
+        port = listening.getsockname()[1]
+        driver = driving(port)
+    time.sleep(0.5)
+    with server(port):
+        time.sleep(3.0)
+        assert driver.poll() is None
+        assert driver.communicate(timeout=30) == ("", "")
+    assert driver.returncode == 0
