@@ -42,11 +42,11 @@ the one that the page films (where none survives True Slush, of the best where i
                          n_diverged, n_tries
     links.parquet        a row per world, step and link, in that order: world ("true_slush"; then where it evolved, if
                          that is elsewhere), step, link, disagreement [m/s²], novelty (1 is usual), distance
-                         [deviations], component (of OBSERVATION; "" unknown), departure and thrust (n_members numbers
+                         [deviations], component (of SPACE; "" unknown), departure and thrust (n_members numbers
                          each, m/s²)
     worlds.parquet       a row per world in links: world, member (whose world it is, -1 for nobody's: of an ensemble,
                          the member that promises the median), trial, displacement, disagreement (mean), share_novel
-                         (novelty above 1), thrust (n_members numbers: mean departure along x)
+                         (novelty above 1: half of fresh throws), thrust (n_members numbers: mean departure along x)
     member_errors.parquet   as of ``members``, along the rollouts of all the arm's champions in True Slush
 ``tank/<environment>/<depth>m``, the champions of one arm and which to build, where the settings have a tank:
     tank.parquet         a row per champion: trial, proposed; zero_shot, dry_land, dry_land_com; of each X = wet, dry
@@ -78,7 +78,7 @@ from pipeline.tables import Columns, csv_of
 from tasks.analysis import Tank
 from tasks.analysis.prediction import mean_less_deviations
 
-NAME, VERSION = "analyse", 3
+NAME, VERSION = "analyse", 4
 
 STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS, TANK = (
     "statistics", "members", "transfer-matrix", "exploiters", "instruments", "tank"

@@ -17,7 +17,7 @@ from tasks.analysis.hallucination import (
 )
 from tasks.analysis.luck import Luck, Reach, jittered, luck, reach
 from tasks.analysis.member_error import MemberError, member_errors, phantom_thrust, thrown_links
-from tasks.analysis.novelty import Novelty, Thrown, novelty, thrown
+from tasks.analysis.novelty import SPACE, Novelty, Thrown, novelty, thrown
 from tasks.analysis.paper import Row, against_paper
 from tasks.analysis.prediction import (
     Histograms,
@@ -36,6 +36,7 @@ from tasks.analysis.tank import Crossing, Tank, crossings, nearest_the_mean
 from tasks.analysis.uncertainty import Estimate, bootstrap, mean
 
 __all__ = [
+    "SPACE",
     "Attribution",
     "Comparison",
     "Contrast",

@@ -12,6 +12,7 @@ from pipeline.stages.analyse import read_reasons, read_table
 from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.segments import trial_label
 from pipeline.stages.transfer import SCORE
+from tasks.analysis import SPACE
 from tasks.design import Designs
 from tasks.design.genes import DTYPES
 
@@ -136,6 +137,7 @@ def test_links_cover_every_step_of_the_champion_that_the_page_films(settings, an
             assert links["link"][of].tolist() == [*range(6)] * n_steps
             assert links["disagreement"][of].mean(dtype=np.float64) == pytest.approx(mean, rel=1e-6)
             assert np.mean(links["novelty"][of] > 1) == pytest.approx(novel)
+        assert {"y", "vx"} < set(links["component"]) <= set(SPACE)
         assert read_reasons(files) == {}
 
 

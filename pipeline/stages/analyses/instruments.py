@@ -21,6 +21,7 @@ from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.stages.collect import TRANSITIONS, read_transitions
 from pipeline.tables import Columns, columns_of, text
 from tasks.analysis import (
+    SPACE,
     Disagreement,
     Estimate,
     MemberError,
@@ -38,7 +39,7 @@ from tasks.analysis import (
 )
 from tasks.design import Designs
 from tasks.design.genes import concatenate
-from tasks.residual import OBSERVATION, Transitions
+from tasks.residual import Transitions
 from tasks.seeding import generator
 from tasks.world import EnsembleMedium, Physics
 
@@ -251,7 +252,7 @@ def _links(of: Seen, n_members: int) -> Columns:
     magnitude, new = of.disagreement.magnitude[0], of.novelty
     n_steps, n_links = magnitude.shape
     n = magnitude.size
-    names = np.array([*OBSERVATION, ""])  # the last by index -1: unknown
+    names = np.array([*SPACE, ""])  # the last by index -1: unknown
     return {
         "world": np.full(n, of.row.world),
         "step": np.repeat(np.arange(n_steps), n_links),
