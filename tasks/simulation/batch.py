@@ -94,6 +94,11 @@ def inverse_mass_and_inertia(half_width: Float32, half_height: Float32, density:
     return one / (rho * area), one / (rho * inertia)
 
 
+def _is_built_in(medium: Medium | None) -> bool:
+    """Tell whether the kernels have the medium: a kind of slush that does otherwise than slush is another medium."""
+    return type(medium) is Slush
+
+
 def shared_world(environment: Environment, physics: Physics) -> World:
     """Round what all robots share to float32, as Box2D and NumPy do on the way in."""
     single = np.float32
@@ -113,7 +118,7 @@ def shared_world(environment: Environment, physics: Physics) -> World:
         velocity_iterations=physics.velocity_iterations,
         position_iterations=physics.position_iterations,
         n_links=N_LINKS,
-        slush=slush is medium,
+        slush=_is_built_in(medium),
         drag=single(0.5 * slush.density * slush.linear_drag * physics.time_step),
         angular_drag=single(slush.density * slush.angular_drag * physics.time_step),
         lift=single(slush.density * physics.gravity * physics.time_step),
@@ -296,7 +301,7 @@ def roll_out_on(
     for first, last in ((0, n_settle), (n_settle, n_steps)):
         if learned_medium is not None and not trace:
             groups.advance_among(learned_medium, world, first, last - first)
-        elif medium is not None and not isinstance(medium, Slush):
+        elif medium is not None and not _is_built_in(medium):
             for step in range(first, last):
                 groups.push(medium)
                 groups.advance(world, step, 1, None if kept is None else kept[:, step : step + 1])

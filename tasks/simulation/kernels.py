@@ -28,6 +28,7 @@ from tasks.simulation.rows import (
     MASS,
     MOTION_RANGE,
     MOTOR_SPEED,
+    N_JOINTS,
     N_ROWS,
     N_TRACED,
     OMEGA,
@@ -163,6 +164,10 @@ def integrate_position(block: Any, link: int, dt: Any) -> None:
     block[X + link], block[Y + link] = block[X + link] + dt * vx, block[Y + link] + dt * vy
     block[ANGLE + link] = angle
     block[SIN + link], block[COS + link] = sincos(angle)
+
+
+if N_JOINTS != 5:
+    raise NotImplementedError(f"a design has {N_JOINTS} joints, expected 5: each is named in the sweeps below")
 
 
 @inline

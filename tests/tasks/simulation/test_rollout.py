@@ -9,7 +9,17 @@ import pytest
 
 from tasks.design import DesignError, Designs, concatenate, random_designs
 from tasks.simulation import DIVERGED, OK, Rollouts, simulate
-from tasks.world import DryLand, Environment, LinkStates, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
+from tasks.world import (
+    DryLand,
+    Environment,
+    LinkStates,
+    Medium,
+    Physics,
+    ResidualSlush,
+    Slush,
+    TrueSlush,
+    VelocityChange,
+)
 
 
 def name_of(environment: Environment) -> str:
@@ -40,16 +50,24 @@ class Poisoned:
         return VelocityChange(**{**change, self.what: np.where(hit, self.poison, change[self.what])})
 
 
-class PoisonedSlush(TrueSlush):
+class Weightless(Slush):
+    """A kind of slush that does nothing."""
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        nothing = np.zeros_like(links.y)
+        return VelocityChange(nothing, nothing, nothing)
+
+
+class OtherSlush(TrueSlush):
     """True slush whose medium is another."""
 
-    def __init__(self, depth: float, medium: Poisoned) -> None:
+    def __init__(self, depth: float, medium: Medium) -> None:
         super().__init__(depth)
-        object.__setattr__(self, "poisoned", medium)
+        object.__setattr__(self, "other", medium)
 
     @property
-    def medium(self) -> Poisoned:
-        return self.poisoned  # type: ignore[attr-defined]
+    def medium(self) -> Medium:
+        return self.other  # type: ignore[attr-defined]
 
 
 ENVIRONMENTS = [DryLand(0.0), DryLand(1.0), TrueSlush(1.0), TrueSlush(9.0), ResidualSlush(1.0, Replay())]
@@ -138,12 +156,20 @@ def test_each_member_has_a_world_of_its_own(designs: Designs, depth: float) -> N
     np.testing.assert_array_equal(both[1], trace_of(short(designs, DryLand(depth))))
 
 
+@pytest.mark.parametrize("engine", ["batch", "reference"])
+def test_a_kind_of_slush_may_do_otherwise_than_slush(designs, engine):
+    worlds = OtherSlush(1.0, Weightless()), DryLand(1.0)
+    in_slush, on_land = (simulate(designs, world, n_settle=40, n_measure=60, engine=engine) for world in worlds)
+    assert (in_slush.displacement == on_land.displacement).all()
+
+
+
 @pytest.mark.parametrize("what", ["vx", "vy", "omega"])
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
 def test_a_rollout_that_diverges_touches_no_other(designs: Designs, what: str, poison: float) -> None:
     ill = 2
     medium = Poisoned(float(np.float32(designs.length_scale[ill, 4])), poison, what)
-    rollouts = short(designs, PoisonedSlush(9.0, medium))
+    rollouts = short(designs, OtherSlush(9.0, medium))
     assert rollouts.status.tolist() == [OK, OK, DIVERGED, OK, OK, OK]
     healthy = short(designs, TrueSlush(9.0))
     trace, expected = trace_of(rollouts), trace_of(healthy)
