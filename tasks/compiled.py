@@ -1,4 +1,4 @@
-"""Kernels compiled once per machine, and again when their source changes; and the generators that they draw from.
+"""Kernels compiled once per machine, and again when their source changes.
 
 numba keys its cache on disk by the file of the function itself, and does not see an edit of another module that it
 calls. So the folder of the cache is named by a digest of all the modules that go into a kernel. It lies in the user's
@@ -20,11 +20,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
-from numba.experimental import structref
-from numpy.random import BitGenerator, Generator
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -92,46 +90,3 @@ def _cache_folder() -> str:
         except OSError:
             continue
     return tempfile.mkdtemp(prefix="puddle-")
-
-
-class _HeldType(numba.types.StructRef):  # type: ignore[misc]  # numba comes without types
-    """numba's type of a generator that kernels hold."""
-
-
-class _Held(structref.StructRefProxy):  # type: ignore[misc]
-    """A generator that kernels hold, its ``rng`` there."""
-
-
-structref.register(_HeldType)
-structref.define_proxy(_Held, _HeldType, ["rng"])
-
-
-class _Plain(NamedTuple):
-    """What stands for it in plain Python."""
-
-    rng: Generator
-
-
-def _held_of(rng: Generator) -> Any:
-    return _Held(rng)
-
-
-_held_kernel = compiled(_held_of, [], seconds=1)
-
-
-class HeldGenerator(Generator):
-    """A generator for several calls of kernels.
-
-    numba reads the addresses of a NumPy generator through ctypes, at every call anew: that takes some microseconds, and
-    ten times as long after a rollout. Kernels that take ``held`` find them read, and draw from ``held.rng``.
-    """
-
-    def __init__(self, bit_generator: BitGenerator) -> None:
-        super().__init__(bit_generator)
-        rng = Generator(bit_generator)
-        self.held: Any = _Plain(rng) if numba.config.DISABLE_JIT else _held_kernel(rng)
-
-
-def hold(rng: Generator) -> HeldGenerator:
-    """Make a generator one that kernels can hold; both draw from the same stream."""
-    return rng if isinstance(rng, HeldGenerator) else HeldGenerator(rng.bit_generator)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 N_LINKS = 6
-"""Links in a design, the root included."""
+"""Links in a design, the root included. The sweeps of the batch engine name their joints: see kernels.py."""
 
 ROOT_PARENT = -1
 """The parent of a root."""
@@ -46,6 +46,11 @@ class Gene:
     """Whether the root has this gene too (otherwise only the links that hang from a joint)."""
     per_link: bool = True
     """Whether there is one per link; the frequency is one per design."""
+
+    def __post_init__(self) -> None:
+        """Refuse a gene of the whole design that its root has not."""
+        if not self.per_link and not self.of_root:
+            raise ValueError(f"gene {self.name}: it is of the whole design, expected of_root=True")
 
     @property
     def first_link(self) -> int:

@@ -177,13 +177,13 @@ def _move_motors(table: Table, changes: Flags, rng: Generator, numbers: Numbers)
             continue
         for design in range(len(table)):
             this, motors = numbers.column[number] - MOTORS, table[design, MOTORS : MOTORS + N_JOINTS]
-            luckiest, most = this, -1.0
+            chosen, most = this, -1.0
             for other in range(N_JOINTS):
-                luck = rng.random()
-                if motors[other] != motors[this] and luck > most:
-                    luckiest, most = other, luck
+                chance = rng.random()
+                if motors[other] != motors[this] and chance > most:
+                    chosen, most = other, chance
             if changes[design, number]:
-                motors[this], motors[luckiest] = motors[luckiest], motors[this]
+                motors[this], motors[chosen] = motors[chosen], motors[this]
             changes[design, number] = False
 
 

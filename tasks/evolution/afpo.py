@@ -20,12 +20,13 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from tasks.compiled import compiled, hold
+from tasks.compiled import compiled
 from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
 from tasks.design.genes import Part, Table
 from tasks.design.variation import NO_DESIGNS, SOURCES, variation_of
 from tasks.evolution import breeding
-from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Grown, Litter
+from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Offspring, Parents
+from tasks.held import hold
 from tasks.parameters import Parameters
 
 Ints = npt.NDArray[np.int64]
@@ -159,36 +160,36 @@ def ask(
     variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
     table = population.table.view()
     table.flags.writeable = False  # as that of a population from the store is: kernels are compiled for one kind
-    grown = Grown(table, population.age, population.identity)
+    parents = Parents(table, population.age, population.identity)
     of_random, of_mutants, _ = afpo.shares
-    litter: Litter = _breed(afpo.population_size, hold(rng).held, grown, of_random, of_mutants, variation)
+    drawn: Offspring = _breed(afpo.population_size, hold(rng).held, parents, of_random, of_mutants, variation)
     n_draws = np.ones(afpo.population_size, dtype=np.int64)
     if body is None and morphology.unjoined_links == "apart":
-        _draw_again(litter, n_draws, table, rng, afpo.mutation, morphology)
+        _draw_again(drawn, n_draws, table, rng, afpo.mutation, morphology)
     return Children(
-        designs=Designs.from_table(litter.table),
-        age=litter.age,
+        designs=Designs.from_table(drawn.table),
+        age=drawn.age,
         identity=population.n_evaluated + np.arange(afpo.population_size),
-        operator=litter.operator,
-        parents=litter.parents,
+        operator=drawn.operator,
+        parents=drawn.parents,
         n_draws=n_draws,
     )
 
 
 def _draw_again(
-    litter: Litter, n_draws: Ints, grown: Table, rng: Generator, mutation: Mutation, morphology: Morphology
+    offspring: Offspring, n_draws: Ints, parents: Table, rng: Generator, mutation: Mutation, morphology: Morphology
 ) -> None:
     """Draw those children again, by their own operators, that the morphology refuses; in place."""
     for operator in range(len(OPERATORS)):
-        children = np.flatnonzero(litter.operator == operator)
-        first, (one, other) = litter.table[children], litter.places[children].T
+        children = np.flatnonzero(offspring.operator == operator)
+        first, (one, other) = offspring.table[children], offspring.places[children].T
         if operator == RANDOM:
-            drawn = draw_random(len(children), rng, morphology=morphology, first=first)
+            again = draw_random(len(children), rng, morphology=morphology, first=first)
         elif operator == MUTATION:
-            drawn = draw_mutants(grown[one], rng, mutation=mutation, morphology=morphology, first=first)
+            again = draw_mutants(parents[one], rng, mutation=mutation, morphology=morphology, first=first)
         else:
-            drawn = draw_recombinations(grown[one], grown[other], rng, morphology=morphology, first=first)
-        litter.table[children], n_draws[children] = drawn.table, drawn.n_draws
+            again = draw_recombinations(parents[one], parents[other], rng, morphology=morphology, first=first)
+        offspring.table[children], n_draws[children] = again.table, again.n_draws
 
 
 def tell(

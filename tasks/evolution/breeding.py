@@ -28,7 +28,7 @@ NOBODY = -1
 _random_table, _mutate_table, _recombine_tables = random_kernel.inner, mutate_kernel.inner, recombine_kernel.inner
 
 
-class Grown(NamedTuple):
+class Parents(NamedTuple):
     """Who may have children; axis 0 is the design."""
 
     table: Table
@@ -39,7 +39,7 @@ class Grown(NamedTuple):
     """(n_designs,) running number within the trial."""
 
 
-class Litter(NamedTuple):
+class Offspring(NamedTuple):
     """Children as they are drawn, whatever the morphology says; axis 0 is the child."""
 
     table: Table
@@ -49,20 +49,20 @@ class Litter(NamedTuple):
     operator: Ints
     """(n_children,) index into OPERATORS."""
     places: Ints
-    """(n_children, 2) the parents' places among those who are grown; NOBODY where there is none."""
+    """(n_children, 2) the parents' places among those who may have children; NOBODY where there is none."""
     parents: Ints
     """(n_children, 2) the parents' identities; NOBODY where there is none."""
 
 
 def breed(
-    n_children: int, held: Any, grown: Grown, random_share: float, mutation_share: float, variation: Variation
-) -> Litter:
-    """Draw a generation of children, all of them random where nobody is grown.
+    n_children: int, held: Any, parents: Parents, random_share: float, mutation_share: float, variation: Variation
+) -> Offspring:
+    """Draw a generation of children, all of them random where there are no parents.
 
     Args:
         n_children: how many.
         held: ``rng`` of it is the source of randomness.
-        grown: who may have children.
+        parents: who may have children.
         random_share: probability that a child is random.
         mutation_share: probability that it is a mutant; it is a recombination otherwise.
         variation: what may vary, and how.
@@ -70,36 +70,36 @@ def breed(
     Returns:
         n_children children.
     """
-    rng, n_parents = held.rng, len(grown.age)
-    luck = rng.random(n_children)
+    rng, n_parents = held.rng, len(parents.age)
+    chance = rng.random(n_children)
     table = _random_table(n_children, rng, variation)
     one = rng.integers(0, max(n_parents, 1), n_children)
     further = rng.integers(1, max(n_parents, 2), n_children)
     age = np.zeros(n_children, dtype=np.int64)
     operator = np.full(n_children, RANDOM)
-    places, parents = np.full((n_children, 2), NOBODY), np.full((n_children, 2), NOBODY)
+    places, identities = np.full((n_children, 2), NOBODY), np.full((n_children, 2), NOBODY)
     for child in range(n_children):
-        if n_parents == 0 or luck[child] < random_share:
+        if n_parents == 0 or chance[child] < random_share:
             continue
-        places[child, 0], parents[child, 0] = one[child], grown.identity[one[child]]
-        age[child] = grown.age[one[child]]
-        if luck[child] < random_share + mutation_share:
+        places[child, 0], identities[child, 0] = one[child], parents.identity[one[child]]
+        age[child] = parents.age[one[child]]
+        if chance[child] < random_share + mutation_share:
             operator[child] = MUTATION
         else:
             other = (one[child] + further[child]) % n_parents  # another one, wherever there are two
             operator[child] = CROSSOVER
-            places[child, 1], parents[child, 1] = other, grown.identity[other]
-            age[child] = max(age[child], grown.age[other])
+            places[child, 1], identities[child, 1] = other, parents.identity[other]
+            age[child] = max(age[child], parents.age[other])
 
     mutants = np.flatnonzero(operator == MUTATION)
-    changed = grown.table[places[mutants, 0]]
+    changed = parents.table[places[mutants, 0]]
     _mutate_table(changed, rng, variation)
     table[mutants] = changed
     recombined = np.flatnonzero(operator == CROSSOVER)
-    mixed = grown.table[places[recombined, 0]]
-    _recombine_tables(mixed, grown.table[places[recombined, 1]], rng, variation)
+    mixed = parents.table[places[recombined, 0]]
+    _recombine_tables(mixed, parents.table[places[recombined, 1]], rng, variation)
     table[recombined] = mixed
-    return Litter(table, age, operator, places, parents)
+    return Offspring(table, age, operator, places, identities)
 
 
 def select(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:

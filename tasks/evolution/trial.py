@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.compiled import hold
 from tasks.design import ANY_BODY, Designs, Morphology
 from tasks.evolution.afpo import Afpo, Children, Population, ask, tell
 from tasks.evolution.breeding import OPERATORS
 from tasks.evolution.objective import Evaluation
+from tasks.held import hold
 
 History = dict[str, npt.NDArray[Any]]
 """Columns of equal length, a row per evaluated design: see :data:`HISTORY_UNITS`."""

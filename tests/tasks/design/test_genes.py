@@ -164,3 +164,9 @@ def test_a_value_that_its_type_would_change_is_refused_by_name(name, value):
     arrays[name][1, 3] = value
     with pytest.raises(DesignError, match=f"{name} has values that are no"):
         Designs(**arrays)
+
+
+def test_a_gene_of_the_whole_design_is_one_of_its_root() -> None:
+    Gene("girth", "body", "interval", 0.5, 2.0, "m", of_root=True, per_link=False)
+    with pytest.raises(ValueError, match="of_root=True"):
+        Gene("girth", "body", "interval", 0.5, 2.0, "m", of_root=False, per_link=False)
