@@ -166,6 +166,15 @@ class Settings(Parameters):
             )
         return self
 
+    @model_validator(mode="after")
+    def _a_tank_holds_settled_robots(self) -> Self:
+        if self.tank is not None and self.rollout.n_settle < 1:
+            raise ValueError(
+                "rollout.n_settle is 0, while a robot in the tank is measured from where it settled: "
+                "expected 1 or more, or tank to be null"
+            )
+        return self
+
     @property
     def assessed_depth(self) -> float:
         """Depth at which prediction accuracy is judged [m]."""

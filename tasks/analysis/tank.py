@@ -108,18 +108,20 @@ def crossings(
         designs: n_designs designs.
         rollouts: theirs, of ``n_settle`` + ``tank.n_steps(time_step)`` steps with their trace, in a single world.
         tank: the tank.
-        n_settle: steps before the robot is let go.
+        n_settle: steps before the robot is let go, 1 or more: a trace begins after the first.
         time_step: [s]
 
     Returns:
         n_designs crossings.
     """
+    if n_settle < 1:
+        raise ValueError(f"n_settle is {n_settle}, expected 1 or more: the trace lacks the state before the first step")
     if rollouts.trace is None:
         raise ValueError("the rollouts have no trace, expected one")
     n_expected = n_settle + tank.n_steps(time_step)
     if rollouts.trace.shape[:2] != (len(designs), n_expected):
         raise ValueError(f"the trace has shape {rollouts.trace.shape}, expected ({len(designs)}, {n_expected}, ...)")
-    trace = rollouts.trace[:, max(n_settle - 1, 0) :].astype(np.float64)
+    trace = rollouts.trace[:, n_settle - 1 :].astype(np.float64)
     x, angle = trace[..., 0], trace[:, 0, :, 2]
     half = (np.abs(np.sin(angle)) * designs.length_scale + np.abs(np.cos(angle)) / designs.length_scale) / 2
     length = (x[:, 0] + half).max(axis=1) - (x[:, 0] - half).min(axis=1)

@@ -30,8 +30,8 @@ class TimelineError(ValueError):
 class Playback(Parameters):
     """How long a run lasts, and how gently it begins."""
 
-    duration: float = Field(default=150.0, gt=0.0, le=3600.0)
-    """Of the whole run on the bench, ramps included [s]. [P]"""
+    duration: float = Field(default=150.0, ge=0.1, le=3600.0)
+    """Of the whole run on the bench, ramps included [s]; at least 5 frames of 20 ms, to rise and fall in. [P]"""
     ramp: float = Field(default=2.0, gt=0.0, le=60.0)
     """Of the rise from rest, and of the fall back to it [s]."""
 

@@ -69,6 +69,12 @@ def test_locked_joints_need_a_number_of_motors():
         parse(Settings, "physics: {passive_joints: locked}", name="mine")
 
 
+def test_a_tank_needs_a_step_of_settling():
+    with pytest.raises(PuddleError, match=r"rollout\.n_settle is 0.*tank.*expected 1 or more"):
+        parse(Settings, "rollout: {n_settle: 0}\ntank: {}", name="mine")
+    assert parse(Settings, "rollout: {n_settle: 0}", name="mine").tank is None
+
+
 def test_everything_that_evolves_can_be_built(built):
     store, upstream = built
     for stage in ("evolve", "transfer"):

@@ -118,6 +118,12 @@ def test_a_trace_of_another_length_is_refused() -> None:
         crossings(upright(1), replace(rolled_out(gliding(0.5, 1.0)), trace=None), TANK, n_settle=3, time_step=DT)
 
 
+def test_a_robot_that_never_settled_is_refused() -> None:
+    rollouts = rolled_out(gliding(0.5, 1.0, n_steps=400))  # whose first state is already a step after the spawn
+    with pytest.raises(ValueError, match=r"n_settle is 0, expected 1 or more"):
+        crossings(upright(1), rollouts, TANK, n_settle=0, time_step=DT)
+
+
 @pytest.mark.parametrize(
     ("scores", "chosen"),
     [

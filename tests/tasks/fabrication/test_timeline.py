@@ -59,6 +59,13 @@ def test_a_design_without_motors_has_no_timeline():
         timeline_of(still, Playback(), time_scale=1.0)
 
 
+def test_the_shortest_run_has_frames_between_its_ends():
+    with pytest.raises(ValidationError, match="duration"):
+        Playback(duration=0.01)  # one frame: a run that begins and ends at once
+    made = timeline_of(design(), Playback(duration=0.1), time_scale=1.0)
+    assert len(made.angle) == 6 and (made.angle[[0, -1]] == 0).all() and (made.angle[1:-1] != 0).any()
+
+
 def test_pulses_are_linear_in_the_angle():
     angle = np.linspace(-0.9, 0.9, 1001)[:, None]
     line = Timeline(joints=(1,), angle=angle)
