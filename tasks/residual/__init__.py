@@ -1,4 +1,4 @@
-"""What the base simulator misses, learned from throws. Paper, "Residual Physics".
+"""What the base simulator misses, learned from throws. Paper, "Neural Network Training".
 
 Here is what needs no torch, so that reading a settings file does not wait for it; :mod:`tasks.residual.training` and
 :mod:`tasks.residual.ensemble` are imported by those who train and those who simulate.

@@ -1,4 +1,4 @@
-"""The ensemble: trained members side by side, as a medium. Paper, "Residual Model".
+"""The ensemble: trained members side by side, as a medium. Paper, "Simulation Environments".
 
 The standardisation is folded into the first and last layers, and only the three velocity residuals are kept, because
 only they are applied. What is left is rows @ weight + bias and ReLU, per member, in SI units.

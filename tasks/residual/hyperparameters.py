@@ -1,4 +1,4 @@
-"""What a settings file may choose about the networks and their training. Paper, "Residual Model".
+"""What a settings file may choose about the networks and their training. Paper, "Neural Network Training".
 
 [P] marks what the paper says; the others are our decisions.
 """

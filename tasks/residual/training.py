@@ -1,4 +1,4 @@
-"""Training one member of the ensemble. Paper, "Residual Model".
+"""Training one member of the ensemble. Paper, "Neural Network Training".
 
 A member follows from the transitions, its settings, the seed and its number: a second run gives the same bytes on the
 same machine and device. The throws held out are the same for all members.
