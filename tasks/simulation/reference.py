@@ -218,6 +218,7 @@ def roll_out(
             kept[:, :, step] = placed.state
         if torque is not None:
             torque[:, :, step] = _motor_torques(robots, physics).reshape(n_members, n_designs, N_LINKS)
+            torque[~alive, step] = np.nan
         if step + 1 == n_settle:
             settled = placed.state
     return Motion(settled=settled, final=placed.state, trace=kept, motor_torque=torque)

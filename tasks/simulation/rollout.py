@@ -35,10 +35,10 @@ class Rollouts:
     """(n_designs,) "ok", or "diverged" where a state became non-finite."""
     trace: npt.NDArray[np.float32] | None
     """(n_designs, n_steps, n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s] after each step; links in the
-    design's own order. None unless asked for."""
+    design's own order. NaN from where a rollout diverged; None unless asked for."""
     motor_torque: npt.NDArray[np.float32] | None = None
-    """(n_designs, n_steps, n_links) what each joint's motor gave in each step, on the child link [N·m]. With the trace,
-    of the reference engine alone; None otherwise."""
+    """(n_designs, n_steps, n_links) what each joint's motor gave in each step, on the child link [N·m]; NaN from where
+    a rollout diverged. With the trace, of the reference engine alone; None otherwise."""
 
 
 def simulate(

@@ -187,6 +187,10 @@ def test_a_rollout_that_diverges_touches_no_other(designs: Designs, what: str, p
     assert 0 < first_bad < 100
     np.testing.assert_array_equal(trace[ill, :first_bad], expected[ill, :first_bad])
     assert np.isnan(trace[ill, first_bad:]).all()
+    torque, expected_torque = rollouts.motor_torque, healthy.motor_torque
+    np.testing.assert_array_equal(torque[ill, :first_bad], expected_torque[ill, :first_bad])
+    assert np.isnan(torque[ill, first_bad:]).all()
+    np.testing.assert_array_equal(np.delete(torque, ill, axis=0), np.delete(expected_torque, ill, axis=0))
 
 
 def test_no_designs_give_no_rollouts(designs: Designs) -> None:
