@@ -51,7 +51,7 @@ class Regression:
 
 @dataclass(frozen=True)
 class MembersRange:
-    """A figure over the members of an ensemble, such as Pearson's R; intervals are of other designs, not of others."""
+    """A figure over the members of an ensemble, such as Pearson's R; intervals are of other designs, not members."""
 
     n: int
     """Members that have one."""
@@ -96,14 +96,14 @@ def aggregates(predicted: Floats) -> dict[str, Float64]:
         the mean of the lowest TAIL of the members, of which the last one counts in part where TAIL · n_members is no
         whole number.
     """
-    known = np.asarray(predicted, dtype=np.float64)
-    ranked = np.sort(known, axis=0)  # NaN last, and so into every weighted sum below
-    weight = np.clip(TAIL * len(known) - np.arange(len(known)), 0, 1)
+    of_members = np.asarray(predicted, dtype=np.float64)
+    ranked = np.sort(of_members, axis=0)  # NaN last, and so into every weighted sum below
+    weight = np.clip(TAIL * len(ranked) - np.arange(len(ranked)), 0, 1)
     return {
-        **{mean_less_deviations(k): penalised_mean(known.T, disagreement_penalty=k) for k in PENALTIES},
-        "min": known.min(axis=0),
-        "median": np.median(known, axis=0),
-        f"quantile {TAIL:g}": np.quantile(known, TAIL, axis=0),
+        **{mean_less_deviations(k): penalised_mean(of_members.T, disagreement_penalty=k) for k in PENALTIES},
+        "min": of_members.min(axis=0),
+        "median": np.median(of_members, axis=0),
+        f"quantile {TAIL:g}": np.quantile(of_members, TAIL, axis=0),
         f"CVaR {TAIL:g}": (weight @ ranked) / weight.sum(),
     }
 
