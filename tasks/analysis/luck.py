@@ -27,15 +27,15 @@ class Luck:
     """What designs are worth when tried again; diverged tries are left out and counted."""
 
     claimed: Float64
-    """(n_designs,) displacement as evolved [m]."""
+    """(n_designs,) score as evolved [m]; not finite where diverged."""
     again: Float64
-    """(n_designs, n_tries) displacement with moved attachments [m]; NaN where diverged."""
+    """(n_designs, n_tries) score with moved attachments [m]; not finite where diverged."""
     n_diverged: npt.NDArray[np.int64]
     """(n_designs,) tries that diverged."""
     loss: tuple[Estimate, ...]
     """Of each design: claimed less the mean when tried again [m]; positive is luck that a copy does not have."""
     share_below: Float64
-    """(n_designs,) share of the tries that went less far than claimed; NaN where the loss has no value either."""
+    """(n_designs,) share of the tries that scored less than claimed; NaN where the loss has no value either."""
 
 
 def jittered(designs: Designs, rng: Generator, *, jitter: float = JITTER) -> Designs:
@@ -51,7 +51,7 @@ def jittered(designs: Designs, rng: Generator, *, jitter: float = JITTER) -> Des
 
 def luck(
     designs: Designs,
-    displacement: Callable[[Designs], Floats],
+    score: Callable[[Designs], Floats],
     *,
     rng: Generator,
     n_tries: int = 32,
@@ -61,14 +61,14 @@ def luck(
 
     Args:
         designs: n_designs champions.
-        displacement: simulates n designs where they evolved, all at once: (n,) [m], NaN where diverged.
+        score: simulates n designs where they evolved, all at once: (n,) their fitness [m], not finite where diverged.
         rng: source of randomness.
         n_tries: times that each is tried again.
         jitter: how far an attachment moves [half heights].
     """
     n = len(designs)
     tries = [jittered(designs, rng, jitter=jitter) for _ in range(n_tries)]
-    scored = np.asarray(displacement(concatenate([designs, *tries])), dtype=np.float64).reshape(1 + n_tries, n)
+    scored = np.asarray(score(concatenate([designs, *tries])), dtype=np.float64).reshape(1 + n_tries, n)
     claimed, again = scored[0], scored[1:].T
     known = np.isfinite(again)
     losses, share_below = [], np.full(n, np.nan)
