@@ -4,7 +4,7 @@ Here is what needs no torch, so that reading a settings file does not wait for i
 :mod:`tasks.residual.ensemble` are imported by those who train and those who simulate.
 """
 
-from tasks.residual.error_report import ErrorRow, error_rows, low_speed_bias
+from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.observation import OBSERVATION, STATE, observe
 from tasks.residual.throws import Starts, Throws, Transitions, initial_states, simulate_throws
@@ -20,7 +20,6 @@ __all__ = [
     "Transitions",
     "error_rows",
     "initial_states",
-    "low_speed_bias",
     "observe",
     "simulate_throws",
 ]

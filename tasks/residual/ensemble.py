@@ -11,7 +11,7 @@ changes in its last bits with the number of rows; on CUDA the promise holds for 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numba
@@ -24,6 +24,8 @@ from tasks.simulation.networks import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
 N_OUT = len(STATE[VELOCITIES])
+SCALES = ("observation_mean", "observation_deviation", "residual_mean", "residual_deviation")
+"""A member's standardisation."""
 
 
 class WeightsError(ValueError):
@@ -68,40 +70,10 @@ class Ensemble:
             device=device,
         )
 
-    @staticmethod
-    def from_arrays(arrays: Mapping[str, Float32], *, device: str = "cpu") -> Ensemble:
-        """Take back what :meth:`to_arrays` gave.
-
-        Raises:
-            WeightsError: an array is missing, of the wrong shape or not finite.
-        """
-        n_layers = _count_layers(arrays, "the ensemble", others=())
-        return Ensemble(
-            weights=tuple(arrays[f"weight_{i}"] for i in range(n_layers)),
-            biases=tuple(arrays[f"bias_{i}"] for i in range(n_layers)),
-            device=device,
-        )
-
-    def to_arrays(self) -> dict[str, Float32]:
-        """Name the arrays: weight_i (n_members, n_in, n_out) and bias_i (n_members, n_out) of layer i."""
-        return {f"weight_{i}": weight for i, weight in enumerate(self.weights)} | {
-            f"bias_{i}": bias for i, bias in enumerate(self.biases)
-        }
-
     @property
     def n_members(self) -> int:
         """How many networks there are."""
         return len(self.weights[0])
-
-    def member(self, k: int) -> Ensemble:
-        """Take one member as an ensemble of its own; its results are the same to the last bit."""
-        if not 0 <= k < self.n_members:
-            raise IndexError(f"member {k} of an ensemble, expected 0 to {self.n_members - 1}")
-        return replace(
-            self,
-            weights=tuple(weight[k : k + 1] for weight in self.weights),
-            biases=tuple(bias[k : k + 1] for bias in self.biases),
-        )
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
         """Predict what the slush adds to velocities in one step: entry k of the first axis by member k.
@@ -158,9 +130,8 @@ class Ensemble:
 def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float32]]:
     """Fold a member's standardisation into its first and last layers and keep the velocities, in float64."""
     whose = f"member {k}"
-    scales = ("observation_mean", "observation_deviation", "residual_mean", "residual_deviation")
-    n_layers = _count_layers(member, whose, others=scales)
-    for name in scales:
+    n_layers = _count_layers(member, whose)
+    for name in SCALES:
         _check(f"{whose}: {name}", member[name], (len(STATE),))
     layers = [member[f"weight_{i}"] for i in range(n_layers)], [member[f"bias_{i}"] for i in range(n_layers)]
     _check_layers(*layers, n_out=len(STATE), whose=f"{whose}: ")
@@ -168,7 +139,7 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
 
     # W ((o - mean) / deviation) + b = (W / deviation) o + (b - W mean / deviation)
     observation_mean, observation_deviation, residual_mean, residual_deviation = (
-        member[name].astype(np.float64) for name in scales
+        member[name].astype(np.float64) for name in SCALES
     )
     weights[0] = weights[0] / observation_deviation[:, None]
     biases[0] = biases[0] - observation_mean @ weights[0]
@@ -179,10 +150,10 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
     ]
 
 
-def _count_layers(arrays: Mapping[str, Float32], whose: str, *, others: tuple[str, ...]) -> int:
-    """Count the layers, of which there are two or more, and refuse names that are missing or unknown."""
+def _count_layers(arrays: Mapping[str, Float32], whose: str) -> int:
+    """Count a member's layers, of which there are two or more, and refuse names that are missing or unknown."""
     n_layers = max(sum(name.startswith("weight_") for name in arrays), 2)
-    expected = {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(n_layers)} | set(others)
+    expected = {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(n_layers)} | set(SCALES)
     if set(arrays) != expected:
         missing, unknown = sorted(expected - set(arrays)), sorted(set(arrays) - expected)
         raise WeightsError(f"{whose}: arrays are missing {missing} and unknown {unknown}, expected {sorted(expected)}")

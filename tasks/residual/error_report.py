@@ -2,13 +2,12 @@
 
 The first steps of fast throws hold most of the residuals' variance, so R² over all rows says little about a robot,
 which lives at low speed. There a small mean error is a thrust that does not exist, and evolution finds it. Hence the
-bands, and :func:`low_speed_bias`.
+bands.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,8 +83,3 @@ def _error_row(component: str, band: str, error: Floats, true: Floats) -> ErrorR
         relative_error=math.sqrt(mse / mean_square) if mean_square > 0 else math.nan,
         r2=1 - mse / variance if variance > 0 else math.nan,
     )
-
-
-def low_speed_bias(rows: Sequence[ErrorRow]) -> float:
-    """Mean error of vx at low speed [m/s a step]: 60 times this is a horizontal acceleration that does not exist."""
-    return next(row.bias for row in rows if row.component == "vx" and row.band == LOW_SPEED)

@@ -98,13 +98,14 @@ def test_trained_members_are_asked_about_the_same_links(study):
         for moment, value in (("mean", 0.0), ("deviation", 1.0))
     }
     networks = [ResidualNetwork(Architecture(hidden_layers=2, width=16)) for _ in range(3)]
-    ensemble = Ensemble.from_members([{**network.arrays(), **scales} for network in networks])
+    arrays = [{**network.arrays(), **scales} for network in networks]
+    ensemble = Ensemble.from_members(arrays)
     links = link_states(study.designs, study.trace[:, :4], PHYSICS)
     said = member_accelerations(ensemble, links, PHYSICS)
     assert said.shape == (3, 6, 4, 6, 3)
     for k in range(3):
         own = LinkStates(**{name: array[None] for name, array in vars(links).items()})
-        assert (said[k] == acceleration(ensemble.member(k), own, PHYSICS)[0]).all()
+        assert (said[k] == acceleration(Ensemble.from_members([arrays[k]]), own, PHYSICS)[0]).all()
     found = disagreement(study.designs, study.trace[:, :4], ensemble, PHYSICS)
     assert found.deviation == pytest.approx(said.std(axis=0), rel=1e-6)
     assert (found.departure >= 0).all() and found.magnitude.min() > 0

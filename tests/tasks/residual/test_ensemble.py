@@ -11,6 +11,7 @@ from tasks.world import LinkStates, Physics, ResidualSlush
 
 PHYSICS = Physics()
 N_MEMBERS = 3
+ARCHITECTURE = Architecture(hidden_layers=2, width=32)
 
 
 def members(architecture, n_members=N_MEMBERS, seed=0):
@@ -43,7 +44,7 @@ def links(shape, seed=2):
 
 @pytest.fixture(scope="module")
 def ensemble():
-    return Ensemble.from_members(members(Architecture(hidden_layers=2, width=32))[1])
+    return Ensemble.from_members(members(ARCHITECTURE)[1])
 
 
 @pytest.mark.parametrize("architecture", [Architecture(hidden_layers=1, width=7), Architecture()])
@@ -63,7 +64,8 @@ def test_equals_each_member_s_own_network(architecture):
     ("hidden_layers", "width"), [(1, 7), (2, 32), (2, 64), (3, 64), (3, 100), (3, 128), (4, 256)]
 )
 def test_a_row_does_not_depend_on_the_rows_beside_it(hidden_layers, width):
-    ensemble = Ensemble.from_members(members(Architecture(hidden_layers=hidden_layers, width=width))[1])
+    arrays = members(Architecture(hidden_layers=hidden_layers, width=width))[1]
+    ensemble = Ensemble.from_members(arrays)
     x = observations(700)
     whole = ensemble.predict(x)
     seed = np.random.SeedSequence().entropy  # fresh each time; named if it fails
@@ -72,7 +74,7 @@ def test_a_row_does_not_depend_on_the_rows_beside_it(hidden_layers, width):
         rows = rng.permutation(700)[:n_rows]
         assert (ensemble.predict(np.ascontiguousarray(x[:, rows])) == whole[:, rows]).all(), (n_rows, seed)
     for k in range(N_MEMBERS):
-        assert (ensemble.member(k).predict(x[k : k + 1]) == whole[k : k + 1]).all()
+        assert (Ensemble.from_members([arrays[k]]).predict(x[k : k + 1]) == whole[k : k + 1]).all()
 
 
 def test_a_row_that_is_not_finite_spoils_itself_alone(ensemble):
@@ -109,29 +111,15 @@ def test_links_of_another_number_of_members_are_refused(ensemble, shape):
         ensemble.velocity_change(links(shape), PHYSICS)
 
 
-def test_arrays_come_back(ensemble):
-    arrays = ensemble.to_arrays()
-    assert list(arrays) == ["weight_0", "weight_1", "weight_2", "bias_0", "bias_1", "bias_2"]
-    again = Ensemble.from_arrays({name: array.copy() for name, array in reversed(arrays.items())})
-    assert again.n_members == N_MEMBERS
-    x = observations(40)
-    assert (again.predict(x) == ensemble.predict(x)).all()
-
-
-def test_one_member_is_an_ensemble(ensemble):
-    assert ensemble.member(2).n_members == 1
-    with pytest.raises(IndexError, match="member 3 of an ensemble, expected 0 to 2"):
-        ensemble.member(3)
-
-
 def test_robots_in_residual_slush_do_not_depend_on_their_batch_or_on_other_members(ensemble):
     designs = random_designs(8, np.random.default_rng(11))
     settle_and_measure = {"n_settle": 5, "n_measure": 20, "engine": "reference", "trace": True}
     whole = simulate(designs, ResidualSlush(depth=2.0, ensemble=ensemble), **settle_and_measure)
     assert whole.displacement.shape == (N_MEMBERS, 8)
     assert len(set(whole.displacement[:, 0])) == N_MEMBERS
-    for k in range(N_MEMBERS):
-        alone = simulate(designs[5:8], ResidualSlush(depth=2.0, ensemble=ensemble.member(k)), **settle_and_measure)
+    for k, arrays in enumerate(members(ARCHITECTURE)[1]):
+        member = Ensemble.from_members([arrays])
+        alone = simulate(designs[5:8], ResidualSlush(depth=2.0, ensemble=member), **settle_and_measure)
         assert (alone.displacement[0] == whole.displacement[k, 5:8]).all()
         assert (alone.trace[0] == whole.trace[k, 5:8]).all()
 
@@ -177,12 +165,10 @@ def test_members_that_are_incomplete_or_differ_are_refused():
 
 
 def test_damaged_ensembles_are_refused_by_name(ensemble):
-    arrays = ensemble.to_arrays()
+    weights, biases = ensemble.weights, ensemble.biases
     with pytest.raises(WeightsError, match=r"bias_1 has shape \(2, 32\), expected \(3, 32\)"):
-        Ensemble.from_arrays({**arrays, "bias_1": arrays["bias_1"][:2]})
-    with pytest.raises(WeightsError, match=r"unknown \['layer'\]"):
-        Ensemble.from_arrays({**arrays, "layer": arrays["bias_1"]})
+        Ensemble(weights, (biases[0], biases[1][:2], biases[2]))
     with pytest.raises(WeightsError, match="no members"):
-        Ensemble.from_arrays({name: array[:0] for name, array in arrays.items()})
+        Ensemble(tuple(weight[:0] for weight in weights), tuple(bias[:0] for bias in biases))
     with pytest.raises(WeightsError, match="weight_0 has shape"):
-        Ensemble.from_arrays({**arrays, "weight_0": arrays["weight_0"][0]})
+        Ensemble((weights[0][0], *weights[1:]), biases)

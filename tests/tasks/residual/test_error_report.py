@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from tasks.residual import STATE, error_rows, low_speed_bias
+from tasks.residual import STATE, error_rows
 
 
 def table(predicted, true, speed):
@@ -38,10 +38,3 @@ def test_every_row_is_in_one_band():
         n_rows = [rows[component, band].n_rows for band in ("< 0.5", "0.5-2", "2-10", "> 10")]
         assert n_rows == [2, 2, 2, 2]
         assert rows[component, "all"].n_rows == 8
-
-
-def test_low_speed_bias_is_that_of_vx_below_half_a_metre_per_second():
-    true = np.zeros((3, 6))
-    predicted = np.arange(18.0).reshape(3, 6)
-    rows = error_rows(predicted, true, np.array([0.1, 0.3, 0.6]))
-    assert low_speed_bias(rows) == (3 + 9) / 2
