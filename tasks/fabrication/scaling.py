@@ -67,11 +67,6 @@ class Scales:
         """[Hz], and as much for an angular speed [rad/s]."""
         return 1.0 / self.time
 
-    @property
-    def speed(self) -> float:
-        """[m/s]."""
-        return self.length / self.time
-
 
 def scales_of(scaling: Scaling, *, length: float, mass_kg: float, simulated_mass_kg: float) -> Scales:
     """Tie the bench to the simulation.

@@ -74,8 +74,6 @@ class Servo:
     """Longest pulse of its range."""
     travel_rad: float
     """Turned between the shortest and the longest pulse."""
-    deadband_us: float
-    """A change of the pulse below this moves nothing."""
     sense: Sense
     """1 if longer pulses turn the horn counter-clockwise, seen from above the horn."""
     length_mm: float
@@ -118,10 +116,6 @@ class Servo:
     def neutral_us(self) -> float:
         """The middle of its range [µs]."""
         return (self.min_pulse_us + self.max_pulse_us) / 2
-
-    def torque_at(self, speed_rad_s: float) -> float:
-        """Give the most torque at a speed [N·m], on the straight line from stall to no load; 0 beyond it."""
-        return self.stall_torque_nm * max(0.0, 1.0 - abs(speed_rad_s) / self.no_load_speed_rad_s)
 
     def horn(self, kind: HornKind) -> Horn:
         """Give its horn of a kind.
@@ -167,7 +161,6 @@ _SOURCES = {
          "(github.com/KKawaguchi1219/CatchRobo_2023: Servo6221MG/Servo6221MG.cpp)",
     "R": "measured on clones of the S3003, another standard servo, by Brad Kartchner "
          "(github.com/kartchnb/openscad-servo-library: servos/s3003_clone.scad)",
-    "S": "a list of servos with SparkFun's numbers, in a page for syringe pumps (JavaScript by Priya, 2016)",
     "T": "Tower Pro's page of the MG90S (towerpro.com.tw/product/mg90s-3), as others quote it",
     "V": "sellers of the 20 mm aluminium disc of 25 teeth (Amazon B07D56FVK5), as a hexapod's builder quotes them "
          "(github.com/lukas/weird_objects: hexapod_walker/prototype_sts3215/hexapod_prototype.py)",
@@ -202,7 +195,6 @@ _TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
     "min_pulse_us":        ((500.0, "D"),          (900.0, "F"),          (500.0, "Y"),          (500.0, "Q")),
     "max_pulse_us":        ((2500.0, "D"),         (2100.0, "F"),         (2500.0, "Y"),         (2500.0, "Q")),
     "travel_rad":          ((radians(270.0), "D"), (radians(120.0), "F"), (radians(180.0), "P"), (radians(180.0), "Q")),
-    "deadband_us":         ((3.0, "D"),            (8.0, "S"),            (5.0, "P"),            (2.0, "N")),
     "sense":               ((1, "D"),              (-1, "I"),             (1, "Y"),              (1, "?")),
     "length_mm":           ((40.0, "D"),           (29.1, "J"),           (22.8, "T"),           (40.5, "N")),
     "width_mm":            ((20.0, "D"),           (13.0, "J"),           (12.4, "T"),           (20.2, "N")),

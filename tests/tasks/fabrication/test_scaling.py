@@ -18,9 +18,8 @@ def test_scales_of_both_laws():
     froude = scales_of(Scaling(), length=0.07, mass_kg=1.2, simulated_mass_kg=6.0)
     assert froude.time == pytest.approx(np.sqrt(0.07)) and froude.frequency * 0.3 == pytest.approx(1.1339, abs=1e-4)
     assert froude.torque * 30 == pytest.approx(0.42)  # 1.2/6 · 0.07 · 30
-    assert froude.speed**2 / froude.length == pytest.approx(1.0)  # Froude's number, with the same gravity
     kept = scales_of(Scaling(law="kept_frequencies"), length=0.07, mass_kg=1.2, simulated_mass_kg=6.0)
-    assert (kept.time, kept.torque, kept.speed) == (1.0, froude.torque, 0.07)
+    assert (kept.time, kept.torque) == (1.0, froude.torque)
 
 
 def test_the_servos_line():
@@ -28,8 +27,6 @@ def test_the_servos_line():
     torque = np.array([stall, 0.0, stall / 2, stall / 2, -stall / 2, 0.0])
     speed = np.array([0.0, fastest, fastest / 2, -fastest / 4, -fastest / 2, -2 * fastest])
     np.testing.assert_allclose(line_use(torque, speed, SERVO), [1.0, 1.0, 1.0, 0.5, 1.0, 2.0])
-    # At the edge of the line the servo's own torque is what is asked.
-    assert SERVO.torque_at(fastest / 2) == pytest.approx(stall / 2)
 
 
 def test_loads_of_a_known_run():
