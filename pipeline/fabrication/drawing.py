@@ -227,7 +227,7 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
 
     sheet.text(COLUMN_X, top, f"From above, 1 : {1 / scale:g}", fontsize=9, weight="bold")
     for body, rods in enumerate(kit.layers.rods):
-        start, length = kit.layers.back_mm(body, settings), kit.layers.rod_length_mm(body, settings)
+        start, length = kit.layers.low_mm(body, settings), kit.layers.rod_length_mm(body, settings)
         for rod in rods:
             a, b = put(rod[0], start), put(rod[0], start + length)
             sheet.plot([a[0], b[0]], [a[1], b[1]], color=FAINT, lw=max(1.0, settings.rod_mm * scale * 2.83), zorder=2,

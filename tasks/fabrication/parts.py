@@ -201,7 +201,7 @@ def bought_of(drives: Sequence[Drive], layers: Layers, settings: KitSettings) ->
                 things.append(Bought(f"pin of {label}", "pin", pin))
     for body, rods in enumerate(layers.rods):
         for number, at in enumerate(rods, 1):
-            low, length = layers.back_mm(body, settings), layers.rod_length_mm(body, settings)
+            low, length = layers.low_mm(body, settings), layers.rod_length_mm(body, settings)
             rod = _rod(at, settings.rod_mm, low, length)
             things.append(Bought(f"rod {number} of part {body + 1}", "rod", rod))
     return things

@@ -21,7 +21,10 @@ from tasks.fabrication.settings import KitSettings
 ARC_STEP = np.radians(4.0)
 """Of the polygon's chords along an arc; at a radius of 20 mm they miss it by 0.01 mm."""
 CORNER_PROBE_MM = 0.1
-"""How near to a corner it is asked whether more than half of its surroundings is inside."""
+"""How near to a corner it is asked how much of its surroundings is inside."""
+INNER = 0.55
+"""Share of a corner's surroundings above which it is an inner one: a half, as where an edge runs on into an arc, and
+some room for chords and rounding."""
 AREA_TOLERANCE = 2e-3
 """Relative; between the kernel's area and that of polygons, whose arcs are chords."""
 
@@ -124,7 +127,7 @@ def _inner_corners(face: Face) -> dict[Point, float]:
     corners = [
         (v.X, v.Y)
         for v in face.vertices()
-        if ShapelyPoint(v.X, v.Y).buffer(CORNER_PROBE_MM).intersection(polygon).area > 0.55 * probe
+        if ShapelyPoint(v.X, v.Y).buffer(CORNER_PROBE_MM).intersection(polygon).area > INNER * probe
     ]
     room = dict.fromkeys(corners, np.inf)
     for edge in face.edges():

@@ -23,6 +23,10 @@ from tasks.fabrication.settings import KitSettings
 
 LEAST_SPREAD_MM = 15.0
 """Two rods nearer to one another than this count as one: they hardly stop a part from twisting."""
+LEAST_ROOM_MM2 = 1.0
+"""A room smaller than this is a sliver that offsets of outlines leave over, and gets no rod."""
+CORNER_MM = 0.2
+"""What stands out by less is no corner of a room: its arcs are chords by the hundred, and every corner is tried."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +38,13 @@ class Layers:
     rods: tuple[tuple[Point, ...], ...]
     """Per part, their places in the plane; none where there is no room."""
 
-    def back_mm(self, body: int, settings: KitSettings) -> float:
-        """Give where a part of the left pontoon begins along the extrusion: its face for an inner part, or its back."""
+    def low_mm(self, body: int, settings: KitSettings) -> float:
+        """Give where a part of the left pontoon, and its rods, begin along the extrusion: 0 for an outer part."""
         return 0.0 if self.outer[body] else settings.thickness_mm + settings.layer_gap_mm
 
     def rod_length_mm(self, body: int, settings: KitSettings) -> float:
         """Give the length of a part's rods: from the outside of one copy to the outside of the other."""
-        return settings.pitch_mm + settings.thickness_mm - 2 * self.back_mm(body, settings)
+        return settings.pitch_mm + settings.thickness_mm - 2 * self.low_mm(body, settings)
 
 
 def layers_of(
@@ -93,10 +97,10 @@ def _room(
 
 def _placed(room: BaseGeometry, n: int) -> tuple[Point, ...]:
     """Place up to n rods as far from one another as there is room."""
-    if room.is_empty or room.area < 1.0:
+    if room.is_empty or room.area < LEAST_ROOM_MM2:
         return ()
     corners = np.array([
-        point for part in getattr(room, "geoms", [room]) for point in part.simplify(0.2).exterior.coords[:-1]
+        point for part in getattr(room, "geoms", [room]) for point in part.simplify(CORNER_MM).exterior.coords[:-1]
     ])
     hull = np.array(room.convex_hull.exterior.coords)[:-1]
     first, second = max(combinations(range(len(hull)), 2), key=lambda pair: np.hypot(*(hull[pair[0]] - hull[pair[1]])))

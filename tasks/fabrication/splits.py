@@ -25,6 +25,10 @@ LONGEST = 1.3
 OVERRUN_MM = 1.0
 """By which a cut goes beyond the outline."""
 ROUNDING_MM = 1e-6
+LEAST_HALF_MM2 = 1.0
+"""What a cut leaves that is smaller than this is a crumb and no piece."""
+LEAST_GAIN = 1e-9
+"""Of a size against the bed: by less no cut is better than one before it, so that rounding does not choose."""
 NECK, HEAD, DEPTH = 0.32, 0.46, 0.28
 """Of a dovetail: its narrowest and widest place and its depth, as shares of the cut's length."""
 
@@ -116,11 +120,11 @@ def _best_cut(
             for flip in (1, -1):
                 line, half_gap = _dovetail(chord, flip), settings.split_clearance_mm / 2
                 cut = line.buffer(half_gap, join_style="mitre", cap_style="flat")
-                halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > 1.0]
+                halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > LEAST_HALF_MM2]
                 if len(halves) != 2 or cut.intersects(clear):
                     continue
                 size = max(_size(half, settings) for half in halves)
-                if size < least - 1e-9:
+                if size < least - LEAST_GAIN:
                     best, least = (cut, halves), size
     return best
 

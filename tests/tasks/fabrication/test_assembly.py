@@ -31,7 +31,7 @@ def blocked(kit: Kit, order: list[str]) -> set[str]:
     kept_out = set()
     for body, rods in enumerate(kit.layers.rods):
         now = step(body, "Long rods", "Short rods")
-        low, length = kit.layers.back_mm(body, settings), kit.layers.rod_length_mm(body, settings)
+        low, length = kit.layers.low_mm(body, settings), kit.layers.rod_length_mm(body, settings)
         there = [solid for when, solid in in_place if when <= now]
         for number, rod in enumerate(rods, 1):
             ways = [Solid.make_cylinder(settings.rod_mm / 2, 2 * length, Plane((*rod, start)))
