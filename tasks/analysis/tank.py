@@ -16,7 +16,6 @@ The tank has no walls: what a robot does when it meets them is not asked.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -25,16 +24,9 @@ from pydantic import Field
 from tasks.design import Designs
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts
+from tasks.world import froude_time
 
 Floats = npt.NDArray[np.float64]
-
-
-def froude_time(length: float) -> float:
-    """Give the seconds that pass while a second of simulation is played at a scale of lengths, by Froude's law.
-
-    Gravity is the same in both, so that a length over a time squared is: t² goes as the length.
-    """
-    return sqrt(length)
 
 
 class Tank(Parameters):

@@ -22,9 +22,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from tasks.analysis.tank import froude_time
 from tasks.fabrication.servos import Servo
 from tasks.parameters import Parameters
+from tasks.world import froude_time
 
 Floats = npt.NDArray[np.floating]
 

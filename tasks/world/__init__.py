@@ -2,7 +2,7 @@
 
 from tasks.world.environment import DryLand, Environment, ResidualSlush, TrueSlush
 from tasks.world.medium import EnsembleMedium, LinkStates, Medium, VelocityChange
-from tasks.world.physics import Physics
+from tasks.world.physics import Physics, froude_time
 from tasks.world.slush import Slush
 
 __all__ = [
@@ -16,4 +16,5 @@ __all__ = [
     "Slush",
     "TrueSlush",
     "VelocityChange",
+    "froude_time",
 ]

@@ -1,14 +1,15 @@
 """The base simulator's constants: everything Box2D is told about a robot and its ground.
 
-[P] marks what the paper says; the others are our decisions.
+[P] marks what the paper says; the others are our decisions. Froude's law plays what is simulated at another scale.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from math import sqrt
 
 from pydantic import Field
 
+from tasks.design.body import PassiveJoints
 from tasks.parameters import Parameters
 
 
@@ -33,9 +34,17 @@ class Physics(Parameters):
     """[1/s]. A motor's speed is this times the joint's angular error."""
     max_motor_torque: float = Field(default=100.0, ge=0.0, le=1e9)
     """[N·m]. [P]; the robot that was built had 30."""
-    passive_joints: Literal["swing", "locked"] = "swing"
+    passive_joints: PassiveJoints = "swing"
     """A joint whose motor is off swings freely, or is locked at its rest angle, so that its two links are parts of one
     rigid body. [P]: locked in the robot that was built."""
     link_collisions: bool = False
     """Whether links that no joint ties to each other collide; all links collide with the ground. [P]: they did in the
     robot that was built."""
+
+
+def froude_time(length: float) -> float:
+    """Give the seconds that pass while a second of simulation is played at a scale of lengths, by Froude's law.
+
+    Gravity is the same in both, so that a length over a time squared is: t² goes as the length.
+    """
+    return sqrt(length)
