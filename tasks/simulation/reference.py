@@ -174,7 +174,7 @@ class _Links:
     def push(self, links: PlacedLinks, change: VelocityChange) -> None:
         """Add to the velocities of all bodies what a medium does to their links."""
         with np.errstate(invalid="ignore", over="ignore"):  # of worlds that have diverged
-            of_body = body_change(self._rigid, links, change)
+            of_body = body_change(self._rigid, links.lever_x, links.lever_y, change)
             vx, vy, omega = (
                 (self._state[:, column] + added[self._is_first]).astype(np.float32)
                 for column, added in ((VX, of_body.vx), (VY, of_body.vy), (OMEGA, of_body.omega))

@@ -67,7 +67,7 @@ def place_links(rigid: RigidBodies, body: npt.NDArray[np.float32], cos: Floats, 
     )
 
 
-def body_change(rigid: RigidBodies, links: PlacedLinks, change: VelocityChange) -> VelocityChange:
+def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: VelocityChange) -> VelocityChange:
     """Add up what a medium does to the links of each body, as momenta.
 
     A link i of mass m_i and inertia I_i whose velocities change by dv_i and dω_i, at r_i from the body's centre of
@@ -77,13 +77,16 @@ def body_change(rigid: RigidBodies, links: PlacedLinks, change: VelocityChange) 
 
     summed from 0 over the body's links in the order of their indices.
 
+    Args:
+        rigid: of n_designs designs.
+        lever_x: (n_members, n_designs, n_links) r_x, as :class:`PlacedLinks` has it [m].
+        lever_y: (n_members, n_designs, n_links) r_y [m].
+        change: of the links' velocities; arrays of that shape.
+
     Returns:
         Arrays of the links' shape: for a body's first link the body's change, 0 for all others.
     """
-    turn = (
-        rigid.mass_over_inertia * (links.lever_x * change.vy - links.lever_y * change.vx)
-        + rigid.inertia_share * change.omega
-    )
+    turn = rigid.mass_over_inertia * (lever_x * change.vy - lever_y * change.vx) + rigid.inertia_share * change.omega
     return VelocityChange(
         vx=_summed(rigid, rigid.mass_share * change.vx),
         vy=_summed(rigid, rigid.mass_share * change.vy),

@@ -26,7 +26,7 @@ from tasks.simulation.bodies.packing import body_number, pack
 from tasks.simulation.kernels import World
 from tasks.simulation.lanes import Block
 from tasks.simulation.networks import PackedNetworks
-from tasks.simulation.rigid import PlacedLinks, body_change
+from tasks.simulation.rigid import body_change
 from tasks.world import LinkStates, Medium, Physics
 from tasks.world import slush as slush_source
 
@@ -114,10 +114,8 @@ class Robots:
         columns = self._columns(*rows.QUANTITIES.values()).reshape(*shape, -1)
         links = LinkStates(**dict(zip(rows.QUANTITIES, np.moveaxis(columns, -1, 0), strict=True)))
         change = medium.velocity_change(links, self._physics)
-        state = self.poses().reshape(*shape, 6)
         levers = self._columns(body_rows.WORLD_LEVER_X, body_rows.WORLD_LEVER_Y).reshape(*shape, 2)
-        placed = PlacedLinks(state=state, cos=links.cos, sin=links.sin, lever_x=levers[..., 0], lever_y=levers[..., 1])
-        of_body = body_change(self._rigid, placed, change)
+        of_body = body_change(self._rigid, levers[..., 0], levers[..., 1], change)
         numbers = self.blocks[..., 0].reshape(self._n_members, len(self._designs), -1)
         design, link = np.nonzero(self._rigid.is_first)
         body = body_number(self._rigid)[design, link]

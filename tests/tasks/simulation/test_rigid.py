@@ -41,7 +41,7 @@ def test_links_that_are_bodies_keep_every_bit() -> None:
     np.testing.assert_array_equal(placed.state, state)
     np.testing.assert_array_equal((placed.cos, placed.sin), (cos, sin))
     pushes = change(rng)
-    of_body = body_change(rigid, placed, pushes)
+    of_body = body_change(rigid, placed.lever_x, placed.lever_y, pushes)
     for name in ("vx", "vy", "omega"):
         np.testing.assert_array_equal(getattr(of_body, name), getattr(pushes, name))
         assert getattr(of_body, name).dtype == np.float32
@@ -79,7 +79,7 @@ def test_pushes_of_links_add_up_as_momenta(fused: RigidBodies) -> None:
     trees = kinematic_trees(designs, density=1.0)
     state, cos, sin = states(fused, rng)
     placed, pushes = place_links(fused, state, cos, sin), change(rng)
-    of_body = body_change(fused, placed, pushes)
+    of_body = body_change(fused, placed.lever_x, placed.lever_y, pushes)
     m, inertia = trees.mass.astype(np.float64), trees.inertia.astype(np.float64)
     for first in range(6):
         mine = np.broadcast_to(fused.first_link == first, SHAPE)
@@ -105,7 +105,7 @@ def test_a_body_that_is_pushed_alike_everywhere_does_not_turn(fused: RigidBodies
     state, cos, sin = states(fused, rng)
     placed: PlacedLinks = place_links(fused, state, cos, sin)
     alike = VelocityChange(*(np.full(SHAPE, v, np.float32) for v in (0.5, -2.0, 0.0)))
-    of_body = body_change(fused, placed, alike)
+    of_body = body_change(fused, placed.lever_x, placed.lever_y, alike)
     first = np.broadcast_to(fused.is_first, SHAPE)
     np.testing.assert_allclose(of_body.vx[first], 0.5, rtol=6 * ULP)
     np.testing.assert_allclose(of_body.vy[first], -2.0, rtol=6 * ULP)
@@ -131,6 +131,6 @@ def test_the_order_of_sums_is_that_of_the_links(fused: RigidBodies) -> None:
             fused.mass_over_inertia[design, link] * moment
             + fused.inertia_share[design, link] * pushes.omega[0, design, link]
         )
-    of_body = body_change(replace(fused), placed, pushes)
+    of_body = body_change(replace(fused), placed.lever_x, placed.lever_y, pushes)
     assert of_body.vx[0, design, 0] == vx
     assert of_body.omega[0, design, 0] == omega
