@@ -195,20 +195,28 @@ def try_lock(path: Path, *, kind: int = fcntl.LOCK_EX, only_ask: bool = False) -
 
 
 @contextlib.contextmanager
-def explained(doing: str, path: Path) -> Iterator[None]:
-    """Turn an OSError into a PuddleError that says what failed, what is safe and what to do."""
+def explained(
+    doing: str, path: Path, *, advice: str = "give the same command again: it goes on from there"
+) -> Iterator[None]:
+    """Turn an OSError into a PuddleError that says what failed, what is safe and what to do.
+
+    Args:
+        doing: what failed.
+        path: of what it was done to.
+        advice: what to do once the cause is mended.
+    """
     try:
         yield
     except OSError as error:
         match error.errno:
             case errno.ENOSPC | errno.EDQUOT:
-                advice = "Free some space and give the same command again: it goes on from there."
+                mend = f"Free some space and {advice}."
             case errno.EROFS | errno.EACCES | errno.EPERM:
-                advice = "Allow it (permissions, a read-only disk), or choose another place for the store."
+                mend = f"Allow it (permissions, a read-only disk), or choose another place; then {advice}."
             case _:
-                advice = "Mend the cause and give the same command again: it goes on from there."
+                mend = f"Mend the cause and {advice}."
         file = error.filename2 or error.filename  # of a rename, the name that was wanted
         where = f" ({file})" if file else ""
         raise PuddleError(
-            f"{path}: {doing} failed: {error.strerror or error}{where}. Whatever was kept before is safe. {advice}"
+            f"{path}: {doing} failed: {error.strerror or error}{where}. Whatever was kept before is safe. {mend}"
         ) from error

@@ -190,7 +190,10 @@ def _play(
             ended = player.play(wanted, loop=wish.loop, duration=wish.duration)
         except (PuddleError, OSError) as error:
             raise PuddleError(f"{error}\nThe servos: {player.parting}. What was sent is in {log_path}.") from error
-    say(f"{ended[0].upper()}{ended[1:]}. The servos: {player.parting}.")
+        finally:  # also for a defect, and before the log is closed: a full disk's error takes the place of this one
+            with contextlib.suppress(OSError):  # a closed terminal
+                say(f"The servos: {player.parting}.")
+    say(f"{ended[0].upper()}{ended[1:]}.")
     say(f"The latest command was {1000 * player.worst_lateness:.1f} ms late. What was sent is in {log_path}.")
     return not stop.asked
 

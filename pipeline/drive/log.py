@@ -55,7 +55,7 @@ class DriveLog:
         self.path = path
         self.entries: list[Entry] = []
         self._journal = _journal_of(path)
-        with disk.explained("keeping the log", path):
+        with disk.explained("keeping the log", path, advice="give the same command again: nothing was moved"):
             path.parent.mkdir(parents=True, exist_ok=True)
             _recover_abandoned(path.parent)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
@@ -69,13 +69,20 @@ class DriveLog:
         os.write(self._descriptor, lines.encode())
 
     def close(self) -> None:
-        """Write the Parquet file, and remove the journal."""
+        """Write the Parquet file, and remove the journal.
+
+        Raises:
+            PuddleError: the file can't be written; the journal stays.
+        """
         os.close(self._descriptor)
-        with disk.explained("writing the log", self.path):
-            disk.place(self.path, encode(self.entries))
-            disk.unlink(self._journal)
-        if self._lock is not None:
-            os.close(self._lock)
+        try:
+            again = f"drive again: the next log in that folder makes this one too, of {self._journal}"
+            with disk.explained("writing the log", self.path, advice=again):
+                disk.place(self.path, encode(self.entries))
+                disk.unlink(self._journal)
+        finally:
+            if self._lock is not None:
+                os.close(self._lock)
 
 
 def encode(entries: Sequence[Entry]) -> bytes:

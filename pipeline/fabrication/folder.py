@@ -62,7 +62,7 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
     mark = encode_json({**said, "schema": SCHEMA, "version": VERSION, "files": digests})
     new = folder.with_name(f".{folder.name}.{os.getpid()}.new")
     old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
-    with disk.explained("writing the kit", folder):
+    with disk.explained("writing the kit", folder, advice="give the same command again"):
         yours, lines = _yours(folder, files)
         try:
             for name, content in {**yours, **files, MARK: mark}.items():

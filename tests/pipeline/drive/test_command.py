@@ -1,5 +1,7 @@
 """``puddle drive`` as a person uses it: in a process of its own, in real time, against a pty."""
 
+import errno
+import functools
 import hashlib
 import json
 import os
@@ -13,10 +15,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from pipeline import disk
 from pipeline.artifacts import decode_table
 from pipeline.cli import app, main
-from pipeline.drive.log import JOURNAL
-from pipeline.drive.player import RealClock
+from pipeline.drive import command
+from pipeline.drive.log import JOURNAL, DriveLog
+from pipeline.drive.player import Player, RealClock
 from pipeline.timeline_file import calibration_yaml, timeline_json
 from tasks.fabrication.timeline import Playback, Timeline, envelope
 
@@ -251,3 +255,37 @@ def test_unplugged_half_way(kit, tmp_path, plug, capsys):
     table = table_of(log)
     sent = table["sent"][(table["channel"] == 3) & np.isfinite(table["sent"])].tolist()
     assert sent[: len(received)] == received
+
+
+@pytest.mark.parametrize("ends", ["by itself", "with its port", "by a defect"])
+def test_how_the_servos_were_left_is_said_where_the_log_can_not_be_written(
+    kit, tmp_path, plug, clock, capsys, monkeypatch, ends
+):
+    fake, log, place = plug(unplug_after=600 if ends == "with its port" else None), tmp_path / "run.parquet", disk.place
+
+    def full(path: Path, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(command, "Player", functools.partial(Player, clock=clock))
+    monkeypatch.setattr(disk, "place", full)
+    if ends == "by a defect":
+        monkeypatch.setattr(Player, "_follow", lambda *_: 1 / 0)
+    options = ("--port", fake.path, "--yes", "--log", str(log), "--duration", "1")
+    assert call("drive", str(kit), *options) == 2
+    said = capsys.readouterr()
+    left = "THEY COULD NOT BE SWITCHED OFF" if ends == "with its port" else "they were switched off at neutral"
+    assert f"The servos: {left}" in said.out
+    assert f"{log}: writing the log failed" in said.err and f"{log}{JOURNAL}" in said.err
+    assert "goes on from there" not in said.err  # a drive does not
+    monkeypatch.setattr(disk, "place", place)
+    DriveLog(tmp_path / "next.parquet").close()  # as it said
+    assert any("the servos: " in event for event in table_of(log)["event"]) and not Path(f"{log}{JOURNAL}").exists()
+
+
+def test_a_defect_does_not_hide_how_the_servos_were_left(kit, tmp_path, plug, clock, capsys, monkeypatch):
+    fake = plug()
+    monkeypatch.setattr(command, "Player", functools.partial(Player, clock=clock))
+    monkeypatch.setattr(Player, "_follow", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        main(["drive", str(kit), "--port", fake.path, "--yes", "--log", str(tmp_path / "run.parquet")])
+    assert "The servos: they were switched off at neutral" in capsys.readouterr().out
