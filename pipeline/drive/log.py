@@ -99,7 +99,8 @@ def _recover_abandoned(folder: Path) -> None:
     for journal in sorted(folder.glob(f"*{JOURNAL}")):
         lock = disk.try_lock(journal)
         if lock is not None:
-            disk.place(journal.with_name(journal.name.removesuffix(JOURNAL)), encode(_entries(disk.read(journal))))
+            kept = disk.read(journal, at_most=journal.stat().st_size)  # hours of frames: longer than any document
+            disk.place(journal.with_name(journal.name.removesuffix(JOURNAL)), encode(_entries(kept)))
             disk.unlink(journal)
             os.close(lock)
 

@@ -19,7 +19,7 @@ from pipeline import disk
 from pipeline.artifacts import decode_table
 from pipeline.cli import app, main
 from pipeline.drive import command
-from pipeline.drive.log import JOURNAL, DriveLog
+from pipeline.drive.log import JOURNAL, DriveLog, Entry
 from pipeline.drive.player import Player, RealClock
 from pipeline.timeline_file import calibration_yaml, timeline_json
 from tasks.fabrication.timeline import Playback, Timeline, envelope
@@ -244,6 +244,15 @@ def test_killed(kit, tmp_path, plug):
     sent = table["sent"][(table["channel"] == 0) & np.isfinite(table["sent"])].tolist()
     received = fake.pulses(0)
     assert len(received) - len(sent) in (0, 1) and sent == received[: len(sent)]
+
+
+def test_all_of_a_killed_drives_journal_is_kept_however_long_it_is(tmp_path, monkeypatch):
+    log = DriveLog(tmp_path / "long.parquet")
+    log.add(*(Entry(frame / 50, frame=frame) for frame in range(100)))
+    os.close(log._lock)  # killed
+    monkeypatch.setitem(disk.read.__kwdefaults__, "at_most", 1000)  # of a document, in place of 64 MiB
+    DriveLog(tmp_path / "next.parquet").close()
+    assert table_of(log.path)["frame"].tolist() == list(range(100))
 
 
 def test_unplugged_half_way(kit, tmp_path, plug, capsys):
