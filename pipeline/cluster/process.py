@@ -28,6 +28,9 @@ HELD_SECONDS = 2.0
 SHARE_OF_FREE_MEMORY = 0.9
 """That one task may take."""
 
+SHOW_CURSOR = b"\x1b[?25h"
+"""To a terminal: the progress display hides it."""
+
 
 def pin_threads() -> None:
     """Hold this process and its children to one thread each. Call it before numpy, numba or torch is imported."""
@@ -115,8 +118,8 @@ def signals_held() -> Iterator[None]:
         received.append(number)
 
     def end() -> None:
-        os.write(2, b"\nStopped while Ray was starting. What is done is kept: the same command goes on from there.\n")
-        os._exit(128 + received[0])
+        message = "Stopped while Ray was starting. What is done is kept: the same command goes on from there."
+        end_at_once(message, 128 + received[0])
 
     last_resort = threading.Timer(HELD_SECONDS, end)
     last_resort.daemon = True
@@ -130,3 +133,10 @@ def signals_held() -> Iterator[None]:
             signal.signal(number, handler)
         if received:
             signal.raise_signal(received[0])
+
+
+def end_at_once(message: str, code: int) -> NoReturn:
+    """Say why, and end this process without any ``finally``; what these would do to a terminal is done."""
+    with contextlib.suppress(OSError):  # nobody is there to read it
+        os.write(2, (SHOW_CURSOR if os.isatty(2) else b"") + f"\n{message}\n".encode())
+    os._exit(code)

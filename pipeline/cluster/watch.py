@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import threading
 import time
 from collections.abc import Callable
+
+from pipeline.cluster.process import end_at_once
 
 STUCK_SECONDS = 10.0
 """How long a call into Ray may last once Ray is dead. Ray itself gives up after a minute."""
 
 GONE_SECONDS = 45.0
 """How long an existing cluster may be silent: it may come back. Ray ends the process after a minute, in its words."""
+
+ANSWER_SECONDS = 5.0
+"""How long an existing cluster may take to answer a look. Added to the above it is still less than Ray's minute."""
 
 SECONDS_BETWEEN_LOOKS = 1.0
 
@@ -41,7 +45,7 @@ def end_if_stuck(wait: Callable[[], object], calling: threading.RLock, over: thr
         calling.release()
         if over.wait(SECONDS_BETWEEN_LOOKS):
             return
-    _end(DEAD)
+    end_at_once(f"puddle: {DEAD}", 2)
 
 
 def end_if_gone(address: str, host: str, port: int, over: threading.Event) -> None:
@@ -56,12 +60,7 @@ def end_if_gone(address: str, host: str, port: int, over: threading.Event) -> No
     answered = time.monotonic()
     while not over.wait(SECONDS_BETWEEN_LOOKS):
         with contextlib.suppress(OSError):
-            socket.create_connection((host, port), timeout=GONE_SECONDS).close()
+            socket.create_connection((host, port), timeout=ANSWER_SECONDS).close()
             answered = time.monotonic()
         if time.monotonic() - answered > GONE_SECONDS and not over.is_set():
-            _end(GONE.format(address=address, seconds=GONE_SECONDS))
-
-
-def _end(message: str) -> None:
-    os.write(2, f"\npuddle: {message}\n".encode())
-    os._exit(2)
+            end_at_once(f"puddle: {GONE.format(address=address, seconds=GONE_SECONDS)}", 2)

@@ -1,6 +1,7 @@
 """Signals wait for what must not be cut in two, but not for ever; a task that allocates without end fails by itself."""
 
 import os
+import pty
 import resource
 import signal
 import subprocess
@@ -66,6 +67,18 @@ with signals_held():
     _, said = child.communicate(timeout=60)
     assert child.returncode == 128 + signal.SIGTERM
     assert "What is done is kept: the same command goes on from there." in said
+
+
+def test_what_is_ended_at_once_leaves_a_terminal_its_cursor():
+    program = "from pipeline.cluster.process import end_at_once; end_at_once('why', 7)"
+    ours, terminal = pty.openpty()
+    ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, stderr=terminal)
+    assert ended.returncode == 7
+    assert os.read(ours, 1000) == b"\x1b[?25h\r\nwhy\r\n"
+    os.close(ours)
+    os.close(terminal)
+    piped = subprocess.run([sys.executable, "-c", program], cwd=ROOT, stderr=subprocess.PIPE)
+    assert (piped.returncode, piped.stderr) == (7, b"\nwhy\n")
 
 
 def test_signals_unwind_through_every_finally_with_their_code():

@@ -5,7 +5,13 @@ import subprocess
 import sys
 import time
 
+import pytest
+
+from pipeline.cluster import watch
 from pipeline.cluster.watch import GONE
+
+RAYS_OWN_SECONDS = 60.0
+"""After which Ray ends a driver whose cluster is silent."""
 
 DRIVER = """
 import sys, threading
@@ -53,3 +59,37 @@ def test_a_driver_goes_on_when_its_cluster_comes_back():
         assert driver.poll() is None
         assert driver.communicate(timeout=30) == ("", "")
     assert driver.returncode == 0
+
+
+def test_a_way_to_a_cluster_that_swallows_what_is_sent_is_told_before_ray_ends_the_driver(monkeypatch):
+    """Connections are refused at first, and later nothing comes back at all: time passes in both, and in waits."""
+    now = 0.0
+
+    class Over:
+        def wait(self, seconds: float) -> bool:
+            nonlocal now
+            now += seconds
+            return False
+
+        def is_set(self) -> bool:
+            return False
+
+    class Ended(Exception):  # noqa: N818
+        pass
+
+    def connect(server: tuple[str, int], timeout: float) -> socket.socket:
+        nonlocal now
+        if now < watch.GONE_SECONDS - 1.0:
+            raise ConnectionRefusedError
+        now += timeout
+        raise TimeoutError
+
+    def end(message: str, code: int) -> None:
+        raise Ended
+
+    monkeypatch.setattr(watch.time, "monotonic", lambda: now)
+    monkeypatch.setattr(watch.socket, "create_connection", connect)
+    monkeypatch.setattr(watch, "end_at_once", end)
+    with pytest.raises(Ended):
+        watch.end_if_gone("head:6379", "head", 6379, Over())
+    assert watch.GONE_SECONDS < now < RAYS_OWN_SECONDS - 5.0
