@@ -1,4 +1,4 @@
-"""A cluster of Ray workers: this machine's cores, or an existing cluster. The only ``import ray``.
+"""A cluster of Ray workers: this machine's cores, or an existing cluster. The only ``import ray`` but the keeper's.
 
 Ray is imported late: it costs a third of a second that ``--help`` should not pay.
 
@@ -30,7 +30,7 @@ from urllib.parse import urlsplit
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
 from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_held, signals_unwind
 from pipeline.cluster.session import PLACE, session
-from pipeline.cluster.watch import DEAD, SECONDS_BETWEEN_LOOKS, end_if_gone
+from pipeline.cluster.watch import DEAD, NODE_DEAD, SECONDS_BETWEEN_LOOKS, end_if_gone
 from pipeline.errors import PuddleError
 
 N_INFRASTRUCTURE_RETRIES = 1
@@ -42,15 +42,17 @@ CONNECT_SECONDS = 15.0
 PACKAGES = ("tasks", "pipeline")
 """What the workers of an existing cluster are sent, since they need not have it on disk."""
 
+_Lent = tuple[Callable[[], bool], AbstractContextManager[object], str]
+"""Of a Ray to work on: whether it lives, what calls to it hold, and what to say where it died."""
+
 
 @contextlib.contextmanager
 def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Iterator[Cluster]:
     """Give an existing Ray cluster, or this machine's cores as one for as long as the context lasts.
 
     Args:
-        address: of an existing cluster: ``host:port`` from one of its machines, ``ray://host:port`` from anywhere
-            else, or ``auto`` for the one on this machine. Without it RAY_ADDRESS counts; without either, a local
-            cluster starts.
+        address: of an existing cluster that this machine is a node of: ``host:port``, or ``auto``. Without it
+            RAY_ADDRESS counts; without either, a local cluster starts.
         n_workers: cores that a local cluster uses; all by default. An existing cluster has the cores that it has.
 
     Raises:
@@ -61,10 +63,10 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
     address = address or os.environ.get("RAY_ADDRESS") or "local"
     with (
         signals_unwind() as catch_signals,
-        _local(n_workers) if address == "local" else _existing(address) as (alive, calling),
+        _local(n_workers) if address == "local" else _existing(address) as (alive, calling, dead),
     ):
         catch_signals()  # ray.init has put its own handler, which prints a native stack
-        cluster = _Ray(alive, calling)
+        cluster = _Ray(alive, calling, dead)
         try:
             yield cluster
         except BaseException:
@@ -73,8 +75,8 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
 
 
 class _Ray:
-    def __init__(self, alive: Callable[[], bool], calling: AbstractContextManager[object]) -> None:
-        self._alive, self._calling = alive, calling
+    def __init__(self, alive: Callable[[], bool], calling: AbstractContextManager[object], dead: str) -> None:
+        self._alive, self._calling, self._dead = alive, calling, dead
         self._numbers = itertools.count()
         self._running: dict[Any, Ticket] = {}
 
@@ -82,7 +84,7 @@ class _Ray:
         """Refuse to wait for a Ray that is dead: it would take a minute to say so, and fail every call meanwhile."""
         if not self._alive():
             self._running.clear()
-            raise PuddleError(DEAD)
+            raise PuddleError(self._dead)
 
     @property
     def n_cores(self) -> float:
@@ -135,7 +137,7 @@ class _Ray:
                 return None
         ticket = self._running.pop(ready[0])
         with self._calling:
-            return ticket, _outcome(ticket.name, ready[0])
+            return ticket, _outcome(ticket.name, ready[0], dead=self._dead)
 
     def give_up(self, ticket: Ticket) -> None:
         (reference,) = (reference for reference, running in self._running.items() if running is ticket)
@@ -150,8 +152,8 @@ class _Ray:
 
 
 @contextlib.contextmanager
-def _local(n_workers: int | None) -> Iterator[tuple[Callable[[], bool], AbstractContextManager[object]]]:
-    """Start Ray on this machine, open to this user alone, and stop it; tell whether it lives, and what calls hold."""
+def _local(n_workers: int | None) -> Iterator[_Lent]:
+    """Start Ray on this machine, open to this user alone, and stop it."""
     import ray
     import ray._private.ray_constants
 
@@ -172,7 +174,7 @@ def _local(n_workers: int | None) -> Iterator[tuple[Callable[[], bool], Abstract
                 f"Ray did not start on this machine: {error}\nExpected room in {PLACE} and /dev/shm, and "
                 f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` does without Ray."
             ) from error
-        yield ours.alive, ours.calling
+        yield ours.alive, ours.calling, DEAD
 
 
 def _shut_down(calling: AbstractContextManager[object]) -> None:
@@ -183,7 +185,7 @@ def _shut_down(calling: AbstractContextManager[object]) -> None:
 
 
 @contextlib.contextmanager
-def _existing(address: str) -> Iterator[tuple[Callable[[], bool], AbstractContextManager[object]]]:
+def _existing(address: str) -> Iterator[_Lent]:
     """Connect to a cluster that somebody else started, under its own token settings, and send it our packages."""
     _check_reachable(address)
     import ray
@@ -198,7 +200,7 @@ def _existing(address: str) -> Iterator[tuple[Callable[[], bool], AbstractContex
         else:
             server = _server_of(ray.get_runtime_context().gcs_address if address == "auto" else address)
             threading.Thread(target=end_if_gone, args=(address, *server, over), daemon=True).start()
-            yield lambda: True, contextlib.nullcontext()
+            yield lambda: True, contextlib.nullcontext(), NODE_DEAD.format(address=address)
         finally:
             over.set()
             ray.shutdown()
@@ -242,13 +244,13 @@ def _check_reachable(address: str) -> None:
 
 def _server_of(address: str) -> tuple[str, int]:
     """Read host and port."""
-    parts = urlsplit(address if "://" in address else f"gcs://{address}")
+    parts = urlsplit(f"//{address}")
     try:
         port = parts.port
     except ValueError:
         port = None
-    if not parts.hostname or port is None or parts.scheme not in ("gcs", "ray"):
-        raise _unusable(address, "it is not an address; expected host:port, ray://host:port or auto")
+    if not parts.hostname or port is None:
+        raise _unusable(address, "it is not an address; expected host:port or auto")
     return parts.hostname, port
 
 
@@ -330,17 +332,18 @@ def _remote_call(n_cores: float, name: str, n_gpus: float = 0.0) -> Any:
     )
 
 
-def _outcome(name: str, reference: Any) -> Outcome:
+def _outcome(name: str, reference: Any, *, dead: str | None = None) -> Outcome:
+    """Take what became of a call; where the driver's own node died, raise with these words."""
     import ray
     from ray.exceptions import LocalRayletDiedError, RayError, RayTaskError
 
     try:
         return Done(ray.get(reference))
-    except LocalRayletDiedError as error:  # no call's fault, and every call's from now on
-        raise PuddleError(DEAD) from error
     except RayTaskError as error:
         return failure(name, error.cause, re.sub(r"\x1b\[[0-9;]*m", "", str(error)))
     except RayError as error:
+        if dead is not None and isinstance(error, LocalRayletDiedError):  # no call's fault; every call's from now on
+            raise PuddleError(dead) from error
         message = str(error) or type(error).__name__
         return TaskFailed(name, f"{type(error).__name__}: {message.strip().splitlines()[0]}", message, True)
 

@@ -26,6 +26,11 @@ DEAD = (
     "What was kept before is safe: give the same command again, and it goes on from there. Fewer `--workers` need less "
     "memory."
 )
+NODE_DEAD = (
+    "this machine's node of the Ray cluster at {address} died: its raylet is gone (killed, out of memory, or `ray "
+    "stop`).\nWhat was kept before is safe: start a node here (`ray start`), give the same command again, and it goes "
+    "on from there."
+)
 GONE = (
     "the Ray cluster at {address} has not answered for {seconds:.0f} s: its head is gone, or the way to it.\n"
     "What was kept before is safe: give the same command again once it answers, and it goes on from there."

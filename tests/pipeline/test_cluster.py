@@ -15,6 +15,7 @@ import ray
 
 import pipeline.cluster.on_ray
 from pipeline.cluster import Cluster, Done, Outcome, TaskFailed, Ticket, ray_cluster, serial_cluster, spread
+from pipeline.cluster.watch import NODE_DEAD
 from pipeline.errors import PuddleError
 
 ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # the workers can't import a test
@@ -206,15 +207,27 @@ def test_a_stranger_without_the_token_is_refused(local_ray, monkeypatch):
 
 
 def test_an_existing_cluster_is_sent_the_packages(local_ray, tmp_path):
-    """A driver elsewhere finds the cluster by RAY_ADDRESS; its workers import what it sent."""
+    """A driver elsewhere finds the cluster by RAY_ADDRESS; its workers import what it sent.
+
+    Where its own node dies, that is said of the cluster's node and not of a Ray of its own, which has --workers.
+    """
     driver = """
+import ray
 from pipeline.cluster import ray_cluster
+def dead(_):
+    raise ray.exceptions.LocalRayletDiedError
 def where():
     import pipeline.cluster, tasks.design.genes
     return pipeline.cluster.__file__, tasks.design.genes.__file__
 with ray_cluster() as cluster:
     cluster.submit(where)
     print(*cluster.next_done()[1].result, cluster.n_cores, sep="\\n")
+    cluster.submit(where)
+    ray.get = dead
+    try:
+        cluster.next_done()
+    except Exception as error:
+        print(error)
 """
     address = ray.get_runtime_context().gcs_address
     environment = os.environ | {"RAY_ADDRESS": address, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -222,9 +235,10 @@ with ray_cluster() as cluster:
         [sys.executable, "-c", driver], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
     )
     assert ran.returncode == 0, ran.stderr
-    ours, science, n_cores = ran.stdout.split()
+    ours, science, n_cores, *died = ran.stdout.splitlines()
     assert "py_modules_files" in ours and "py_modules_files" in science
     assert float(n_cores) == 2.0
+    assert "\n".join(died) == NODE_DEAD.format(address=address)
     assert ran.stderr == ""
 
 
@@ -234,9 +248,16 @@ def closed_port() -> str:
         return f"127.0.0.1:{listener.getsockname()[1]}"
 
 
-@pytest.mark.parametrize("address", ["{closed}", "ray://{closed}", "nowhere", "host:99999", "http://host:80"])
-def test_an_address_where_nothing_answers_is_said_at_once(address: str):
-    where = address.format(closed=closed_port())
+@pytest.mark.parametrize("where", ["ray://head:10001", "nowhere", "host:99999", "http://host:80"])
+def test_what_is_no_address_of_a_cluster_is_refused(where: str):
+    """``ray://`` is Ray Client's, which is not among what is installed."""
+    with pytest.raises(PuddleError, match="expected host:port or auto") as refused, ray_cluster(where):
+        pass
+    assert where in str(refused.value) and "--address" in str(refused.value)
+
+
+def test_an_address_where_nothing_answers_is_said_at_once():
+    where = closed_port()
     begin = time.monotonic()
     with pytest.raises(PuddleError) as unreachable, ray_cluster(where):
         pass
