@@ -23,7 +23,7 @@ import typer
 import yaml
 from containers import COMPOSE, DOCKER, KUBERNETES, words_of
 
-from pipeline.cli import app
+from pipeline.cli import INCOMPLETE, app
 from pipeline.configuration import PRESETS
 
 with warnings.catch_warnings():
@@ -251,13 +251,36 @@ def test_kuberay_has_what_its_definition_requires(group):
 
 def test_the_driver_is_a_job_on_the_cluster_that_is_defined():
     job = KUBERNETES["Job"]["spec"]["template"]["spec"]
-    assert KUBERNETES["Job"]["apiVersion"] == "batch/v1" and job["restartPolicy"] in ("OnFailure", "Never")
+    assert KUBERNETES["Job"]["apiVersion"] == "batch/v1"
     secured(job)
     (driver,) = job["containers"]
     assert "puddle-head-svc:6379" in driver["command"][2]  # KubeRay names the head's service after the cluster
     assert {mount["name"] for mount in driver["volumeMounts"]} == {volume["name"] for volume in job["volumes"]}
     (claim,) = [v["persistentVolumeClaim"]["claimName"] for v in job["volumes"] if "persistentVolumeClaim" in v]
     assert claim == KUBERNETES["PersistentVolumeClaim"]["metadata"]["name"]
+
+
+def test_the_job_ends_with_a_study_that_is_done_and_goes_on_with_one_that_is_not():
+    """A rule may ask for exit codes only where the kubelet does not start containers again by itself."""
+    job = KUBERNETES["Job"]["spec"]
+    (driver,) = job["template"]["spec"]["containers"]
+    assert job["template"]["spec"]["restartPolicy"] == "Never" and job["backoffLimit"] > 0
+    (rule,) = job["podFailurePolicy"]["rules"]
+    assert rule == {
+        "action": "FailJob",
+        "onExitCodes": {"containerName": driver["name"], "operator": "In", "values": [INCOMPLETE]},
+    }
+
+
+@pytest.mark.parametrize(("there", "study", "code"), [(False, 0, 2), (True, 0, 0), (True, INCOMPLETE, INCOMPLETE)])
+def test_a_cluster_that_is_not_there_yet_is_no_study_that_is_done(tmp_path, there, study, code):
+    """`ray start` ends with 1 there, as a study does that set pieces aside."""
+    for program, ends in (("ray", 0 if there else 1), ("puddle", study)):
+        (tmp_path / program).write_text(f"#!/bin/sh\nexit {ends}\n")
+        (tmp_path / program).chmod(0o755)
+    (driver,) = KUBERNETES["Job"]["spec"]["template"]["spec"]["containers"]
+    environment = {"PATH": f"{tmp_path}:/usr/bin:/bin", "PRESET": "smoke"}
+    assert subprocess.run(driver["command"], env=environment).returncode == code
 
 
 def secured(pod: dict) -> None:
