@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import psutil
 
 from pipeline import disk
-from pipeline.cluster import ray_cluster, session
+from pipeline.cluster import TaskFailed, ray_cluster, session
+from pipeline.cluster.process import free_memory
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
 from pipeline.sizes import bytes_of_study
@@ -39,6 +39,8 @@ SPARE_BYTES = 1e9
 """That should be free on the store's disk besides: MLflow's database, reports, other people."""
 OPEN_FILES = 4096
 """That Ray wants to be able to open with dozens of workers."""
+RAY_SECONDS = 60.0
+"""How long its first worker may take to answer."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def _processor(n_cores: int, n_workers: int) -> Finding:
 
 
 def _memory(n_workers: int) -> Finding:
-    free = float(psutil.virtual_memory().available)
+    free = float(free_memory())
     needed = BYTES_OF_DRIVER + n_workers * BYTES_PER_WORKER
     found = f"{free / 1e9:.1f} GB free, {needed / 1e9:.1f} GB needed by {n_workers} workers and the driver"
     if free < needed:
@@ -251,8 +253,11 @@ def _ray() -> Finding:
     try:
         with ray_cluster("local", n_workers=1) as cluster:
             cluster.submit(os.getpid)
-            cluster.next_done(timeout=60.0)
+            done = cluster.next_done(timeout=RAY_SECONDS)
             seconds = time.perf_counter() - start
     except PuddleError as error:
         return Finding("fail", "ray", f"{error}")
+    if done is None or isinstance(done[1], TaskFailed):
+        found = f"no answer from a worker after {RAY_SECONDS:.0f} s" if done is None else f"{done[1]}"
+        return Finding("fail", "ray", found, "Other work may keep this machine busy; `--workers 0` does without Ray.")
     return Finding("ok", "ray", f"a cluster of one worker after {seconds:.1f} s")

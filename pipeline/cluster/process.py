@@ -50,7 +50,7 @@ def memory_bounded() -> Iterator[None]:
     import psutil
 
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    bound = psutil.Process().memory_info().data + int(SHARE_OF_FREE_MEMORY * _free_memory())
+    bound = psutil.Process().memory_info().data + int(SHARE_OF_FREE_MEMORY * free_memory())
     limits = [limit for limit in (bound, *before) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(resource.RLIMIT_DATA, (min(limits), before[1]))
     try:
@@ -59,7 +59,7 @@ def memory_bounded() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
-def _free_memory() -> int:
+def free_memory() -> int:
     """Return the bytes that are free for this process: on the machine, and within its container."""
     import psutil
 

@@ -16,7 +16,7 @@ import pytest
 from pipeline import doctor, gc
 from pipeline.artifacts import encode_sealed
 from pipeline.cli import main
-from pipeline.cluster import session
+from pipeline.cluster import Done, TaskFailed, Ticket, session
 from pipeline.configuration import parse
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.settings import Settings
@@ -333,6 +333,29 @@ def test_the_doctor_finds_a_store_that_may_not_be_written_to(store, tmp_path, mo
         assert (found.verdict, found.what) == ("fail", "store")
         assert found.found.startswith(f"{existing}: a file can't be kept there for good: ")
         assert "Permission denied" in found.found and "permission to write: --store" in found.advice
+
+
+@pytest.mark.parametrize(("done", "verdict"), [
+    ((Ticket(0, "getpid"), Done(7)), "ok"),
+    ((Ticket(0, "getpid"), TaskFailed("getpid", "WorkerCrashedError: it died", "", True)), "fail"),
+    (None, "fail"),
+])  # fmt: skip
+def test_the_doctor_says_that_ray_is_well_where_it_worked(monkeypatch, done, verdict):
+    @contextlib.contextmanager
+    def cluster(*_, **__):
+        yield SimpleNamespace(submit=lambda function: None, next_done=lambda timeout: done)
+
+    monkeypatch.setattr(doctor, "ray_cluster", cluster)
+    found = doctor._ray()
+    assert (found.verdict, found.what) == (verdict, "ray")
+    assert ("it died" in found.found) == (done is not None and isinstance(done[1], TaskFailed))
+
+
+def test_the_doctor_judges_memory_by_what_is_free_in_the_container(monkeypatch):
+    monkeypatch.setattr(doctor, "free_memory", lambda: 2 * 10**9)
+    found = doctor._memory(8)
+    assert found.verdict == "fail" and "2.0 GB free" in found.found and "--workers 2" in found.advice
+    assert doctor._memory(2).verdict == "ok"
 
 
 def test_the_doctor_finds_that_a_port_is_taken(monkeypatch):
