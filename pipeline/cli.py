@@ -116,6 +116,16 @@ def _run(
         raise typer.Exit(INCOMPLETE)
 
 
+def _check_where(context: typer.Context, workers: int | None, address: str | None) -> None:
+    """Refuse workers here beside a cluster elsewhere; an address in the environment is only a default."""
+    source = context.get_parameter_source("address")
+    if workers is not None and address not in (None, "local") and source is not None and source.name == "COMMANDLINE":
+        raise PuddleError(
+            f"--workers: expected without --address, whose cluster has the cores that it has; came --workers {workers} "
+            f"with --address {address}"
+        )
+
+
 def _cluster(workers: int | None, address: str | None) -> Callable[[], AbstractContextManager[Cluster]]:
     if workers == 0:
         return serial_cluster
@@ -134,6 +144,7 @@ def _interruptible() -> Iterator[None]:
 def _add_stage_command(name: str, summary: str, stages: tuple[str, ...]) -> None:
     @app.command(name=name, help=summary)
     def command(
+        context: typer.Context,
         preset: Preset = DEFAULT_PRESET,
         settings: SettingsFile = None,
         overrides: Overrides = None,
@@ -142,6 +153,7 @@ def _add_stage_command(name: str, summary: str, stages: tuple[str, ...]) -> None
         address: Address = None,
         tracking_uri: TrackingUri = None,
     ) -> None:
+        _check_where(context, workers, address)
         chosen = Chosen(preset, settings, tuple(overrides or ()), store)
         _run(chosen, stages, workers, address, tracking_uri)
 
@@ -298,7 +310,7 @@ def drive(
     timeline: Annotated[
         Path | None, typer.Argument(help="A kit that `puddle fabricate` made, or a timeline (timeline.json).")
     ] = None,
-    port: Annotated[str | None, typer.Option("--port", help="Of the servo controller: /dev/ttyACM0, COM3.")] = None,
+    port: Annotated[str | None, typer.Option("--port", help="Of the servo controller: /dev/ttyACM0.")] = None,
     list_ports: Annotated[bool, typer.Option("--list-ports", help="List this machine's serial ports.")] = False,
     calibration: Annotated[
         Path | None, typer.Option("--calibration", help="Of the servos; calibration.yaml beside the timeline else.")

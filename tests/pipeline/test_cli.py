@@ -264,3 +264,12 @@ def test_a_refused_element_is_one_mistake(capsys, tmp_path):
 def test_single_members_evolve_only_at_depths_of_the_grid():
     grid = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three").grid
     assert {depth for _, depth, _ in grid.trials()} == {3.0}
+
+
+def test_workers_here_and_a_cluster_elsewhere_are_not_chosen_together(study, monkeypatch, capsys):
+    for workers in ("0", "4"):
+        assert call("study", *study, "--workers", workers, "--address", "head:6379") == 2
+        assert f"came --workers {workers} with --address head:6379" in capsys.readouterr().err
+    monkeypatch.setenv("RAY_ADDRESS", "head:6379")
+    assert call("study", *study, "--workers", "0") == 0  # all is done; what the environment says, an option overrides
+    assert call("study", *study, "--workers", "2", "--address", "local") == 0
