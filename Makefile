@@ -5,6 +5,7 @@ PUDDLE := $(VENV)/bin/puddle
 READY := $(VENV)/.ready
 PRESET ?= laptop
 MINUTES ?= 60
+TORCH_INDEX ?=
 
 # The first Python that runs and is one of 3.11 to 3.13; override with `make PYTHON=...`.
 PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(shell \
@@ -18,12 +19,13 @@ help: ## list the targets
 
 setup: $(READY) ## make .venv and install everything, at the versions of constraints.txt
 
-# torch comes first and by its exact version: as a mere dependency it would bring gigabytes of CUDA along.
+# torch comes first and by its exact version, from TORCH_INDEX if that is given (the head of docker/Dockerfile says where
+# to find one). Without it pip takes its own index's build, which on x86 Linux is gigabytes larger: it holds CUDA.
 $(READY): pyproject.toml constraints.txt
 	@if [ -z "$(PYTHON)" ]; then echo "puddle needs Python 3.11, 3.12 or 3.13; found none. Install one, or name it: make PYTHON=/path/to/python" >&2; exit 2; fi
-	@echo "Setting up $(VENV) with $$($(PYTHON) --version): about 2 GB, 2 to 5 minutes."
+	@echo "Setting up $(VENV) with $$($(PYTHON) --version): 2 to 5 minutes; about 2 GB, or more where torch holds CUDA."
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet "$$(grep '^torch==' constraints.txt)"
+	$(VENV)/bin/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url "$(TORCH_INDEX)") "$$(grep '^torch==' constraints.txt)"
 	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
 	@touch $@
 
