@@ -68,6 +68,8 @@ def drive(
                 progress.say(f"{damage}")
                 store.discard(damage.stage, damage.key)
                 discarded.add((damage.stage, damage.key))
+                for one in cluster:
+                    one.cancel_all()  # what comes next knows nothing of what is under way, and submits it again
 
 
 def _drive(

@@ -1,0 +1,69 @@
+"""The driver: what it does about damage that it meets half-way, and about a name whose study had other settings."""
+
+import contextlib
+from pathlib import Path
+
+from small_study import NoBar, digests
+
+from pipeline.cluster import serial_cluster
+from pipeline.configuration import parse
+from pipeline.driver import drive
+from pipeline.settings import Settings
+from pipeline.stage import Results
+from pipeline.stages import STAGES
+from pipeline.store import Store
+
+SETTINGS = """
+name: tiny
+grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 2}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 2, afpo: {population_size: 4}}
+transfer: {n_generations: 2}
+work: {generations_per_item: 2, engine: reference}
+"""
+TO_EVOLVE = STAGES[:3]
+TO_TRANSFER = STAGES[:4]
+
+
+class Terminal:
+    """A terminal and a tracker in one, which keep what was said."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
+
+    @contextlib.contextmanager
+    def stage(self, *arguments, **options):
+        yield NoBar()
+
+    def mirror(self, *runs) -> None: ...
+
+
+def run(store: Store, stages=TO_TRANSFER, *overrides: str, terminal: Terminal | None = None) -> dict[str, Results]:
+    terminal = terminal or Terminal()
+    return drive(
+        parse(Settings, SETTINGS, name="tiny", overrides=overrides), stages, store=store,
+        open_cluster=serial_cluster, tracker=terminal, progress=terminal, how_to_run=lambda name: f"puddle {name}",
+    )  # fmt: skip
+
+
+def flip_a_bit(path: Path) -> None:
+    """Damage a file as only its SHA-256 can tell."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def test_damage_met_while_other_work_is_under_way_is_mended(store: Store) -> None:
+    """Trial 1's population is read when trial 0 has been submitted: nobody waits for that call's outcome any more."""
+    evolved = run(store, TO_EVOLVE)["evolve"].done["dry_land/1m/trial-1"][-1]
+    folder = store.root / "items" / "evolve" / evolved.key[:2] / evolved.key
+    flip_a_bit(folder / "population.safetensors")
+    terminal = Terminal()
+    found = run(store, terminal=terminal)
+    assert sum("expected SHA-256" in line for line in terminal.said) == 1
+    undisturbed = Store.open(store.root.parent / "undisturbed", create=True)
+    assert digests(found) == digests(run(undisturbed))
+    assert store.verify() == []
