@@ -219,7 +219,7 @@ class _Dispatcher:
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
         self._running: dict[Ticket, tuple[Walk, Item]] = {}
         self._since: dict[Ticket, float] = {}
-        """When a piece had a core at the latest: the cluster starts them in order."""
+        """When a piece was first seen at work; what waits for a core, behind others' work too, does not hang."""
         self._slowest = 0.0
         """Seconds a weighted unit, of the pieces that ended, in this process or before."""
 
@@ -238,7 +238,7 @@ class _Dispatcher:
         while ready or self._running:
             if time.monotonic() >= next_look:
                 n_cores = self._cluster.n_cores  # machines come and go
-                for ticket, failed in self._hanging(n_cores):
+                for ticket, failed in self._hanging():
                     self._cluster.give_up(ticket)
                     make_ready(numbers[id(self._finish(ticket, failed))])
                 next_look = time.monotonic() + SECONDS_BETWEEN_LOOKS
@@ -280,12 +280,12 @@ class _Dispatcher:
             self._shared[slot] = self._cluster.share({name: self._store.read(manifest, name) for name in source.files})
         return self._shared[slot]
 
-    def _hanging(self, n_cores: float) -> list[tuple[Ticket, TaskFailed]]:
+    def _hanging(self) -> list[tuple[Ticket, TaskFailed]]:
         """Find pieces that take beyond all measure."""
-        now = time.monotonic()
+        now, begun = time.monotonic(), self._cluster.begun()
         hanging = []
-        for place, (ticket, (walk, item)) in enumerate(self._running.items()):
-            if place < n_cores or _is_batched(item):
+        for ticket, (walk, _) in self._running.items():
+            if ticket in begun:
                 self._since.setdefault(ticket, now)
             patience, why = self._patience(walk.next_work)
             if now - self._since.get(ticket, now) > patience:

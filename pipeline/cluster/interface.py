@@ -87,6 +87,9 @@ class Cluster(Protocol):
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
         """Take one outcome, in no particular order on Ray; None if none came within ``timeout`` [s] or none is due."""
 
+    def begun(self) -> set[Ticket]:
+        """Say which calls a worker has begun, of those whose outcome has not been taken; the others wait for a core."""
+
     def give_up(self, ticket: Ticket) -> None:
         """Stop one call, whose outcome has not been taken; none will come. What never returns holds this process."""
 

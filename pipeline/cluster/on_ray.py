@@ -21,6 +21,7 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -28,6 +29,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
+from pipeline.cluster.marks import marked, marks
 from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_held, signals_unwind
 from pipeline.cluster.session import PLACE, session
 from pipeline.cluster.watch import DEAD, NODE_DEAD, SECONDS_BETWEEN_LOOKS, end_if_gone
@@ -79,6 +81,7 @@ class _Ray:
         self._alive, self._calling, self._dead = alive, calling, dead
         self._numbers = itertools.count()
         self._running: dict[Any, Ticket] = {}
+        self._marks = f"puddle/{uuid.uuid4().hex}/".encode()
 
     def _check_alive(self) -> None:
         """Refuse to wait for a Ray that is dead: it would take a minute to say so, and fail every call meanwhile."""
@@ -115,8 +118,9 @@ class _Ray:
         self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
+        remote = _remote_call(n_cores, ticket.name, n_gpus)
         with self._calling:
-            reference = _remote_call(n_cores, ticket.name, n_gpus).remote(function, *references(args))
+            reference = remote.remote(self._mark(ticket), function, *references(args))
         self._running[reference] = ticket
         return ticket
 
@@ -138,6 +142,15 @@ class _Ray:
         ticket = self._running.pop(ready[0])
         with self._calling:
             return ticket, _outcome(ticket.name, ready[0], dead=self._dead)
+
+    def begun(self) -> set[Ticket]:
+        self._check_alive()
+        with self._calling:
+            found = set(marks(self._marks))
+        return {ticket for ticket in self._running.values() if self._mark(ticket) in found}
+
+    def _mark(self, ticket: Ticket) -> bytes:
+        return self._marks + str(ticket.number).encode()
 
     def give_up(self, ticket: Ticket) -> None:
         (reference,) = (reference for reference, running in self._running.items() if running is ticket)
@@ -294,7 +307,7 @@ def spread(
     name = name or name_of(function)
     put = [ray.put(value) for value in shared]
     remote = _remote_call(n_cores, name)
-    references = [remote.remote(function, item, *put) for item in items]
+    references = [remote.remote(None, function, item, *put) for item in items]
     results = []
     try:
         for index, reference in enumerate(references):
@@ -308,8 +321,8 @@ def spread(
     return results
 
 
-def _call(function: Callable[..., Any], *args: Any) -> Any:
-    with memory_bounded():
+def _call(mark: bytes | None, function: Callable[..., Any], *args: Any) -> Any:
+    with marked(mark), memory_bounded():
         return function(*args)
 
 

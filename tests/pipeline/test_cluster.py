@@ -178,6 +178,29 @@ def test_cancelled_calls_stop_and_give_nothing(local_ray, tmp_path):
     assert only(local_ray) == Done(0.25)
 
 
+def test_what_waits_for_a_core_has_not_begun(local_ray, tmp_path):
+    def wait(path: Path) -> None:
+        while not path.exists():
+            time.sleep(0.02)
+
+    def begun(n: int) -> set[Ticket]:
+        deadline = time.monotonic() + 60
+        while len(found := local_ray.begun()) < n:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        return found
+
+    tickets = [local_ray.submit(wait, tmp_path / "end", name=f"wait {n}") for n in range(3)]
+    found = begun(2)
+    time.sleep(0.5)
+    assert local_ray.begun() == found and len(found) == 2  # of three, on two cores
+    last = local_ray.submit(wait, tmp_path / "end", n_cores=0)
+    assert begun(3) == found | {last}
+    (tmp_path / "end").touch()
+    assert set(outcomes(local_ray)) == {*tickets, last}
+    assert local_ray.begun() == set()
+
+
 def test_a_worker_has_one_thread_in_every_library(local_ray):
     def threads() -> dict[str, int]:
         import numba
