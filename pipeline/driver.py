@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from pipeline.artifacts import canonical_json, digest, encode_json
 from pipeline.cluster import Cluster
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.progress import Progress
+from pipeline.progress import Bar, Progress
 from pipeline.settings import Settings
 from pipeline.stage import Results, Stage, Summary, Upstream
 from pipeline.stages import STAGES
@@ -82,24 +82,29 @@ def _drive(
     how_to_run: Callable[[str], str],
 ) -> Upstream:
     upstream: dict[str, Results] = {}
-    for stage in STAGES[: 1 + max(STAGES.index(stage) for stage in wanted)]:
+    last = max(wanted, key=STAGES.index)
+    for stage in STAGES[: 1 + STAGES.index(last)]:
         walks = follow(stage, settings, store, upstream, say=progress.say)
         if stage not in wanted:
             upstream[stage.name] = results_of(stage, walks)
             continue
         require(settings, stage, upstream, how_to_run=how_to_run)
+        all_done = False
         try:
             if any(walk.open for walk in walks):
                 left = sum(walk.work_left for walk in walks if walk.open)
                 done = sum(walk.work_done for walk in walks)
                 cluster = the_cluster()
                 with progress.stage(stage.name, unit=stage.unit, total=left + done, done=done) as bar:
+                    noting = _Noting(bar, settings, store)
                     run_stage(
-                        settings, stage, walks, upstream, store=store, cluster=cluster, bar=bar, say=progress.say
+                        settings, stage, walks, upstream, store=store, cluster=cluster, bar=noting, say=progress.say
                     )
+            all_done = stage is last
         finally:  # however it ended, `puddle status` is to know what was set aside
             upstream[stage.name] = results_of(stage, walks)
-            _keep_record(settings, upstream, store)
+            if all_done or _recorded(settings, store) is not None:
+                _keep_record(settings, upstream, store)
         summary = stage.summarise(settings, upstream[stage.name], store)
         progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
         tracker.mirror(*_runs(settings, stage, upstream, summary))
@@ -107,7 +112,10 @@ def _drive(
 
 
 def _introduce(settings: Settings, store: Store, say: Callable[[str], None]) -> None:
-    """Put the study's settings on record before its first piece, and say so where its name had others."""
+    """Put the study's settings on record before its first piece; where its name had others, say so and leave them.
+
+    What is on record is what `puddle gc` keeps, so others stay there until these have a result, or need none.
+    """
     chosen = settings.model_dump(mode="json")
     try:
         before = store.read_study(settings.name)
@@ -122,9 +130,24 @@ def _introduce(settings: Settings, store: Store, say: Callable[[str], None]) -> 
         say(
             f"study {settings.name} had other settings until now ({listed}). Its report will be replaced. What it "
             f"computed stays: those settings bring the old report back in seconds, until `puddle gc`. To keep both "
-            f"reports, stop (Ctrl-C) and add --set name=ANOTHER."
+            f"reports, stop (Ctrl-C) before the first result is in, and add --set name=ANOTHER."
         )
+        return
     store.write_study(settings.name, chosen, ())
+
+
+class _Noting:
+    """A stage's bar that puts the study's settings on record once the stage's first piece is kept."""
+
+    def __init__(self, bar: Bar, settings: Settings, store: Store) -> None:
+        self._bar, self._settings, self._store = bar, settings, store
+        self._on_record = _recorded(settings, store) is not None
+
+    def advance(self, work: float) -> None:
+        if not self._on_record:
+            self._store.write_study(self._settings.name, self._settings.model_dump(mode="json"), ())
+            self._on_record = True
+        self._bar.advance(work)
 
 
 def settings_of(record: StudyRecord) -> Settings:

@@ -1,15 +1,17 @@
 """The driver: what it does about damage that it meets half-way, and about a name whose study had other settings."""
 
 import contextlib
+from collections.abc import Sequence
 from pathlib import Path
 
+import pytest
 from small_study import NoBar, digests
 
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.driver import drive
 from pipeline.settings import Settings
-from pipeline.stage import Results
+from pipeline.stage import Results, Stage
 from pipeline.stages import STAGES
 from pipeline.store import Store
 
@@ -41,11 +43,17 @@ class Terminal:
     def mirror(self, *runs) -> None: ...
 
 
-def run(store: Store, stages=TO_TRANSFER, *overrides: str, terminal: Terminal | None = None) -> dict[str, Results]:
+def run(
+    store: Store,
+    stages: Sequence[Stage] = TO_TRANSFER,
+    *overrides: str,
+    terminal: Terminal | None = None,
+    open_cluster=serial_cluster,
+) -> dict[str, Results]:
     terminal = terminal or Terminal()
     return drive(
         parse(Settings, SETTINGS, name="tiny", overrides=overrides), stages, store=store,
-        open_cluster=serial_cluster, tracker=terminal, progress=terminal, how_to_run=lambda name: f"puddle {name}",
+        open_cluster=open_cluster, tracker=terminal, progress=terminal, how_to_run=lambda name: f"puddle {name}",
     )  # fmt: skip
 
 
@@ -67,3 +75,45 @@ def test_damage_met_while_other_work_is_under_way_is_mended(store: Store) -> Non
     undisturbed = Store.open(store.root.parent / "undisturbed", create=True)
     assert digests(found) == digests(run(undisturbed))
     assert store.verify() == []
+
+
+@contextlib.contextmanager
+def stopped_after(n_pieces: int):
+    """Give this process as a cluster until so many pieces are done; then somebody presses Ctrl-C."""
+    with serial_cluster() as cluster:
+        next_done = cluster.next_done
+        left = iter(range(n_pieces))
+
+        def next_or_stop(timeout: float | None = None):
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            return next_done(timeout)
+
+        cluster.next_done = next_or_stop
+        yield cluster
+
+
+def test_a_study_keeps_its_record_until_its_new_settings_have_a_result(store: Store) -> None:
+    """What stands there is what `puddle gc` keeps: who stops in time, as the message says, has lost nothing."""
+    run(store)
+    before = store.read_study("tiny")
+    longer = "transfer.n_generations=4"  # evolution is done: that alone is no result of the new settings
+    terminal = Terminal()
+    with pytest.raises(KeyboardInterrupt):
+        run(store, TO_TRANSFER, longer, terminal=terminal, open_cluster=lambda: stopped_after(0))
+    assert "To keep both reports, stop (Ctrl-C) before" in terminal.said[0]
+    assert store.read_study("tiny") == before
+    with pytest.raises(KeyboardInterrupt):
+        run(store, TO_TRANSFER, longer, open_cluster=lambda: stopped_after(1))
+    after = store.read_study("tiny")
+    assert after.settings["transfer"]["n_generations"] == 4
+    assert [item for item in after.items if item.stage == "evolve"] == [i for i in before.items if i.stage == "evolve"]
+
+
+def test_settings_that_have_nothing_left_to_compute_are_put_on_record_too(store: Store) -> None:
+    run(store)
+    before = store.read_study("tiny")
+    run(store, TO_TRANSFER, "seed=2")
+    assert store.read_study("tiny").settings["seed"] == 2
+    run(store)
+    assert store.read_study("tiny") == before
