@@ -9,7 +9,7 @@
     items/<stage>/<key[:2]>/<key>/manifest.json   written last: without it, the item never happened
     studies/<name>/study.json                     the settings of a study, and the keys of its items
     studies/<name>/driver.lock                    held by the process that drives the study, which it names
-    studies/<name>/report/                        what a person looks at
+    studies/<name>/report/                        what a person looks at; their own files beside it are left alone
 
 A file is written beside its place, flushed to the disk, read back and renamed, so that a process may die anywhere.
 Every read checks the SHA-256 that the manifest gives. Several processes may use one store; several computers may, if
@@ -31,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import disk
-from pipeline.artifacts import Json, decode_json, decode_sealed, encode_json, encode_sealed
+from pipeline.artifacts import Json, decode_json, decode_sealed, digest, encode_json, encode_sealed
 from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.items import KEY, NAME, Items, check_name
 from pipeline.manifest import are_file_names
@@ -285,7 +285,11 @@ class Store(Items):
                 return "another process, which has only just begun"
 
     def export(self, name: str, files: Mapping[str, bytes]) -> Path:
-        """Put files where people look at them, in place of earlier ones; return the folder."""
+        """Put files where people look at them, in place of earlier ones; return the folder.
+
+        Of what else is there, what equals a file of a report in the store goes: an earlier export left it. A person's
+        own files stay, and what it is not certain of.
+        """
         if not are_file_names(files):
             raise ValueError(f"study {name}: expected file names like index.html, came {sorted(files)}")
         folder = self.export_path(name)
@@ -293,7 +297,21 @@ class Store(Items):
             disk.make_folders(self.root, folder)
             for file, data in sorted(files.items()):
                 disk.place(disk.inside(folder, file), data)
+            for path in self._exported_before([path for path in folder.iterdir() if path.name not in files]):
+                disk.unlink(path)
+                disk.fsync(folder)
         return folder
+
+    def _exported_before(self, paths: Sequence[Path]) -> list[Path]:
+        """Choose the files that are copies of what a report in the store has under the same name."""
+        reported: set[tuple[str, str]] = set()
+        for key in self.keys("report") if paths else ():
+            with contextlib.suppress(PuddleError):  # damaged, or a newer puddle's: of another study, most likely
+                listed = self.listing("report", key)
+                reported |= {(file, entry.sha256) for file, entry in listed.files.items()} if listed else set()
+        names = {file for file, _ in reported}
+        files = [path for path in sorted(paths) if path.name in names and path.is_file() and not path.is_symlink()]
+        return [path for path in files if (path.name, digest(path.read_bytes())) in reported]
 
     def export_path(self, name: str) -> Path:
         """Return the folder of a study's report, which :meth:`export` makes."""

@@ -14,6 +14,7 @@ from one_item import FILES, IDENTITY, KEY, RECORD, commit, item, tree
 
 from pipeline.artifacts import digest, encode_sealed, key_of
 from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
+from pipeline.manifest import Manifest
 from pipeline.store import Store, StudyItem
 
 # -- what it is for --------------------------------------------------------------------------------------------------
@@ -238,11 +239,33 @@ def test_the_lock_is_let_go_when_the_study_fails(store: Store) -> None:
     assert store.driver_of("laptop") is None
 
 
+def commit_report(store: Store, files: dict[str, bytes]) -> Manifest:
+    identity = {"stage": "report", "files": sorted(files)}
+    return store.commit("report", key_of(identity), identity, files, record={})
+
+
 def test_reports_are_exported_in_place_of_earlier_ones(store: Store) -> None:
-    store.export("laptop", {"index.html": b"old", "table.csv": b"1"})
-    folder = store.export("laptop", {"index.html": b"new"})
-    assert folder == store.export_path("laptop") == store.root / "studies" / "laptop" / "report"
-    assert tree(folder) == {"index.html": b"new", "table.csv": b"1"}
+    """Films of arms that are gone go; what a person put there, or edited, stays."""
+    films = {name: name.encode() * 9 for name in ("replay-a.gif", "replay-b.gif", "replay-c.gif")}
+    commit_report(store, {"index.html": b"old", "kept.svg": b"<svg/>"})
+    other = commit_report(store, films)
+    store.export("laptop", {"index.html": b"old", "kept.svg": b"<svg/>", **films})
+    folder = store.export_path("laptop")
+    assert folder == store.root / "studies" / "laptop" / "report"
+    mine = {"notes.txt": b"mine", "copy-of-a.gif": films["replay-a.gif"], "replay-c.gif": b"mine, now"}
+    for name, data in mine.items():
+        (folder / name).write_bytes(data)
+    (folder / "kept").mkdir()
+    assert store.export("laptop", {"index.html": b"new", "kept.svg": b"<svg/>"}) == folder
+    assert tree(folder) == {"index.html": b"new", "kept.svg": b"<svg/>", **mine}
+    assert (folder / "kept").is_dir()
+    store.manifest_path("report", other.key).write_bytes(b"{}")  # so it can't be told what is ours: all stays
+    store.export("laptop", films)
+    store.export("laptop", {"index.html": b"newer"})
+    assert set(tree(folder)) == {"index.html", *films, *mine}
+
+
+def test_names_of_exported_files_are_checked(store: Store) -> None:
     for name in ("../study.json", "a/b.html", ".x"):
         with pytest.raises(ValueError, match="expected file names like"):
             store.export("laptop", {name: b""})
