@@ -177,7 +177,7 @@ const robots = (() => {
   }
 
   function drawRobot(context, replay, links, camera, shares) {
-    const fill = color((replay.environment || "unknown").replace("_", "-"));
+    const fill = color((replay.environment || "unknown").replaceAll("_", "-"));
     for (let link = replay.nLinks - 1; link >= 0; link--) {
       const [x, y, angle] = links[link];
       const height = replay.lengthScale[link] * camera.scale, width = camera.scale / replay.lengthScale[link];

@@ -70,7 +70,7 @@
         if (drawing) context.lineTo(x, y); else context.moveTo(x, y);
         drawing = true;
       });
-      context.strokeStyle = color((shown[index].environment || "unknown").replace("_", "-"));
+      context.strokeStyle = color((shown[index].environment || "unknown").replaceAll("_", "-"));
       context.lineWidth = 1.5;
       context.setLineDash(index ? [5, 3] : []);
       context.stroke();
