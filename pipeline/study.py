@@ -17,7 +17,7 @@ from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.manifest import Manifest
 from pipeline.progress import Bar
 from pipeline.settings import Settings
-from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Upstream
+from pipeline.stage import NOT_POSSIBLE, Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Upstream
 from pipeline.store import Store
 
 N_ATTEMPTS = 2
@@ -101,7 +101,7 @@ def follow(
         try:
             _go_on(stage, settings, walk, store, upstream, say)
         except MissingInputs as missing:
-            walk.set_aside = f"not possible: {missing}"
+            walk.set_aside = f"{NOT_POSSIBLE}{missing}"
         walks.append(walk)
     return walks
 

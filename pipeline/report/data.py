@@ -139,9 +139,11 @@ class StudyReport:
     """How long robots' way is measured [s]. [P]"""
     digests: Sequence[Digest] = ()
     set_aside: Sequence[str] = ()
-    """Work items that failed, named."""
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    """Stage -> time that it took [s]."""
+    """Work that failed twice, named."""
+    not_possible: Sequence[str] = ()
+    """Work that needs some of that, named."""
+    without_champion: Sequence[str] = ()
+    """Trials that ran to their end and came to nothing, named."""
 
 
 @dataclass(frozen=True)

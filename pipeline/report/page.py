@@ -60,7 +60,7 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         "title": escape(report.title),
         "name": escape(report.name),
         "finding": _finding(report.trials),
-        "set_aside": _set_aside(report.set_aside),
+        "set_aside": _missing(report),
         "gallery": gallery(report.replays, lost=lost),
         "viewer": viewer(report.replays, lost=lost),
         "transfer_table": transfer_table(report.trials),
@@ -124,14 +124,20 @@ def _finding(trials: Sequence[TrialResult]) -> str:
     )
 
 
-def _set_aside(names: Sequence[str]) -> str:
-    if not names:
-        return ""
-    listed = "".join(f"<li>{escape(name)}</li>" for name in names)
-    return (
-        f'<div class="notice"><b>Not everything ran.</b> These failed twice and were set aside; what is below does '
-        f"without them.<ul>{listed}</ul></div>"
+def _missing(report: StudyReport) -> str:
+    """Name what the page does without, and say why."""
+    failed = _listed("These failed twice and were set aside.", report.set_aside)
+    failed += _listed("These need what is missing, and were not tried.", report.not_possible)
+    empty = _listed("These ran to their end, and no design of theirs stayed finite.", report.without_champion)
+    notices = (
+        ("Not everything ran; what is below does without it.", failed),
+        ("Not every trial has a champion.", empty),
     )
+    return "".join(f'<div class="notice"><b>{title}</b>{said}</div>' for title, said in notices if said)
+
+
+def _listed(sentence: str, names: Sequence[str]) -> str:
+    return f" {sentence}<ul>{''.join(f'<li>{escape(name)}</li>' for name in names)}</ul>" if names else ""
 
 
 def _draws(draws: Sequence[Draws]) -> str:
@@ -198,16 +204,14 @@ _PAGE_COLORS = {
 
 
 def _made(report: StudyReport) -> str:
-    seconds = [(stage, _duration(time)) for stage, time in report.seconds.items()]
     digests = [(f"{digest.stage} · {digest.label}", digest.sha256) for digest in report.digests]
     settings = f"<pre><code>{escape(report.settings_yaml)}</code></pre>" if report.settings_yaml else ""
     return "".join(
-        f"<details{' open' if opened else ''}><summary>{title}</summary>{content}</details>"
-        for title, content, opened in (
-            ("Time by stage", _plain_table(seconds), True),
-            ("Made with", _plain_table(report.created_with.items()), False),
-            ("Settings", settings, False),
-            (f"SHA-256 of {len(digests)} artifacts", _plain_table(digests), False),
+        f"<details><summary>{title}</summary>{content}</details>"
+        for title, content in (
+            ("Made with", _plain_table(report.created_with.items())),
+            ("Settings", settings),
+            (f"SHA-256 of {len(digests)} artifacts", _plain_table(digests)),
         )
         if content
     )
@@ -216,14 +220,3 @@ def _made(report: StudyReport) -> str:
 def _plain_table(rows: Iterable[tuple[str, str]]) -> str:
     body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
     return f'<div class="scroll"><table class="plain"><tbody>{body}</tbody></table></div>' if body else ""
-
-
-def _duration(seconds: float) -> str:
-    """Write a time as people say it: 9.4 s, 3 min 20 s, 2 h 05 min."""
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes < 60:
-        return f"{minutes} min {rest:02d} s"
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02d} min"

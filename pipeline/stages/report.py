@@ -16,7 +16,19 @@ from pipeline.report import Drawing, Replay, draw_all, render_gif, render_mp4, r
 from pipeline.report.data import Digest, Draws, ResidualError, StudyReport, TrialResult
 from pipeline.report.mp4 import FPS
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, Settings
-from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
+from pipeline.stage import (
+    NOT_POSSIBLE,
+    Chain,
+    Files,
+    Input,
+    Item,
+    Job,
+    MissingInputs,
+    Results,
+    Stage,
+    Summary,
+    Upstream,
+)
 from pipeline.stages import segments
 from pipeline.stages.collect import data_set
 from pipeline.stages.findings import HISTORIES, findings
@@ -27,7 +39,7 @@ from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
 from tasks.evolution import OPERATORS
 
-NAME, VERSION = "report", 4
+NAME, VERSION = "report", 5
 
 PAGE, FILMS = "index.html", "films"
 """Label of the page's work, which is also its file; beginning of the labels of the films'."""
@@ -88,21 +100,24 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         inputs[f"train/{label}"] = Input(member, (ERRORS,))
     for label, trial in upstream["evolve"].done.items():
         for number, segment in enumerate(trial):
-            inputs[f"evolve/{label}/{number:04d}"] = Input(segment, (segments.CURVE,))
+            inputs[f"evolve/{label}/{number:06d}"] = Input(segment, (segments.CURVE,))
     for label, (analysis,) in upstream["analyse"].done.items():
         inputs[f"analyse/{label}"] = Input(analysis, tuple(analysis.files))
     if settings.needs_ensemble:
         with suppress(MissingInputs):  # the figure of the data set says that there is none
             inputs |= data_set(upstream["collect"])
     inputs |= _family_inputs(settings, upstream)
-    set_aside = [f"{name}: {label} {why}" for name in upstream for label, why in upstream[name].set_aside.items()]
+    lost = [(f"{name}: {label} ", why) for name in upstream for label, why in upstream[name].set_aside.items()]
+    set_aside = [what + why for what, why in lost if not why.startswith(NOT_POSSIBLE)]
+    not_possible = [what + why for what, why in lost if why.startswith(NOT_POSSIBLE)]
     digests = [
         [name, label, manifests[-1].digest]
         for name in upstream
         for label, manifests in upstream[name].done.items()
         if name in reads(settings)
     ]
-    spec = {**chain.spec, "set_aside": set_aside, "digests": digests, "made_with": dict(provenance())}
+    spec = {**chain.spec, "set_aside": set_aside, "not_possible": not_possible}
+    spec |= {"digests": digests, "made_with": dict(provenance())}
     return Item(NAME, VERSION, chain.label, spec, inputs, how)
 
 
@@ -166,7 +181,9 @@ def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
         draws=_draws(inputs),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],
-        set_aside=[*job.spec["set_aside"], *_without_champion(settings, inputs)],
+        set_aside=job.spec["set_aside"],
+        not_possible=job.spec["not_possible"],
+        without_champion=_without_champion(settings, inputs),
     )
     drawings = draw_all(report)
     files = {PAGE: render_page(report, drawings).encode(), **proposal_files(rows, inputs)}

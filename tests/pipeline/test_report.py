@@ -1,11 +1,13 @@
 """report on a real study: who is filmed where, what is laid over, and what people get."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pipeline.artifacts import decode_json, encode_json
+from pipeline.stage import NOT_POSSIBLE
 from pipeline.stages import report
 from pipeline.stages.analyse import read_table
 from pipeline.stages.findings import findings
@@ -126,3 +128,24 @@ def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings
     none = {SCORE: encode_json({"status": "no champion: every design of the trial diverged"})}
     inputs = {name: none if name.startswith("transfer/") else files for name, files in inputs_of(store, item).items()}
     assert report.STAGE.compute(item.job, inputs) == {"films-residual_slush-1m.json": encode_json({})}
+
+
+def test_what_a_page_lacks_is_told_apart(study, settings):
+    _, upstream = study
+    lost = {"a": "set aside after 2 attempts at a: not possible: so it says", "b": f"{NOT_POSSIBLE}evolve of a is gone"}
+    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == PAGE)
+    upstream = {**upstream, "transfer": replace(upstream["transfer"], set_aside=lost)}
+    spec = report.STAGE.item(settings, chain, 0, None, upstream).spec
+    assert spec["set_aside"] == [f"transfer: a {lost['a']}"]
+    assert spec["not_possible"] == [f"transfer: b {lost['b']}"]
+
+
+def test_segments_of_a_very_long_trial_stay_in_their_order(study, settings):
+    """The curve's parts are put together in the order of their names."""
+    _, upstream = study
+    label, segments = next(iter(upstream["evolve"].done.items()))
+    long = replace(upstream["evolve"], done={label: segments[:1] * 10_001})
+    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == PAGE)
+    inputs = report.STAGE.item(settings, chain, 0, None, {**upstream, "evolve": long}).inputs
+    names = [name for name in inputs if name.startswith(f"evolve/{label}/")]
+    assert len(names) == 10_001 and names == sorted(names)

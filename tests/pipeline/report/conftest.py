@@ -188,7 +188,6 @@ def study(slush_replay, dry_replay, promised, findings) -> StudyReport:
         ],
         findings=findings,
         digests=[Digest("evolve", "true_slush 9 m trial 0", "ab" * 32)],
-        seconds={"evolve": 125.0},
     )
 
 

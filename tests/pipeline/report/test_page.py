@@ -171,7 +171,8 @@ def test_every_text_of_the_study_is_escaped(study):
             created_with={NASTY: NASTY},
             settings_yaml=NASTY,
             set_aside=[NASTY],
-            seconds={NASTY: 1.0},
+            not_possible=[NASTY],
+            without_champion=[NASTY],
             digests=[replace(study.digests[0], label=NASTY, stage=NASTY)],
             residual_errors=[replace(row, speed_band=NASTY, unit=NASTY) for row in study.residual_errors],
             replays=[replace(study.replays[0], title=NASTY, world=NASTY)],
@@ -186,13 +187,24 @@ def test_every_text_of_the_study_is_escaped(study):
 
 
 def test_what_was_set_aside_is_named(study, drawn, html):
-    assert "Not everything ran" not in html
-    lacking = replace(study, set_aside=["dry_land 9 m trial 3"])
-    assert "dry_land 9 m trial 3" in Page(render_page(lacking, drawn)).text
+    failed, untried, empty = "Not everything ran", "need what is missing", "Not every trial has a champion"
+    for words in (failed, untried, empty, "failed twice"):
+        assert words not in html
+    lacking = Page(render_page(replace(study, set_aside=["dry_land 9 m trial 3"]), drawn)).text
+    assert f"{failed}; what is below does without it. These failed twice and were set aside. dry_land 9 m" in lacking
+    assert untried not in lacking and empty not in lacking
+
+
+def test_what_did_not_fail_is_not_said_to_have_failed(study, drawn):
+    untried = Page(render_page(replace(study, not_possible=["films/together not possible: …"]), drawn)).text
+    assert "These need what is missing, and were not tried. films/together" in untried and "failed" not in untried
+    empty = Page(render_page(replace(study, without_champion=["dry_land 9 m trial 3 no champion"]), drawn)).text
+    assert "Not every trial has a champion. These ran to their end" in empty and "finite. dry_land 9 m trial 3" in empty
+    assert "failed twice" not in empty and "Not everything ran" not in empty
 
 
 def test_a_study_that_has_only_begun_makes_a_page(study):
-    begun = replace(study, trials=[], residual_errors=[], replays=[], digests=[], seconds={}, findings=Findings())
+    begun = replace(study, trials=[], residual_errors=[], replays=[], digests=[], findings=Findings())
     page = Page(render_page(begun))
     assert page.open == [] and page.scripts == {}
     for missing in ("The replay viewer", "Transfer at the deepest depth", "The transfer table"):
@@ -201,7 +213,6 @@ def test_a_study_that_has_only_begun_makes_a_page(study):
 
 def test_how_it_was_made_is_there(html):
     text = Page(html).text
-    assert "2 min 05 s" in text
     assert "depths: [1, 9]" in text
     assert "ab" * 32 in text
 
