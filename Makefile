@@ -19,8 +19,8 @@ help: ## list the targets
 
 setup: $(READY) ## make .venv and install everything, at the versions of constraints.txt
 
-# torch comes first and by its exact version, from TORCH_INDEX if that is given (the head of docker/Dockerfile says where
-# to find one). Without it pip takes its own index's build, which on x86 Linux is gigabytes larger: it holds CUDA.
+# torch comes first and by its exact version, from TORCH_INDEX if that is given: torch's page "Get started" has them.
+# Without it pip takes its own index's build, which on x86 Linux is gigabytes larger: it holds CUDA.
 $(READY): pyproject.toml constraints.txt
 	@if [ -z "$(PYTHON)" ]; then echo "puddle needs Python 3.11, 3.12 or 3.13; found none. Install one, or name it: make PYTHON=/path/to/python" >&2; exit 2; fi
 	@echo "Setting up $(VENV) with $$($(PYTHON) --version): 2 to 5 minutes; about 2 GB, or more where torch holds CUDA."
