@@ -57,6 +57,20 @@ def from_row(block: Any, row: int) -> Any:
     return view
 
 
+def count_parts(block: Any) -> int:
+    """Count the parts of a block: 2 halves of its lanes, or 1 if it has a single lane."""
+    return min(2, int(block.n_lanes))
+
+
+def part(block: Any, index: int) -> Any:
+    """View some of a block's lanes in all its rows: one of its parts."""
+    view = Block.__new__(Block)
+    view.n_lanes = block.n_lanes // count_parts(block)
+    view.rows = block.rows[:, index * view.n_lanes : (index + 1) * view.n_lanes]
+    view.address = view.rows.ctypes.data
+    return view
+
+
 def select(mask: Any, yes: Any, no: Any) -> Any:
     """Take ``yes`` in the lanes where the mask holds, ``no`` in the others; two Python numbers make float32."""
     if isinstance(yes, float) and isinstance(no, float):

@@ -24,11 +24,13 @@ from tasks.simulation.lanes import (
     Block,
     any_lane,
     count_lanes,
+    count_parts,
     floor,
     fma,
     from_row,
     lane,
     load_whole,
+    part,
     select,
     sqrt,
     store_whole,
@@ -56,11 +58,22 @@ class Lanes(types.Type):
 
 
 class BlockType(types.Type):
-    """numba's type of a :class:`Block` with a given number of lanes."""
+    """numba's type of a :class:`Block` with a given number of lanes, or of some lanes of a wider one."""
 
-    def __init__(self, count: int) -> None:
-        self.count = count
-        super().__init__(name=f"Block({count})")
+    def __init__(self, count: int, apart: int = 1) -> None:
+        """Tell apart by the number of lanes, and by how many times as many lie between the starts of two rows."""
+        self.count, self.apart = count, apart
+        super().__init__(name=f"Block({count}, {apart})")
+
+    @property
+    def n_parts(self) -> int:
+        """Parts of :func:`part`."""
+        return min(2, self.count)
+
+    @property
+    def part(self) -> BlockType:
+        """What :func:`part` gives."""
+        return BlockType(self.count // self.n_parts, self.apart * self.n_parts)
 
 
 def _vector(lanes: Lanes) -> ir.VectorType:
@@ -321,9 +334,15 @@ def _align(n_lanes: int) -> int:
     return min(ALIGNMENT, n_bytes & -n_bytes)
 
 
+def _row(builder: ir.IRBuilder, of: BlockType, block: ir.Value, row: ir.Value) -> ir.Value:
+    """Point at a row of a block."""
+    return builder.gep(block, [builder.mul(row, ir.Constant(row.type, of.apart))])
+
+
 @lower_builtin(operator.getitem, BlockType, types.Integer)
 def _lower_load(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    return builder.load(builder.gep(args[0], [args[1]]), align=_align(signature.args[0].count))
+    of = signature.args[0]
+    return builder.load(_row(builder, of, *args), align=_align(of.count))
 
 
 @type_callable(operator.setitem)
@@ -337,9 +356,9 @@ def _type_store(context: Any) -> Any:
 
 @lower_builtin(operator.setitem, BlockType, types.Integer, types.Any)
 def _lower_store(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    count = signature.args[0].count
-    value = _as_lanes(context, builder, args[2], signature.args[2], Lanes("float32", count))
-    builder.store(value, builder.gep(args[0], [args[1]]), align=_align(count))
+    of = signature.args[0]
+    value = _as_lanes(context, builder, args[2], signature.args[2], Lanes("float32", of.count))
+    builder.store(value, _row(builder, of, *args[:2]), align=_align(of.count))
     return context.get_dummy_value()
 
 
@@ -350,7 +369,28 @@ def _type_from_row(context: Any) -> Any:
 
 @lower_builtin(from_row, BlockType, types.Integer)
 def _lower_from_row(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    return builder.gep(args[0], [args[1]])
+    return _row(builder, signature.args[0], *args)
+
+
+@type_callable(count_parts)
+def _type_count_parts(context: Any) -> Any:
+    return lambda block: types.intp if isinstance(block, BlockType) else None
+
+
+@lower_builtin(count_parts, BlockType)
+def _lower_count_parts(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    return context.get_constant(types.intp, signature.args[0].n_parts)
+
+
+@type_callable(part)
+def _type_part(context: Any) -> Any:
+    return lambda block, index: block.part if isinstance(block, BlockType) else None
+
+
+@lower_builtin(part, BlockType, types.Integer)
+def _lower_part(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    halves = builder.bitcast(args[0], context.get_value_type(signature.return_type))
+    return builder.gep(halves, [args[1]])
 
 
 @type_callable(load_whole)

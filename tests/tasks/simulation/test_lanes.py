@@ -21,10 +21,12 @@ from tasks.simulation.lanes import (
     aligned,
     any_lane,
     count_lanes,
+    count_parts,
     floor,
     fma,
     from_row,
     lane,
+    part,
     select,
     sqrt,
     to_double,
@@ -142,6 +144,33 @@ def test_single_lanes_and_views(width):
     assert one_by_one(block) == (True, False)
     assert (block.rows[1] == 3 + np.arange(width)).all()
     assert (block.rows[2] == 7).all()
+
+
+@numba.njit
+def by_parts(block):
+    for index in range(count_parts(block)):
+        some = part(block, index)
+        tail = from_row(some, 2)
+        some[1] = some[0] + 100.0 * index
+        tail[0] = select(some[0] > 2.5, 1.0, 0.0) * (2.0 if any_lane(some[0] > 3.5) else 1.0)
+        tail[1] = 0.0 * some[0] + count_lanes(some[0])
+
+
+@pytest.mark.parametrize("run", [by_parts, by_parts.py_func], ids=["compiled", "plain"])
+@pytest.mark.parametrize(("width", "n_parts"), [(1, 1), (2, 2), (8, 2), (16, 2), (32, 2)])
+def test_parts_are_views_of_half_the_lanes(width, n_parts, run):
+    block = Block(5, width)
+    block.rows[0] = numbers = np.arange(width)
+    block.rows[4] = -1.0
+    run(block)
+    size = width // n_parts
+    which = numbers // size
+    np.testing.assert_array_equal(block.rows[0], numbers)
+    np.testing.assert_array_equal(block.rows[1], numbers + 100 * which)
+    any_above = np.array([(numbers[which == index] > 3.5).any() for index in range(n_parts)])
+    np.testing.assert_array_equal(block.rows[2], (numbers > 2.5) * np.where(any_above[which], 2, 1))
+    assert (block.rows[3] == size).all()
+    assert (block.rows[4] == -1).all()
 
 
 def test_in_place_operators_are_refused_because_an_array_would_change_under_all_its_names():
