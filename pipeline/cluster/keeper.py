@@ -72,6 +72,14 @@ def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> Node:
     from ray._private.node import Node
     from ray._private.parameter import RayParams
 
+    class Quiet(Node):  # type: ignore[misc]  # Ray has no types
+        def start_api_server(self, **_: object) -> None:
+            """Leave out the dashboard's process, which Ray starts even without a dashboard.
+
+            All that it does then is tell Ray's makers, where usage statistics are off, that they are off; and it asks
+            the metadata servers of three clouds which of them this is.
+            """
+
     parameters = RayParams(
         node_ip_address=LOOPBACK,  # all of Ray's servers then listen there alone
         gcs_server_port=0,
@@ -82,7 +90,7 @@ def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> Node:
         no_monitor=True,  # the autoscaler's
         temp_dir=os.path.join(folder, "ray"),  # noqa: PTH118 (Ray wants a string)
     )
-    return Node(parameters, head=True, shutdown_at_exit=False, spawn_reaper=True)
+    return Quiet(parameters, head=True, shutdown_at_exit=False, spawn_reaper=True)
 
 
 def _end_with_driver(folder: str) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -76,3 +77,11 @@ def place() -> Iterator[Callable[[], Path]]:
     with tempfile.TemporaryDirectory(prefix="puddle-torture-", dir=memory if memory.is_dir() else None) as top:
 
         yield lambda: Path(tempfile.mkdtemp(dir=top))
+
+
+@pytest.fixture
+def short_folder() -> Iterator[Path]:
+    """A folder whose path leaves room for those of Ray's sockets."""
+    folder = Path(tempfile.mkdtemp(prefix="two-", dir="/tmp"))
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)

@@ -281,28 +281,3 @@ def test_a_run_listens_on_the_loopback_alone_and_talks_to_nobody_else(torture, t
         assert one.process.returncode == 0, one.said()
     assert {"gcs_server", "raylet"} <= seen and n_looks > 10
     torture.note(f"{n_looks} looks at the sockets of {len(seen)} kinds of processes")
-
-
-def in_a_machine_without_network(*command: str) -> list[str]:
-    """A network namespace of its own, where the loopback is all there is."""
-    return ["unshare", "--net", "--map-root-user", "sh", "-c", 'ip link set lo up && exec "$@"', "sh", *command]
-
-
-def test_a_study_completes_on_a_machine_without_network(torture, tmp_path: Path):
-    torture.times(1, 1)
-    look = [sys.executable, "-c", "import socket; socket.create_connection(('192.0.2.1', 9), 2)"]
-    try:
-        refused = subprocess.run(in_a_machine_without_network(*look), capture_output=True, text=True)
-    except FileNotFoundError:
-        pytest.skip("no unshare here")
-    if "Network is unreachable" not in refused.stderr:
-        pytest.skip(f"no network namespace to be had here: {refused.stderr.strip().splitlines()[-1:]}")
-    (tmp_path / "tiny.yaml").write_text(TINY)
-    study = [sys.executable, "-m", "pipeline", "study" if torture.large else "collect", "--workers", "1"]
-    words = in_a_machine_without_network(*study, "--settings", f"{tmp_path}/tiny.yaml", "--store", f"{tmp_path}/store")
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
-    ran = subprocess.run(
-        words, env={**environment, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=280
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert "MLflow" not in ran.stderr

@@ -18,13 +18,11 @@ import json
 import os
 import re
 import secrets
-import shutil
 import signal
 import socket
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -32,8 +30,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import psutil
-import pytest
-from containers import environment_of, words_of
+from containers import SMALL_MEMORY, environment_of, words_of
 from small_study import run
 
 from pipeline.cluster import serial_cluster
@@ -63,8 +60,6 @@ work: {throws_per_item: 2, generations_per_item: 10, engine: reference}
 ADDED = "127.0.0.3"
 """Address of the machine that comes later."""
 
-SMALL_MEMORY = {"--object-store-memory=500000000": "--object-store-memory=100000000"}
-
 SUBMISSION = """
 import json, sys
 from pathlib import Path
@@ -86,14 +81,6 @@ class Task(NamedTuple):
     machine: str
     """Its address."""
     trial: str
-
-
-@pytest.fixture
-def short_folder() -> Iterator[Path]:
-    """A folder whose path leaves room for those of Ray's sockets."""
-    folder = Path(tempfile.mkdtemp(prefix="two-", dir="/tmp"))
-    yield folder
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_path):
