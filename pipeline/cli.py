@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 USER_ERROR = 2
 """Exit code of a mistake that the user can mend."""
 INCOMPLETE = 1
-"""Exit code of a study that went to its end without some of its work, which the message names."""
+"""Exit code of a study that went to its end without some of its work or designs, which the message names."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
@@ -111,9 +111,20 @@ def _run(
             how_to_run=chosen.command,
         )
     lost = [f"{name}: {label}: {why}" for name, found in upstream.items() for label, why in found.set_aside.items()]
+    wild = [f"{name}: {label}: {what}" for name, found in upstream.items() for label, what in found.diverged.items()]
     if lost:
-        typer.echo(f"{len(lost)} pieces of work were set aside; the rest is done:\n" + "\n".join(lost), err=True)
+        _to_stderr("\n".join([f"{len(lost)} pieces of work were set aside; the rest is done:", *lost]))
+    if wild:
+        _to_stderr("\n".join(["Designs diverged and were set aside; the rest is done:", *wild, _WHAT_TO_DO]))
+    if lost or wild:
         raise typer.Exit(INCOMPLETE)
+
+
+_WHAT_TO_DO = (
+    "Rollouts in a sound world stay finite: look at the settings of physics and slush, and at the networks' errors on\n"
+    "the page. The same settings give the same again; all that is done is safe."
+)
+"""Where designs diverged."""
 
 
 def _check_where(context: typer.Context, workers: int | None, address: str | None) -> None:

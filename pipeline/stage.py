@@ -122,6 +122,8 @@ class Results:
     """Pieces done of every chain, by label."""
     seconds: float = 0.0
     """Core-seconds that the pieces done took, on whatever machine made them."""
+    diverged: Mapping[str, str] = field(default_factory=dict)
+    """What diverged in chains that are complete, by label; the driver looks for it."""
 
     def chain(self, label: str) -> tuple[Manifest, ...]:
         """Give the manifests of a chain.
@@ -182,3 +184,5 @@ class Stage:
     compute: Callable[[Job, Mapping[str, Files]], Files]
     """Compute a piece from what it is and its inputs' files, by name. Runs on a worker: no store, no clock."""
     summarise: Callable[[Settings, Results, Store], Summary]
+    diverged: Callable[[Settings, Results, Store], Mapping[str, str]] = lambda settings, results, store: {}
+    """What diverged in its chains that are complete, by label; none of them where all stayed finite."""

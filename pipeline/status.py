@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from pipeline.errors import DamagedArtifact
 from pipeline.settings import Settings
-from pipeline.stage import Results
+from pipeline.stage import Results, Stage
 from pipeline.stages import STAGES
-from pipeline.stages.segments import trial_label
-from pipeline.stages.transfer import NAME as TRANSFER
-from pipeline.stages.transfer import read_scores
 from pipeline.store import Store
 from pipeline.study import survey
 
 
 def status_lines(settings: Settings, store: Store) -> Iterator[str]:
-    """Give a line for the study, one for each stage, and one for each piece set aside and trial without a champion."""
+    """Give lines for the study and each stage, for each piece set aside, and for each trial whose designs diverged."""
     notes: list[str] = []
     upstream = survey(settings, STAGES, store, say=notes.append)
     set_aside = _set_aside(settings, store)
     driver = store.driver_of(settings.name)
     yield f"study {settings.name} in {store.root} ({store.size_bytes() / 1e6:.1f} MB)"
     yield f"driven by {driver}" if driver else "no process is driving it"
-    any_open = False  # a driver runs the stages in order: the first that is open is the one that runs
+    any_diverged = any_open = False  # a driver runs the stages in order: the first that is open is the one that runs
     for stage in STAGES:
         chains = stage.plan(settings)
         total = sum(sum(chain.units) for chain in chains)
@@ -44,10 +41,14 @@ def status_lines(settings: Settings, store: Store) -> Iterator[str]:
         for label, why in set_aside.get(stage.name, {}).items():
             if label not in found.done:
                 yield f"    {label}: {why}"
-        if stage.name == TRANSFER:
-            yield from _without_a_champion(settings, found, store, notes)
+        diverged = _diverged(stage, settings, found, store, notes)
+        any_diverged = any_diverged or bool(diverged)
+        for label, what in diverged.items():
+            yield f"    {label}: {what}"
+    if any_diverged:
+        yield "What diverged does so again under the same settings; all else is safe."
     if any(label not in upstream[name].done for name, lost in set_aside.items() for label in lost):
-        yield "What was set aside is tried again by the next `puddle study`; all else is safe."
+        yield "Pieces that were set aside are tried again by the next `puddle study`; all else is safe."
     yield from notes
 
 
@@ -61,16 +62,15 @@ def _set_aside(settings: Settings, store: Store) -> dict[str, dict[str, str]]:
     return lost
 
 
-def _without_a_champion(settings: Settings, scored: Results, store: Store, notes: list[str]) -> Iterator[str]:
-    """Name the trials that were done and have no champion, and say why; what can't be read is noted."""
+def _diverged(
+    stage: Stage, settings: Settings, found: Results, store: Store, notes: list[str]
+) -> Mapping[str, str]:
+    """Say what diverged in a stage, by label; what can't be read is noted."""
     try:
-        rows = read_scores(settings, scored, store)
+        return stage.diverged(settings, found, store)
     except DamagedArtifact as damage:
         notes.append(str(damage))
-        return
-    for row in rows:
-        if row["status"] != "ok":
-            yield f"    {trial_label(row['environment'], row['depth'], row['trial'])}: {row['status']}"
+        return {}
 
 
 def digest_lines(settings: Settings, store: Store) -> Iterator[str]:

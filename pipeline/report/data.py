@@ -142,8 +142,8 @@ class StudyReport:
     """Work that failed twice, named."""
     not_possible: Sequence[str] = ()
     """Work that needs some of that, named."""
-    without_champion: Sequence[str] = ()
-    """Trials that ran to their end and came to nothing, named."""
+    diverged: Sequence[str] = ()
+    """Trials some of whose designs diverged, or all, named."""
 
 
 @dataclass(frozen=True)

@@ -128,10 +128,14 @@ def _missing(report: StudyReport) -> str:
     """Name what the page does without, and say why."""
     failed = _listed("These failed twice and were set aside.", report.set_aside)
     failed += _listed("These need what is missing, and were not tried.", report.not_possible)
-    empty = _listed("These ran to their end, and no design of theirs stayed finite.", report.without_champion)
+    wild = _listed(
+        "They were set aside, and all else goes on without them. In a sound world none does: look at the settings of "
+        "physics and slush, and at the networks' errors.",
+        report.diverged,
+    )
     notices = (
         ("Not everything ran; what is below does without it.", failed),
-        ("Not every trial has a champion.", empty),
+        ("Designs diverged.", wild),
     )
     return "".join(f'<div class="notice"><b>{title}</b>{said}</div>' for title, said in notices if said)
 

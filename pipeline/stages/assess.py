@@ -16,7 +16,7 @@ from pipeline.artifacts import decode_table, encode_table
 from pipeline.manifest import Manifest
 from pipeline.settings import EnvironmentName, Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
-from pipeline.stages import segments
+from pipeline.stages import divergence, segments
 from pipeline.store import Store
 from tasks.analysis import draw_over_generations, spread_evenly
 from tasks.design import Designs
@@ -126,7 +126,7 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     if not shares:
         return Summary(lines=["no designs: they take networks, and trials in True Slush or on Dry Land"])
     table = read_predictions(shares)
-    n_diverged = int((~np.isfinite(table["true"]) | ~np.isfinite(table["predicted"]).all(axis=1)).sum())
+    n_diverged = int(divergence.somewhere(table).sum())
     n = len(table["true"])
     return Summary(
         lines=[
@@ -135,6 +135,15 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
         ],
         metrics={"n_designs": n, "n_diverged": n_diverged},
     )
+
+
+def diverged(settings: Settings, results: Results, store: Store) -> dict[str, str]:
+    """Say what diverged of each trial's share, by label."""
+    return {
+        label: said
+        for label, (share,) in results.done.items()
+        if (said := divergence.in_assessment(read_predictions([{PREDICTIONS: store.read(share, PREDICTIONS)}])))
+    }
 
 
 STAGE = Stage(
@@ -146,4 +155,5 @@ STAGE = Stage(
     item=item,
     compute=compute,
     summarise=summarise,
+    diverged=diverged,
 )

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.manifest import Manifest
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Input, Item, Results, Stage, Summary, TrialSummary, Upstream
-from pipeline.stages import segments
+from pipeline.stages import divergence, segments
 from pipeline.store import Store
 from tasks.evolution import OPERATORS
 
@@ -67,7 +67,8 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
             rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
         params: dict[str, str | int | float] = {"environment": environment, "depth": depth, "trial": trial}
         trials.append(TrialSummary(name=label, params=params, metrics={"champion_fitness": final}, curves=curves))
-    lines, metrics = [], {}
+    lines = []
+    metrics = {"n_diverged": float(sum(trial.curves["n_diverged"].sum() for trial in trials))}
     for (world, depth), of in best.items():
         known = [fitness for fitness in of if np.isfinite(fitness)]
         said = f"{segments.mean_and_deviation(known)} m (n = {len(known)})" if known else "     -"
@@ -83,6 +84,15 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 
+def diverged(settings: Settings, results: Results, store: Store) -> dict[str, str]:
+    """Say what diverged in trials, by label."""
+    return {
+        label: said
+        for label, trial in results.done.items()
+        if (said := divergence.in_trial(segments.read_curve(store, trial)))
+    }
+
+
 STAGE = Stage(
     name=NAME,
     version=VERSION,
@@ -92,4 +102,5 @@ STAGE = Stage(
     item=item,
     compute=segments.compute_segment,
     summarise=summarise,
+    diverged=diverged,
 )

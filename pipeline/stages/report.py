@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import yaml
 
-from pipeline.artifacts import decode_json, decode_table, encode_json
+from pipeline.artifacts import decode_json, encode_json
 from pipeline.manifest import Manifest
 from pipeline.provenance import environment as provenance
 from pipeline.report import Drawing, Replay, draw_all, render_gif, render_mp4, render_page
@@ -29,7 +29,8 @@ from pipeline.stage import (
     Summary,
     Upstream,
 )
-from pipeline.stages import segments
+from pipeline.stages import divergence, segments
+from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.collect import data_set
 from pipeline.stages.findings import HISTORIES, findings
 from pipeline.stages.proposed import PROPOSED, proposal_files, proposed, tank_replays
@@ -39,13 +40,16 @@ from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
 from tasks.evolution import OPERATORS
 
-NAME, VERSION = "report", 5
+NAME, VERSION = "report", 6
 
 PAGE, FILMS = "index.html", "films"
 """Label of the page's work, which is also its file; beginning of the labels of the films'."""
 
 TOGETHER = "replay"
 """File name, without suffix, of the film that shows two robots: the best with residuals above the best without."""
+
+EVOLUTION, ADAPTATION = "evolve/", "adaptation/"
+"""How the names of inputs begin that are the curves of trials, and of their adaptations."""
 
 PICTURES_OF_PAGE = 2500
 """About what the page costs, as pictures of a film."""
@@ -100,7 +104,12 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         inputs[f"train/{label}"] = Input(member, (ERRORS,))
     for label, trial in upstream["evolve"].done.items():
         for number, segment in enumerate(trial):
-            inputs[f"evolve/{label}/{number:06d}"] = Input(segment, (segments.CURVE,))
+            inputs[f"{EVOLUTION}{label}/{number:06d}"] = Input(segment, (segments.CURVE,))
+    for label, (*adaptation, _) in upstream["transfer"].done.items():
+        for number, segment in enumerate(adaptation):
+            inputs[f"{ADAPTATION}{label}/{number:06d}"] = Input(segment, (segments.CURVE,))
+    for label, (share,) in upstream["assess"].done.items():
+        inputs[f"assess/{label}"] = Input(share, (PREDICTIONS,))
     for label, (analysis,) in upstream["analyse"].done.items():
         inputs[f"analyse/{label}"] = Input(analysis, tuple(analysis.files))
     if settings.needs_ensemble:
@@ -163,7 +172,8 @@ def film_name(replay: Replay) -> str:
 def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
     """Draw the page and its figures."""
     settings = Settings.model_validate(job.spec["settings"])
-    trials = [result for row in settings.grid.trials() if (result := _trial_result(row, inputs)) is not None]
+    evolved = _curves(EVOLUTION, inputs)
+    trials = [result for row in settings.grid.trials() if (result := _trial_result(row, inputs, evolved)) is not None]
     rows = proposed(settings, inputs)
     replays = replays_of({**job.spec["settings"], "trials": job.spec["trials"]}, job.how, inputs)
     in_tank = [film for row in rows for film in tank_replays(settings, row, inputs, job.how["engine"])]
@@ -178,12 +188,12 @@ def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
         findings=findings(
             inputs, assessed_depth=settings.assessed_depth, tank=settings.tank, time_step=settings.physics.time_step
         ),
-        draws=_draws(inputs),
+        draws=_draws(evolved.values()),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],
         set_aside=job.spec["set_aside"],
         not_possible=job.spec["not_possible"],
-        without_champion=_without_champion(settings, inputs),
+        diverged=_diverged(settings, inputs, evolved),
     )
     drawings = draw_all(report)
     files = {PAGE: render_page(report, drawings).encode(), **proposal_files(rows, inputs)}
@@ -193,7 +203,19 @@ def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
     return files
 
 
-def _trial_result(row: tuple[Any, float, int], inputs: Mapping[str, Files]) -> TrialResult | None:
+def _curves(kind: str, inputs: Mapping[str, Files]) -> dict[str, divergence.Table]:
+    """Join the curves of each trial's segments, by label."""
+    parts: dict[str, dict[str, bytes]] = {}
+    for name in sorted(inputs):
+        if name.startswith(kind):
+            label, _, _ = name.removeprefix(kind).rpartition("/")
+            parts.setdefault(label, {})[name] = inputs[name][segments.CURVE]
+    return {label: segments.join_curves(of) for label, of in parts.items()}
+
+
+def _trial_result(
+    row: tuple[Any, float, int], inputs: Mapping[str, Files], evolved: Mapping[str, divergence.Table]
+) -> TrialResult | None:
     """Gather one trial's curve and scores; None where it was set aside. A champion that diverged has NaN for scores."""
     environment, depth, trial = row
     label = segments.trial_label(environment, depth, trial)
@@ -201,28 +223,17 @@ def _trial_result(row: tuple[Any, float, int], inputs: Mapping[str, Files]) -> T
     if scored is None:
         return None
     scores = decode_json(scored[SCORE], label)
-    prefix = f"evolve/{label}/"
-    curves = [
-        decode_table(inputs[name][segments.CURVE], schema="curve", version=1, source=name)["best_fitness"]
-        for name in sorted(inputs)
-        if name.startswith(prefix)
-    ]
     measured = {
         name: np.nan if scores[name] is None else scores[name]
         for name in ("zero_shot", "zero_shot_com", "adapted", "adapted_com")
         if name in scores
     }
     predicted = scores.get("predicted", np.nan)
-    return TrialResult(environment, depth, trial, predicted, **measured, curve=np.concatenate(curves))
+    return TrialResult(environment, depth, trial, predicted, **measured, curve=evolved[label]["best_fitness"])
 
 
-def _draws(inputs: Mapping[str, Files]) -> list[Draws]:
+def _draws(curves: Collection[divergence.Table]) -> list[Draws]:
     """Add up the draws of all trials by operator, where some were rejected."""
-    curves = [
-        decode_table(files[segments.CURVE], schema="curve", version=1, source=name)
-        for name, files in inputs.items()
-        if name.startswith("evolve/")
-    ]
     totals = [
         Draws(
             operator,
@@ -234,15 +245,21 @@ def _draws(inputs: Mapping[str, Files]) -> list[Draws]:
     return [of for of in totals if of.n_rejected]
 
 
-def _without_champion(settings: Settings, inputs: Mapping[str, Files]) -> list[str]:
-    """Name the trials that came to nothing."""
-    lines = []
-    for row in settings.grid.trials():
-        label = segments.trial_label(*row)
-        if f"transfer/{label}" in inputs:
-            status = decode_json(inputs[f"transfer/{label}"][SCORE], label)["status"]
-            lines += [f"evolve: {label} {status}"] if status != "ok" else []
-    return lines
+def _diverged(
+    settings: Settings, inputs: Mapping[str, Files], evolved: Mapping[str, divergence.Table]
+) -> list[str]:
+    """Say what diverged, trial by trial."""
+    adapted = _curves(ADAPTATION, inputs)
+    said = []
+    for label in (segments.trial_label(*row) for row in settings.grid.trials()):
+        if label in evolved:
+            said.append((f"evolve: {label}", divergence.in_trial(evolved[label])))
+        if (scored := inputs.get(f"transfer/{label}")) is not None:
+            scores = decode_json(scored[SCORE], label)
+            said.append((f"transfer: {label}", divergence.in_transfer(scores, adapted.get(label))))
+        if (share := inputs.get(f"assess/{label}")) is not None:
+            said.append((f"assess: {label}", divergence.in_assessment(read_predictions([share]))))
+    return [f"{where} {what}" for where, what in said if what is not None]
 
 
 def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:

@@ -275,8 +275,13 @@ def _curve(before: Population, history: Mapping[str, npt.NDArray[Any]]) -> dict[
 
 def read_curve(store: Store, segments: Sequence[Manifest]) -> dict[str, npt.NDArray[Any]]:
     """Join the curves of a trial's segments."""
-    parts = [decode_table(store.read(m, CURVE), schema="curve", version=1, source=m.key) for m in segments]
-    return {name: np.concatenate([part[name] for part in parts]) for name in CURVE_UNITS}
+    return join_curves({manifest.key: store.read(manifest, CURVE) for manifest in segments})
+
+
+def join_curves(parts: Mapping[str, bytes]) -> dict[str, npt.NDArray[Any]]:
+    """Join the curves of a trial's segments, in their order; names say where each is from."""
+    tables = [decode_table(data, schema="curve", version=1, source=name) for name, data in parts.items()]
+    return {name: np.concatenate([table[name] for table in tables]) for name in CURVE_UNITS}
 
 
 def chain_of(settings: Settings, label: str, spec: Spec, n_generations: int) -> Chain:

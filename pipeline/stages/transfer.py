@@ -16,7 +16,7 @@ from pipeline.design_file import design_document
 from pipeline.manifest import Manifest
 from pipeline.settings import Settings
 from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
-from pipeline.stages import segments
+from pipeline.stages import divergence, segments
 from pipeline.stages.segments import CHAMPION_OF, POPULATION
 from pipeline.store import Store
 from tasks.design import Designs
@@ -28,6 +28,9 @@ ADAPTED_TO = "adapted"
 
 SCORING = 2 / 64
 """What scoring a champion before and after costs: two rollouts, of the 64 or so of a generation."""
+
+ADAPTED_DIVERGED = "adapted_n_diverged"
+"""What MLflow calls the designs of an adaptation that diverged, by generation."""
 
 SCORE, CHAMPION, ADAPTED = "score.json", "champion.json", "adapted.json"
 
@@ -76,7 +79,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     evolved = segments.population_of(inputs[CHAMPION_OF])
     champion = segments.champion_of(evolved)
     if champion is None:
-        return {SCORE: encode_json({"status": "no champion: every design of the trial diverged"})}
+        return {SCORE: encode_json({"status": divergence.NO_CHAMPION})}
     files = {CHAMPION: encode_json(design_document(champion))}
     scores: dict[str, Any] = {"status": "ok", "predicted": float(evolved.fitness[evolved.champion()])}
     scores |= _in_true_slush(job, champion, "zero_shot")
@@ -121,11 +124,6 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
                 if values:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
             lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
-    lines += [
-        f"{segments.trial_label(row['environment'], row['depth'], row['trial'])}: {row['status']}"
-        for row in rows
-        if row["status"] != "ok"
-    ]
     trials = [
         TrialSummary(
             name=segments.trial_label(row["environment"], row["depth"], row["trial"]),
@@ -135,6 +133,7 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
         )
         for row in rows
     ]
+    metrics["n_diverged"] = float(sum(trial.curves[ADAPTED_DIVERGED].sum() for trial in trials if trial.curves))
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 
@@ -142,7 +141,20 @@ def _adaptation_curve(row: Mapping[str, Any], results: Results, store: Store) ->
     adaptation = results.done[segments.trial_label(row["environment"], row["depth"], row["trial"])][:-1]
     if not adaptation:
         return {}
-    return {"adapted_best_fitness": segments.read_curve(store, adaptation)["best_fitness"].astype(np.float64)}
+    curve = segments.read_curve(store, adaptation)
+    shown = {"adapted_best_fitness": curve["best_fitness"], ADAPTED_DIVERGED: curve["n_diverged"]}
+    return {name: values.astype(np.float64) for name, values in shown.items()}
+
+
+def diverged(settings: Settings, results: Results, store: Store) -> dict[str, str]:
+    """Say what diverged in True Slush, by trial's label."""
+    lines = {}
+    for label, (*adaptation, scored) in results.done.items():
+        scores = decode_json(store.read(scored, SCORE), label)
+        curve = segments.read_curve(store, adaptation) if adaptation else None
+        if said := divergence.in_transfer(scores, curve):
+            lines[label] = said
+    return lines
 
 
 STAGE = Stage(
@@ -154,4 +166,5 @@ STAGE = Stage(
     item=item,
     compute=compute,
     summarise=summarise,
+    diverged=diverged,
 )

@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -22,10 +22,12 @@ import pipeline.driver
 import pipeline.stages
 import pipeline.status
 import pipeline.study
-from pipeline.artifacts import decode_json
+import pipeline.tracking
+from pipeline.artifacts import decode_json, decode_table
 from pipeline.cli import main
-from pipeline.cluster import Cluster, serial_cluster
-from pipeline.configuration import parse
+from pipeline.cluster import Cluster
+from pipeline.configuration import load
+from pipeline.manifest import Manifest
 from pipeline.settings import Settings
 from pipeline.stage import Files, Job, Stage
 from pipeline.stages import STAGES, segments
@@ -34,6 +36,7 @@ from pipeline.stages.transfer import SCORE
 from pipeline.store import Store
 from tasks.residual import Architecture, Training
 from tasks.residual.training import train_member
+from tasks.simulation.rollout import DIVERGED
 from tasks.world import Slush, TrueSlush
 
 ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # the workers can't import a test
@@ -157,34 +160,86 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
     assert sorted(stage for stage, _ in made) == ["evolve"] * 9 + ["train"]
 
 
-def test_trials_whose_every_design_diverges_complete_and_say_so(monkeypatch, tmp_path):
-    """A medium whose drag is no number: every rollout diverges, and only that."""
+SLOWEST = 0.15  # Hz
+
+OF_A_SOUND_WORLD = "Rollouts in a sound world stay finite"
+
+
+def some_in_a_wild_medium(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give every design of trial 0, and slow ones of trial 1, a medium whose drag is no number."""
+    real = segments.roll_out
     wild = Slush.model_construct(**{**Slush().model_dump(), "linear_drag": np.nan})
-    monkeypatch.setattr(segments, "world_of", lambda spec, inputs: TrueSlush(depth=spec["depth"], slush=wild))
-    overrides = ("grid.environments=[dry_land]", "grid.n_trials=1")
-    settings = parse(Settings, TINY, name="tiny", overrides=overrides)
-    store = Store.open(tmp_path / "store", create=True)
-    upstream = {}
-    with serial_cluster() as cluster:
-        for stage in STAGES:
-            walks = pipeline.study.follow(stage, settings, store, upstream, say=print)
-            pipeline.study.run_stage(
-                settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=print
-            )
-            upstream[stage.name] = pipeline.study.results_of(stage, walks)
-            assert not upstream[stage.name].set_aside
-    (scored,) = (done[-1] for done in upstream["transfer"].done.values())
+
+    def roll_out(spec, how, environment, designs, **options):
+        sound = real(spec, how, environment, designs, **options)
+        trial = spec["identity"][-1] if "identity" in spec else 1
+        lost = np.isfinite(designs.frequency) if trial == 0 else designs.frequency < SLOWEST
+        if not lost.any():
+            return sound
+        other = real(spec, how, TrueSlush(depth=environment.depth, slush=wild), designs, **options)
+        assert set(other.status) == {DIVERGED}
+        chosen = {name: np.where(lost, getattr(other, name), getattr(sound, name)) for name in MEASURED}
+        return dataclasses.replace(sound, **chosen)
+
+    monkeypatch.setattr(segments, "roll_out", roll_out)
+
+
+MEASURED = ("displacement", "com_displacement", "status")
+
+
+def test_designs_that_diverge_are_set_aside_and_named_and_the_rest_completes(monkeypatch, tmp_path, capsys):
+    """One trial whose every design does, and one of which some do, in evolution and in the adaptation."""
+    some_in_a_wild_medium(monkeypatch)
+    monkeypatch.setattr(pipeline.tracking, "open_tracker", lambda *_, **__: NoTracker())
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    options = ("--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"))
+    options += ("--set", "grid.environments=[dry_land]", "--set", "grid.n_trials=2")
+    assert call("study", *options, "--workers", "0") == 1
+    said = capsys.readouterr().err
+    assert call("status", *options) == 0
+    status = capsys.readouterr().out
+    store = Store.open(tmp_path / "store", create=False)
+    settings = load(Settings, tmp_path / "tiny.yaml", [option for option in options if "grid." in option])
+    upstream = pipeline.study.survey(settings, STAGES, store, say=print)
+    assert not any(found.set_aside or found.unfinished for found in upstream.values())
+    one = "dry_land/1m/trial-1"
+    evolved, (*adapted, scored) = upstream["evolve"].done[one], upstream["transfer"].done[one]
+    named = {
+        "evolve: dry_land/1m/trial-0": "no champion: every design of the trial diverged",
+        f"evolve: {one}": some_of(store, evolved, "designs"),
+        f"transfer: {one}": some_of(store, adapted, "designs of the adaptation"),
+    }
+    page = (store.export_path("tiny") / "index.html").read_text()
+    for where, what in named.items():
+        assert said.splitlines().count(f"{where}: {what}") == 1
+        assert f"<li>{where} {what}</li>" in page
+        stage, _, label = where.partition(": ")
+        of_stage = status.split(f"  {stage} ")[1].split(" core-seconds\n")[1]
+        assert f"    {label}: {what}\n" in of_stage
+    assert status.count("diverged and w") == 2 and status.count("no champion") == 1
+    assert OF_A_SOUND_WORLD in said
     score = decode_json(store.read(scored, SCORE), SCORE)
-    assert "diverged" in score["status"]
-    page = store.read(upstream["report"].done["index.html"][0], "index.html").decode()
-    assert "diverged" in page
-    named = "dry_land/1m/trial-0: no champion: every design of the trial diverged"
-    assert [line.strip() for line in pipeline.status.status_lines(settings, store)].count(named) == 1
-    (path,) = store.root.glob(f"items/transfer/*/{scored.key}/{SCORE}")
-    path.write_bytes(path.read_bytes()[:-1])
+    assert score["status"] == "ok" and np.isfinite([score["predicted"], score["zero_shot"], score["adapted"]]).all()
+    # Said each time, also when all is done; of the stages up to the one that is asked for.
+    assert call("evolve", *options, "--workers", "0") == 1
+    again = capsys.readouterr().err.splitlines()
+    assert [f"{where}: {what}" in again for where, what in named.items()] == [True, True, False]
+    (path,) = store.root.glob(f"items/evolve/*/{evolved[0].key}/{segments.CURVE}")
+    path.write_bytes(path.read_bytes()[:-1] + b"?")  # of the same size: only who reads it can tell
     noted = list(pipeline.status.status_lines(settings, store))
-    assert SCORE in noted[-1] and not any(named in line for line in noted)
+    assert segments.CURVE in noted[-1] and sum("diverged and w" in line for line in noted) == 1
 
 
-class NoBar:
-    def advance(self, work: float) -> None: ...
+def some_of(store: Store, trial: Sequence[Manifest], designs: str) -> str:
+    """Say what must be said of a trial, counted in its history, where that is two or more of them."""
+    read = [(part.key, store.read(part, segments.HISTORY)) for part in trial]
+    parts = [decode_table(data, schema="history", version=1, source=key) for key, data in read]
+    fitness, generation = (np.concatenate([part[name] for part in parts]) for name in ("fitness", "generation"))
+    lost = np.isneginf(fitness)
+    assert 2 <= lost.sum() < len(lost)
+    when = generation[lost].min()
+    return f"{lost.sum()} of {len(lost)} {designs} diverged and were set aside; the first in generation {when}"
+
+
+class NoTracker:
+    def mirror(self, *runs) -> None: ...

@@ -172,7 +172,7 @@ def test_every_text_of_the_study_is_escaped(study):
             settings_yaml=NASTY,
             set_aside=[NASTY],
             not_possible=[NASTY],
-            without_champion=[NASTY],
+            diverged=[NASTY],
             digests=[replace(study.digests[0], label=NASTY, stage=NASTY)],
             residual_errors=[replace(row, speed_band=NASTY, unit=NASTY) for row in study.residual_errors],
             replays=[replace(study.replays[0], title=NASTY, world=NASTY)],
@@ -187,20 +187,20 @@ def test_every_text_of_the_study_is_escaped(study):
 
 
 def test_what_was_set_aside_is_named(study, drawn, html):
-    failed, untried, empty = "Not everything ran", "need what is missing", "Not every trial has a champion"
-    for words in (failed, untried, empty, "failed twice"):
+    failed, untried, wild = "Not everything ran", "need what is missing", "Designs diverged"
+    for words in (failed, untried, wild, "failed twice"):
         assert words not in html
     lacking = Page(render_page(replace(study, set_aside=["dry_land 9 m trial 3"]), drawn)).text
     assert f"{failed}; what is below does without it. These failed twice and were set aside. dry_land 9 m" in lacking
-    assert untried not in lacking and empty not in lacking
+    assert untried not in lacking and wild not in lacking
 
 
 def test_what_did_not_fail_is_not_said_to_have_failed(study, drawn):
     untried = Page(render_page(replace(study, not_possible=["films/together not possible: …"]), drawn)).text
     assert "These need what is missing, and were not tried. films/together" in untried and "failed" not in untried
-    empty = Page(render_page(replace(study, without_champion=["dry_land 9 m trial 3 no champion"]), drawn)).text
-    assert "Not every trial has a champion. These ran to their end" in empty and "finite. dry_land 9 m trial 3" in empty
-    assert "failed twice" not in empty and "Not everything ran" not in empty
+    wild = Page(render_page(replace(study, diverged=["evolve: dry_land/9m/trial-3 12 of 700"]), drawn)).text
+    assert "Designs diverged. They were set aside" in wild and "errors. evolve: dry_land/9m/trial-3 12 of 700" in wild
+    assert "failed twice" not in wild and "Not everything ran" not in wild
 
 
 def test_a_study_that_has_only_begun_makes_a_page(study):

@@ -1,0 +1,66 @@
+"""What is said of designs that diverged, from tables made by hand."""
+
+import numpy as np
+import pytest
+
+from pipeline.stages.divergence import NO_CHAMPION, in_assessment, in_transfer, in_trial, somewhere
+from pipeline.stages.segments import drawn_column, rejected_column
+from tasks.evolution import OPERATORS
+
+
+def curve(n_diverged: list[int], *, best: float = 1.0) -> dict[str, np.ndarray]:
+    """A trial's, of 500 designs a generation from generation 7 on; 40 more were drawn, and rejected."""
+    n = len(n_diverged)
+    columns = {"generation": 7 + np.arange(n), "n_diverged": np.array(n_diverged), "best_fitness": np.full(n, best)}
+    draws = {"random": (140, 40), "mutation": (300, 0), "crossover": (100, 0)}
+    for name in OPERATORS:
+        columns[drawn_column(name)], columns[rejected_column(name)] = (np.full(n, count) for count in draws[name])
+    return columns
+
+
+@pytest.mark.parametrize(
+    ("n_diverged", "best", "said"),
+    [
+        ([0, 0, 0], 1.0, None),
+        ([0, 3, 9], 1.0, "12 of 1,500 designs diverged and were set aside; the first in generation 8"),
+        ([1, 0], 1.0, "1 of 1,000 designs diverged and was set aside; in generation 7"),
+        ([500, 499], -3.0, "999 of 1,000 designs diverged and were set aside; the first in generation 7"),
+        ([500, 500], -np.inf, NO_CHAMPION),
+    ],
+)
+def test_trials(n_diverged, best, said):
+    assert in_trial(curve(n_diverged, best=best)) == said
+
+
+@pytest.mark.parametrize(
+    ("scores", "adaptation", "said"),
+    [
+        ({"zero_shot": 1.0}, None, None),
+        ({"zero_shot": 1.0, "adapted": 2.0}, curve([0, 0]), None),
+        ({"zero_shot": None}, None, "the champion diverged in True Slush"),
+        (
+            {"zero_shot": None, "adapted": 2.0},
+            curve([0, 2]),
+            "2 of 1,000 designs of the adaptation diverged and were set aside; the first in generation 8; "
+            "the champion diverged in True Slush",
+        ),
+        ({"zero_shot": 1.0, "adapted": None}, curve([0, 0]), "the adapted champion diverged in True Slush"),
+        ({"zero_shot": 1.0}, curve([500], best=-np.inf), "not adapted: every design of the adaptation diverged"),
+    ],
+)
+def test_transfers(scores, adaptation, said):
+    assert in_transfer({"status": "ok", **scores}, adaptation) == said
+
+
+def test_of_a_trial_without_a_champion_evolution_has_said_it():
+    assert in_transfer({"status": NO_CHAMPION}, None) is None
+    assert in_transfer({"status": NO_CHAMPION}, curve([500], best=-np.inf)) is None
+
+
+def test_assessments_count_each_design_once():
+    true, predicted = np.arange(4.0), np.arange(8.0).reshape(4, 2)
+    assert in_assessment({"true": true, "predicted": predicted}) is None
+    true[0], predicted[0, 1], predicted[2, 1] = np.nan, np.nan, np.inf
+    assert somewhere({"true": true, "predicted": predicted}).tolist() == [True, False, True, False]
+    said = in_assessment({"true": true, "predicted": predicted})
+    assert said == "2 of 4 designs diverged, in True Slush or under a member"
