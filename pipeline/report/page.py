@@ -130,7 +130,7 @@ def _missing(report: StudyReport) -> str:
     failed += _listed("These need what is missing, and were not tried.", report.not_possible)
     wild = _listed(
         "They were set aside, and all else goes on without them. In a sound world none does: look at the settings of "
-        "physics and slush, and at the networks' errors.",
+        "physics and slush, and at the networks’ errors.",
         report.diverged,
     )
     notices = (

@@ -259,7 +259,7 @@ def _diverged(
             said.append((f"transfer: {label}", divergence.in_transfer(scores, adapted.get(label))))
         if (share := inputs.get(f"assess/{label}")) is not None:
             said.append((f"assess: {label}", divergence.in_assessment(read_predictions([share]))))
-    return [f"{where} {what}" for where, what in said if what is not None]
+    return [f"{where}: {what}" for where, what in said if what is not None]
 
 
 def _residual_errors(inputs: Mapping[str, Files]) -> list[ResidualError]:

@@ -212,7 +212,7 @@ def test_designs_that_diverge_are_set_aside_and_named_and_the_rest_completes(mon
     page = (store.export_path("tiny") / "index.html").read_text()
     for where, what in named.items():
         assert said.splitlines().count(f"{where}: {what}") == 1
-        assert f"<li>{where} {what}</li>" in page
+        assert f"<li>{where}: {what}</li>" in page
         stage, _, label = where.partition(": ")
         of_stage = status.split(f"  {stage} ")[1].split(" core-seconds\n")[1]
         assert f"    {label}: {what}\n" in of_stage

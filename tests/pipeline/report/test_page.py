@@ -198,8 +198,8 @@ def test_what_was_set_aside_is_named(study, drawn, html):
 def test_what_did_not_fail_is_not_said_to_have_failed(study, drawn):
     untried = Page(render_page(replace(study, not_possible=["films/together not possible: …"]), drawn)).text
     assert "These need what is missing, and were not tried. films/together" in untried and "failed" not in untried
-    wild = Page(render_page(replace(study, diverged=["evolve: dry_land/9m/trial-3 12 of 700"]), drawn)).text
-    assert "Designs diverged. They were set aside" in wild and "errors. evolve: dry_land/9m/trial-3 12 of 700" in wild
+    wild = Page(render_page(replace(study, diverged=["evolve: dry_land/9m/trial-3: 12 of 700"]), drawn)).text
+    assert "Designs diverged. They were set aside" in wild and "errors. evolve: dry_land/9m/trial-3: 12 of 700" in wild
     assert "failed twice" not in wild and "Not everything ran" not in wild
 
 
