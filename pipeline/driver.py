@@ -47,7 +47,7 @@ def drive(
         how_to_run: gives the command line that runs a stage, for messages.
 
     Returns:
-        Results of every stage up to the last one wanted, with what diverged in them.
+        Results of every stage up to the last one wanted; of those wanted with what diverged in them.
     """
     with store.lock_study(settings.name), contextlib.ExitStack() as stack:
         cluster: list[Cluster] = []
@@ -87,7 +87,7 @@ def _drive(
     for stage in STAGES[: 1 + STAGES.index(last)]:
         walks = follow(stage, settings, store, upstream, say=progress.say)
         if stage not in wanted:
-            upstream[stage.name] = _with_diverged(settings, stage, results_of(stage, walks), store)
+            upstream[stage.name] = results_of(stage, walks)
             continue
         require(settings, stage, upstream, how_to_run=how_to_run)
         all_done = False
@@ -106,16 +106,12 @@ def _drive(
             upstream[stage.name] = results_of(stage, walks)
             if all_done or _recorded(settings, store) is not None:
                 _keep_record(settings, upstream, store)
-        upstream[stage.name] = _with_diverged(settings, stage, upstream[stage.name], store)
-        summary = stage.summarise(settings, upstream[stage.name], store)
+        found = upstream[stage.name]
+        upstream[stage.name] = replace(found, diverged=stage.diverged(settings, found, store))
+        summary = stage.summarise(settings, found, store)
         progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
         tracker.mirror(*_runs(settings, stage, upstream, summary))
     return upstream
-
-
-def _with_diverged(settings: Settings, stage: Stage, found: Results, store: Store) -> Results:
-    """Look for what diverged in a stage."""
-    return replace(found, diverged=stage.diverged(settings, found, store))
 
 
 def _introduce(settings: Settings, store: Store, say: Callable[[str], None]) -> None:
