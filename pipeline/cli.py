@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from pipeline.cluster import Cluster, pin_threads, ray_cluster, serial_cluster
 from pipeline.errors import PuddleError
-
-if TYPE_CHECKING:
-    from pipeline.settings import Settings
-    from pipeline.store import Store
+from pipeline.options import (
+    DEFAULT_PRESET,
+    DEFAULT_STORE,
+    Address,
+    Chosen,
+    Overrides,
+    Preset,
+    SettingsFile,
+    StorePath,
+    TrackingUri,
+    Workers,
+)
 
 USER_ERROR = 2
 """Exit code of a mistake that the user can mend."""
@@ -34,60 +40,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-
-Preset = Annotated[str, typer.Option("--preset", help="Settings in configs/: smoke, laptop, row, paper, pontoon.")]
-SettingsFile = Annotated[Path | None, typer.Option("--settings", help="A settings file instead of a preset.")]
-Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change one setting: evolution.n_generations=50.")]
-StorePath = Annotated[Path, typer.Option("--store", envvar="PUDDLE_STORE", help="Where results are kept.")]
-Workers = Annotated[
-    int | None, typer.Option("--workers", min=0, help="Cores to use here; all by default, 0 for none but this process.")
-]
-Address = Annotated[
-    str | None, typer.Option("--address", envvar="RAY_ADDRESS", help="An existing Ray cluster, to run on instead.")
-]
-TrackingUri = Annotated[
-    str | None,
-    typer.Option("--tracking-uri", envvar="MLFLOW_TRACKING_URI", help="An MLflow server; the store's own by default."),
-]
-
-DEFAULT_PRESET, DEFAULT_STORE = "laptop", Path("store")
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """What the options that all commands share say."""
-
-    preset: str
-    settings_file: Path | None
-    overrides: tuple[str, ...]
-    store: Path
-
-    def settings(self) -> Settings:
-        """Read the settings."""
-        from pipeline.configuration import load, preset_path
-        from pipeline.settings import Settings
-
-        return load(Settings, self.settings_file or preset_path(self.preset), self.overrides)
-
-    def open_store(self, *, create: bool) -> Store:
-        """Open the store."""
-        from pipeline.store import Store
-
-        return Store.open(self.store, create=create)
-
-    def command(self, name: str) -> str:
-        """Give the command line that runs another command under the same options."""
-        words = ["puddle", name]
-        if self.settings_file is not None:
-            words += ["--settings", str(self.settings_file)]
-        elif self.preset != DEFAULT_PRESET:
-            words += ["--preset", self.preset]
-        for override in self.overrides:
-            words += ["--set", override]
-        if self.store != DEFAULT_STORE:
-            words += ["--store", str(self.store)]
-        return shlex.join(words)
-
 
 def _run(
     chosen: Chosen, names: tuple[str, ...], workers: int | None, address: str | None, tracking_uri: str | None

@@ -82,6 +82,6 @@ def place() -> Iterator[Callable[[], Path]]:
 @pytest.fixture
 def short_folder() -> Iterator[Path]:
     """A folder whose path leaves room for those of Ray's sockets."""
-    folder = Path(tempfile.mkdtemp(prefix="two-", dir="/tmp"))
+    folder = Path(tempfile.mkdtemp(prefix="puddle-", dir="/tmp"))
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
