@@ -8,6 +8,7 @@ tests/torture/test_two_machines.py, MLflow's server by tests/pipeline/test_track
 shown to be the same, here. See ONLY_PARSED for the rest.
 """
 
+import os
 import re
 import shlex
 import shutil
@@ -22,6 +23,7 @@ import pytest
 import typer
 import yaml
 from containers import COMPOSE, DOCKER, KUBERNETES, words_of
+from sqlalchemy import make_url
 
 from pipeline.cli import INCOMPLETE, app
 from pipeline.configuration import PRESETS
@@ -39,8 +41,8 @@ ONLY_PARSED = {
     ("head", "healthcheck"): "Docker runs it: `ray health-check` is Ray's own, and its options are looked at here",
     ("mlflow", "healthcheck"): "Docker runs it: the server's test asks MLflow for more than its health",
     ("postgres", "healthcheck"): "PostgreSQL's own program, which is in its image alone",
-    ("postgres", "command"): "the image's own; the server's test has SQLite in its place, and the driver of PostgreSQL "
-    "is among what the image installs",
+    ("postgres", "command"): "the image's own; the server's test has SQLite in its place, and that the image has the "
+    "driver of PostgreSQL which the server's address names is looked at here",
 }
 """Commands that no test runs without containers, and why: by service."""
 
@@ -81,6 +83,8 @@ def test_the_image_has_the_versions_that_were_tried_and_no_root():
     assert all("constraints.txt" in line for line in installs)
     assert "TORCH_INDEX" in installs[0] and f"torch=={CONSTRAINTS['torch']}" in project["dependencies"]
     assert {re.match(r"[\w-]+", one)[0] for one in project["optional-dependencies"]["server"]} <= set(CONSTRAINTS)
+    arguments = {argument.partition("=")[0] for argument in instructions("ARG")}
+    assert all(set(s["build"]["args"]) == arguments for s in COMPOSE["services"].values() if "build" in s)
     assert instructions("USER") == ["puddle"]
     assert KUBERNETES["RayCluster"]["spec"]["rayVersion"] == CONSTRAINTS["ray"]
 
@@ -149,6 +153,14 @@ def test_mlflows_options_exist():
     assert {word for word in words if word.startswith("--")} <= options
 
 
+def test_the_image_has_the_driver_of_the_servers_database():
+    """Which one `postgresql:` alone means is SQLAlchemy's choice: psycopg2 before 2.1, psycopg since."""
+    (words,) = [words for words in commands() if words[0] == "mlflow"]
+    driver = make_url(words[words.index("--backend-store-uri") + 1]).get_dialect().driver
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert f"{driver}-binary" in project["optional-dependencies"]["server"]
+
+
 def test_presets_that_they_name_exist():
     names = re.findall(r"PRESET:-(\w+)", (DOCKER / "compose.yaml").read_text())
     names += re.findall(r"name: PRESET, value: (\w+)", (DOCKER / "kuberay.yaml").read_text())
@@ -165,6 +177,10 @@ def test_compose_keeps_to_the_specification(tmp_path):
     assert subprocess.run([*check, slip], capture_output=True).returncode == 1
 
 
+VARIABLES = {"PRESET": "paper", "TORCH_INDEX": "https://an.example/index"}
+"""What docker/compose.yaml takes from its user, each with a value that is not its default."""
+
+
 def test_compose_reads_it_itself(tmp_path):
     """`docker compose config`, which also puts the variables in; it needs no daemon."""
     compose = [shutil.which("docker") or "docker", "compose"]
@@ -176,11 +192,18 @@ def test_compose_reads_it_itself(tmp_path):
         said = (asked.stderr or asked.stdout).strip().splitlines()
         pytest.skip(f"no `docker compose` of version 2 or later here: {said[0] if said else 'no answer'}")
     file = DOCKER / "compose.yaml"
-    done = subprocess.run([*compose, "-f", file, "config"], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    read = yaml.safe_load(done.stdout)["services"]
-    assert set(read) == set(COMPOSE["services"])
-    assert read["driver"]["environment"]["PRESET"] in {path.stem for path in PRESETS.glob("*.yaml")}
+    given = {name: value for name, value in os.environ.items() if name not in VARIABLES}
+    for variables in ({}, VARIABLES):
+        done = subprocess.run([*compose, "-f", file, "config"], capture_output=True, text=True, env=given | variables)
+        assert done.returncode == 0 and "not set" not in done.stderr, done.stderr
+        read = yaml.safe_load(done.stdout)["services"]
+        assert set(read) == set(COMPOSE["services"])
+        for name, service in COMPOSE["services"].items():
+            assert read[name].get("command") == service.get("command")  # it writes $$ for a $ that is the shell's
+        preset = read["driver"]["environment"]["PRESET"]
+        assert preset == variables.get("PRESET", preset) and preset in {path.stem for path in PRESETS.glob("*.yaml")}
+        index = variables.get("TORCH_INDEX", "")
+        assert all(read[name]["build"]["args"]["TORCH_INDEX"] == index for name in read if "build" in read[name])
     slip = tmp_path / "compose.yaml"
     slip.write_text(file.read_text().replace("networks: [cluster]", "networks: [clutser]", 1))
     assert subprocess.run([*compose, "-f", slip, "config"], capture_output=True).returncode != 0
@@ -188,7 +211,10 @@ def test_compose_reads_it_itself(tmp_path):
 
 def test_compose_is_closed_and_whole():
     """What a schema can't say."""
+    taken = set(re.findall(r"(?<!\$)\$\{?(\w+)", (DOCKER / "compose.yaml").read_text()))
+    assert taken == set(VARIABLES)  # any other $ in a command is the shell's, and doubled
     for service in COMPOSE["services"].values():
+        assert "$" not in " ".join(service.get("command", ())).replace("$$", "")
         assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
         assert set(service["networks"]) <= set(COMPOSE["networks"])
         assert set(service.get("secrets", ())) <= set(COMPOSE["secrets"])

@@ -46,7 +46,7 @@ def server(tmp_path):
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     service = yaml.safe_load(COMPOSE.read_text())["services"]["mlflow"]
-    line = re.sub(r'"(postgresql:.*?)"', f"sqlite:///{tmp_path}/server.db", service["command"][2].removeprefix("exec "))
+    line = re.sub(r'"(postgresql.*?)"', f"sqlite:///{tmp_path}/server.db", service["command"][2].removeprefix("exec "))
     line = line.replace("0.0.0.0", "127.0.0.1").replace("/artifacts", f"{tmp_path}/artifacts")
     line = re.sub(r"(--port |127\.0\.0\.1:)5000", rf"\g<1>{port}", line)
     log = (tmp_path / "server.log").open("w")
