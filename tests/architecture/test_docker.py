@@ -271,6 +271,11 @@ def test_kuberay_has_what_its_definition_requires(group):
         options = {option for parameter in ray_cli.commands["start"].params for option in parameter.opts}
         assert {f"--{name}" for name in one["rayStartParams"]} <= options
         secured(one["template"]["spec"])
+        (ray,) = one["template"]["spec"]["containers"]
+        address = "localhost" if group == "head" else "puddle-head-svc"
+        words = [w.replace("head:", f"{address}:") for w in COMPOSE["services"]["head"]["healthcheck"]["test"][1:]]
+        for probe in ("livenessProbe", "readinessProbe"):  # the operator's own ask Ray's dashboard
+            assert ray[probe]["exec"]["command"] == words
         if group == "worker":
             assert one["groupName"] and 0 <= one["minReplicas"] <= one["replicas"] <= one["maxReplicas"]
 
