@@ -25,8 +25,11 @@ from pipeline.cluster import TaskFailed, ray_cluster, session
 from pipeline.cluster.process import free_memory
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
-from pipeline.sizes import bytes_of_study
+from pipeline.sizes import bytes_left_of_study
+from pipeline.stage import Results
+from pipeline.stages import STAGES
 from pipeline.store import Store
+from pipeline.study import survey
 
 CONSTRAINTS = Path(__file__).resolve().parents[1] / "constraints.txt"
 """The versions that were tried together: in the checkout."""
@@ -132,11 +135,19 @@ def _memory(n_workers: int) -> Finding:
 
 
 def _store(root: Path, settings: Settings) -> Iterator[Finding]:
-    """Look at the store's disk: room, and all that a commit does to it."""
-    existing = next(path for path in (root, *root.parents) if path.exists())
-    needed = SPARE_BYTES + bytes_of_study(settings)
-    free = float(shutil.disk_usage(existing).free)
-    found = f"{free / 1e9:.1f} GB free at {existing}, about {needed / 1e9:.1f} GB needed by study {settings.name}"
+    """Look at the store's disk: room for what is left of the study, and all that a commit does to it."""
+    try:
+        with disk.explained("looking for the store's disk", root, advice="ask again"):
+            existing = next(path for path in (root, *root.parents) if path.exists())
+            free = float(shutil.disk_usage(existing).free)
+            is_there = (root / "store.json").exists()
+        kept, drivers = _kept(root, settings) if is_there else ({}, [])
+    except PuddleError as error:
+        yield Finding("fail", "store", f"{error}")
+        return
+    needed = SPARE_BYTES + bytes_left_of_study(settings, kept)
+    what = f"what is left of study {settings.name}"
+    found = f"{free / 1e9:.1f} GB free at {existing}, about {needed / 1e9:.1f} GB needed for {what}"
     if free < needed:
         yield Finding("fail", "disk", found, "Free some (`puddle gc`), or keep the store elsewhere: --store.")
     else:
@@ -150,16 +161,17 @@ def _store(root: Path, settings: Settings) -> Iterator[Finding]:
         )  # fmt: skip
         return
     found = f"{root}: a file is safe in {1e3 * seconds:.0f} ms"
-    if not (root / "store.json").exists():
+    if not is_there:
         yield Finding("ok", "store", f"{found}; there is no store yet")
-        return
-    try:
-        store = Store.open(root, create=False)
-        drivers = [f"study {name} is driven by {who}" for name in store.studies() if (who := store.driver_of(name))]
-    except PuddleError as error:
-        yield Finding("fail", "store", f"{error}")
     else:
         yield Finding("warn" if drivers else "ok", "store", "; ".join([found, *drivers]))
+
+
+def _kept(root: Path, settings: Settings) -> tuple[dict[str, Results], list[str]]:
+    """Find what a store holds of the study, and who drives studies in it. What is damaged counts as missing."""
+    store = Store.open(root, create=False)
+    drivers = [f"study {name} is driven by {who}" for name in store.studies() if (who := store.driver_of(name))]
+    return survey(settings, STAGES, store, say=lambda line: None), drivers
 
 
 def _try_commit(folder: Path) -> float:

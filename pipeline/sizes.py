@@ -15,7 +15,7 @@ from pipeline.artifacts import encode_arrays, encode_table
 from pipeline.report import render_gif, render_mp4
 from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.specimens import N_FEW_THROWS, few_throws, layers_of, short_film
-from pipeline.stage import Chain, Spec, Stage
+from pipeline.stage import Chain, Results, Spec, Stage
 from pipeline.stages import STAGES
 from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS
 from pipeline.stages.report import PAGE
@@ -102,10 +102,20 @@ def bytes_left(stage: Stage, chain: Chain, n_done: int, settings: Settings, size
     return kept + len(units) * MANIFEST_BYTES
 
 
-def bytes_of_study(settings: Settings) -> float:
-    """Say what a whole study will keep [bytes]."""
+def bytes_left_of_study(settings: Settings, upstream: Mapping[str, Results]) -> float:
+    """Say what the rest of a study will keep [bytes].
+
+    Args:
+        settings: the study's.
+        upstream: what the store holds already, by stage; of a stage that it lacks, nothing.
+    """
     sizes = weigh(settings)
-    return sum(bytes_left(stage, chain, 0, settings, sizes) for stage in STAGES for chain in stage.plan(settings))
+    n_done = {name: results.n_done for name, results in upstream.items()}
+    return sum(
+        bytes_left(stage, chain, n_done.get(stage.name, {}).get(chain.label, 0), settings, sizes)
+        for stage in STAGES
+        for chain in stage.plan(settings)
+    )
 
 
 def _bytes_of_an_analysis(chain: Chain, settings: Settings, sizes: Sizes) -> float:

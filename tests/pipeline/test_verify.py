@@ -8,6 +8,7 @@ import re
 import shlex
 import shutil
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -333,6 +334,46 @@ def test_the_doctor_finds_a_store_that_may_not_be_written_to(store, tmp_path, mo
         assert (found.verdict, found.what) == ("fail", "store")
         assert found.found.startswith(f"{existing}: a file can't be kept there for good: ")
         assert "Permission denied" in found.found and "permission to write: --store" in found.advice
+
+
+@contextlib.contextmanager
+def as_nobody() -> Iterator[None]:
+    """Be nobody for a moment: nothing keeps root out."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+def test_the_doctor_says_where_it_may_not_look(tmp_path):
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0)
+    with as_nobody():
+        (found,) = doctor._store(closed / "store", parse(Settings, SETTINGS, name="tiny"))
+    closed.chmod(0o700)
+    assert (found.verdict, found.what) == ("fail", "store")
+    assert found.found.startswith(f"{closed / 'store'}: looking for the store's disk failed: Permission denied")
+    assert "choose another place" in found.found
+
+
+def test_the_doctor_asks_for_no_room_for_what_is_kept_already(store, tmp_path, monkeypatch):
+    """A disk with half of the room that a study takes in all holds the rest of one that is nearly done."""
+    settings = parse(Settings, SETTINGS, name="tiny")
+    free = int(doctor.SPARE_BYTES + doctor.bytes_left_of_study(settings, {}) / 2)
+    monkeypatch.setattr(doctor, "shutil", SimpleNamespace(disk_usage=lambda path: SimpleNamespace(free=free)))
+
+    def disk_of(root: Path) -> doctor.Finding:
+        return next(found for found in doctor._store(root, settings) if found.what == "disk")
+
+    assert disk_of(tmp_path / "new").verdict == "fail"
+    assert disk_of(store.root).verdict == "ok"
+    for key in store.keys("report"):  # the page: most of so small a study
+        store.discard("report", key)
+    assert disk_of(store.root).verdict == "fail"
 
 
 @pytest.mark.parametrize(("done", "verdict"), [
