@@ -71,7 +71,11 @@ def expected(tmp_path_factory) -> dict[str, list[str]]:
 
 
 def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path):
-    """One process that deals with eight pieces at a time, and gives them back as chance has it."""
+    """One process that deals with eight pieces at a time, and gives them back as chance has it.
+
+    The workers are simulated: pieces are computed one after the other, here, and only the driver sees them end as if
+    there were several. Real ones are in the next tests: two in `make test`, one, two and eight in `make torture`.
+    """
     n_out_of_order = 0
     for number, rng in enumerate(torture.attempts(1, 100)):
         settings = cut(rng)
