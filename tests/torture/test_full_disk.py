@@ -87,6 +87,69 @@ def test_a_disk_that_turns_read_only(torture, nursery, undisturbed, place):
             subprocess.run(["umount", str(disk)], check=True)
 
 
+THROWS = """
+name: throws
+throws: {n_throws: 40, n_steps: 20}
+work: {throws_per_item: 1}
+"""
+TURNS = """
+import subprocess, sys
+from pipeline import disk
+from pipeline.cli import main
+
+settings, store, undisturbed, at = sys.argv[1:]
+n_effects, codes = 0, []
+
+def collect(store):
+    try:
+        main(["collect", "--workers", "0", "--settings", settings, "--store", store])
+    except SystemExit as end:
+        codes.append(end.code or 0)
+
+def turning(effect):
+    def turned(*rest):
+        global n_effects
+        if n_effects == int(at):
+            subprocess.run(["mount", "--bind", "-o", "ro", store, store], check=True)
+        n_effects += 1
+        effect(*rest)
+    return turned
+
+collect(undisturbed)
+for name in ("write", "fsync", "rename", "mkdir"):
+    setattr(disk, name, turning(getattr(disk, name)))
+collect(store)
+subprocess.run(["umount", store], check=True)
+collect(store)
+sys.exit(f"codes: {codes}")
+"""
+"""The command three times: elsewhere; on a disk that turns read-only before some effect; on the same, mended."""
+
+
+def test_a_disk_that_turns_read_only_under_a_driver(torture, place):
+    """The store's folder is mounted over itself in a namespace of the driver's own, which anybody may have."""
+    (number,) = (int(rng.integers(20, 200)) for rng in torture.attempts(1, 1))
+    folder = place()
+    settings, store, undisturbed = (folder / name for name in ("throws.yaml", "store", "undisturbed"))
+    settings.write_text(THROWS)
+    store.mkdir()
+    alone = ["unshare", "--mount", "--map-root-user"]
+    if shutil.which("unshare") is None or subprocess.run([*alone, "mount", "--bind", store, store]).returncode:
+        pytest.skip("no namespace to mount a disk in")
+    ran = subprocess.run(
+        [*alone, sys.executable, "-c", TURNS, settings, store, undisturbed, str(number)],
+        capture_output=True, text=True, cwd=Path(__file__).parents[2], env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert ran.stderr.endswith("codes: [0, 2, 0]\n"), ran.stderr
+    assert "Read-only file system" in ran.stderr and "kept before is safe" in ran.stderr
+    assert "Traceback" not in ran.stderr
+    found, expected = (
+        {path.relative_to(root): path.read_bytes() for path in root.glob("items/*/*/*/*") if path.suffix != ".json"}
+        for root in (store, undisturbed)
+    )
+    assert len(expected) == 40 and found == expected
+
+
 def test_the_command_says_it_and_ends_with_2(torture, tmp_path):
     """The whole program: its settings, its store, MLflow's database and Ray apart."""
     torture.times(1, 1)
