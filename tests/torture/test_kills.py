@@ -29,6 +29,10 @@ from pipeline.stages import STAGES
 HERE = Path(__file__).parent
 VICTIMS = ["worker", "worker", "raylet", "driver", "worker", "worker", "gcs_server"]
 """In turn. The worker's place is taken by another; with the others, the run is over."""
+IDLE = "ray::IDLE"
+"""Name of a worker without a piece; of one with, it is the piece's."""
+PATIENCE_WITH_IDLE = 0.5
+"""Seconds that pass before a worker without a piece is killed, too."""
 PATIENCE = 600.0
 """Seconds that a driver has to notice that its cluster is dead, on a machine that has much else to do."""
 ALL_BUT_THE_PAGE = STAGES[:-1]
@@ -101,31 +105,43 @@ class Killed:
         )  # fmt: skip
 
     def find(self, victim: str) -> psutil.Process | None:
-        """Wait for a process of the driver's; None where the driver ends first."""
-        deadline = time.monotonic() + PATIENCE
+        """Wait for a process of the driver's, a worker with a piece before an idle one; None where the driver ends."""
+        deadline, idle_will_do = time.monotonic() + PATIENCE, time.monotonic() + PATIENCE_WITH_IDLE
         while self.driver.poll() is None:
             assert time.monotonic() < deadline, f"no {victim}"
             with contextlib.suppress(psutil.Error):
-                driver = psutil.Process(self.driver.pid)
-                for process in [driver] if victim == "driver" else driver.children(recursive=True):
-                    with contextlib.suppress(psutil.Error):
-                        is_worker = process.name().startswith("ray::") and "Agent" not in process.name()
-                        if victim == "driver" or process.name() == victim or (victim == "worker" and is_worker):
-                            return process
+                found = {process: process.name() for process in self.processes(victim)}
+                at_work = [process for process, name in found.items() if name != IDLE]
+                if at_work or (found and time.monotonic() > idle_will_do):
+                    return next(iter(at_work or found))
             time.sleep(0.02)
         return None
 
-    def kill(self, victim: str, wait: float) -> bool:
-        """Kill one, after so many seconds, if the run lasts so long."""
+    def processes(self, victim: str) -> list[psutil.Process]:
+        """List what can be a victim just now."""
+        driver = psutil.Process(self.driver.pid)
+        if victim == "driver":
+            return [driver]
+        found = []
+        for process in driver.children(recursive=True):
+            with contextlib.suppress(psutil.Error):
+                name = process.name()
+                if name == victim or (victim == "worker" and name.startswith("ray::") and "Agent" not in name):
+                    found.append(process)
+        return found
+
+    def kill(self, victim: str, wait: float) -> str | None:
+        """Kill one, so many seconds after there is one, if the run lasts so long; return its name."""
         if self.driver is None:
             self.start()
-        while (prey := self.find(victim)) is not None:
+        while self.find(victim) is not None:
             time.sleep(wait)
-            if self.driver.poll() is None:
+            if (prey := self.find(victim)) is not None:
                 with contextlib.suppress(psutil.NoSuchProcess):
+                    name = prey.name()
                     prey.kill()
-                    return True
-        return False
+                    return name
+        return None
 
     def end(self, victim: str | None) -> None:
         """Wait for the end of the driver, who lost something; look at what it said and left."""
@@ -154,7 +170,7 @@ class Killed:
 @pytest.mark.timeout(3600)  # Ray starts for every few kills
 def test_kill_9_at_random_moments(torture, settings, tmp_path):
     undisturbed = serially(settings, tmp_path / "undisturbed")
-    n_of, n_studies, n_again, study = Counter(), 0, 0, Killed(settings, tmp_path / "0")
+    n_of, n_at_work, n_studies, n_again, study = Counter(), 0, 0, 0, Killed(settings, tmp_path / "0")
 
     def finish() -> Killed:
         """Bring the study to its end, compare, and begin another."""
@@ -169,12 +185,13 @@ def test_kill_9_at_random_moments(torture, settings, tmp_path):
         for number, rng in enumerate(torture.attempts(20, 500)):
             victim = VICTIMS[number % len(VICTIMS)]
             mean = 3.0 if study.driver is None else 0.3
-            while not study.kill(victim, float(rng.exponential(mean))):
+            while (name := study.kill(victim, float(rng.exponential(mean)))) is None:
                 study.end(None)
                 if study.ended:
                     n_studies += 1
                     study = finish()
             n_of[victim] += 1
+            n_at_work += victim == "worker" and name != IDLE
             if victim != "worker":
                 study.end(victim)
         if study.driver is not None:
@@ -186,4 +203,5 @@ def test_kill_9_at_random_moments(torture, settings, tmp_path):
             study.driver.communicate()
     killed = ", ".join(f"{victim} {number:,} times" for victim, number in n_of.items())
     torture.note(f"{killed}; {n_studies + 1} studies, the same bytes each time")
+    torture.note(f"{n_at_work:,} of the workers had a piece")
     torture.note(f"{n_again:,} pieces submitted again, of which none had been kept; no item written twice")
