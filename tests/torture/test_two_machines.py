@@ -57,6 +57,8 @@ work: {throws_per_item: 2, generations_per_item: 10, engine: reference}
 """
 """Every stage; evolution in pieces of about a core-second, which last beyond the start of a machine."""
 
+LOST = "127.0.0.2"
+"""Address of the machine that is killed."""
 ADDED = "127.0.0.3"
 """Address of the machine that comes later."""
 
@@ -99,6 +101,13 @@ def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_
         assert any("  report/" in line for line in found)  # which says when it was made, and so differs
         assert ADDED in {task.machine for task in tasks}
         of_machines = while_there_is_plenty(tasks)
+        n_tasks = {own[0].machine: len(own) for own in of_machines}
+        torture.note("pieces, by machine: " + ", ".join(f"{machine} {number}" for machine, number in n_tasks.items()))
+        if torture.large:  # a short study may leave the machines that go and come hardly any
+            assert n_tasks.keys() >= {LOST, ADDED} and len(n_tasks) == 3, n_tasks
+            assert min(n_tasks.values()) >= 8, n_tasks
+        of_machines = [own for own in of_machines if len(own) > 1]
+        assert of_machines, n_tasks
         usual, busy = [usual_share_busy(own) for own in of_machines], [share_busy(own) for own in of_machines]
         torture.note("share of the time with a task of ours: " + ", ".join(f"{share:.0%}" for share in busy))
         assert min(usual) >= 0.85
@@ -145,7 +154,7 @@ def on_machines_that_change(folder: Path, half_way: int) -> list[Task]:
         first = machine("a", here, head)
         wait_for(lambda: answers(here, port), first, folder / "a.log")
         # By addresses of their own, as machines have them: the driver is to work with the node beside it.
-        second = machine("b", "127.0.0.2", worker)
+        second = machine("b", LOST, worker)
         stranger = start("stranger", submission(address, folder / "intruded"), without_token)
         wait_for(lambda: "Ray runtime started" in (folder / "b.log").read_text(), second, folder / "b.log")
         beside = f"ray start --temp-dir={folder / 'd'} --node-ip-address=127.0.0.4"
@@ -250,6 +259,6 @@ def share_busy(own: list[Task]) -> float:
 
 
 def usual_share_busy(own: list[Task]) -> float:
-    """Give the median, over a machine's tasks, of a task's share of the time to the next one's begin."""
-    shares = [(task.end - task.begin) / (following.begin - task.begin) for task, following in itertools.pairwise(own)]
-    return statistics.median(shares) if shares else 1.0
+    """Give the median, over a machine's tasks but the last, of a task's share of the time to the next one's begin."""
+    pairs = itertools.pairwise(own)
+    return statistics.median((task.end - task.begin) / (following.begin - task.begin) for task, following in pairs)
