@@ -74,7 +74,8 @@ def free_memory() -> int:
 def signals_unwind() -> Iterator[Callable[[], None]]:
     """Let SIGTERM and a closed terminal leave as Ctrl-C does, through every ``finally``, so that no process is left.
 
-    Yields a function that takes the signals back from whoever took them since.
+    A signal that is ignored stays so: `nohup` asks for that. Yields a function that takes the signals back from whoever
+    took them since.
     """
     numbers = (signal.SIGTERM, signal.SIGHUP) if threading.current_thread() is threading.main_thread() else ()
     before = {number: signal.getsignal(number) for number in numbers}
@@ -85,8 +86,8 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
         raise SystemExit
 
     def catch() -> None:
-        for number in numbers:
-            signal.signal(number, unwind)
+        for number, handler in before.items():
+            signal.signal(number, handler if handler == signal.SIG_IGN else unwind)
 
     catch()
     try:
@@ -105,7 +106,7 @@ def signals_held() -> Iterator[None]:
     """Keep Ctrl-C and the like back until the end of what must not be cut in two, and let them through then.
 
     It has :data:`HELD_SECONDS` from the first signal to come to its end. After that this process ends at once, which
-    the store and the keeper of Ray's processes are made for.
+    the store and the keeper of Ray's processes are made for. A signal that is ignored stays so.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -124,7 +125,9 @@ def signals_held() -> Iterator[None]:
     last_resort = threading.Timer(HELD_SECONDS, end)
     last_resort.daemon = True
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, hold) for number in numbers}
+    before = {number: signal.getsignal(number) for number in numbers}
+    for number, handler in before.items():
+        signal.signal(number, handler if handler == signal.SIG_IGN else hold)
     try:
         yield
     finally:

@@ -92,6 +92,23 @@ def test_signals_unwind_through_every_finally_with_their_code():
     assert ended.value.code == 128 + signal.SIGTERM and unwound
 
 
+@pytest.mark.parametrize("taking", [signals_unwind, signals_held])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_is_ignored_stays_so(number, taking):
+    """`nohup puddle study &` outlives its terminal; Ray, which takes signals without a question, changes nothing."""
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        with taking() as take_back:
+            assert signal.getsignal(number) == signal.SIG_IGN
+            signal.signal(number, signal.SIG_DFL)
+            if take_back is not None:
+                take_back()
+                os.kill(os.getpid(), number)
+        assert signal.getsignal(number) == signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="the bound is Linux's")
 def test_a_task_that_allocates_without_end_fails_and_the_bound_goes_with_it():
     before = resource.getrlimit(resource.RLIMIT_DATA)

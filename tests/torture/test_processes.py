@@ -85,7 +85,8 @@ def driver(
     ours, theirs = pty.openpty() if terminal else (None, None)
 
     def prepare() -> None:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # whoever runs the tests may ignore it
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)  # whoever runs the tests may ignore them
         os.setsid()
         if theirs is not None:
             fcntl.ioctl(theirs, termios.TIOCSCTTY, 0)
