@@ -1,6 +1,7 @@
-"""A cluster of Ray workers: this machine's cores, or an existing cluster. The only ``import ray`` but the keeper's.
+"""A cluster of Ray workers: this machine's cores, or an existing cluster.
 
-Ray is imported late: it costs a third of a second that ``--help`` should not pay.
+Ray is imported in this folder alone, here and by the processes that start Ray (the keeper) and try it (the hello).
+It is imported late: it costs a third of a second that ``--help`` should not pay.
 
 Ray's own wire is pickle: whoever can submit to a cluster can run code on it. A local cluster is therefore closed by a
 token that only this user can read; an existing one keeps its owner's rules.
@@ -16,8 +17,6 @@ import logging
 import math
 import os
 import re
-import socket
-import subprocess
 import sys
 import threading
 import time
@@ -26,20 +25,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
 from pipeline.cluster.marks import marked, marks
 from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_held, signals_unwind
+from pipeline.cluster.reach import check_reachable, server_of, unusable
 from pipeline.cluster.session import PLACE, session
 from pipeline.cluster.watch import DEAD, NODE_DEAD, SECONDS_BETWEEN_LOOKS, end_if_gone
 from pipeline.errors import PuddleError
 
 N_INFRASTRUCTURE_RETRIES = 1
 """Times that a task is run again after its worker, node or memory failed; an exception of its own is never retried."""
-
-CONNECT_SECONDS = 15.0
-"""How long an existing cluster may take to answer."""
 
 PACKAGES = ("tasks", "pipeline")
 """What the workers of an existing cluster are sent, since they need not have it on disk."""
@@ -200,7 +196,7 @@ def _shut_down(calling: AbstractContextManager[object]) -> None:
 @contextlib.contextmanager
 def _existing(address: str) -> Iterator[_Lent]:
     """Connect to a cluster that somebody else started, under its own token settings, and send it our packages."""
-    _check_reachable(address)
+    check_reachable(address)
     import ray
 
     over = threading.Event()
@@ -209,9 +205,9 @@ def _existing(address: str) -> Iterator[_Lent]:
             packages = [_folder_of(package) for package in PACKAGES]
             _connect(address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages})
         except Exception as error:
-            raise _unusable(address, str(error)) from error
+            raise unusable(address, str(error)) from error
         else:
-            server = _server_of(ray.get_runtime_context().gcs_address if address == "auto" else address)
+            server = server_of(ray.get_runtime_context().gcs_address if address == "auto" else address)
             threading.Thread(target=end_if_gone, args=(address, *server, over), daemon=True).start()
             yield lambda: True, contextlib.nullcontext(), NODE_DEAD.format(address=address)
         finally:
@@ -231,54 +227,6 @@ def _connect(**where: Any) -> None:
     ray._private.worker._worker_logs_enabled = False
     with signals_held():  # Ray that is interrupted while it starts may crash, and leave its files
         ray.init(log_to_driver=False, logging_level=logging.ERROR, **where)
-
-
-def _check_reachable(address: str) -> None:
-    """Ask whether a cluster answers, in a process that can be given up on: ray.init takes two minutes to say no."""
-    if address != "auto":
-        server = _server_of(address)
-        try:
-            socket.create_connection(server, timeout=CONNECT_SECONDS).close()
-        except OSError as error:
-            raise _unusable(address, f"nothing answers there ({error})") from error
-    hello = "import ray, sys; ray.init(address=sys.argv[1], log_to_driver=False, logging_level='ERROR')"
-    try:
-        # In a session of its own, so that Ctrl-C in the terminal reaches it through us alone.
-        subprocess.run(
-            [sys.executable, "-c", hello, address],
-            check=True, capture_output=True, timeout=CONNECT_SECONDS, start_new_session=True,
-        )
-    except subprocess.TimeoutExpired as error:
-        reason = f"it did not let us in within {CONNECT_SECONDS:.0f} s. Ray's last word: {_last_line(error.stderr)}"
-        raise _unusable(address, reason) from error
-    except subprocess.CalledProcessError as error:
-        raise _unusable(address, _last_line(error.stderr)) from error
-
-
-def _server_of(address: str) -> tuple[str, int]:
-    """Read host and port."""
-    parts = urlsplit(f"//{address}")
-    try:
-        port = parts.port
-    except ValueError:
-        port = None
-    if not parts.hostname or port is None:
-        raise _unusable(address, "it is not an address; expected host:port or auto")
-    return parts.hostname, port
-
-
-def _last_line(output: bytes | str | None) -> str:
-    text = output.decode(errors="replace") if isinstance(output, bytes) else output or ""
-    return (text.strip() or "none").splitlines()[-1]
-
-
-def _unusable(address: str, reason: str) -> PuddleError:
-    return PuddleError(
-        f"the Ray cluster at {address} can't be used: {reason}\n"
-        f"Expected a running cluster with this machine's versions of Python and Ray and, if it asks for a token, "
-        f"RAY_AUTH_MODE=token with RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH. "
-        f"Check the address (`ray status` on the head), or leave out --address and RAY_ADDRESS to use this machine."
-    )
 
 
 def _folder_of(package: str) -> str:

@@ -1,5 +1,6 @@
 """The two clusters keep one contract; Ray's processes are pinned, closed to strangers, and gone when the study is."""
 
+import contextlib
 import os
 import resource
 import socket
@@ -10,13 +11,17 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 import ray
 
-import pipeline.cluster.on_ray
+import pipeline.cluster.reach
 from pipeline.cluster import Cluster, Done, Outcome, TaskFailed, Ticket, ray_cluster, serial_cluster, spread
+from pipeline.cluster.reach import check_reachable
 from pipeline.cluster.watch import NODE_DEAD
 from pipeline.errors import PuddleError
+
+ROOT = Path(__file__).parents[2]
 
 ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # the workers can't import a test
 
@@ -221,11 +226,11 @@ def test_a_stranger_without_the_token_is_refused(local_ray, monkeypatch):
     assert token.stat().st_mode & 0o777 == 0o600
     assert token.parent.stat().st_mode & 0o777 == 0o700
     address = ray.get_runtime_context().gcs_address
-    monkeypatch.setattr(pipeline.cluster.on_ray, "CONNECT_SECONDS", 4.0)
+    monkeypatch.setattr(pipeline.cluster.reach, "CONNECT_SECONDS", 4.0)
     monkeypatch.delenv("RAY_AUTH_TOKEN_PATH")
     monkeypatch.setenv("RAY_AUTH_TOKEN", "0" * 64)
     with pytest.raises(PuddleError, match="InvalidAuthToken") as refused:
-        pipeline.cluster.on_ray._check_reachable(address)
+        check_reachable(address)
     assert address in str(refused.value) and "RAY_AUTH_TOKEN" in str(refused.value)
 
 
@@ -289,14 +294,44 @@ def test_an_address_where_nothing_answers_is_said_at_once():
 
 
 def test_a_port_that_is_not_rays_is_given_up_on(monkeypatch):
-    monkeypatch.setattr(pipeline.cluster.on_ray, "CONNECT_SECONDS", 1.0)
+    monkeypatch.setattr(pipeline.cluster.reach, "CONNECT_SECONDS", 1.0)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen()
         begin = time.monotonic()
         with pytest.raises(PuddleError, match="did not let us in within 1 s"):
-            pipeline.cluster.on_ray._check_reachable(f"127.0.0.1:{listener.getsockname()[1]}")
-        assert time.monotonic() - begin < 8
+            check_reachable(f"127.0.0.1:{listener.getsockname()[1]}")
+        assert time.monotonic() - begin < 60  # Ray itself takes two minutes
+
+
+def test_a_process_that_asks_a_cluster_ends_with_a_driver_that_is_killed():
+    """The cluster takes its call and never answers."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(60)
+        program = "import sys; from pipeline.cluster.reach import check_reachable; check_reachable(sys.argv[1])"
+        words = [sys.executable, "-c", program, f"127.0.0.1:{listener.getsockname()[1]}"]
+        on_loopback = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}  # else Ray calls this machine by another address
+        driver = subprocess.Popen(words, cwd=ROOT, env=os.environ | on_loopback)
+        try:
+            calls = [listener.accept()[0] for _ in range(2)]  # the driver's own, and the one of the process that asks
+            (asking,) = psutil.Process(driver.pid).children()
+        finally:
+            driver.kill()
+            driver.wait()
+        try:
+            asking.wait(timeout=15)
+        finally:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                asking.kill()
+            for call in calls:
+                call.close()
+
+
+def test_a_slow_import_does_not_count_against_the_cluster(monkeypatch, tmp_path):
+    (tmp_path / "ray.py").write_text("import time; time.sleep(3.0)\ndef init(**_): pass")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(pipeline.cluster.reach, "CONNECT_SECONDS", 2.5)
+    check_reachable("auto")
 
 
 def test_no_workers_is_refused():
