@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -32,6 +33,8 @@ INCOMPLETE = 1
 """Exit code of a study that went to its end without some of its work or designs, which the message names."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
+STOPPED = (128 + signal.SIGTERM, 128 + signal.SIGHUP)
+"""Exit codes after SIGTERM, and after a closed terminal."""
 
 app = typer.Typer(
     help="Evolve robots for a world whose physics the simulator lacks.",
@@ -100,8 +103,17 @@ def _interruptible() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        typer.echo("\nStopped. What is done is kept: the same command goes on from there.", err=True)
+        _say_stopped()
         raise typer.Exit(INTERRUPTED) from None
+    except SystemExit as stop:
+        if stop.code in STOPPED:
+            _say_stopped()
+        raise
+
+
+def _say_stopped() -> None:
+    with contextlib.suppress(OSError):  # a closed terminal
+        _to_stderr("\nStopped. What is done is kept: the same command goes on from there.")
 
 
 def _add_stage_command(name: str, summary: str, stages: tuple[str, ...]) -> None:

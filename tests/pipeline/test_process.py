@@ -1,5 +1,7 @@
 """Signals wait for what must not be cut in two, but not for ever; a task that allocates without end fails by itself."""
 
+import errno
+import io
 import os
 import pty
 import resource
@@ -13,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.cli import _interruptible
 from pipeline.cluster.process import memory_bounded, signals_held, signals_unwind
 
 ROOT = Path(__file__).parents[2]
@@ -90,6 +93,37 @@ def test_signals_unwind_through_every_finally_with_their_code():
         finally:
             unwound.append(True)
     assert ended.value.code == 128 + signal.SIGTERM and unwound
+
+
+def stopped_by(number: int) -> None:
+    """Run a command that a signal stops."""
+    before = signal.signal(number, signal.SIG_DFL)  # whoever runs the tests may ignore it
+    try:
+        with _interruptible(), signals_unwind():
+            os.kill(os.getpid(), number)
+            time.sleep(1)
+    finally:
+        signal.signal(number, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_whoever_stops_a_command_is_told_how_it_goes_on(number, capsys, monkeypatch):
+    with pytest.raises(SystemExit) as ended:
+        stopped_by(number)
+    assert ended.value.code == 128 + number
+    said = capsys.readouterr().err
+    assert said == "\nStopped. What is done is kept: the same command goes on from there.\n"
+
+    class Closed(io.StringIO):
+        """A terminal that is gone."""
+
+        def write(self, _: str) -> int:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(sys, "stderr", Closed())
+    with pytest.raises(SystemExit) as ended:
+        stopped_by(number)
+    assert ended.value.code == 128 + number
 
 
 @pytest.mark.parametrize("taking", [signals_unwind, signals_held])
