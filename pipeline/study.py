@@ -43,6 +43,9 @@ LEAST_BLIND_PATIENCE_SECONDS = 86_400.0
 SECONDS_BETWEEN_LOOKS = 5.0
 """How often this process looks for pieces that hang, and at how many cores there are."""
 
+LOOKS_WITHOUT_CORES = 3
+"""In a row, after which this process says that the cluster has none."""
+
 
 @dataclass
 class Walk:
@@ -222,6 +225,7 @@ class _Dispatcher:
         """When a piece was first seen at work; what waits for a core, behind others' work too, does not hang."""
         self._slowest = 0.0
         """Seconds a weighted unit, of the pieces that ended, in this process or before."""
+        self._looks_without_cores = 0
 
     def run(self, walks: Sequence[Walk]) -> None:
         self._slowest = max((walk.slowest for walk in walks), default=0.0)
@@ -238,6 +242,7 @@ class _Dispatcher:
         while ready or self._running:
             if time.monotonic() >= next_look:
                 n_cores = self._cluster.n_cores  # machines come and go
+                self._mind_cores(n_cores)
                 for ticket, failed in self._hanging():
                     self._cluster.give_up(ticket)
                     make_ready(numbers[id(self._finish(ticket, failed))])
@@ -247,6 +252,16 @@ class _Dispatcher:
             finished = self._cluster.next_done(timeout=SECONDS_BETWEEN_LOOKS)
             if finished is not None:
                 make_ready(numbers[id(self._finish(*finished))])
+
+    def _mind_cores(self, n_cores: float) -> None:
+        """Say it, once, where the cluster has had no cores for a while: Ray would wait for ever without a word."""
+        self._looks_without_cores = 0 if n_cores else self._looks_without_cores + 1
+        if self._looks_without_cores == LOOKS_WITHOUT_CORES:
+            self._say(
+                f"{self._stage.name} waits: expected a cluster with at least one core, came one with none (`ray "
+                f"status` lists its nodes; those started with --num-cpus=0 have none). It goes on when a node with "
+                f"cores joins."
+            )
 
     def _submit(self, walk: Walk) -> None:
         item = _next_item(self._stage, self._settings, walk, self._upstream)

@@ -284,3 +284,23 @@ def test_what_waits_for_a_core_that_is_somebody_elses_does_not_hang(tmp_path, mo
     assert not _evolve(tiny(*ONE_ARM), store, monkeypatch, free_at=3 * 86_400.0)
     other = Store.open(tmp_path / "other", create=True)
     assert list(_evolve(tiny(*ONE_ARM), other, monkeypatch, "trial-1", free_at=3 * 86_400.0)) == ["dry_land/1m/trial-1"]
+
+
+class Late(Stuck):
+    """A cluster whose node with a core joins when the core is free; before there are only nodes without."""
+
+    @property
+    def n_cores(self) -> float:
+        return float(self.now >= self.free_at)
+
+
+@pytest.mark.parametrize(("free_at", "n_said"), [(0.0, 0), (7.0, 0), (3600.0, 1)])
+def test_a_cluster_without_cores_is_said_once_and_waited_for(free_at, n_said, tmp_path, monkeypatch):
+    store, said = Store.open(tmp_path / "store", create=True), list[str]()
+    with serial_cluster() as inner:
+        cluster = Late(inner, free_at=free_at)
+        monkeypatch.setattr(pipeline.study, "time", cluster)
+        found = run(tiny(*ONE_ARM), store, cluster, STAGES[2:3], said.append)
+    assert not found["evolve"].set_aside and not found["evolve"].unfinished
+    expected = "evolve waits: expected a cluster with at least one core"
+    assert [line.startswith(expected) for line in said] == [True] * n_said
