@@ -10,17 +10,22 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import hashlib
 import os
 import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from pipeline.artifacts import digest
 from pipeline.errors import DamagedArtifact, PuddleError
 
 MAX_DOCUMENT_BYTES = 2**26
 """A JSON document's greatest length: the record of a study of half a million pieces."""
+
+_PIECE_BYTES = 2**20
+"""Of a file that is hashed."""
 
 _OWN = os.O_NOFOLLOW | os.O_CLOEXEC
 
@@ -122,10 +127,24 @@ def read(path: Path, *, at_most: int = MAX_DOCUMENT_BYTES) -> bytes:
         NotAFileError: where it is a symbolic link, a folder, a pipe or the like.
         OSError: where it is not there or can't be read.
     """
+    with _opened(path) as file:
+        return file.read(min(at_most, os.fstat(file.fileno()).st_size) + 1)  # room for so much is made beforehand
+
+
+def digest_of(path: Path, *, at_most: int) -> str:
+    """Return the SHA-256 of what :func:`read` would read, in little memory; raises as it."""
+    found, n_left = hashlib.sha256(), at_most + 1
+    with _opened(path) as file:
+        while piece := file.read(min(_PIECE_BYTES, n_left)):
+            found.update(piece)
+            n_left -= len(piece)
+    return found.hexdigest()
+
+
+def _opened(path: Path) -> BinaryIO:
     if not stat.S_ISREG(path.lstat().st_mode):
         raise NotAFileError(errno.EINVAL, "not a regular file", str(path))
-    with os.fdopen(os.open(path, os.O_RDONLY | _OWN), "rb") as file:
-        return file.read(at_most + 1)
+    return os.fdopen(os.open(path, os.O_RDONLY | _OWN), "rb")
 
 
 def read_document(path: Path) -> bytes:

@@ -19,6 +19,7 @@ from pipeline.artifacts import Json, canonical_json, decode_json, digest, key_of
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.manifest import (
     MANIFEST,
+    MAX_FILE_BYTES,
     FileEntry,
     Manifest,
     are_file_names,
@@ -72,12 +73,18 @@ class Items:
 
         Raises:
             Irreproducible: where it was there with other contents, which stay.
-            PuddleError: where the disk is full, read-only or failing.
+            PuddleError: where the disk is full, read-only or failing, or a file is too long to be read again.
         """
         if key != key_of(identity):
             raise ValueError(f"{stage} {key}: expected the key of its identity, {key_of(identity)}")
         if not files or not are_file_names(files):
             raise ValueError(f"{stage} {key}: expected file names like weights.safetensors, came {sorted(files)}")
+        for name, data in files.items():
+            if len(data) > MAX_FILE_BYTES:
+                raise PuddleError(
+                    f"{stage} {key}: expected at most {MAX_FILE_BYTES} bytes of {name}, came {len(data)}. Cut the "
+                    f"study's work into smaller pieces."
+                )
         manifest = Manifest(
             stage=check_name(stage, "stage"),
             key=key,
@@ -106,12 +113,22 @@ class Items:
             return None
 
     def _verified(self, stage: str, key: str) -> Manifest | None:
-        """Return an item's manifest, its files read and found whole."""
-        manifest = self.manifest(stage, key)
-        if manifest is not None:
-            for name in manifest.files:
-                self.read(manifest, name)
+        """Return an item's manifest, its files hashed and found whole; of damage, each file that has some is named."""
+        manifest = self.listing(stage, key)
+        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
+            wrong = list(self._bad_files(manifest)) if manifest is not None else []
+            if wrong:
+                raise DamagedArtifact("; ".join(wrong))
         return manifest
+
+    def _bad_files(self, manifest: Manifest) -> Iterator[str]:
+        """Hash an item's files; say of each that is not what was committed what was expected and what came."""
+        for name, entry in manifest.files.items():
+            path = disk.inside(self._item(manifest.stage, manifest.key), name)
+            if problem := _other_length(path, entry):
+                yield problem
+            elif (came := disk.digest_of(path, at_most=entry.n_bytes)) != entry.sha256:
+                yield f"{path}: expected SHA-256 {entry.sha256}, came {came}"
 
     def manifest(self, stage: str, key: str) -> Manifest | None:
         """Return an item's manifest, or None where the item was never committed.
@@ -126,11 +143,8 @@ class Items:
         manifest = self.listing(stage, key)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
             for name, entry in manifest.files.items() if manifest is not None else ():
-                file = disk.inside(self._item(stage, key), name)
-                n_bytes = file.stat().st_size if file.is_file() else None
-                if n_bytes != entry.n_bytes:
-                    came = "no file" if n_bytes is None else f"{n_bytes} bytes"
-                    raise DamagedArtifact(f"{file}: expected {entry.n_bytes} bytes, came {came}")
+                if problem := _other_length(disk.inside(self._item(stage, key), name), entry):
+                    raise DamagedArtifact(problem)
         return manifest
 
     def listing(self, stage: str, key: str) -> Manifest | None:
@@ -243,6 +257,14 @@ class Items:
                 return sorted(path.name for path in folder.iterdir() if NAME.fullmatch(path.name) and _is_folder(path))
             except FileNotFoundError:
                 return []
+
+
+def _other_length(path: Path, entry: FileEntry) -> str | None:
+    """Say what is there where a file of a certain length is expected; None where it is."""
+    n_bytes = path.stat().st_size if path.is_file() else None
+    if n_bytes == entry.n_bytes:
+        return None
+    return f"{path}: expected {entry.n_bytes} bytes, came {'no file' if n_bytes is None else f'{n_bytes} bytes'}"
 
 
 def _is_folder(path: Path) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,11 @@ from pipeline.errors import DamagedArtifact, Irreproducible, OtherVersion, Puddl
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
 
 MANIFEST = "manifest.json"
+MAX_FILE_BYTES = 2**30
+"""Of a file of an item, which is read into memory whole. A piece of work makes megabytes."""
+
 _FILE_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}(\.[a-z0-9]{1,16})?")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass(frozen=True)
@@ -89,10 +94,10 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
     except PuddleError as error:  # a foreign document where ours was
         raise DamagedArtifact(str(error)) from None
     try:  # the seal tells of damage, not of who wrote it: the document may have any content
-        files = {name: FileEntry(entry["sha256"], entry["bytes"]) for name, entry in body["files"].items()}
+        files = {name: _entry(name, entry) for name, entry in body["files"].items()}
         for name in ("identity", "environment", "record"):
             body[name].items()
-        float(body["record"].get("seconds", 0.0))
+        _check_seconds(body["record"].get("seconds", 0.0))
         manifest = Manifest(body["stage"], body["key"], body["identity"], files, body["environment"], body["record"])
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise DamagedArtifact(f"{source}: expected a manifest's fields: {error!r}") from None
@@ -101,6 +106,21 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
     if not files or not are_file_names(files):
         raise DamagedArtifact(f"{source}: expected file names like weights.safetensors, came {sorted(files)}")
     return manifest
+
+
+def _entry(name: str, said: Mapping[str, Any]) -> FileEntry:
+    """Return what a manifest says of a file, if it can be true of one."""
+    sha256, n_bytes = said["sha256"], said["bytes"]
+    if not (isinstance(sha256, str) and _SHA256.fullmatch(sha256)):
+        raise ValueError(f"expected a SHA-256 of {name:.80} in 64 hexadecimal digits, came {sha256!s:.80}")
+    if type(n_bytes) is not int or not 0 <= n_bytes <= MAX_FILE_BYTES:
+        raise ValueError(f"expected 0 to {MAX_FILE_BYTES} bytes of {name:.80}, came {n_bytes!s:.80}")
+    return FileEntry(sha256, n_bytes)
+
+
+def _check_seconds(said: Any) -> None:
+    if type(said) not in (int, float) or not 0 <= said <= sys.float_info.max:
+        raise ValueError(f"expected seconds, 0 or more, came {said!s:.80}")
 
 
 def refuse_other_content(kept: Manifest, new: Manifest) -> None:
@@ -112,7 +132,9 @@ def refuse_other_content(kept: Manifest, new: Manifest) -> None:
     if kept.digest == new.digest:
         return
     differ = [name for name in sorted({*kept.files, *new.files}) if kept.files.get(name) != new.files.get(name)]
-    made = [f"{one.digest} ({one.environment['cpu']}, commit {one.environment['commit']})" for one in (kept, new)]
+    made = [
+        f"{one.digest} ({one.environment.get('cpu')}, commit {one.environment.get('commit')})" for one in (kept, new)
+    ]
     raise Irreproducible(
         f"{new.stage} {new.key}: the same work gave other bytes than before, in {', '.join(differ)}: expected digest "
         f"{made[0]}, came {made[1]}. What was kept stays. This is a defect of puddle or of a machine: please report it."

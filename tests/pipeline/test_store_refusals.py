@@ -69,6 +69,25 @@ def test_damage_is_found_named_and_mended_by_discarding(store: Store, name: str,
     assert tree(store.root) == undisturbed
 
 
+def test_every_damaged_file_of_an_item_is_named(store: Store) -> None:
+    commit(store)
+    paths = [item(store) / name for name in FILES]
+    for path in paths[:2]:
+        path.write_bytes(b"R" + path.read_bytes()[1:])
+    paths[2].unlink()
+    (wrong,) = store.verify()
+    assert all(str(path) in str(wrong) for path in paths)
+    assert (wrong.stage, wrong.key) == ("evolve", KEY) and str(wrong).count("computed again") == 1
+
+
+def test_a_file_that_is_too_long_to_be_read_again_is_not_kept(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.items.MAX_FILE_BYTES", 399)
+    with pytest.raises(PuddleError, match=r"expected at most 399 bytes of history\.parquet, came 400\. Cut"):
+        commit(store)
+    assert not item(store).exists()
+    commit(store, {name: data[:399] for name, data in FILES.items()})
+
+
 def test_a_missing_or_cut_file_is_noticed_before_it_is_read(store: Store) -> None:
     """A study plans by manifests alone: work whose result is gone must not look done."""
     commit(store)
@@ -124,6 +143,9 @@ def test_a_manifest_in_another_items_place_is_refused(store: Store) -> None:
         {"files": {}},
         {"files": [1]},
         {"files": {"log": 3}},
+        *({"files": {"log": {"sha256": digest(b""), "bytes": n}}} for n in (0.0, True, "0", -1, 2**44, 10**400, None)),
+        *({"files": {"log": {"sha256": word, "bytes": 0}}} for word in ("", digest(b"").upper(), [], None, "é" * 64)),
+        *({"record": {"seconds": seconds}} for seconds in (10**400, -1, "nan", True, [])),
         {"record": None, "identity": 3},
     ],
 )

@@ -4,12 +4,15 @@ A store, a settings file or a design may come from a stranger, who can seal docu
 """
 
 import contextlib
+import copy
 import io
 import json
 import pickle
+import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -24,9 +27,9 @@ from pipeline.artifacts import decode_arrays, decode_table, encode_sealed, encod
 from pipeline.cluster import session
 from pipeline.configuration import load
 from pipeline.design_file import read_design
-from pipeline.errors import PuddleError
+from pipeline.errors import Irreproducible, PuddleError
 from pipeline.gc import Garbage, find_garbage, remove
-from pipeline.manifest import MANIFEST_SCHEMA, Manifest, decode_manifest
+from pipeline.manifest import MANIFEST_SCHEMA, MAX_FILE_BYTES, Manifest, decode_manifest, refuse_other_content
 from pipeline.settings import Settings
 from pipeline.store import STUDY_SCHEMA, Store
 from pipeline.verify import find_damage
@@ -119,28 +122,84 @@ def test_a_hostile_design_is_refused_by_name(kind, tmp_path, sentinel):
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=20)
-    | st.sampled_from(["..", "/etc/passwd", "a/../b", "x\0y", "é" * 300, "0" * 64]),
+    | st.sampled_from(["..", "/etc/passwd", "a/../b", "x\0y", "é" * 300, "0" * 64, -1, 5.0, True, 2**44, 10**400]),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
     max_leaves=12,
 )  # fmt: skip
 
 
+IDENTITY = {"stage": "evolve", "version": 1}
+FIELDS = [
+    ("stage",), ("key",), ("identity",), ("files",), ("files", "a.json"), ("files", "a.json", "sha256"),
+    ("files", "a.json", "bytes"), ("digest",), ("environment",), ("record",), ("record", "seconds"),
+]  # fmt: skip
+
+
+def manifest_body() -> dict:
+    """Give what a valid manifest says."""
+    entry = {"sha256": "0" * 64, "bytes": 5}
+    made = {"cpu": "one", "commit": "none"}
+    return {
+        "stage": "evolve", "key": key_of(IDENTITY), "identity": IDENTITY, "files": {"a.json": entry},
+        "digest": "", "environment": made, "record": {"seconds": 1.0},
+    }  # fmt: skip
+
+
+def decoded(body: dict) -> Manifest:
+    data = encode_sealed(body, schema=MANIFEST_SCHEMA, version=1)
+    return decode_manifest(data, stage="evolve", key=key_of(IDENTITY), source="it")
+
+
 def test_a_manifest_that_a_stranger_sealed(torture):
-    n_manifests = 100
+    """One field at a time is hostile: it is refused, or what is read has the types and bounds that it should have."""
+    n_manifests, n_read, n_refused = 100, Counter(), Counter()
+    whole = decoded(manifest_body())
 
     @settings(max_examples=n_manifests, deadline=None, database=None)
-    @given(body=st.fixed_dictionaries({}, optional=dict.fromkeys(
-        ("stage", "key", "identity", "files", "digest", "environment", "record"), JSON)))  # fmt: skip
-    def check(body):
-        data = encode_sealed(body, schema=MANIFEST_SCHEMA, version=1)
-        with contextlib.suppress(PuddleError):
-            assert isinstance(decode_manifest(data, stage="evolve", key="0" * 64, source="it"), Manifest)
+    @given(field=st.sampled_from(FIELDS), hostile=JSON)
+    def check(field, hostile):
+        body = copy.deepcopy(manifest_body())
+        *above, last = field
+        group = body
+        for name in above:
+            group = group[name]
+        group[last] = hostile
+        try:
+            manifest = decoded(body)
+        except PuddleError as error:
+            assert str(error).startswith("it: ")
+            n_refused[field] += 1
+            return
+        n_read[field] += 1
+        assert (manifest.stage, manifest.key, manifest.identity) == ("evolve", key_of(IDENTITY), IDENTITY)
+        assert manifest.files and set(manifest.files) <= {"a.json", "0" * 64} and manifest.digest
+        for entry in manifest.files.values():
+            assert re.fullmatch("[0-9a-f]{64}", entry.sha256)
+            assert type(entry.n_bytes) is int and 0 <= entry.n_bytes <= MAX_FILE_BYTES
+        assert 0 <= float(manifest.record.get("seconds", 0.0)) < float("inf")
+        with contextlib.suppress(Irreproducible):
+            refuse_other_content(manifest, whole)
 
-    n_tried = 0
     for rng in torture.attempts(3, 100):
         seed(int(rng.integers(2**32)))(check)()
-        n_tried += n_manifests
-    torture.note(f"{n_tried:,} manifests")
+    assert set(n_refused) >= set(FIELDS) - {("digest",)} and n_read[("digest",)]  # which nobody reads
+    torture.note(f"{n_refused.total():,} manifests refused by name, {n_read.total():,} read, which mean no harm")
+
+
+@pytest.mark.parametrize("n_bytes", [5.0, 2**27, 2**44])
+def test_files_as_long_as_a_manifest_says_do_not_fill_the_memory(n_bytes, place):
+    """Holes: they take no room. What is hashed is never in memory whole; what is too long is not hashed either."""
+    store = Store.open(place() / "store", create=True)
+    key = store.commit("evolve", key_of(IDENTITY), IDENTITY, {"a.json": b"hello"}, record={}).key
+    path = store.manifest_path("evolve", key)
+    body = manifest_body()
+    body["files"]["a.json"]["bytes"] = n_bytes
+    path.write_bytes(encode_sealed(body, schema=MANIFEST_SCHEMA, version=1))
+    with (path.parent / "a.json").open("wb") as file:
+        file.truncate(min(int(n_bytes), 2**40))
+    with memory_below(32 * MEGABYTE):
+        (wrong,) = find_damage(store)
+    assert str(path if n_bytes != 2**27 else path.parent / "a.json") in str(wrong)
 
 
 # -- stores ----------------------------------------------------------------------------------------------------------
@@ -348,7 +407,7 @@ def test_a_manifest_as_long_as_a_disk(pristine, place):
 
 def test_an_identity_that_is_not_its_keys(pristine):
     identity = {"stage": "evolve"}
-    body = {"stage": "evolve", "key": "0" * 64, "identity": identity, "files": {"a": {"sha256": "", "bytes": 0}}}
+    body = {"stage": "evolve", "key": "0" * 64, "identity": identity, "files": {"a": {"sha256": "0" * 64, "bytes": 0}}}
     data = encode_sealed({**body, "environment": {}, "record": {}}, schema=MANIFEST_SCHEMA, version=1)
     assert key_of(identity) != "0" * 64
     with pytest.raises(PuddleError, match="expected evolve 0000"):
