@@ -30,7 +30,7 @@ class Garbage:
     halves: tuple[tuple[str, str], ...]
     """Stage and key of the items whose commit never came to its end."""
     temporary: tuple[Path, ...]
-    """Files that were on their way to their place when a process died."""
+    """Files of studies that were on their way to their place when a process died; see :meth:`Store.temporary`."""
     sessions: tuple[Path, ...]
     """Folders of Ray's in /tmp that no driver holds any more."""
 
@@ -54,7 +54,7 @@ def find_garbage(store: Store) -> Garbage:
     return Garbage(
         items=tuple((stage, key) for stage in stages for key in store.keys(stage) if (stage, key) not in needed),
         halves=tuple((stage, key) for stage in stages for key in store.keys(stage, committed=False)),
-        temporary=tuple(sorted((store.root / "studies").rglob(".*.tmp"))),
+        temporary=tuple(store.temporary()),
         sessions=tuple(session.dead()),
     )
 
@@ -78,11 +78,11 @@ def _needs(store: Store, name: str) -> Iterator[tuple[str, str]]:
 
 def remove(store: Store, garbage: Garbage) -> None:
     """Remove garbage. The caller has held the store alone since it was found."""
-    for stage, key in (*garbage.items, *garbage.halves):
-        store.remove(stage, key)
-    for path in garbage.temporary:
+    for path in garbage.temporary:  # first: they are known by the reports that the store holds
         with disk.explained("removing", path):
             disk.unlink(path)
+    for stage, key in (*garbage.items, *garbage.halves):
+        store.remove(stage, key)
     session.sweep()
 
 

@@ -135,16 +135,17 @@ def _learned(settings: Settings, store: Store, *, throws: bool) -> dict[str, Fil
 
     Raises:
         MissingInputs: names what the store does not hold.
-        PuddleError: names what of it is damaged.
+        PuddleError: names what of it is damaged; or `puddle gc` is at work.
     """
     damage: list[str] = []
-    upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=damage.append)
-    if damage:
-        raise PuddleError(damage[0])
-    inputs = world_inputs(settings, "residual_slush", 0, upstream)
-    if throws:
-        inputs |= data_set(upstream["collect"])
-    return {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()}
+    with store.lock_to_read():
+        upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=damage.append)
+        if damage:
+            raise PuddleError(damage[0])
+        inputs = world_inputs(settings, "residual_slush", 0, upstream)
+        if throws:
+            inputs |= data_set(upstream["collect"])
+        return {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()}
 
 
 def _shown(replay: Replay, lines: list[str], kind: str | None) -> bytes:

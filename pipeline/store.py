@@ -4,7 +4,7 @@
 
     store.json                                    the schema version: what makes a folder a store
     commit.lock                                   held for the moment of a commit
-    use.lock                                      shared by all drivers; held alone by what removes items
+    use.lock                                      shared by drivers and readers; held alone by what removes items
     items/<stage>/<key[:2]>/<key>/<file>          an item's files
     items/<stage>/<key[:2]>/<key>/manifest.json   written last: without it, the item never happened
     studies/<name>/study.json                     the settings of a study, and the keys of its items
@@ -31,16 +31,18 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import disk
-from pipeline.artifacts import Json, decode_json, decode_sealed, digest, encode_json, encode_sealed
+from pipeline.artifacts import Json, decode_json, decode_sealed, encode_json, encode_sealed
 from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.items import KEY, NAME, Items, check_name
-from pipeline.manifest import are_file_names
+from pipeline.manifest import MAX_FILE_BYTES, are_file_names
 
 STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
 WRITTEN_ANEW = "Its results are safe; running the study again writes the file anew."
 """What to do where a study's record is damaged or gone."""
+
+_GC_IS_AT_WORK = "`puddle gc` is removing what no study needs. Wait for its end."
 
 
 @dataclass(frozen=True)
@@ -230,7 +232,7 @@ class Store(Items):
         with disk.explained(f"locking study {name}", self.root), contextlib.ExitStack() as held:
             in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH)
             if in_use is None:
-                raise PuddleError(f"{self.root}: `puddle gc` is removing what no study needs. Wait for its end.")
+                raise PuddleError(f"{self.root}: {_GC_IS_AT_WORK}")
             held.callback(os.close, in_use)
             disk.make_folders(self.root, folder)
             descriptor = disk.try_lock(disk.inside(folder, "driver.lock"))
@@ -242,6 +244,26 @@ class Store(Items):
             held.callback(os.close, descriptor)
             os.ftruncate(descriptor, 0)
             os.write(descriptor, _own_name())
+            until_the_end = held.pop_all()
+        with until_the_end:
+            yield
+
+    @contextlib.contextmanager
+    def lock_to_read(self) -> Iterator[None]:
+        """Keep what is read meanwhile from being removed.
+
+        Nothing is written: a store on a read-only disk, or another user's, is read too. One without a lock file was
+        never driven here, nor was anything removed.
+
+        Raises:
+            PuddleError: where `puddle gc` is at work.
+        """
+        with disk.explained("locking the store", self.root), contextlib.ExitStack() as held:
+            with contextlib.suppress(FileNotFoundError):
+                in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH, only_ask=True)
+                if in_use is None:
+                    raise PuddleError(f"{self.root}: {_GC_IS_AT_WORK}")
+                held.callback(os.close, in_use)
             until_the_end = held.pop_all()
         with until_the_end:
             yield
@@ -304,14 +326,31 @@ class Store(Items):
 
     def _exported_before(self, paths: Sequence[Path]) -> list[Path]:
         """Choose the files that are copies of what a report in the store has under the same name."""
+        reported = self._reported() if paths else set()
+        names = {file for file, _ in reported}
+        files = [path for path in sorted(paths) if path.name in names and _is_file(path)]
+        return [path for path in files if (path.name, disk.digest_of(path, at_most=MAX_FILE_BYTES)) in reported]
+
+    def _reported(self) -> set[tuple[str, str]]:
+        """Return name and SHA-256 of the files of every report in the store."""
         reported: set[tuple[str, str]] = set()
-        for key in self.keys("report") if paths else ():
+        for key in self.keys("report"):
             with contextlib.suppress(PuddleError):  # damaged, or a newer puddle's: of another study, most likely
                 listed = self.listing("report", key)
                 reported |= {(file, entry.sha256) for file, entry in listed.files.items()} if listed else set()
-        names = {file for file, _ in reported}
-        files = [path for path in sorted(paths) if path.name in names and path.is_file() and not path.is_symlink()]
-        return [path for path in files if (path.name, digest(path.read_bytes())) in reported]
+        return reported
+
+    def temporary(self) -> list[Path]:
+        """Return the files of studies that were on their way to their place when a process died.
+
+        They are known by the names that such files of ours have. What else is beside them is a person's.
+        """
+        reported = sorted({file for file, _ in self._reported()})
+        found: list[Path] = []
+        for name in self._names("studies"):
+            files = [self.study_path(name) / "study.json", *(self.export_path(name) / file for file in reported)]
+            found += [path for path in map(disk.temporary, files) if _is_file(path)]
+        return found
 
     def export_path(self, name: str) -> Path:
         """Return the folder of a study's report, which :meth:`export` makes."""
@@ -320,6 +359,10 @@ class Store(Items):
     def study_path(self, name: str) -> Path:
         """Return a study's folder, whether or not it is there."""
         return disk.inside(self.root, "studies", check_name(name, "study"))
+
+
+def _is_file(path: Path) -> bool:
+    return path.is_file() and not path.is_symlink()
 
 
 def _is_item(item: StudyItem) -> bool:

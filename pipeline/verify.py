@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 
 from pipeline import disk
-from pipeline.artifacts import digest
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.progress import Progress
 from pipeline.store import WRITTEN_ANEW, Store, StudyItem
@@ -64,7 +64,7 @@ def _lacks(store: Store, name: str, item: StudyItem, *, with_report: bool) -> It
         for file, entry in manifest.files.items():
             path = disk.inside(store.export_path(name), file)
             with disk.explained("reading the report", path):
-                came = digest(disk.read(path, at_most=entry.n_bytes)) if path.is_file() else "no file"
+                came = disk.digest_of(path, at_most=entry.n_bytes) if path.is_file() else "no file"
             if came != entry.sha256:
                 yield DamagedArtifact(
                     f"{path}: expected SHA-256 {entry.sha256}, came {came}. It is a copy of what the store holds: "
@@ -86,6 +86,18 @@ def damaged_items(wrong: Sequence[PuddleError]) -> set[tuple[str, str]]:
     return {(error.stage, error.key) for error in damage if error.stage and error.key}
 
 
+def _unfinished_lines(store: Store, wrong: Sequence[PuddleError]) -> Iterator[str]:
+    """Say of how many items there are files and no manifest, besides those that a study lists and lacks."""
+    halves = {(stage, key) for stage in store.stages() for key in store.keys(stage, committed=False)}
+    n_files = sum(store.item_bytes(*half) > 0 for half in halves - damaged_items(wrong))
+    if n_files:
+        remove = shlex.join(["puddle", "gc", "--remove", "--store", str(store.root)])
+        yield (
+            f"{n_files:,} unfinished items: files without a manifest, which is written last. A driver that is at work "
+            f"ends its own; what a killed one left, or what lost its manifest, `{remove}` removes."
+        )
+
+
 def verify_lines(
     store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
 ) -> tuple[list[str], bool]:
@@ -98,13 +110,14 @@ def verify_lines(
         how_to_run: gives the command line that runs a command, for messages.
 
     Returns:
-        Lines: what was left out and what is wrong, one each, and what mends it; and whether all is well.
+        Lines: what was left out, what is unfinished and what is wrong, and what mends it; and whether all is well.
     """
     n_bytes = store.size_bytes()
     left_out: list[str] = []
     with progress.stage("verify", unit="MB", total=n_bytes / 1e6) as bar:
         wrong = find_damage(store, checked=lambda n_checked: bar.advance(n_checked / 1e6), say=left_out.append)
     n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
+    left_out += _unfinished_lines(store, wrong)
     if not wrong:
         well = f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."
         return [*left_out, well], True

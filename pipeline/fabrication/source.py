@@ -41,6 +41,12 @@ class Source:
 
 
 def proposed(settings: Settings, store: Store) -> Source:
+    """Take the champion that :func:`_proposed` takes, of a store from which nothing is removed meanwhile."""
+    with store.lock_to_read():
+        return _proposed(settings, store)
+
+
+def _proposed(settings: Settings, store: Store) -> Source:
     """Take the champion nearest the mean True Slush score of a study's trials. Paper, "Physical Validation".
 
     Of the study's arms, Residual Slush comes first, and its deepest depth.

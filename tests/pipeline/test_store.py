@@ -233,6 +233,19 @@ def test_asking_who_drives_is_never_in_the_drivers_way(store: Store) -> None:
         asker.join()
 
 
+def test_nothing_is_removed_while_somebody_reads(store: Store) -> None:
+    with store.lock_to_read():  # nobody ever drove it: there is nothing to lock
+        assert not (store.root / "use.lock").exists()
+    with store.lock_study("laptop"), store.lock_to_read(), store.lock_to_read():
+        pass
+    with store.lock_to_read(), pytest.raises(PuddleError, match="is in use"), store.lock_all():
+        raise AssertionError("removed what is read")
+    with store.lock_all(), pytest.raises(PuddleError, match="`puddle gc` is removing"), store.lock_to_read():
+        raise AssertionError("read what is removed")
+    with store.lock_all():
+        pass
+
+
 def test_the_lock_is_let_go_when_the_study_fails(store: Store) -> None:
     with pytest.raises(ZeroDivisionError), store.lock_study("laptop"):
         raise ZeroDivisionError
@@ -263,6 +276,22 @@ def test_reports_are_exported_in_place_of_earlier_ones(store: Store) -> None:
     store.export("laptop", films)
     store.export("laptop", {"index.html": b"newer"})
     assert set(tree(folder)) == {"index.html", *films, *mine}
+
+
+def test_what_is_on_its_way_is_known_by_its_name(store: Store) -> None:
+    """What else a person puts there, however it is called, is theirs."""
+    commit_report(store, {"index.html": b"page"})
+    store.write_study("laptop", {"seed": 1}, [])
+    folder = store.export("laptop", {"index.html": b"page"})
+    ours = [folder.parent / ".study.json.tmp", folder / ".index.html.tmp"]
+    theirs = [folder.parent / ".index.html.tmp", folder / ".notes.tmp", folder / "old" / ".index.html.tmp"]
+    (folder / "old").mkdir()
+    for path in (*ours, *theirs):
+        path.write_bytes(b"half")
+    assert store.temporary() == ours
+    ours[1].unlink()
+    ours[1].mkdir()
+    assert store.temporary() == ours[:1]
 
 
 def test_names_of_exported_files_are_checked(store: Store) -> None:

@@ -288,9 +288,12 @@ def test_a_read_only_disk_is_read(tmp_path: Path) -> None:
     with mounted(tmp_path, "size=1m"):
         store = Store.open(tmp_path / "store", create=True)
         commit(store)
+        with store.lock_all():
+            pass
         subprocess.run(["mount", "-o", "remount,ro", str(tmp_path)], check=True)
         store = Store.open(tmp_path / "store", create=True)
-        assert store.read(store.manifest("evolve", KEY), "log") == b""
+        with store.lock_to_read():
+            assert store.read(store.manifest("evolve", KEY), "log") == b""
         assert store.verify() == []
         other = {"stage": "evolve", "other": True}
         with pytest.raises(PuddleError, match=r"Read-only file system.*choose another place"):

@@ -170,6 +170,31 @@ def test_what_discarding_does_not_mend_hides_nothing_else(spoil, expected, optio
     assert "index.html: expected SHA-256" in said
 
 
+def test_files_that_lost_their_manifest_are_told_of_as_unfinished(options, store, capsys):
+    """Of a study that was stopped, whose record lists no items; so are those of a driver that is at work."""
+    store.write_study("tiny", store.read_study("tiny").settings, ())
+    assert call("verify", *options) == 0
+    assert "unfinished" not in capsys.readouterr().out
+    lost = next(store.root.glob("items/evolve/*/*/manifest.json"))
+    lost.unlink()
+    assert call("verify", *options) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("1 unfinished items: files without a manifest") and "every byte" in said
+    (advised,) = re.findall(r"`puddle (.*?)`", said)
+    assert call(*shlex.split(advised)) == 0 and not lost.parent.exists()
+    capsys.readouterr()
+    assert call("verify", *options) == 0
+    assert "unfinished" not in capsys.readouterr().out
+
+
+def test_what_a_study_lists_and_lacks_is_damage_and_not_unfinished(options, store, capsys):
+    lost = next(store.root.glob("items/evolve/*/*/manifest.json"))
+    lost.unlink()
+    assert call("verify", *options) == 1
+    said = capsys.readouterr().out
+    assert f"{lost}: expected the manifest" in said and "unfinished" not in said
+
+
 def test_what_a_message_of_damage_advises_mends_it(options, store, capsys):
     """Whoever reads the item, and from whatever folder."""
     (path,) = list(store.root.glob("items/evolve/*/*/history.parquet"))[:1]
@@ -214,6 +239,18 @@ def test_what_no_study_needs_is_listed_then_removed(options, store, capsys):
     assert call("verify", *options) == 0
     assert call("gc", "--store", str(store.root)) == 0
     assert "that no study needs" not in capsys.readouterr().out
+
+
+def test_a_persons_files_are_no_garbage_whatever_their_names(options, store, capsys):
+    folder = store.export_path("tiny")
+    ours, theirs = folder / ".index.html.tmp", folder / ".notes.tmp"
+    ours.write_text("half")
+    theirs.write_text("mine")
+    (folder / ".drafts.tmp").mkdir()
+    assert call("gc", "--remove", "--store", str(store.root)) == 0
+    said = capsys.readouterr().out
+    assert str(ours) in said and not ours.exists()
+    assert theirs.read_text() == "mine" and (folder / ".drafts.tmp").is_dir() and "notes" not in said
 
 
 def test_a_study_that_was_stopped_half_way_keeps_what_it_has(options, store):
