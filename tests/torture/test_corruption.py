@@ -88,15 +88,15 @@ def mend(path: Path, good: bytes) -> None:
 
 
 def named(bad: list[Path], said: list[str]) -> bool:
-    """Tell whether messages name the damaged files: of an item one of them, where its manifest is gone the item.
+    """Tell whether messages name each damaged file.
 
-    Where a study's record is damaged, nobody knows what its report should be: naming the record is naming both.
+    Where a study's record is damaged, nobody knows what its report should be: naming the record is naming both. Where
+    an item's manifest is, nobody knows what its files should be.
     """
     lost = {path.parent / "report" for path in bad if path.name == "study.json"}
-    bad = [path for path in bad if path.parent not in lost]
-    folders = {path.parent: [str(other) for other in bad if other.parent == path.parent] for path in bad}
-    gone = [path.parent.name for path in bad if path.name == "manifest.json" and not path.exists()]
-    return all(any(word in line for line in said for word in [*words, *gone]) for words in folders.values())
+    lost |= {path.parent for path in bad if path.name == "manifest.json"}
+    to_name = [path for path in bad if path.name == "manifest.json" or path.parent not in lost]
+    return all(any(str(path) in line for line in said) for path in to_name)
 
 
 N_AT_ONCE = 10
@@ -104,17 +104,14 @@ N_AT_ONCE = 10
 
 
 def chosen(files: list[Path], rng: np.random.Generator) -> list[Path]:
-    """Choose files of different folders to damage, half of them as partners of swaps.
+    """Choose files to damage, half of them as partners of swaps.
 
     What tells of other files (a study's record; a report's manifest, of its copies) is damaged by itself.
     """
     shuffled = [files[index] for index in rng.permutation(len(files))]
     tells = [path.match("study.json") or path.match("items/report/*/*/manifest.json") for path in shuffled]
-    by_folder: dict[Path, Path] = {}
-    for path, tells_of_others in zip(shuffled, tells, strict=True):
-        if not tells_of_others or path == shuffled[0]:
-            by_folder.setdefault(path.parent, path)
-    return list(by_folder.values())[: 2 if tells[0] else 2 * N_AT_ONCE]
+    to_damage = [path for path, of_others in zip(shuffled, tells, strict=True) if not of_others or path == shuffled[0]]
+    return to_damage[: 2 if tells[0] else 2 * N_AT_ONCE]
 
 
 def test_every_damage_is_found_and_named(torture, store):
@@ -163,26 +160,62 @@ def test_no_damaged_item_is_read(torture, store):
             mend(path, good[path])
 
 
+def a_damaged_copy(pristine: Path, root: Path, rng: np.random.Generator) -> list[Path]:
+    """Copy a store and damage one to five of its files, or more by swaps; return those that are not what they were."""
+    shutil.copytree(pristine, root)
+    files, touched = [path for path in files_of(root) if path.name != "store.json"], set()
+    for path in rng.choice(files, size=int(rng.integers(1, 6)), replace=False):
+        if path.is_file():
+            touched.update(damage(path, [other for other in files if other.is_file()], rng))
+    good = {path: (pristine / path.relative_to(root)).read_bytes() for path in touched}
+    return sorted(path for path in touched if not path.is_file() or path.read_bytes() != good[path])
+
+
+def keys_of(bad: list[Path]) -> set[str]:
+    """Give the keys of the items that files are of; copies of a report, and a study's record, are of none."""
+    return {path.parent.name for path in bad if "items" in path.parts}
+
+
 def test_only_what_is_damaged_is_computed_again(torture, nursery, pristine, place):
     (undisturbed,) = nursery.finish([pristine], study="full")
-    whole = Store.open(pristine, create=False)
-    keys, n_damaged = {key for stage in whole.stages() for key in whole.keys(stage)}, 0
+    n_damaged = 0
     for rng in torture.attempts(40, 2000):
         root = place() / "store"
-        shutil.copytree(pristine, root)
-        files = [path for path in files_of(root) if path.name != "store.json"]
-        for path in rng.choice(files, size=int(rng.integers(1, 6)), replace=False):
-            if path.is_file():
-                damage(path, [other for other in files if other.is_file()], rng)
-        store = Store.open(root, create=False)
-        wrong = {key for _, key in damaged_items(find_damage(store))}
-        wrong |= keys - {key for stage in store.stages() for key in store.keys(stage)}  # if the record is damaged too
+        bad = a_damaged_copy(pristine, root, rng)
+        damaged = keys_of(bad)
+        found = {key for _, key in damaged_items(find_damage(Store.open(root, create=False)))}
+        listed = not any(path.name == "study.json" for path in bad)  # or what lost its manifest is missed by nobody
+        gone = {path.parent.name for path in bad if path.name == "manifest.json" and not path.exists()}
+        assert found == (damaged if listed else damaged - gone)
         (answer,) = nursery.finish([root], study="full", discard=True)
-        assert set(answer["computed"]) == wrong
+        assert set(answer["computed"]) == damaged
         assert answer["tree"] == undisturbed["tree"]
-        n_damaged += len(wrong)
+        n_damaged += len(damaged)
         shutil.rmtree(root)
     torture.note(f"{n_damaged:,} damaged items computed again, and no other")
+
+
+def test_a_run_computes_again_what_it_meets_damaged_and_no_other(torture, nursery, pristine, place):
+    """Without `puddle verify` first. It meets what is not there in its length, and what it reads; the rest stays."""
+    (undisturbed,) = nursery.finish([pristine], study="full")
+    n_met = n_left = 0
+    for rng in torture.attempts(20, 1000):
+        root = place() / "store"
+        bad = a_damaged_copy(pristine, root, rng)
+        lengths = {path: (pristine / path.relative_to(root)).stat().st_size for path in bad}
+        plain = [path for path in bad if not path.is_file() or path.stat().st_size != lengths[path]]
+        to_be_met = keys_of([*plain, *(path for path in bad if path.name == "manifest.json")])
+        told = nursery.drive(root, study="full")
+        assert told["status"] == 0 and "error" not in told, told
+        computed = set(told["computed"])
+        assert to_be_met <= computed <= keys_of(bad)
+        left = [path for path in bad if path.parent.name in keys_of(bad) - computed]
+        differ = {name for name, _ in told["tree"].items() ^ undisturbed["tree"].items()}
+        assert differ == {str(path.relative_to(root)) for path in left}
+        assert named(left, told["wrong"]) and len(told["wrong"]) == len(keys_of(left))
+        n_met, n_left = n_met + len(computed), n_left + len(keys_of(left))
+        shutil.rmtree(root)
+    torture.note(f"{n_met:,} damaged items met and computed again, {n_left:,} left that verify names, and no other")
 
 
 def test_a_store_whose_mark_is_damaged_is_refused(torture, store):
