@@ -86,7 +86,7 @@ class Robots:
 
     def advance(self, world: World, first_step: int, n_steps: int, kept: Float32 | None) -> None:
         """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""
-        each = self.n_robots if kept is None else step.TEAM
+        each = max(1, self.n_robots) if kept is None else step.TEAM
         for first in range(0, self.n_robots, each):
             n_robots = min(each, self.n_robots - first)
             trace = self._no_trace if kept is None else Block(n_robots * n_steps * rows.N_TRACED, 1)
@@ -111,12 +111,12 @@ class Robots:
     def push(self, medium: Medium) -> None:
         """Let a medium act on every link, and the links on their bodies, as the reference engine does."""
         shape = (self._n_members, len(self._designs), N_LINKS)
-        columns = self._columns(*rows.QUANTITIES.values()).reshape(*shape, -1)
+        columns = self._columns(*rows.QUANTITIES.values()).reshape(*shape, len(rows.QUANTITIES))
         links = LinkStates(**dict(zip(rows.QUANTITIES, np.moveaxis(columns, -1, 0), strict=True)))
         change = medium.velocity_change(links, self._physics)
         levers = self._columns(body_rows.WORLD_LEVER_X, body_rows.WORLD_LEVER_Y).reshape(*shape, 2)
         of_body = body_change(self._rigid, levers[..., 0], levers[..., 1], change)
-        numbers = self.blocks[..., 0].reshape(self._n_members, len(self._designs), -1)
+        numbers = self.blocks[..., 0].reshape(self._n_members, len(self._designs), body_rows.N_ROWS)
         design, link = np.nonzero(self._rigid.is_first)
         body = body_number(self._rigid)[design, link]
         for row, added in ((body_rows.V_X, of_body.vx), (body_rows.V_Y, of_body.vy), (body_rows.W, of_body.omega)):

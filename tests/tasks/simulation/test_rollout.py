@@ -193,10 +193,18 @@ def test_a_rollout_that_diverges_touches_no_other(designs: Designs, what: str, p
     np.testing.assert_array_equal(np.delete(torque, ill, axis=0), np.delete(expected_torque, ill, axis=0))
 
 
-def test_no_designs_give_no_rollouts(designs: Designs) -> None:
-    rollouts = short(designs[:0], TrueSlush(1.0))
-    assert rollouts.displacement.shape == (0,)
-    assert trace_of(rollouts).shape == (0, 100, 6, 6)
+@pytest.mark.parametrize("link_collisions", [False, True])
+@pytest.mark.parametrize("engine", ["batch", "reference"])
+@pytest.mark.parametrize("trace", [False, True])
+@pytest.mark.parametrize("environment", [TrueSlush(1.0), ResidualSlush(1.0, Replay())], ids=name_of)
+def test_no_designs_give_no_rollouts(designs, environment, trace, engine, link_collisions):
+    physics = Physics(link_collisions=link_collisions)
+    members = (2,) if isinstance(environment, ResidualSlush) else ()
+    rollouts = simulate(
+        designs[:0], environment, n_settle=40, n_measure=60, engine=engine, trace=trace, physics=physics
+    )
+    assert rollouts.displacement.shape == rollouts.status.shape == (*members, 0)
+    assert not trace or trace_of(rollouts).shape == (*members, 0, 100, 6, 6)
 
 
 def test_robots_are_spawned_standing_on_the_surface_at_any_depth(designs: Designs) -> None:
