@@ -1,7 +1,7 @@
 """The batch engine: many robots at once, one per lane, with the bits of the reference engine.
 
-Designs are packed into groups of as many robots as the machine's vectors have lanes, and a compiled kernel steps group
-after group. Robots whose passive joints are locked or whose links collide have a kernel of their own, without lanes:
+Designs are packed into groups of as many robots as suit the machine, two of its vectors or, where they are few, one
+(see lanes.widest), and a compiled kernel steps group after group. Robots whose passive joints are locked or whose links collide have a kernel of their own, without lanes:
 see tasks/simulation/bodies. One thread: a study runs one process per core.
 """
 
