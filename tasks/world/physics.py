@@ -18,8 +18,8 @@ class Physics(Parameters):
 
     gravity: float = Field(default=9.8, ge=0.0, le=1000.0)
     """[m/s²], downward. [P]"""
-    time_step: float = Field(default=1.0 / 60.0, gt=0.0, le=0.1)
-    """[s]. [P]"""
+    time_step: float = Field(default=1.0 / 60.0, ge=1e-6, le=0.1)
+    """[s]. [P]. In less, a link at 1 m/s would move by less than a few of the steps that float32 has at 1 m."""
     velocity_iterations: int = Field(default=8, ge=1, le=100)
     """Sweeps of Box2D's velocity solver per step; its manual's recommendation."""
     position_iterations: int = Field(default=3, ge=1, le=100)
