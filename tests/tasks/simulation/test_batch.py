@@ -154,4 +154,4 @@ def test_packing_keeps_what_was_put_in(designs):
 
 
 def test_the_kernels_are_plain_python_too():
-    assert_equal_in_plain_python(3, PHYSICS, (6, 3))
+    assert_equal_in_plain_python(4, PHYSICS, (15, 15))
