@@ -15,8 +15,11 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from tasks.compiled import compiled
+from tasks.design import genes
 from tasks.design.genes import N_LINKS, Designs
 
+Floats = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
 
 
@@ -46,27 +49,39 @@ class KinematicTrees:
     """(n_designs, n_links) when spawned [rad]; the root is upright, at 0."""
 
 
-def rest_pose(designs: Designs) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def hang_links(
+    parent: npt.NDArray[np.int64], rest_angle: Floats, parent_anchor: Floats, child_anchor: Floats,
+    x: Floats, y: Floats, angle: Floats,
+) -> None:  # fmt: skip
+    """Fill (n_designs, n_links) places and angles of links by their rest angles, the root upright at the origin."""
+    for design in range(len(parent)):
+        x[design, 0], y[design, 0], angle[design, 0] = 0.0, 0.0, 0.0
+        for link in range(1, N_LINKS):
+            above = parent[design, link]
+            turned = angle[design, above] + rest_angle[design, link]
+            along_parent, along_child = parent_anchor[design, link], child_anchor[design, link]
+            sine, cosine = np.sin(angle[design, above]), np.cos(angle[design, above])
+            x[design, link] = x[design, above] - sine * along_parent + np.sin(turned) * along_child
+            y[design, link] = y[design, above] + cosine * along_parent - np.cos(turned) * along_child
+            angle[design, link] = turned
+
+
+_hang_links = compiled(hang_links, [genes], seconds=1)  # in NumPy it takes longer than 64 designs are worth
+_HANG_LINKS = _hang_links.inner
+
+
+def rest_pose(designs: Designs) -> tuple[Floats, Floats, Floats]:
     """Place the links by their rest angles, the root upright with its centre at the origin.
 
     Returns:
         x [m], y [m] and angle [rad] of every link, each (n_designs, n_links). Angles add up along the tree, unwrapped.
     """
-    n_designs = len(designs)
-    x, y, angle = (np.zeros((n_designs, N_LINKS)) for _ in range(3))
-    design = np.arange(n_designs)
-    parent_anchor, child_anchor = _anchors(designs)
-    for link in range(1, N_LINKS):
-        parent = designs.parent[:, link]
-        above = angle[design, parent]
-        angle[:, link] = above + designs.rest_angle[:, link]
-        along_parent, along_child = parent_anchor[:, link], child_anchor[:, link]
-        x[:, link] = x[design, parent] - np.sin(above) * along_parent + np.sin(angle[:, link]) * along_child
-        y[:, link] = y[design, parent] + np.cos(above) * along_parent - np.cos(angle[:, link]) * along_child
+    x, y, angle = np.empty((3, len(designs), N_LINKS))
+    _hang_links(designs.parent, designs.rest_angle, *_anchors(designs), x, y, angle)
     return x, y, angle
 
 
-def _anchors(designs: Designs) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _anchors(designs: Designs) -> tuple[Floats, Floats]:
     """Distance of each joint from the centres of the two links that it ties [m]; 0 for the root."""
     jointed = np.arange(N_LINKS) > 0
     parent_length = np.take_along_axis(designs.length_scale, np.maximum(designs.parent, 0), axis=1)
@@ -76,6 +91,37 @@ def _anchors(designs: Designs) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.
     )
 
 
+def spawn_links(
+    length: Floats, parent: npt.NDArray[np.int64], rest_angle: Floats, parent_anchor: Floats, child_anchor: Floats,
+    density: float, x: Floats, y: Floats, angle: Floats, single: Float32,
+) -> None:  # fmt: skip
+    """Fill (9, n_designs, n_links) what the fields of KinematicTrees but its parents are, in their order.
+
+    x, y and angle are room for (n_designs, n_links) numbers.
+    """
+    _HANG_LINKS(parent, rest_angle, parent_anchor, child_anchor, x, y, angle)
+    for design in range(len(parent)):
+        lowest = np.inf
+        for link in range(N_LINKS):
+            of_length = abs(np.cos(angle[design, link])) * length[design, link] / 2
+            of_width = abs(np.sin(angle[design, link])) * (1.0 / length[design, link]) / 2
+            lowest = min(lowest, y[design, link] - of_length - of_width)
+        for link in range(N_LINKS):
+            along, width = length[design, link], 1.0 / length[design, link]
+            mass = density * width * along
+            single[0, design, link], single[1, design, link] = width / 2, along / 2
+            single[2, design, link] = mass
+            single[3, design, link] = mass * (width * width + along * along) / 12
+            single[4, design, link] = parent_anchor[design, link]
+            single[5, design, link] = child_anchor[design, link]
+            single[6, design, link] = x[design, link]
+            single[7, design, link] = y[design, link] - lowest
+            single[8, design, link] = angle[design, link]
+
+
+_spawn_links = compiled(spawn_links, [genes], seconds=1)
+
+
 def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:
     """Build the bodies of designs and spawn them: root at x = 0, lowest corner of the whole robot at y = 0.
 
@@ -83,26 +129,13 @@ def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:
         designs: n_designs valid designs.
         density: of every link [kg/m²].
     """
-    length = designs.length_scale
-    width = 1.0 / length
-    x, y, angle = rest_pose(designs)
-    lowest = y - np.abs(np.cos(angle)) * length / 2 - np.abs(np.sin(angle)) * width / 2
-    y = y - lowest.min(axis=1, keepdims=True)
-    mass = density * width * length
-    parent_anchor, child_anchor = _anchors(designs)
-    single = np.float32
-    return KinematicTrees(
-        parent=designs.parent,
-        half_width=(width / 2).astype(single),
-        half_height=(length / 2).astype(single),
-        mass=mass.astype(single),
-        inertia=(mass * (width**2 + length**2) / 12).astype(single),
-        parent_anchor=parent_anchor.astype(single),
-        child_anchor=child_anchor.astype(single),
-        x=x.astype(single),
-        y=y.astype(single),
-        angle=angle.astype(single),
-    )
+    shape = len(designs), N_LINKS
+    single = np.empty((9, *shape), np.float32)
+    _spawn_links(
+        designs.length_scale, designs.parent, designs.rest_angle, *_anchors(designs), density, *np.empty((3, *shape)),
+        single,
+    )  # fmt: skip
+    return KinematicTrees(designs.parent, *single)
 
 
 PassiveJoints = Literal["swing", "locked"]

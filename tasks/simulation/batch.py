@@ -17,11 +17,10 @@ import numpy.typing as npt
 
 from tasks.compiled import compiled
 from tasks.design import genes
-from tasks.design.body import KinematicTrees, kinematic_trees
+from tasks.design.body import kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, rotation, rows, simd
+from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, packing, rotation, rows, simd
 from tasks.simulation.bodies.robots import Robots
-from tasks.simulation.contact import NO_VERTEX
 from tasks.simulation.drive import Drive
 from tasks.simulation.kernels import World
 from tasks.simulation.lanes import Block, widest
@@ -35,6 +34,7 @@ Indices = npt.NDArray[np.int64]
 
 _SOURCES = [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels]
 _advance = compiled(kernels.advance, _SOURCES, seconds=20)
+_pack_robots = compiled(packing.pack_robots, [genes, rows, contact, packing], seconds=1)
 _advance_kernel, _run_networks = _advance.inner, networks.run_networks.inner
 
 
@@ -75,23 +75,6 @@ _ORDER_OF_TREE = np.array([discovery_order(parents) for parents in TREES])
 _PLACE_OF_TREE = np.argsort(_ORDER_OF_TREE, axis=1)
 _TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in range(1, N_LINKS))])
 """parents · weights is a tree's place in that list."""
-
-
-def inverse_mass_and_inertia(half_width: Float32, half_height: Float32, density: float) -> tuple[Float32, Float32]:
-    """b2PolygonShape::ComputeMass and b2Body::ResetMassData of boxes, operation by operation in float32."""
-    half, quarter = np.float32(0.5), np.float32(0.25)
-    third = np.float32(1) / np.float32(3)
-    x, y = half_width, half_height
-    corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
-    area = inertia = np.float32(0) * x
-    for (ex1, ey1), (ex2, ey2) in zip(corners, corners[1:] + corners[:1], strict=True):
-        D = ex1 * ey2 - ey1 * ex2
-        area = area + half * D
-        intx2 = ex1 * ex1 + ex2 * ex1 + ex2 * ex2
-        inty2 = ey1 * ey1 + ey2 * ey1 + ey2 * ey2
-        inertia = inertia + (quarter * third * D) * (intx2 + inty2)
-    one, rho = np.float32(1), np.float32(density)
-    return one / (rho * area), one / (rho * inertia)
 
 
 def _is_built_in(medium: Medium | None) -> bool:
@@ -143,50 +126,14 @@ class Groups:
         self._robot, self._design = robot, robot % len(designs)
         tree = designs.parent @ _TREE_WEIGHTS
         self._order, self._place = _ORDER_OF_TREE[tree], _PLACE_OF_TREE[tree]
-        self._scatter(0, self._records(designs, kinematic_trees(designs, density=physics.link_density), physics))
-
-    def _records(self, designs: Designs, trees: KinematicTrees, physics: Physics) -> Float32:
-        """Fill (n_designs, N_ROWS) columns of a block with what does not change and with the state at the spawn."""
-        single = np.float32
-        drive = Drive.of(designs)
-        inverse_mass, inverse_inertia = inverse_mass_and_inertia(
-            trees.half_width, trees.half_height, physics.link_density
-        )
-        length = designs.length_scale.astype(single)
-        max_motor_impulse = single(physics.time_step) * single(physics.max_motor_torque)
-        design = np.arange(len(designs))[:, None]
-        in_order = design * N_LINKS + self._order
-        child = in_order[:, 1:]
-        parent = np.take(designs.parent, child)
-        above = design * N_LINKS + parent
-        records = np.zeros((len(designs), rows.N_ROWS), single)
-        for row, quantity, where in (
-            (rows.X, trees.x, in_order),
-            (rows.Y, trees.y, in_order),
-            (rows.ANGLE, trees.angle, in_order),
-            (rows.HALF_WIDTH, trees.half_width, in_order),
-            (rows.HALF_HEIGHT, trees.half_height, in_order),
-            (rows.INVERSE_MASS, inverse_mass, in_order),
-            (rows.INVERSE_INERTIA, inverse_inertia, in_order),
-            (rows.LENGTH, length, in_order),
-            (rows.WIDTH, 1 / length, in_order),
-            (rows.MASS, trees.mass, in_order),
-            (rows.INERTIA, trees.inertia, in_order),
-            (rows.PARENT, self._place, above),
-            (rows.PARENT_INVERSE_MASS, inverse_mass, above),
-            (rows.PARENT_INVERSE_INERTIA, inverse_inertia, above),
-            (rows.PARENT_ANCHOR, trees.parent_anchor, child),
-            (rows.CHILD_ANCHOR, trees.child_anchor, child),
-            (rows.MAX_MOTOR_IMPULSE, drive.motor_on * max_motor_impulse, child),
-            (rows.PHASE, drive.phase_turns, child),
-            (rows.MOTION_RANGE, drive.motion_range, child),
-            (rows.REST_ANGLE, drive.rest_angle, child),
-            (rows.FREQUENCY, drive.frequency, design),
-        ):
-            records[:, row : row + where.shape[1]] = quantity.ravel()[where]
-        records[:, rows.VERTEX_1 : rows.VERTEX_2 + N_LINKS] = NO_VERTEX
-        chosen: Float32 = records[self._design]
-        return chosen
+        trees, driven, single = kinematic_trees(designs, density=physics.link_density), Drive.of(designs), np.float32
+        _pack_robots(
+            self.blocks, self._design, self._order, self._place, designs.parent, designs.length_scale,
+            trees.half_width, trees.half_height, trees.mass, trees.inertia,
+            trees.parent_anchor, trees.child_anchor, trees.x, trees.y, trees.angle,
+            driven.frequency, driven.phase_turns, driven.motion_range, driven.rest_angle, driven.motor_on,
+            single(physics.link_density), single(physics.time_step) * single(physics.max_motor_torque),
+        )  # fmt: skip
 
     def _scatter(self, row: int, numbers: Float32) -> None:
         """Write (n_groups · n_lanes, n) numbers to n rows from one on."""

@@ -94,7 +94,7 @@ class _BlockModel(models.PrimitiveModel):
 
 @typeof_impl.register(Block)
 def _typeof_block(block: Block, context: Any) -> BlockType:
-    return BlockType(block.n_lanes)
+    return BlockType(block.n_lanes, block.rows.strides[0] // (4 * block.n_lanes))
 
 
 @unbox(BlockType)
@@ -400,7 +400,7 @@ def _type_load_whole(context: Any) -> Any:
 
 @lower_builtin(load_whole, BlockType, types.Integer)
 def _lower_load_whole(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    pointer = builder.bitcast(builder.gep(args[0], [args[1]]), INT.as_pointer())
+    pointer = builder.bitcast(_row(builder, signature.args[0], *args), INT.as_pointer())
     return builder.sext(builder.load(pointer, align=4), ir.IntType(64))
 
 
@@ -411,7 +411,7 @@ def _type_store_whole(context: Any) -> Any:
 
 @lower_builtin(store_whole, BlockType, types.Integer, types.Integer)
 def _lower_store_whole(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    pointer = builder.bitcast(builder.gep(args[0], [args[1]]), INT.as_pointer())
+    pointer = builder.bitcast(_row(builder, signature.args[0], *args[:2]), INT.as_pointer())
     number = context.cast(builder, args[2], signature.args[2], types.int32)
     builder.store(number, pointer, align=4)
     return context.get_dummy_value()

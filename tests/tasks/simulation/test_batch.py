@@ -6,7 +6,7 @@ import pytest
 from both_engines import Slushes, assert_equal_in_plain_python, peaks_of_memory
 
 from tasks.design import Designs, concatenate, random_designs
-from tasks.simulation import DIVERGED, OK, batch, contact, simulate
+from tasks.simulation import DIVERGED, OK, batch, contact, packing, simulate
 from tasks.simulation.lanes import widest
 from tasks.simulation.motion import Motion
 from tasks.simulation.rows import N_ROWS, OMEGA, VERTEX_1, VX
@@ -138,7 +138,7 @@ def test_the_joints_order_is_a_search_with_a_stack():
 
 def test_mass_and_inertia_of_a_box():
     half_height = np.linspace(0.5, 1.5, 9, dtype=np.float32)[None]
-    inverse_mass, inverse_inertia = batch.inverse_mass_and_inertia(np.float32(0.25) / half_height, half_height, 2.0)
+    inverse_mass, inverse_inertia = packing.inverse_mass_and_inertia(np.float32(0.25) / half_height, half_height, 2.0)
     a = 2 * half_height.astype(float)
     np.testing.assert_allclose(1 / inverse_mass, 2.0, rtol=1e-6)  # a few roundings of 6e-8
     np.testing.assert_allclose(1 / inverse_inertia, 2.0 * (a**2 + a**-2) / 12, rtol=1e-6)

@@ -26,9 +26,11 @@ from tasks.simulation.lanes import (
     fma,
     from_row,
     lane,
+    load_whole,
     part,
     select,
     sqrt,
+    store_whole,
     to_double,
     to_single,
     truncate,
@@ -157,7 +159,7 @@ def by_parts(block):
 
 
 @pytest.mark.parametrize("run", [by_parts, by_parts.py_func], ids=["compiled", "plain"])
-@pytest.mark.parametrize(("width", "n_parts"), [(1, 1), (2, 2), (8, 2), (16, 2), (32, 2)])
+@pytest.mark.parametrize(("width", "n_parts"), [(1, 1), (2, 2), (4, 2), (8, 2), (16, 2), (32, 2)])
 def test_parts_are_views_of_half_the_lanes(width, n_parts, run):
     block = Block(5, width)
     block.rows[0] = numbers = np.arange(width)
@@ -171,6 +173,65 @@ def test_parts_are_views_of_half_the_lanes(width, n_parts, run):
     np.testing.assert_array_equal(block.rows[2], (numbers > 2.5) * np.where(any_above[which], 2, 1))
     assert (block.rows[3] == size).all()
     assert (block.rows[4] == -1).all()
+
+
+@numba.njit
+def of_parts(block):
+    """The kernel's own order, a row and then its part; and a part of a part."""
+    for row in range(2):
+        for index in range(count_parts(block)):
+            some = part(from_row(block, row), index)
+            some[0] = some[0] + 100.0 * row
+            for number in range(count_parts(some)):
+                fewer = part(some, number)
+                fewer[2] = fewer[0] + 10.0 * index + number
+
+
+@pytest.mark.parametrize("run", [of_parts, of_parts.py_func], ids=["compiled", "plain"])
+@pytest.mark.parametrize("width", [4, 8, 32])
+def test_a_part_of_later_rows_and_a_part_of_a_part(width, run):
+    block = Block(4, width)
+    block.rows[:2, width - 1] = np.nan  # stays in its lane
+    run(block)
+    expected = np.where(np.arange(width) < width - 1, [[0.0], [100.0]], np.nan)
+    np.testing.assert_array_equal(block.rows[:2], expected)
+    quarter = np.arange(width) // (width // 4)
+    np.testing.assert_array_equal(block.rows[2:], expected + 10 * (quarter // 2) + quarter % 2)
+
+
+@numba.njit
+def move_whole(block):
+    one = part(block, 1)
+    one[1] = one[0]
+    number = load_whole(one, 1)
+    store_whole(one, 2, number + 1)
+    return number
+
+
+@pytest.mark.parametrize("run", [move_whole, move_whole.py_func], ids=["compiled", "plain"])
+def test_whole_numbers_of_a_part(run):
+    block = Block(3, 2)
+    block.rows[0].view(np.int32)[:] = 5, 7
+    assert run(block) == 7
+    assert block.rows[2].view(np.int32).tolist() == [0, 8]
+
+
+def test_a_part_made_in_python_is_a_part_in_a_kernel():
+    block = Block(3, 4)
+    add_rows(part(block, 1))
+    assert block.rows[:, :2].max() == 0 and (block.rows[:2, 2:] == [[1], [2]]).all()
+
+
+@numba.njit
+def add_rows(block):
+    block[0] = block[0] + 1.0
+    block[1] = block[1] + 2.0
+
+
+@pytest.mark.parametrize("n_lanes", [0, 3, 12])
+def test_a_number_of_lanes_that_is_no_power_of_two_is_refused(n_lanes):
+    with pytest.raises(ValueError, match=f"a block has {n_lanes} lanes, expected a power of two"):
+        Block(1, n_lanes)
 
 
 def test_in_place_operators_are_refused_because_an_array_would_change_under_all_its_names():
