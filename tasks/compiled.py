@@ -23,25 +23,40 @@ from types import ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.event import Listener, register
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
-class Kernel:
-    """A compiled kernel: to be called, or to be given to another kernel as its ``inner``."""
+class _Cached:
+    """Where a kernel is kept, and about how long it takes to make."""
 
-    inner: Callable[..., Any]
-    announce: Callable[[], None]
-    """Says that it compiles, if it has to."""
-
-    def __call__(self, *args: Any) -> Any:
-        """Run it."""
-        self.announce()
-        return self.inner(*args)
+    folder: str
+    seconds: int
 
 
-def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Kernel:
+_KERNELS: dict[Callable[..., Any], _Cached] = {}
+"""By their functions in Python."""
+
+
+class _Word(Listener):  # type: ignore[misc]  # numba has no types
+    """Tells whoever waits that a kernel is being compiled: for these arguments it was not in the cache."""
+
+    def on_start(self, event: Any) -> None:
+        function = event.data["dispatcher"].py_func
+        if function in _KERNELS:
+            about = f"once, about {_KERNELS[function].seconds} s"
+            print(f"compiling {function.__module__} ({about})", file=sys.stderr, flush=True)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+register("numba:compile", _Word())
+
+
+def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:
     """Compile a kernel on its first call, or take it from the cache.
 
     Args:
@@ -55,7 +70,7 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
     if function.__closure__ is not None:
         raise ValueError(f"{function.__qualname__} is a closure, expected a function of a module")
     if numba.config.DISABLE_JIT:
-        return Kernel(function, lambda: None)
+        return function
     read = [sys.modules[__name__], *sources]  # how pieces are inlined counts too
     digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in read).encode()).hexdigest()
     folder = os.path.join(_cache_folder(), digest[:16])
@@ -66,11 +81,17 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
     finally:
         numba.config.CACHE_DIR = before
 
-    def announce() -> None:
-        if not kernel.overloads and not glob.glob(os.path.join(folder, "*", f"*.{function.__name__}-*.nbc")):
-            print(f"compiling {function.__module__} (once, about {seconds} s)", file=sys.stderr, flush=True)
+    _KERNELS[function] = _Cached(folder, seconds)
+    return cast(Callable[..., Any], kernel)
 
-    return Kernel(kernel, announce)
+
+def is_cached(kernel: Callable[..., Any]) -> bool:
+    """Tell whether a compiled kernel has been made before on this machine, for some arguments."""
+    function = getattr(kernel, "py_func", None)
+    if function not in _KERNELS:
+        return True  # there is no compiler
+    found = glob.glob(os.path.join(_KERNELS[function].folder, "*", f"*.{function.__name__}-*.nbc"))
+    return bool(found)
 
 
 def inline(function: F) -> F:

@@ -67,7 +67,6 @@ def hang_links(
 
 
 _hang_links = compiled(hang_links, [genes], seconds=1)  # in NumPy it takes longer than 64 designs are worth
-_HANG_LINKS = _hang_links.inner
 
 
 def rest_pose(designs: Designs) -> tuple[Floats, Floats, Floats]:
@@ -99,7 +98,7 @@ def spawn_links(
 
     x, y and angle are room for (n_designs, n_links) numbers.
     """
-    _HANG_LINKS(parent, rest_angle, parent_anchor, child_anchor, x, y, angle)
+    _hang_links(parent, rest_angle, parent_anchor, child_anchor, x, y, angle)
     for design in range(len(parent)):
         lowest = np.inf
         for link in range(N_LINKS):

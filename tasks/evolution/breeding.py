@@ -25,8 +25,6 @@ RANDOM, MUTATION, CROSSOVER = range(3)
 NOBODY = -1
 """The parent of a design that has none."""
 
-_random_table, _mutate_table, _recombine_tables = random_kernel.inner, mutate_kernel.inner, recombine_kernel.inner
-
 
 class Parents(NamedTuple):
     """Who may have children; axis 0 is the design."""
@@ -72,7 +70,7 @@ def breed(
     """
     rng, n_parents = held.rng, len(parents.age)
     chance = rng.random(n_children)
-    table = _random_table(n_children, rng, variation)
+    table = random_kernel(n_children, rng, variation)
     one = rng.integers(0, max(n_parents, 1), n_children)
     further = rng.integers(1, max(n_parents, 2), n_children)
     age = np.zeros(n_children, dtype=np.int64)
@@ -93,11 +91,11 @@ def breed(
 
     mutants = np.flatnonzero(operator == MUTATION)
     changed = parents.table[places[mutants, 0]]
-    _mutate_table(changed, rng, variation)
+    mutate_kernel(changed, rng, variation)
     table[mutants] = changed
     recombined = np.flatnonzero(operator == CROSSOVER)
     mixed = parents.table[places[recombined, 0]]
-    _recombine_tables(mixed, parents.table[places[recombined, 1]], rng, variation)
+    recombine_kernel(mixed, parents.table[places[recombined, 1]], rng, variation)
     table[recombined] = mixed
     return Offspring(table, age, operator, places, identities)
 

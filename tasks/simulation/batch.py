@@ -35,7 +35,6 @@ Indices = npt.NDArray[np.int64]
 _SOURCES = [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels]
 _advance = compiled(kernels.advance, _SOURCES, seconds=20)
 _pack_robots = compiled(packing.pack_robots, [genes, rows, contact, packing], seconds=1)
-_advance_kernel, _run_networks = _advance.inner, networks.run_networks.inner
 
 
 def advance_lanes_among_networks(
@@ -45,9 +44,9 @@ def advance_lanes_among_networks(
     """Take steps with all robots, each in its member's medium; see learned.py, networks.py and the engine's kernel."""
     for taken in range(n_steps):
         learned.observe(blocks, robot_of_lane, n_designs, observed, x)
-        _run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
+        networks.run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
         learned.add(blocks, robot_of_lane, n_designs, out, rows.VX, rows.VY, rows.OMEGA)
-        _advance_kernel(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
+        _advance(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
 
 
 _advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, networks, learned], seconds=20)

@@ -37,7 +37,6 @@ _SOURCES = [
     body_rows, records, polygons, broad_phase, contact_solver, revolute_joint, island, step,
 ]  # fmt: skip
 _advance = compiled(step.advance_bodies, _SOURCES, seconds=30)
-_advance_kernel, _run_networks = _advance.inner, networks.run_networks.inner
 
 
 def advance_bodies_among_networks(
@@ -47,11 +46,11 @@ def advance_bodies_among_networks(
     """Take steps with all robots, each in its member's medium; see learned.py, networks.py and the engine's kernel."""
     for taken in range(n_steps):
         learned.observe(blocks, robot_of_lane, n_designs, observed, x)
-        _run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
+        networks.run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
         learned.add(
             blocks, robot_of_lane, n_designs, out, body_rows.CHANGE_VX, body_rows.CHANGE_VY, body_rows.CHANGE_OMEGA
         )
-        _advance_kernel(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
+        _advance(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
 
 
 _advance_among_networks = compiled(advance_bodies_among_networks, [*_SOURCES, networks, learned], seconds=30)

@@ -255,10 +255,12 @@ def test_memory_begins_on_a_cache_line(shape):
 def test_an_edit_of_a_module_that_a_kernel_calls_is_not_served_from_the_cache(tmp_path):
     (tmp_path / "outer.py").write_text(
         "import sys, inner\n"
-        "from tasks.compiled import compiled\n"
+        "from tasks.compiled import compiled, is_cached\n"
         "def kernel(x):\n    return inner.piece(x)\n"
         "if __name__ == '__main__':\n    import outer\n"
-        "    print(compiled(outer.kernel, [outer, inner], seconds=1)(2.0))\n"
+        "    kernel = compiled(outer.kernel, [outer, inner], seconds=1)\n"
+        "    cached = is_cached(kernel)\n"
+        "    print(kernel(2.0 if len(sys.argv) == 1 else 2), cached)\n"
     )
     inner = "from tasks.compiled import inline\n@inline\ndef piece(x):\n    return x * {}\n"
     environment = {
@@ -268,17 +270,19 @@ def test_an_edit_of_a_module_that_a_kernel_calls_is_not_served_from_the_cache(tm
         "PYTHONDONTWRITEBYTECODE": "1",
     }
 
-    def run(factor):
+    def run(factor, *arguments):
         (tmp_path / "inner.py").write_text(inner.format(factor))
         done = subprocess.run(
-            [sys.executable, str(tmp_path / "outer.py")], env=environment, capture_output=True, text=True, check=True
-        )
-        return float(done.stdout), "compiling outer (once, about 1 s)" in done.stderr
+            [sys.executable, str(tmp_path / "outer.py"), *arguments],
+            env=environment, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return done.stdout.split(), done.stderr.count("compiling outer (once, about 1 s)")
 
-    assert run(10) == (20.0, True)
-    assert run(10) == (20.0, False)
-    assert run(30) == (60.0, True)
-    assert run(10) == (20.0, False)
+    assert run(10) == (["20.0", "False"], 1)
+    assert run(10) == (["20.0", "True"], 0)
+    assert run(30) == (["60.0", "False"], 1)
+    assert run(10) == (["20.0", "True"], 0)
+    assert run(10, "whole") == (["20", "True"], 1)  # for other arguments it is compiled again, and says so
 
 
 def test_a_closure_is_no_kernel():
