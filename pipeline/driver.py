@@ -21,6 +21,7 @@ from pipeline.stages import STAGES
 from pipeline.store import SetAside, Store, StudyItem, StudyRecord
 from pipeline.study import follow, require, results_of, run_stage
 from pipeline.tracking import Run, Tracker
+from tasks.simulation import batch
 
 
 def drive(
@@ -55,6 +56,8 @@ def drive(
         def the_cluster() -> Cluster:
             if not cluster:
                 progress.say("starting the cluster")
+                if not batch.is_compiled():
+                    progress.say("each machine compiles the kernels at their first use: half a minute without progress")
                 cluster.append(stack.enter_context(open_cluster()))
             return cluster[0]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tasks.compiled import compiled
+from tasks.compiled import compiled, is_cached
 from tasks.design import genes
 from tasks.design.body import kinematic_trees
 from tasks.design.genes import N_LINKS, Designs
@@ -50,6 +50,11 @@ def advance_lanes_among_networks(
 
 
 _advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, networks, learned], seconds=20)
+
+
+def is_compiled() -> bool:
+    """Tell whether this machine has made the engine's kernel before, for some number of lanes."""
+    return is_cached(_advance)
 
 
 def discovery_order(parents: Sequence[int]) -> list[int]:

@@ -14,6 +14,7 @@ from pipeline.settings import Settings
 from pipeline.stage import Results, Stage
 from pipeline.stages import STAGES
 from pipeline.store import Store
+from tasks.simulation import batch
 
 SETTINGS = """
 name: tiny
@@ -117,3 +118,10 @@ def test_settings_that_have_nothing_left_to_compute_are_put_on_record_too(store:
     assert store.read_study("tiny").settings["seed"] == 2
     run(store)
     assert store.read_study("tiny") == before
+
+
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_who_waits_for_the_compiler_is_told(store: Store, monkeypatch: pytest.MonkeyPatch, is_compiled: bool) -> None:
+    monkeypatch.setattr(batch, "is_compiled", lambda: is_compiled)
+    run(store, TO_EVOLVE, terminal=(terminal := Terminal()))
+    assert any("compiles the kernels" in line for line in terminal.said) == (not is_compiled)
