@@ -1,8 +1,8 @@
 """The batch engine: many robots at once, one per lane, with the bits of the reference engine.
 
-Designs are packed into groups of as many robots as suit the machine, two of its vectors or, where they are few, one
-(see lanes.widest), and a compiled kernel steps group after group. Robots whose passive joints are locked or whose links collide have a kernel of their own, without lanes:
-see tasks/simulation/bodies. One thread: a study runs one process per core.
+Designs are packed into groups of as many robots as two of the machine's vectors hold, or one where robots are few (see
+lanes.widest), and a compiled kernel steps the groups. Robots whose passive joints are locked or whose links collide
+have a kernel of their own, without lanes: see tasks/simulation/bodies. One thread: a study runs one process per core.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Follows glibc 2.28 and later (sysdeps/ieee754/flt-32/s_sincosf.h, by Arm; the variant with fused multiply-adds that it
 picks on every processor of the last ten years): the angle is reduced and a polynomial evaluated in double precision.
-Without the fused operations one value in ten million differs. Where the platform's own sincosf is another function, the
+Without the fused operations one value in a million differs. Where the platform's own sincosf is another function, the
 two engines differ and the tests say so.
 """
 

@@ -9,6 +9,7 @@ from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, 
 
 from tasks.design import random_designs
 from tasks.simulation import batch, free_links, reference, rotation
+from tasks.simulation.lanes import widest
 from tasks.simulation.motion import ANGLE
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
 
@@ -28,6 +29,13 @@ def test_every_float_of_every_step(kind: type[DryLand | TrueSlush], depth: float
     designs = random_designs(37, np.random.default_rng(seed))
     motion = assert_equal(designs, kind(depth), Physics(), n_settle=200, n_measure=1200)
     assert np.isfinite(motion.final).all()
+
+
+@pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(1.0)], ids=["dry", "slush"])
+def test_ends_of_groups_abreast(environment: Environment, same_libm: None, seed: int) -> None:
+    """Without a trace, as in a study, groups take their steps two by two; the last has lanes to spare."""
+    designs = random_designs(2 * widest() + 5, np.random.default_rng(seed))
+    assert_equal(designs, environment, Physics(), n_settle=200, n_measure=1200, trace=False)
 
 
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])

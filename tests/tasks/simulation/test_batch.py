@@ -3,13 +3,13 @@
 import numba
 import numpy as np
 import pytest
-from both_engines import Slushes, assert_equal_in_plain_python, peaks_of_memory
+from both_engines import Slushes, assert_equal_in_plain_python, networks, peaks_of_memory
 
-from tasks.design import Designs, concatenate, random_designs
+from tasks.design import N_LINKS, Designs, concatenate, random_designs
 from tasks.simulation import DIVERGED, OK, batch, contact, packing, simulate
 from tasks.simulation.lanes import widest
 from tasks.simulation.motion import Motion
-from tasks.simulation.rows import N_ROWS, OMEGA, VERTEX_1, VX
+from tasks.simulation.rows import N_ROWS, OMEGA, VERTEX_1, VERTEX_2, VX
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python")
@@ -57,6 +57,23 @@ def test_every_size_of_batch_gives_the_same_bits(designs, environment, whole, n_
 def test_every_order_of_designs_gives_the_same_bits(designs, environment, whole):
     order = np.random.default_rng().permutation(N_DESIGNS)
     np.testing.assert_array_equal(roll_out(designs[order], environment, widest()).trace, whole[:, order])
+
+
+@compiled_only
+def test_among_networks_neither_order_nor_size_of_the_batch_matters(designs):
+    """In one kernel and without a trace, as in a study."""
+    rng = np.random.default_rng()
+    environment = ResidualSlush(0.7, networks(rng))
+
+    def ends(designs: Designs) -> np.ndarray:
+        return batch.roll_out(designs, environment, PHYSICS, n_settle=20, n_measure=80, trace=False).final
+
+    whole = ends(designs)
+    assert np.isfinite(whole).all()
+    order = rng.permutation(N_DESIGNS)
+    np.testing.assert_array_equal(ends(designs[order]), whole[:, order])
+    for n_designs in (1, 7, 33):
+        np.testing.assert_array_equal(ends(designs[-n_designs:]), whole[:, -n_designs:])
 
 
 @compiled_only
@@ -155,3 +172,10 @@ def test_packing_keeps_what_was_put_in(designs):
 
 def test_the_kernels_are_plain_python_too():
     assert_equal_in_plain_python(4, PHYSICS, (15, 15))
+
+
+@compiled_only
+def test_robots_of_plain_python_stand_on_two_points():
+    groups = batch.Groups(random_designs(4, np.random.default_rng(0)), PHYSICS, n_members=1, n_lanes=widest())
+    groups.advance(batch.shared_world(DryLand(0.0), PHYSICS), 0, 15, None)
+    assert (groups.blocks[:, VERTEX_2 : VERTEX_2 + N_LINKS] != contact.NO_VERTEX).any()
