@@ -113,7 +113,10 @@ def _obvious(designs: Designs, environment: Environment) -> float:
 
 
 def steps() -> list[Figure]:
-    """Step 64 robots in true slush, from the spawn on: the batch engine and its peers, who all take the same steps."""
+    """Step 64 robots in true slush, from the spawn on: the batch engine and its peers, as many steps each.
+
+    The bare Step has neither slush nor commands to its motors, so that its robots lie on the ground.
+    """
     figures = []
     population = designs()
     _batch(population, DryLand(0.0))
