@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 import yaml
 from containers import SMALL_MEMORY, environment_of, instructions, words_of
@@ -80,9 +81,14 @@ def test_the_head_of_a_cluster_calls_nobody(torture, short_folder: Path):
     here = f"--port=6379 --node-ip-address=127.0.0.1 --temp-dir={short_folder / 'ray'}"
     head = words_of("head", {"--block": here, "--port=6379": "--log-style=record", **SMALL_MEMORY})
     run_of_image = next(line for line in instructions("RUN") if "ray_bootstrap_config" in line)
-    script = f'{run_of_image}; mkdir "$HOME/ray"; {" ".join(head)} && sleep 10; ray stop --force'
+    script = f'{run_of_image}; mkdir "$HOME/ray"; {" ".join(head)} && sleep 10'
     environment = environment_of("head", {"RAY_AUTH_TOKEN_PATH": str(short_folder / "token")})
     (short_folder / "token").write_text(secrets.token_hex(32))
-    ran = on_a_machine(UNHEARD, "sh", "-c", script, **environment, HOME=str(short_folder))
+    try:
+        ran = on_a_machine(UNHEARD, "sh", "-c", script, **environment, HOME=str(short_folder))
+    finally:  # not by `ray stop`, which ends every Ray of this machine, those of other tests too
+        for process in psutil.process_iter(["cmdline"]):
+            if any(str(short_folder) in word for word in process.info["cmdline"] or ()):
+                process.kill()
     assert "Ray runtime started" in ran.stdout, ran.stderr
     assert n_packets(ran) == 0
