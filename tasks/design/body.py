@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from tasks.compiled import compiled
 from tasks.design import genes
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import COLUMNS, N_LINKS, PARENT, Designs, Table
 
 Floats = npt.NDArray[np.float64]
 Float32 = npt.NDArray[np.float32]
@@ -49,21 +49,37 @@ class KinematicTrees:
     """(n_designs, n_links) when spawned [rad]; the root is upright, at 0."""
 
 
-def hang_links(
-    parent: npt.NDArray[np.int64], rest_angle: Floats, parent_anchor: Floats, child_anchor: Floats,
-    x: Floats, y: Floats, angle: Floats,
-) -> None:  # fmt: skip
-    """Fill (n_designs, n_links) places and angles of links by their rest angles, the root upright at the origin."""
-    for design in range(len(parent)):
-        x[design, 0], y[design, 0], angle[design, 0] = 0.0, 0.0, 0.0
+LENGTH, PARENT_ATTACHMENT, CHILD_ATTACHMENT, JOINT_ANGLE = (
+    COLUMNS[name].start for name in ("length_scale", "parent_attachment", "child_attachment", "rest_angle")
+)
+"""Columns of the root's genes in a table of designs; those of the other links follow."""
+
+REST_X, REST_Y, REST_ANGLE, REST_SINE, REST_COSINE, PARENT_ANCHOR, CHILD_ANCHOR = range(7)
+"""What :func:`hang_links` gives of each link: centre [m], angle [rad], its sine and cosine; joint's distance from the
+centres of parent and link [m], 0 for the root."""
+
+
+def hang_links(table: Table) -> Floats:
+    """Place links by their rest angles, the root upright at the origin: (n_designs, 7, n_links), see above."""
+    rest = np.zeros((len(table), 7, N_LINKS))
+    for design in range(len(table)):
+        genes_of, links = table[design], rest[design]
+        links[REST_COSINE, 0] = 1.0
         for link in range(1, N_LINKS):
-            above = parent[design, link]
-            turned = angle[design, above] + rest_angle[design, link]
-            along_parent, along_child = parent_anchor[design, link], child_anchor[design, link]
-            sine, cosine = np.sin(angle[design, above]), np.cos(angle[design, above])
-            x[design, link] = x[design, above] - sine * along_parent + np.sin(turned) * along_child
-            y[design, link] = y[design, above] + cosine * along_parent - np.cos(turned) * along_child
-            angle[design, link] = turned
+            above = int(genes_of[PARENT + link])
+            along_parent = genes_of[PARENT_ATTACHMENT + link] * genes_of[LENGTH + above] / 2
+            along_child = genes_of[CHILD_ATTACHMENT + link] * genes_of[LENGTH + link] / 2
+            turned = links[REST_ANGLE, above] + genes_of[JOINT_ANGLE + link]
+            sine, cosine = np.sin(turned), np.cos(turned)
+            links[REST_X, link] = (
+                links[REST_X, above] - links[REST_SINE, above] * along_parent + sine * along_child
+            )
+            links[REST_Y, link] = (
+                links[REST_Y, above] + links[REST_COSINE, above] * along_parent - cosine * along_child
+            )
+            links[REST_ANGLE, link], links[REST_SINE, link], links[REST_COSINE, link] = turned, sine, cosine
+            links[PARENT_ANCHOR, link], links[CHILD_ANCHOR, link] = along_parent, along_child
+    return rest
 
 
 _hang_links = compiled(hang_links, [genes], seconds=1)  # in NumPy it takes longer than 64 designs are worth
@@ -75,50 +91,35 @@ def rest_pose(designs: Designs) -> tuple[Floats, Floats, Floats]:
     Returns:
         x [m], y [m] and angle [rad] of every link, each (n_designs, n_links). Angles add up along the tree, unwrapped.
     """
-    x, y, angle = np.empty((3, len(designs), N_LINKS))
-    _hang_links(designs.parent, designs.rest_angle, *_anchors(designs), x, y, angle)
-    return x, y, angle
+    rest = _hang_links(designs.table)
+    return rest[:, REST_X], rest[:, REST_Y], rest[:, REST_ANGLE]
 
 
-def _anchors(designs: Designs) -> tuple[Floats, Floats]:
-    """Distance of each joint from the centres of the two links that it ties [m]; 0 for the root."""
-    jointed = np.arange(N_LINKS) > 0
-    parent_length = np.take_along_axis(designs.length_scale, np.maximum(designs.parent, 0), axis=1)
-    return (
-        np.where(jointed, designs.parent_attachment * parent_length / 2, 0.0),
-        np.where(jointed, designs.child_attachment * designs.length_scale / 2, 0.0),
-    )
-
-
-def spawn_links(
-    length: Floats, parent: npt.NDArray[np.int64], rest_angle: Floats, parent_anchor: Floats, child_anchor: Floats,
-    density: float, x: Floats, y: Floats, angle: Floats, single: Float32,
-) -> None:  # fmt: skip
-    """Fill (9, n_designs, n_links) what the fields of KinematicTrees but its parents are, in their order.
-
-    x, y and angle are room for (n_designs, n_links) numbers.
-    """
-    _hang_links(parent, rest_angle, parent_anchor, child_anchor, x, y, angle)
-    for design in range(len(parent)):
+def spawn_links(table: Table, density: float) -> Float32:
+    """Give (9, n_designs, n_links): the fields of KinematicTrees but the parents, in their order."""
+    rest, single = _hang_links(table), np.empty((9, len(table), N_LINKS), np.float32)
+    for design in range(len(table)):
         lowest = np.inf
         for link in range(N_LINKS):
-            of_length = abs(np.cos(angle[design, link])) * length[design, link] / 2
-            of_width = abs(np.sin(angle[design, link])) * (1.0 / length[design, link]) / 2
-            lowest = min(lowest, y[design, link] - of_length - of_width)
+            along, width = table[design, LENGTH + link], 1.0 / table[design, LENGTH + link]
+            of_length = abs(rest[design, REST_COSINE, link]) * along / 2
+            of_width = abs(rest[design, REST_SINE, link]) * width / 2
+            lowest = min(lowest, rest[design, REST_Y, link] - of_length - of_width)
         for link in range(N_LINKS):
-            along, width = length[design, link], 1.0 / length[design, link]
+            along, width = table[design, LENGTH + link], 1.0 / table[design, LENGTH + link]
             mass = density * width * along
             single[0, design, link], single[1, design, link] = width / 2, along / 2
             single[2, design, link] = mass
             single[3, design, link] = mass * (width * width + along * along) / 12
-            single[4, design, link] = parent_anchor[design, link]
-            single[5, design, link] = child_anchor[design, link]
-            single[6, design, link] = x[design, link]
-            single[7, design, link] = y[design, link] - lowest
-            single[8, design, link] = angle[design, link]
+            single[4, design, link] = rest[design, PARENT_ANCHOR, link]
+            single[5, design, link] = rest[design, CHILD_ANCHOR, link]
+            single[6, design, link] = rest[design, REST_X, link]
+            single[7, design, link] = rest[design, REST_Y, link] - lowest
+            single[8, design, link] = rest[design, REST_ANGLE, link]
+    return single
 
 
-_spawn_links = compiled(spawn_links, [genes], seconds=1)
+spawn_kernel = compiled(spawn_links, [genes], seconds=1)
 
 
 def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:
@@ -128,13 +129,7 @@ def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:
         designs: n_designs valid designs.
         density: of every link [kg/m²].
     """
-    shape = len(designs), N_LINKS
-    single = np.empty((9, *shape), np.float32)
-    _spawn_links(
-        designs.length_scale, designs.parent, designs.rest_angle, *_anchors(designs), density, *np.empty((3, *shape)),
-        single,
-    )  # fmt: skip
-    return KinematicTrees(designs.parent, *single)
+    return KinematicTrees(designs.parent, *spawn_kernel(designs.table, density))
 
 
 PassiveJoints = Literal["swing", "locked"]
@@ -189,7 +184,8 @@ def rigid_bodies(designs: Designs, *, passive_joints: PassiveJoints) -> RigidBod
         passive_joints: what a joint does whose motor is off.
     """
     n_designs, design = len(designs), np.arange(len(designs))
-    parent_anchor, child_anchor = _anchors(designs)
+    rest = _hang_links(designs.table)
+    parent_anchor, child_anchor = rest[:, PARENT_ANCHOR], rest[:, CHILD_ANCHOR]
     first_link = np.tile(np.arange(N_LINKS), (n_designs, 1))
     x, y, angle, joint_x, joint_y = (np.zeros((n_designs, N_LINKS)) for _ in range(5))
     for link in range(1, N_LINKS):

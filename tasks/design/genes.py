@@ -7,13 +7,16 @@ parent, so a root has no joint: its joint genes are ignored, and kept at zero so
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+
+from tasks.compiled import compiled
 
 N_LINKS = 6
 """Links in a design, the root included. The sweeps of the batch engine name their joints: see kernels.py."""
@@ -162,7 +165,7 @@ class Designs:
 
     @staticmethod
     def from_table(table: Table) -> Designs:
-        """Restore designs from their table, which is theirs from then on and can't be changed.
+        """Restore designs from their table, which is theirs from then on and is not to be changed.
 
         Raises:
             DesignError: it is no (n_designs, N_COLUMNS) table of float64.
@@ -170,17 +173,25 @@ class Designs:
         if table.shape[1:] != (N_COLUMNS,) or table.dtype != np.float64:
             raise DesignError(f"designs: their table is {table.shape} {table.dtype}, "
                               f"expected (n_designs, {N_COLUMNS}) float64")
-        table.flags.writeable = False
-        designs = object.__new__(Designs)  # so the fields need no checks, and evolution makes many
-        fields = designs.__dict__
-        fields["table"] = table
-        for name, columns in COLUMNS.items():
-            field = table[:, columns.start if name in PER_DESIGN else columns]
+        view = table.view()
+        view.flags.writeable = False
+        designs = object.__new__(Designs)
+        designs.__dict__["table"] = view
+        return designs
+
+    if not TYPE_CHECKING:  # which would then take any name for an attribute
+
+        def __getattr__(self, name: str) -> npt.NDArray[Any]:
+            """Read a field off the table when it is first asked for: evolution makes many designs, and asks for few."""
+            if name not in COLUMNS or "table" not in self.__dict__:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            columns = COLUMNS[name]
+            field = self.table[:, columns.start if name in PER_DESIGN else columns]
             if DTYPES[name] is not np.float64:
                 field = field.astype(DTYPES[name])
                 field.flags.writeable = False
-            fields[name] = field
-        return designs
+            self.__dict__[name] = field
+            return field
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the fields alone: a copy's table is made of them again."""
@@ -211,6 +222,8 @@ def _columns() -> dict[str, slice]:
 
 COLUMNS = _columns()
 """Where each field of Designs is in a table of designs, a link after the other."""
+PARENT = COLUMNS["parent"].start
+"""Column of the root's parent; those of the other links follow."""
 LINK_OF_COLUMN = np.concatenate([[N_LINKS] if name in PER_DESIGN else np.arange(N_LINKS) for name in COLUMNS])
 """(N_COLUMNS,) whose each column is; N_LINKS where it is the whole design's."""
 N_COLUMNS = max(columns.stop for columns in COLUMNS.values())
@@ -231,29 +244,53 @@ def concatenate(several: list[Designs]) -> Designs:
     return Designs(**{name: np.concatenate([getattr(part, name) for part in several]) for name in DTYPES})
 
 
+FIRST = np.array([COLUMNS[gene.name].start for gene in GENES])
+"""(n_genes,) column of each gene's first number in a table of designs, the root's included."""
+END = np.array([COLUMNS[gene.name].stop for gene in GENES])
+"""(n_genes,) the column after its last."""
+LOW = np.array([gene.low for gene in GENES])
+"""(n_genes,) in the gene's unit, as HIGH."""
+HIGH = np.array([gene.high for gene in GENES])
+OF_ROOT = np.array([gene.of_root for gene in GENES])
+"""(n_genes,) whether the root has it."""
+
+
+def find_fault(table: Table) -> tuple[int, int]:
+    """Find the first number that no design can have: in the trees, then gene by gene.
+
+    Returns:
+        Its row and its column; -1 and -1 if there is none.
+    """
+    for design in range(len(table)):
+        for link in range(N_LINKS):
+            parent = table[design, PARENT + link]
+            if parent != ROOT_PARENT if link == 0 else not 0 <= parent < link:
+                return design, PARENT + link
+    for gene in range(len(FIRST)):
+        for design in range(len(table)):
+            for column in range(FIRST[gene] if OF_ROOT[gene] else FIRST[gene] + 1, END[gene]):
+                if not LOW[gene] <= table[design, column] <= HIGH[gene]:  # NaN is outside too
+                    return design, column
+    return -1, -1
+
+
+_find_fault = compiled(find_fault, [sys.modules[__name__]], seconds=1)
+
+
 def check(designs: Designs) -> None:
     """Refuse designs whose tree is broken or whose genes are non-finite or out of bounds.
 
     Raises:
         DesignError: names the first fault: the design by its index, the gene and the link, what was expected and came.
     """
-    links = np.arange(N_LINKS)
-    broken = np.where(links == 0, designs.parent != ROOT_PARENT, (designs.parent < 0) | (designs.parent >= links))
-    if broken.any():
-        design, link = np.argwhere(broken)[0]
+    design, column = _find_fault(designs.table)
+    if design < 0:
+        return
+    came, link = designs.table[design, column], LINK_OF_COLUMN[column]
+    if column in range(N_COLUMNS)[COLUMNS["parent"]]:
         expected = "-1 (it is the root)" if link == 0 else f"a link before it, 0 to {link - 1}"
-        came = designs.parent[design, link]
-        raise DesignError(f"design {design}: parent of link {link} is {came}, expected {expected}")
-    for gene in GENES:
-        if gene.kind == "flag":
-            continue
-        field = getattr(designs, gene.name)
-        array = field[:, gene.first_link :] if gene.per_link else field[:, None]
-        outside = ~((array >= gene.low) & (array <= gene.high))  # so that NaN is outside too
-        if outside.any():
-            design, column = np.argwhere(outside)[0]
-            where = f" of link {column + gene.first_link}" if gene.per_link else ""
-            raise DesignError(
-                f"design {design}: {gene.name}{where} is {array[design, column]}, "
-                f"expected {gene.low:.6g} to {gene.high:.6g} {gene.unit}".rstrip()
-            )
+        raise DesignError(f"design {design}: parent of link {link} is {int(came)}, expected {expected}")
+    gene = next(gene for gene in GENES if column in range(N_COLUMNS)[COLUMNS[gene.name]])
+    where = f" of link {link}" if gene.per_link else ""
+    bounds = f"{gene.low:.6g} to {gene.high:.6g} {gene.unit}".rstrip()
+    raise DesignError(f"design {design}: {gene.name}{where} is {came}, expected {bounds}")

@@ -15,14 +15,26 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.compiled import inline
-from tasks.design.genes import COLUMNS, GENES, LINK_OF_COLUMN, N_COLUMNS, N_LINKS, ROOT_PARENT, Table
+from tasks.design.genes import (
+    COLUMNS,
+    END,
+    FIRST,
+    GENES,
+    HIGH,
+    LINK_OF_COLUMN,
+    LOW,
+    N_COLUMNS,
+    N_LINKS,
+    OF_ROOT,
+    PARENT,
+    ROOT_PARENT,
+    Table,
+)
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
-PARENT = COLUMNS["parent"].start
-"""Column of the root's parent; those of the other links follow."""
 MOTOR = "motor_on"
 MOTORS = COLUMNS[MOTOR].start + 1
 """Column of the first joint's motor; those of the other joints follow. A root has none."""
@@ -33,12 +45,7 @@ ANY_NUMBER = -1
 BODY_STAYS = -1.0
 """In place of a probability that a link is hung from another parent."""
 
-FIRST = np.array([COLUMNS[gene.name].start for gene in GENES])
-END = np.array([COLUMNS[gene.name].stop for gene in GENES])
-LOW = np.array([gene.low for gene in GENES])
-HIGH = np.array([gene.high for gene in GENES])
 IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])
-OF_ROOT = np.array([gene.of_root for gene in GENES])
 
 
 class Numbers(NamedTuple):

@@ -1,7 +1,7 @@
 """How designs get better: age-fitness Pareto optimisation, and what it is told to optimise."""
 
-from tasks.evolution.afpo import NOBODY_YET, Afpo, Children, Population, ask, select, tell
-from tasks.evolution.breeding import OPERATORS
+from tasks.evolution.afpo import NOBODY_YET, Afpo, ask, select, tell
+from tasks.evolution.breeding import OPERATORS, Children, Population
 from tasks.evolution.objective import Evaluation, evaluate, penalised_mean
 from tasks.evolution.trial import HISTORY_UNITS, History, evolve
 

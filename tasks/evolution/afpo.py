@@ -10,10 +10,7 @@ the young alone, which keeps lines of descent apart until they have had time to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,17 +18,18 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from tasks.compiled import compiled
-from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
-from tasks.design.genes import Part, Table
-from tasks.design.variation import NO_DESIGNS, SOURCES, variation_of
+from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations, genes
+from tasks.design.genes import N_COLUMNS, Part, Table
+from tasks.design.variation import SOURCES, variation_of
 from tasks.evolution import breeding
-from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Offspring, Parents
+from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Children, Population
 from tasks.held import hold
 from tasks.parameters import Parameters
 
 Ints = npt.NDArray[np.int64]
 
 _breed = compiled(breeding.breed, [*SOURCES, breeding], seconds=10)
+_survive = compiled(breeding.survive, [genes, breeding], seconds=4)
 _select = compiled(breeding.select, [breeding], seconds=4)
 
 
@@ -62,72 +60,8 @@ class Afpo(Parameters):
         return self.random_share, self.mutation_share, self.crossover_share
 
 
-@dataclass(frozen=True, eq=False)
-class Population:
-    """The survivors of a generation."""
-
-    table: Table
-    """(n_designs, N_COLUMNS) their genes; fewer than the population's size only if too many diverged."""
-    fitness: npt.NDArray[np.float64]
-    """(n_designs,) finite [m]"""
-    age: Ints
-    """(n_designs,) generations since the oldest ancestor was drawn at random."""
-    identity: Ints
-    """(n_designs,) running number within the trial, in order of evaluation."""
-    n_evaluated: int
-    """Designs evaluated in the trial so far."""
-
-    @cached_property
-    def designs(self) -> Designs:
-        """The n_designs designs."""
-        return Designs.from_table(self.table)
-
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Give the state as named arrays, the inverse of :meth:`from_arrays`."""
-        return {
-            **dict(self.designs.arrays()),
-            "fitness": self.fitness,
-            "age": self.age,
-            "identity": self.identity,
-            "n_evaluated": np.array([self.n_evaluated], dtype=np.int64),
-        }
-
-    @staticmethod
-    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Population:
-        """Restore a state from its named arrays."""
-        return Population(
-            table=Designs.from_arrays(arrays).table,
-            fitness=arrays["fitness"],
-            age=arrays["age"],
-            identity=arrays["identity"],
-            n_evaluated=int(arrays["n_evaluated"][0]),
-        )
-
-    def champion(self) -> int:
-        """Index of the fittest; the first of several. A trial's best design never leaves the population."""
-        return int(np.argmax(self.fitness))
-
-
-@dataclass(frozen=True, eq=False)
-class Children:
-    """Designs that wait to be evaluated."""
-
-    designs: Designs
-    """n_children designs."""
-    age: Ints
-    """(n_children,)"""
-    identity: Ints
-    """(n_children,)"""
-    operator: Ints
-    """(n_children,) index into OPERATORS."""
-    parents: Ints
-    """(n_children, 2) identities; NOBODY where there is none."""
-    n_draws: Ints
-    """(n_children,) how often its operator drew until the morphology allowed the design."""
-
-
 NOBODY_YET = Population(
-    table=NO_DESIGNS.table,
+    table=np.zeros((0, N_COLUMNS)),
     fitness=np.zeros(0),
     age=np.zeros(0, dtype=np.int64),
     identity=np.zeros(0, dtype=np.int64),
@@ -158,38 +92,28 @@ def ask(
     """
     parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
     variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
-    table = population.table.view()
-    table.flags.writeable = False  # as that of a population from the store is: kernels are compiled for one kind
-    parents = Parents(table, population.age, population.identity)
-    of_random, of_mutants, _ = afpo.shares
-    drawn: Offspring = _breed(afpo.population_size, hold(rng).held, parents, of_random, of_mutants, variation)
-    n_draws = np.ones(afpo.population_size, dtype=np.int64)
-    if body is None and morphology.unjoined_links == "apart":
-        _draw_again(drawn, n_draws, table, rng, afpo.mutation, morphology)
-    return Children(
-        designs=Designs.from_table(drawn.table),
-        age=drawn.age,
-        identity=population.n_evaluated + np.arange(afpo.population_size),
-        operator=drawn.operator,
-        parents=drawn.parents,
-        n_draws=n_draws,
+    children: Children = _breed(
+        afpo.population_size, hold(rng).held, population, afpo.random_share, afpo.mutation_share, variation
     )
+    if body is None and morphology.unjoined_links == "apart":
+        _draw_again(children, population.table, rng, afpo.mutation, morphology)
+    return children
 
 
 def _draw_again(
-    offspring: Offspring, n_draws: Ints, parents: Table, rng: Generator, mutation: Mutation, morphology: Morphology
+    children: Children, parents: Table, rng: Generator, mutation: Mutation, morphology: Morphology
 ) -> None:
     """Draw those children again, by their own operators, that the morphology refuses; in place."""
     for operator in range(len(OPERATORS)):
-        children = np.flatnonzero(offspring.operator == operator)
-        first, (one, other) = offspring.table[children], offspring.places[children].T
+        which = np.flatnonzero(children.operator == operator)
+        first, (one, other) = children.table[which], children.places[which].T
         if operator == RANDOM:
-            again = draw_random(len(children), rng, morphology=morphology, first=first)
+            again = draw_random(len(which), rng, morphology=morphology, first=first)
         elif operator == MUTATION:
             again = draw_mutants(parents[one], rng, mutation=mutation, morphology=morphology, first=first)
         else:
             again = draw_recombinations(parents[one], parents[other], rng, morphology=morphology, first=first)
-        offspring.table[children], n_draws[children] = again.table, again.n_draws
+        children.table[which], children.n_draws[which] = again.table, again.n_draws
 
 
 def tell(
@@ -206,17 +130,9 @@ def tell(
     """
     if fitness.shape != children.age.shape:
         raise ValueError(f"fitness has shape {fitness.shape}, expected {children.age.shape}: one for each child")
-    all_fitness = np.concatenate([population.fitness, fitness])
-    all_age = np.concatenate([population.age, children.age])
-    survivors = select(all_fitness, all_age, rng, afpo.population_size)
-    all_tables = np.concatenate([population.table, children.designs.table])
-    return Population(
-        table=all_tables.take(survivors, axis=0),
-        fitness=all_fitness[survivors],
-        age=all_age[survivors] + 1,
-        identity=np.concatenate([population.identity, children.identity])[survivors],
-        n_evaluated=population.n_evaluated + len(fitness),
-    )
+    told = np.ascontiguousarray(fitness, dtype=np.float64)
+    survivors: Population = _survive(population, children, told, hold(rng).held, afpo.population_size)
+    return survivors
 
 
 def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_survivors: int) -> Ints:

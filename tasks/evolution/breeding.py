@@ -5,13 +5,14 @@ In NumPy it is some hundred calls, each of which takes longer than its work on 6
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tasks.compiled import inline
-from tasks.design.genes import Table
+from tasks.design.genes import N_COLUMNS, Designs, Table
 from tasks.design.operators import Variation
 from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel
 
@@ -26,41 +27,84 @@ NOBODY = -1
 """The parent of a design that has none."""
 
 
-class Parents(NamedTuple):
-    """Who may have children; axis 0 is the design."""
+class Population(NamedTuple):
+    """The survivors of a generation; axis 0 is the design."""
 
     table: Table
-    """(n_designs, N_COLUMNS)"""
+    """(n_designs, N_COLUMNS) their genes; fewer than the population's size only if too many diverged."""
+    fitness: Floats
+    """(n_designs,) finite [m]"""
     age: Ints
-    """(n_designs,) generations."""
+    """(n_designs,) generations since the oldest ancestor was drawn at random."""
     identity: Ints
-    """(n_designs,) running number within the trial."""
+    """(n_designs,) running number within the trial, in order of evaluation."""
+    n_evaluated: int
+    """Designs evaluated in the trial so far."""
+
+    @property
+    def designs(self) -> Designs:
+        """The n_designs designs."""
+        return Designs.from_table(self.table)
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Give the state as named arrays, the inverse of :meth:`from_arrays`."""
+        return {
+            **dict(self.designs.arrays()),
+            "fitness": self.fitness,
+            "age": self.age,
+            "identity": self.identity,
+            "n_evaluated": np.array([self.n_evaluated], dtype=np.int64),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Population:
+        """Restore a state from its named arrays."""
+        return Population(
+            table=Designs.from_arrays(arrays).table.copy(),  # kernels are compiled for one that can be written to
+            fitness=arrays["fitness"],
+            age=arrays["age"],
+            identity=arrays["identity"],
+            n_evaluated=int(arrays["n_evaluated"][0]),
+        )
+
+    def champion(self) -> int:
+        """Index of the fittest; the first of several. A trial's best design never leaves the population."""
+        return int(np.argmax(self.fitness))
 
 
-class Offspring(NamedTuple):
-    """Children as they are drawn, whatever the morphology says; axis 0 is the child."""
+class Children(NamedTuple):
+    """Designs that wait to be evaluated; axis 0 is the child."""
 
     table: Table
-    """(n_children, N_COLUMNS)"""
+    """(n_children, N_COLUMNS) their genes."""
     age: Ints
     """(n_children,) generations: that of the older parent; 0 where there is none."""
+    identity: Ints
+    """(n_children,) running number within the trial."""
     operator: Ints
     """(n_children,) index into OPERATORS."""
     places: Ints
-    """(n_children, 2) the parents' places among those who may have children; NOBODY where there is none."""
+    """(n_children, 2) the parents' places in the population; NOBODY where there is none."""
     parents: Ints
     """(n_children, 2) the parents' identities; NOBODY where there is none."""
+    n_draws: Ints
+    """(n_children,) how often its operator drew until the morphology allowed the design."""
+
+    @property
+    def designs(self) -> Designs:
+        """The n_children designs."""
+        return Designs.from_table(self.table)
 
 
 def breed(
-    n_children: int, held: Any, parents: Parents, random_share: float, mutation_share: float, variation: Variation
-) -> Offspring:
-    """Draw a generation of children, all of them random where there are no parents.
+    n_children: int, held: Any, population: Population, random_share: float, mutation_share: float, variation: Variation
+) -> Children:
+    """Draw a generation of children, whatever the morphology says; all are random where nobody survived.
 
     Args:
         n_children: how many.
         held: ``rng`` of it is the source of randomness.
-        parents: who may have children.
+        population: who may have children.
         random_share: probability that a child is random.
         mutation_share: probability that it is a mutant; it is a recombination otherwise.
         variation: what may vary, and how.
@@ -68,7 +112,7 @@ def breed(
     Returns:
         n_children children.
     """
-    rng, n_parents = held.rng, len(parents.age)
+    rng, n_parents = held.rng, len(population.age)
     chance = rng.random(n_children)
     table = random_kernel(n_children, rng, variation)
     one = rng.integers(0, max(n_parents, 1), n_children)
@@ -79,29 +123,51 @@ def breed(
     for child in range(n_children):
         if n_parents == 0 or chance[child] < random_share:
             continue
-        places[child, 0], identities[child, 0] = one[child], parents.identity[one[child]]
-        age[child] = parents.age[one[child]]
+        places[child, 0], identities[child, 0] = one[child], population.identity[one[child]]
+        age[child] = population.age[one[child]]
         if chance[child] < random_share + mutation_share:
             operator[child] = MUTATION
         else:
             other = (one[child] + further[child]) % n_parents  # another one, wherever there are two
             operator[child] = CROSSOVER
-            places[child, 1], identities[child, 1] = other, parents.identity[other]
-            age[child] = max(age[child], parents.age[other])
+            places[child, 1], identities[child, 1] = other, population.identity[other]
+            age[child] = max(age[child], population.age[other])
 
     mutants = np.flatnonzero(operator == MUTATION)
-    changed = parents.table[places[mutants, 0]]
+    changed = population.table[places[mutants, 0]]
     mutate_kernel(changed, rng, variation)
     table[mutants] = changed
     recombined = np.flatnonzero(operator == CROSSOVER)
-    mixed = parents.table[places[recombined, 0]]
-    recombine_kernel(mixed, parents.table[places[recombined, 1]], rng, variation)
+    mixed = population.table[places[recombined, 0]]
+    recombine_kernel(mixed, population.table[places[recombined, 1]], rng, variation)
     table[recombined] = mixed
-    return Offspring(table, age, operator, places, identities)
+    identity = population.n_evaluated + np.arange(n_children)
+    return Children(table, age, identity, operator, places, identities, np.ones(n_children, dtype=np.int64))
+
+
+def survive(population: Population, children: Children, fitness: Floats, held: Any, n_survivors: int) -> Population:
+    """Select the survivors as :func:`tasks.evolution.tell` does, drawing from ``held.rng``."""
+    all_fitness = np.concatenate((population.fitness, fitness))
+    all_age = np.concatenate((population.age, children.age))
+    all_identities = np.concatenate((population.identity, children.identity))
+    survivors = _choose(all_fitness, all_age, held, n_survivors)
+    table = np.empty((len(survivors), N_COLUMNS))
+    for place, design in enumerate(survivors):
+        child = design - len(population.age)
+        table[place] = population.table[design] if child < 0 else children.table[child]
+    return Population(
+        table, all_fitness[survivors], all_age[survivors] + 1, all_identities[survivors],
+        population.n_evaluated + len(fitness),
+    )  # fmt: skip
 
 
 def select(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
     """Choose survivors as :func:`tasks.evolution.select` does, drawing from ``held.rng``."""
+    return _choose(fitness, age, held, n_survivors)
+
+
+@inline
+def _choose(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
     front, dominated = _front_and_dominated(fitness, age)
     n_more = max(0, min(n_survivors - len(front), len(dominated)))
     return np.concatenate((front[:n_survivors], dominated[_sample(len(dominated), n_more, held)]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.design import ANY_BODY, Designs, Morphology
-from tasks.evolution.afpo import Afpo, Children, Population, ask, tell
-from tasks.evolution.breeding import OPERATORS
+from tasks.evolution.afpo import Afpo, ask, tell
+from tasks.evolution.breeding import OPERATORS, Children, Population
 from tasks.evolution.objective import Evaluation
 from tasks.held import hold
 
@@ -73,23 +73,26 @@ def evolve(
         evaluation = evaluate(children.designs)
         population = tell(population, children, evaluation.fitness, rng, afpo)
         steps.append((children, evaluation, population))
-    records = [_record(first_generation + index, *step) for index, step in enumerate(steps)]
-    return population, {name: np.concatenate([record[name] for record in records]) for name in records[0]}
+    return population, _record(first_generation, steps)
 
 
-def _record(generation: int, children: Children, evaluation: Evaluation, survivors: Population) -> History:
+def _record(first_generation: int, steps: Sequence[tuple[Children, Evaluation, Population]]) -> History:
+    """Record what became of each generation's children, all generations at once."""
+    children = [step[0] for step in steps]
+    n_children = [len(of.age) for of in children]
+    designs = Designs.from_table(np.concatenate([of.table for of in children]))
     return {
-        "generation": np.full(len(children.age), generation, dtype=np.int64),
-        "identity": children.identity,
-        "operator": children.operator,
-        "age": children.age,
-        "parents": children.parents,
-        "n_draws": children.n_draws,
-        "survived": _mark(survivors.identity - children.identity[0], len(children.age)),
-        "fitness": evaluation.fitness,
-        "displacement": evaluation.displacement,
-        "com_displacement": evaluation.com_displacement,
-        **dict(children.designs.arrays()),
+        "generation": np.repeat(np.arange(first_generation, first_generation + len(steps)), n_children),
+        "identity": np.concatenate([of.identity for of in children]),
+        "operator": np.concatenate([of.operator for of in children]),
+        "age": np.concatenate([of.age for of in children]),
+        "parents": np.concatenate([of.parents for of in children]),
+        "n_draws": np.concatenate([of.n_draws for of in children]),
+        "survived": np.concatenate([_mark(after.identity - of.identity[0], len(of.age)) for of, _, after in steps]),
+        "fitness": np.concatenate([evaluation.fitness for _, evaluation, _ in steps]),
+        "displacement": np.concatenate([evaluation.displacement for _, evaluation, _ in steps]),
+        "com_displacement": np.concatenate([evaluation.com_displacement for _, evaluation, _ in steps]),
+        **{name: np.ascontiguousarray(genes) for name, genes in designs.arrays()},
     }
 
 

@@ -7,21 +7,17 @@ have a kernel of their own, without lanes: see tasks/simulation/bodies. One thre
 
 from __future__ import annotations
 
-import itertools
-import math
-from collections.abc import Sequence
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tasks.compiled import compiled, is_cached
-from tasks.design import genes
-from tasks.design.body import kinematic_trees
+from tasks.design import body, genes
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, packing, rotation, rows, simd
 from tasks.simulation.bodies.robots import Robots
-from tasks.simulation.drive import Drive
 from tasks.simulation.kernels import World
 from tasks.simulation.lanes import Block, widest
 from tasks.simulation.motion import GROUND_HALF_HEIGHT, Motion
@@ -34,7 +30,7 @@ Indices = npt.NDArray[np.int64]
 
 _SOURCES = [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels]
 _advance = compiled(kernels.advance, _SOURCES, seconds=20)
-_pack_robots = compiled(packing.pack_robots, [genes, rows, contact, packing], seconds=1)
+_pack_robots = compiled(packing.pack_robots, [genes, body, rows, contact, drive, packing], seconds=2)
 
 
 def advance_lanes_among_networks(
@@ -55,30 +51,6 @@ _advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, net
 def is_compiled() -> bool:
     """Tell whether this machine has made the engine's kernel before, for some number of lanes."""
     return is_cached(_advance)
-
-
-def discovery_order(parents: Sequence[int]) -> list[int]:
-    """Order in which Box2D's island search meets a robot's links (b2World::Solve): the root, then joint by joint.
-
-    Args:
-        parents: of each link; the links were created from the last to the root, the joints from the first on.
-    """
-    order, stack = [0], [0]
-    while stack:
-        link = stack.pop()
-        for child in reversed(range(link + 1, N_LINKS)):  # a body lists its joints with the latest first
-            if parents[child] == link:
-                order.append(child)
-                stack.append(child)
-    return order
-
-
-TREES = list(itertools.product((-1,), *(range(link) for link in range(1, N_LINKS))))
-"""Every tree that a robot can be: 120 of them, in lexical order of the parents."""
-_ORDER_OF_TREE = np.array([discovery_order(parents) for parents in TREES])
-_PLACE_OF_TREE = np.argsort(_ORDER_OF_TREE, axis=1)
-_TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in range(1, N_LINKS))])
-"""parents · weights is a tree's place in that list."""
 
 
 def _is_built_in(medium: Medium | None) -> bool:
@@ -112,6 +84,12 @@ def shared_world(environment: Environment, physics: Physics) -> World:
     )
 
 
+@cache
+def _no_trace(n_lanes: int) -> Block:
+    """Give what kernels get in place of a trace, and leave alone."""
+    return Block(1, n_lanes)
+
+
 class Groups:
     """Robots packed into lanes: robot i is lane i mod n_lanes of group i // n_lanes."""
 
@@ -123,21 +101,18 @@ class Groups:
         self.n_lanes = n_lanes
         self.n_groups = -(-self.n_robots // n_lanes)
         self._block = Block(self.n_groups * rows.N_ROWS, n_lanes)
-        self._no_trace = Block(1, n_lanes)
+        self._no_trace = _no_trace(n_lanes)
         self.blocks = self._block.rows.reshape(self.n_groups, rows.N_ROWS, n_lanes)
-        # Lanes left over at the end hold copies, so that every lane holds a robot.
-        robot = np.minimum(np.arange(self.n_groups * n_lanes), self.n_robots - 1)
-        self._robot, self._design = robot, robot % len(designs)
-        tree = designs.parent @ _TREE_WEIGHTS
-        self._order, self._place = _ORDER_OF_TREE[tree], _PLACE_OF_TREE[tree]
-        trees, driven, single = kinematic_trees(designs, density=physics.link_density), Drive.of(designs), np.float32
+        self._place = np.empty((len(designs), N_LINKS), np.int64)
         _pack_robots(
-            self.blocks, self._design, self._order, self._place, designs.parent, designs.length_scale,
-            trees.half_width, trees.half_height, trees.mass, trees.inertia,
-            trees.parent_anchor, trees.child_anchor, trees.x, trees.y, trees.angle,
-            driven.frequency, driven.phase_turns, driven.motion_range, driven.rest_angle, driven.motor_on,
-            single(physics.link_density), single(physics.time_step) * single(physics.max_motor_torque),
+            designs.table, n_members, n_lanes, physics.link_density,
+            np.float32(physics.time_step) * np.float32(physics.max_motor_torque), self.blocks, self._place,
         )  # fmt: skip
+
+    @cached_property
+    def _robot_of_lane(self) -> Indices:
+        """(n_groups · n_lanes,) numbers; lanes left over at the end hold copies of the last robot."""
+        return np.minimum(np.arange(self.n_groups * self.n_lanes), self.n_robots - 1)
 
     def _scatter(self, row: int, numbers: Float32) -> None:
         """Write (n_groups · n_lanes, n) numbers to n rows from one on."""
@@ -159,7 +134,7 @@ class Groups:
     def set_velocities(self, vx: Float32, vy: Float32, omega: Float32) -> None:
         """Write (n_robots, n_links) velocities, links numbered as the kernels do."""
         for row, velocity in ((rows.VX, vx), (rows.VY, vy), (rows.OMEGA, omega)):
-            self._scatter(row, velocity[self._robot])
+            self._scatter(row, velocity[self._robot_of_lane])
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states, links in the designs' own order; NaN where diverged."""
@@ -171,8 +146,7 @@ class Groups:
 
     def _place_of_robot(self) -> Indices:
         """(n_robots, n_links) numbers that the kernels give to the designs' links."""
-        place: Indices = self._place[self._design[: self.n_robots]]
-        return place
+        return np.tile(self._place, (self._n_members, 1))
 
     def advance(self, world: World, first_step: int, n_steps: int, kept: Float32 | None) -> None:
         """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""
@@ -195,7 +169,7 @@ class Groups:
         observed = np.array([rows.QUANTITIES[name] for name in learned_medium.inputs], np.int64)
         with np.errstate(all="ignore"):
             _advance_among_networks(
-                self._block, self.blocks, world, first_step, n_steps, self._robot, n_designs, observed,
+                self._block, self.blocks, world, first_step, n_steps, self._robot_of_lane, n_designs, observed,
                 learned_medium.layers, learned_medium.sizes, x, out, learned_medium.between, self._no_trace,
             )  # fmt: skip
 

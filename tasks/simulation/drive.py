@@ -17,6 +17,9 @@ from tasks.design.genes import Designs
 
 Float32 = npt.NDArray[np.float32]
 
+TURN = 2 * np.pi
+"""[rad]"""
+
 SINE_OF_TURNS = (6.283185, -41.341656, 81.601, -76.54965, 39.535793)
 """Coefficients of the odd powers of r in sin(2π r) for |r| ≤ 1/4: least squares on Chebyshev nodes, error 2e-7."""
 
@@ -55,7 +58,7 @@ class Drive:
         jointed = np.arange(designs.parent.shape[1]) > 0
         return Drive(
             frequency=designs.frequency[:, None].astype(single),
-            phase_turns=(designs.phase / (2 * np.pi)).astype(single),
+            phase_turns=(designs.phase / TURN).astype(single),
             motion_range=designs.motion_range.astype(single),
             rest_angle=designs.rest_angle.astype(single),
             motor_on=designs.motor_on & jointed,

@@ -14,6 +14,7 @@ see simd.py.
 from __future__ import annotations
 
 import functools
+import math
 from fractions import Fraction
 from typing import Any
 
@@ -50,7 +51,7 @@ class Block:
 
 def aligned(shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
     """Zeros in float32 that begin on a boundary of a cache line."""
-    n_bytes = int(np.prod(shape)) * 4
+    n_bytes = math.prod(shape) * 4
     memory = np.zeros(n_bytes + ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % ALIGNMENT
     return memory[start : start + n_bytes].view(np.float32).reshape(shape)

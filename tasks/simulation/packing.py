@@ -5,21 +5,31 @@ In NumPy this is some hundred calls, a twentieth of the rollouts of 64 designs; 
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tasks.compiled import inline
-from tasks.design.genes import N_LINKS
+from tasks.design.body import JOINT_ANGLE, LENGTH, spawn_kernel
+from tasks.design.genes import COLUMNS, N_LINKS, PARENT, Table
 from tasks.simulation import rows
 from tasks.simulation.contact import NO_VERTEX
+from tasks.simulation.drive import TURN
 
 Float32 = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 HALF, QUARTER, ZERO, ONE = np.float32(0.5), np.float32(0.25), np.float32(0.0), np.float32(1.0)
 THIRD = np.float32(1.0) / np.float32(3.0)
+
+FREQUENCY, PHASE, MOTION_RANGE, MOTOR_ON = (
+    COLUMNS[name].start for name in ("frequency", "phase", "motion_range", "motor_on")
+)
+"""Columns of a design's controller in a table of designs: of the root, those of the other links follow."""
 
 
 @inline
@@ -38,32 +48,63 @@ def inverse_mass_and_inertia(half_width: Any, half_height: Any, density: Any) ->
     return ONE / (density * area), ONE / (density * inertia)
 
 
-def pack_robots(
-    blocks: Float32, design_of_lane: Indices, order: Indices, place: Indices,
-    parent: Indices, length_scale: npt.NDArray[np.float64],
-    half_width: Float32, half_height: Float32, mass: Float32, inertia: Float32,
-    parent_anchor: Float32, child_anchor: Float32, x: Float32, y: Float32, angle: Float32,
-    frequency: Float32, phase_turns: Float32, motion_range: Float32, rest_angle: Float32,
-    motor_on: npt.NDArray[np.bool_], density: np.float32, max_motor_impulse: np.float32,
-) -> None:  # fmt: skip
-    """Fill the lanes of blocks that are all 0: (n_groups, N_ROWS, n_lanes).
+def discovery_order(parents: Sequence[int]) -> list[int]:
+    """Order in which Box2D's island search meets a robot's links (b2World::Solve): the root, then joint by joint.
 
-    A lane holds the robot of ``design_of_lane``: (n_groups · n_lanes,) indices. ``order`` is the link at each place in
-    Box2D's island, ``place`` each link's place in it: (n_designs, n_links), as are the genes ``parent`` and
-    ``length_scale`` [m] and the fields of :class:`tasks.design.KinematicTrees` and
-    :class:`tasks.simulation.drive.Drive`, but ``frequency``, which is (n_designs, 1). ``density`` is that of every link
-    [kg/m²], ``max_motor_impulse`` that of every motor that is on [N·m·s].
+    Args:
+        parents: of each link; the links were created from the last to the root, the joints from the first on.
     """
-    n_lanes = blocks.shape[2]
-    for number in range(len(design_of_lane)):
-        design, group, lane = design_of_lane[number], number // n_lanes, number % n_lanes
-        robot = blocks[group, :, lane]
-        robot[rows.FREQUENCY] = frequency[design, 0]
+    order, stack = [0], [0]
+    while stack:
+        link = stack.pop()
+        for child in reversed(range(link + 1, N_LINKS)):  # a body lists its joints with the latest first
+            if parents[child] == link:
+                order.append(child)
+                stack.append(child)
+    return order
+
+
+TREES = list(itertools.product((-1,), *(range(link) for link in range(1, N_LINKS))))
+"""Every tree that a robot can be: 120 of them, in lexical order of the parents."""
+ORDER_OF_TREE = np.array([discovery_order(parents) for parents in TREES])
+PLACE_OF_TREE = np.argsort(ORDER_OF_TREE, axis=1)
+TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in range(1, N_LINKS))])
+"""parents · weights is a tree's place in that list."""
+
+
+def pack_robots(
+    table: Table, n_members: int, n_lanes: int, density: float, max_motor_impulse: np.float32,
+    blocks: Float32, place: Indices,
+) -> None:  # fmt: skip
+    """Spawn n_members robots of each of n_designs designs, and fill the lanes of blocks with them.
+
+    Args:
+        table: (n_designs, N_COLUMNS)
+        n_members: how many of each; robot number member · n_designs + design is in lane number mod n_lanes of group
+            number div n_lanes.
+        n_lanes: of a group.
+        density: of every link [kg/m²].
+        max_motor_impulse: of every motor that is on [N·m·s].
+        blocks: (n_groups, N_ROWS, n_lanes) of 0, to be filled; lanes left over at the end get copies of the last robot,
+            so that every lane holds one.
+        place: (n_designs, n_links) room for the place of each link among those of its robot.
+    """
+    single, n_robots = np.float32, n_members * len(table)
+    links, one_density = spawn_kernel(table, density), single(density)
+    half_width, half_height, mass, inertia = links[0], links[1], links[2], links[3]
+    parent_anchor, child_anchor, x, y, angle = links[4], links[5], links[6], links[7], links[8]
+    for design in range(len(table)):
+        genes, tree = table[design], 0
+        for link in range(N_LINKS):
+            tree += int(genes[PARENT + link]) * TREE_WEIGHTS[link]
+        place[design] = PLACE_OF_TREE[tree]
+        robot = np.zeros(rows.FREQUENCY + 1, single)  # what comes after is scratch
+        robot[rows.FREQUENCY] = single(genes[FREQUENCY])
         for i in range(N_LINKS):
-            link = order[design, i]
-            length = np.float32(length_scale[design, link])
+            link = ORDER_OF_TREE[tree, i]
+            length = single(genes[LENGTH + link])
             inverse_mass, inverse_inertia = inverse_mass_and_inertia(
-                half_width[design, link], half_height[design, link], density
+                half_width[design, link], half_height[design, link], one_density
             )
             robot[rows.X + i], robot[rows.Y + i] = x[design, link], y[design, link]
             robot[rows.ANGLE + i] = angle[design, link]
@@ -74,16 +115,17 @@ def pack_robots(
             robot[rows.MASS + i], robot[rows.INERTIA + i] = mass[design, link], inertia[design, link]
             robot[rows.VERTEX_1 + i] = robot[rows.VERTEX_2 + i] = NO_VERTEX
             if i > 0:
-                j, above = i - 1, parent[design, link]
-                inverse_mass, inverse_inertia = inverse_mass_and_inertia(
-                    half_width[design, above], half_height[design, above], density
-                )
-                robot[rows.PARENT + j] = place[design, above]
-                robot[rows.PARENT_INVERSE_MASS + j] = inverse_mass
-                robot[rows.PARENT_INVERSE_INERTIA + j] = inverse_inertia
+                j, above = i - 1, place[design, int(genes[PARENT + link])]
+                robot[rows.PARENT + j] = above
+                robot[rows.PARENT_INVERSE_MASS + j] = robot[rows.INVERSE_MASS + above]  # which comes before
+                robot[rows.PARENT_INVERSE_INERTIA + j] = robot[rows.INVERSE_INERTIA + above]
                 robot[rows.PARENT_ANCHOR + j] = parent_anchor[design, link]
                 robot[rows.CHILD_ANCHOR + j] = child_anchor[design, link]
-                robot[rows.MAX_MOTOR_IMPULSE + j] = max_motor_impulse if motor_on[design, link] else ZERO
-                robot[rows.PHASE + j] = phase_turns[design, link]
-                robot[rows.MOTION_RANGE + j] = motion_range[design, link]
-                robot[rows.REST_ANGLE + j] = rest_angle[design, link]
+                robot[rows.MAX_MOTOR_IMPULSE + j] = max_motor_impulse if genes[MOTOR_ON + link] != 0 else ZERO
+                robot[rows.PHASE + j] = single(genes[PHASE + link] / TURN)
+                robot[rows.MOTION_RANGE + j] = single(genes[MOTION_RANGE + link])
+                robot[rows.REST_ANGLE + j] = single(genes[JOINT_ANGLE + link])
+        for number in range(design, n_robots, len(table)):
+            blocks[number // n_lanes, : len(robot), number % n_lanes] = robot
+    for number in range(n_robots, blocks.shape[0] * n_lanes):
+        blocks[number // n_lanes, :, number % n_lanes] = blocks[(n_robots - 1) // n_lanes, :, (n_robots - 1) % n_lanes]

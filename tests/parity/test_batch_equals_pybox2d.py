@@ -8,7 +8,7 @@ import pytest
 from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
 
 from tasks.design import random_designs
-from tasks.simulation import batch, free_links, reference, rotation
+from tasks.simulation import batch, free_links, packing, reference, rotation
 from tasks.simulation.lanes import widest
 from tasks.simulation.motion import ANGLE
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
@@ -60,8 +60,8 @@ def test_physics_of_all_other_constants(
 
 def test_every_tree(same_libm: None, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    designs = random_designs(len(batch.TREES), rng)
-    designs = replace(designs, parent=np.array(batch.TREES))
+    designs = random_designs(len(packing.TREES), rng)
+    designs = replace(designs, parent=np.array(packing.TREES))
     assert_equal(designs, TrueSlush(0.5), Physics(), n_settle=10, n_measure=150)
 
 

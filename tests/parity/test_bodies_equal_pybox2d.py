@@ -9,7 +9,7 @@ import pytest
 from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
 
 from tasks.design import Morphology, kinematic_trees, random_designs, rigid_bodies
-from tasks.simulation import batch, reference
+from tasks.simulation import batch, packing, reference
 from tasks.simulation.bodies import broad_phase, polygons, robots, rows
 from tasks.simulation.drive import Drive
 from tasks.simulation.lanes import Block
@@ -80,8 +80,8 @@ def test_every_number_of_motors(n_actuated: int, same_libm: None, seed: int) -> 
 
 
 def test_every_tree(same_libm: None, seed: int) -> None:
-    designs = random_designs(len(batch.TREES), np.random.default_rng(seed))
-    designs = replace(designs, parent=np.array(batch.TREES))
+    designs = random_designs(len(packing.TREES), np.random.default_rng(seed))
+    designs = replace(designs, parent=np.array(packing.TREES))
     assert_equal(designs, TrueSlush(0.5), Physics(link_collisions=True), n_settle=20, n_measure=40)
     assert_equal(designs, DryLand(0.0), AS_BUILT, n_settle=20, n_measure=40)
 

@@ -1,5 +1,6 @@
 """The table of genes, designs as arrays, and the refusals of designs that are not valid."""
 
+import copy
 import re
 from dataclasses import replace
 
@@ -149,6 +150,15 @@ def test_a_table_holds_designs_exactly_and_can_not_be_made_untrue(designs: Desig
             array[0] = 0
     with pytest.raises(ValueError, match="read-only"):
         restored.table[0] = 0
+
+
+def test_designs_of_a_table_have_the_fields_of_designs_and_no_others(designs: Designs) -> None:
+    restored = copy.copy(Designs.from_table(designs.table.copy()))
+    with pytest.raises(AttributeError, match="'Designs' object has no attribute 'fequency'"):
+        _ = restored.fequency  # type: ignore[attr-defined]  # mypy sees the slip too
+    with pytest.raises(ValueError, match="read-only"):
+        Designs.from_table(designs.table.copy()).parent[0, 1] = 0
+    assert restored.equals(designs)
 
 
 def test_the_first_of_several_bad_designs_is_named(designs: Designs) -> None:

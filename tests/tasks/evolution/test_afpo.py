@@ -1,6 +1,5 @@
 """Age-fitness Pareto optimisation: selection on worked examples, shares of children, ages and identities."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ def population_of(n: int, *, seed: int = 0) -> Population:
     """A population of different ages, with identities that tell one from another."""
     draw = rng(seed)
     return Population(
-        table=random_designs(n, draw).table,
+        table=random_designs(n, draw).table.copy(),
         fitness=draw.normal(size=n),
         age=draw.permutation(np.arange(1, n + 1)),
         identity=np.arange(100, 100 + n),
@@ -245,7 +244,7 @@ def test_the_state_travels_as_arrays() -> None:
 
 
 def test_the_champion_is_the_fittest_and_the_first_of_several() -> None:
-    population = replace(population_of(4), fitness=np.array([1.0, 3.0, 3.0, 2.0]))
+    population = population_of(4)._replace(fitness=np.array([1.0, 3.0, 3.0, 2.0]))
     assert population.champion() == 1
 
 

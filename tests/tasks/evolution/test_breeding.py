@@ -104,4 +104,4 @@ def test_a_kernel_is_compiled_once_wherever_its_arrays_come_from() -> None:
             for came in population, restored, copy.deepcopy(population):
                 children = ask(came, rng, small, body=body)
                 population = tell(came, children, np.arange(6.0), rng, small)
-    assert len(afpo._breed.signatures) == len(afpo._select.signatures) == 1
+    assert len(afpo._breed.signatures) == len(afpo._survive.signatures) == 1

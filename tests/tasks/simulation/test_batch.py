@@ -143,12 +143,12 @@ def test_ten_thousand_designs_in_one_call_and_no_memory_that_grows_with_steps():
 
 def test_the_joints_order_is_a_search_with_a_stack():
     # A star: the root's joints, latest first. A chain: one after the other.
-    assert batch.discovery_order([-1, 0, 0, 0, 0, 0]) == [0, 5, 4, 3, 2, 1]
-    assert batch.discovery_order([-1, 0, 1, 2, 3, 4]) == [0, 1, 2, 3, 4, 5]
+    assert packing.discovery_order([-1, 0, 0, 0, 0, 0]) == [0, 5, 4, 3, 2, 1]
+    assert packing.discovery_order([-1, 0, 1, 2, 3, 4]) == [0, 1, 2, 3, 4, 5]
     # Joints of the root: 3, 1. Then off the stack: link 1 (pushed last) with joint 2, link 2 with 5 and 4; link 3.
-    assert batch.discovery_order([-1, 0, 1, 0, 2, 2]) == [0, 3, 1, 2, 5, 4]
-    for parents in batch.TREES:
-        order = batch.discovery_order(parents)
+    assert packing.discovery_order([-1, 0, 1, 0, 2, 2]) == [0, 3, 1, 2, 5, 4]
+    for parents in packing.TREES:
+        order = packing.discovery_order(parents)
         assert sorted(order) == list(range(6))
         assert all(order.index(parents[link]) < order.index(link) for link in range(1, 6))
 
