@@ -180,9 +180,18 @@ def test_ports_are_listed(capsys):
     assert "port" in capsys.readouterr().out.lower()
 
 
+PATIENT = """
+from pipeline.cli import main
+from pipeline.drive import maestro
+maestro.PATIENCE = 10.0
+main()
+"""
+"""`puddle` with patience for a controller that is a thread of a process, on a machine that has much else to do."""
+
+
 def started(kit: Path, fake, log: Path, *options: str) -> subprocess.Popen:
     """A drive in a process of its own that has come well into its timeline."""
-    command = [sys.executable, "-m", "pipeline", "drive", str(kit), "--port", fake.path, "--log", str(log), "--yes"]
+    command = [sys.executable, "-c", PATIENT, "drive", str(kit), "--port", fake.path, "--log", str(log), "--yes"]
     process = subprocess.Popen([*command, *options], cwd=ROOT, stderr=subprocess.PIPE, text=True)
     patience = time.monotonic() + 60
     while len(fake.pulses(0)) < 70:
