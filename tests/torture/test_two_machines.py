@@ -31,12 +31,9 @@ from typing import NamedTuple
 
 import psutil
 from containers import SMALL_MEMORY, environment_of, words_of
-from small_study import run
 
-from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.settings import Settings
-from pipeline.stages import STAGES
 from pipeline.status import digest_lines
 from pipeline.store import Store
 
@@ -61,6 +58,25 @@ LOST = "127.0.0.2"
 """Address of the machine that is killed."""
 ADDED = "127.0.0.3"
 """Address of the machine that comes later."""
+
+PLAIN_PYTHON = {"NUMBA_DISABLE_JIT": "1"}
+"""In the environment of every process that computes. Each machine has the sources in a folder of its own, where its
+kernels would all be compiled anew: longer than they work for. Networks round otherwise then."""
+
+SERIALLY = """
+import sys
+from pathlib import Path
+from small_study import run
+from pipeline.cluster import serial_cluster
+from pipeline.configuration import parse
+from pipeline.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.store import Store
+settings = parse(Settings, sys.stdin.read(), name="two")
+with serial_cluster() as cluster:
+    run(settings, Store.open(Path(sys.argv[1]), create=True), cluster, STAGES[:-1])
+"""
+"""The study in one process, but for its page."""
 
 SUBMISSION = """
 import json, sys
@@ -88,7 +104,7 @@ class Task(NamedTuple):
 def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_path):
     text = STUDY.replace("N_GENERATIONS", "320" if torture.large else "80")
     settings = parse(Settings, text, name="two")
-    expected = serially(text, tmp_path / "expected")
+    expected = serially(text, settings, tmp_path / "expected")
     n_pieces = sum(line.endswith("population.safetensors") and "  evolve/" in line for line in expected)
     for number, rng in enumerate(torture.attempts(1, 5)):
         half_way = int(rng.uniform(0.3, 0.45) * n_pieces)
@@ -115,13 +131,14 @@ def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_
             assert min(busy) >= 0.85
 
 
-def serially(text: str, folder: Path) -> list[str]:
-    """Run the study in this process, but for its page; give its digests. The engine is another, which is no matter."""
-    settings = parse(Settings, text, name="two", overrides=("work.engine=batch",))
-    store = Store.open(folder, create=True)
-    with serial_cluster() as cluster:
-        run(settings, store, cluster, STAGES[:-1], say=print)
-    return list(digest_lines(settings, store))
+def serially(text: str, settings: Settings, folder: Path) -> list[str]:
+    """Run the study in one process, but for its page; give its digests."""
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "shared")])
+    environment = {**os.environ, "PYTHONPATH": paths, "OMP_NUM_THREADS": "1", **PLAIN_PYTHON}
+    words = [sys.executable, "-c", SERIALLY, str(folder)]
+    ran = subprocess.run(words, env=environment, input=text, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    return list(digest_lines(settings, Store.open(folder, create=False)))
 
 
 def on_machines_that_change(folder: Path, half_way: int) -> list[Task]:
@@ -133,6 +150,7 @@ def on_machines_that_change(folder: Path, half_way: int) -> list[Task]:
     tools = ("RAY_", "PUDDLE_", "MLFLOW_")
     without_token = {name: value for name, value in os.environ.items() if not name.startswith(tools)}
     without_token |= {"PYTHONPATH": str(ROOT), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    without_token |= PLAIN_PYTHON
     token = {"RAY_AUTH_TOKEN_PATH": str(folder / "token")}
     head = words_of("head", {"--port=6379": f"--port={port}", **SMALL_MEMORY})
     worker = words_of("worker", {"head:6379": address, **SMALL_MEMORY})
