@@ -35,7 +35,7 @@ study: $(READY) ## run the whole study (PRESET=laptop; also smoke, row, paper, p
 test: $(READY) ## check style, types and layers, and run the tests
 	$(VENV)/bin/ruff check --quiet .
 	$(VENV)/bin/mypy
-	$(VENV)/bin/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
+	$(VENV)/bin/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 torture: $(READY) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=60)
 	$(VENV)/bin/python -m pytest tests/torture --torture --minutes $(MINUTES)
