@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import psutil
+import pytest
 from containers import SMALL_MEMORY, environment_of, words_of
 
 from pipeline.configuration import parse
@@ -101,6 +102,7 @@ class Task(NamedTuple):
     trial: str
 
 
+@pytest.mark.timeout(1200)  # what it waits for has bounds of its own
 def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_path):
     text = STUDY.replace("N_GENERATIONS", "320" if torture.large else "80")
     settings = parse(Settings, text, name="two")
