@@ -90,9 +90,10 @@ def crash() -> None:
 
 def seconds_of_a_crash(cluster: Cluster) -> float:
     """Measure how long a worker's death and its work's second try take, on a machine that may have much else to do."""
-    begin = time.monotonic()
-    cluster.submit(crash)
-    assert cluster.next_done() is not None
+    for _ in range(2):  # the first has also to wait for workers, which its study will have
+        begin = time.monotonic()
+        cluster.submit(crash)
+        assert cluster.next_done() is not None
     return time.monotonic() - begin
 
 
@@ -111,6 +112,7 @@ def call(*arguments: str) -> int:
     return int(ended.value.code or 0)
 
 
+@pytest.mark.timeout(1200)  # patience with what hangs is a multiple of what workers take to start
 def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
     torture, local_ray, tmp_path, monkeypatch, capsys
 ):
