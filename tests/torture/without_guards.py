@@ -6,6 +6,7 @@ import resource
 from collections.abc import Callable
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import pipeline.artifacts
@@ -14,13 +15,18 @@ import pipeline.cluster.serial
 import pipeline.items
 import pipeline.manifest
 import pipeline.store
+import tasks.evolution.afpo
+import tasks.evolution.objective
+import tasks.held
 import tasks.residual.training
 from pipeline import disk
 from pipeline.manifest import Manifest
 from pipeline.store import Store
+from tasks.evolution import breeding
 
 STORE, ARTIFACTS = "tests/pipeline/test_store.py::test_", "tests/pipeline/test_artifacts.py::test_"
 PROCESS = "tests/pipeline/test_process.py::test_"
+EVOLUTION = "tests/tasks/evolution/test_"
 FAULTS, REFUSALS = "tests/pipeline/test_store_faults.py::test_", "tests/pipeline/test_store_refusals.py::test_"
 
 
@@ -37,6 +43,20 @@ def unsealed(data: bytes, *, schema: str, version: int, source: str) -> dict:
 
 def everything_is_finite() -> SimpleNamespace:
     return SimpleNamespace(isfinite=lambda value: True)
+
+
+def every_array_is_finite() -> SimpleNamespace:
+    """NumPy, but that to it every number is finite."""
+    return SimpleNamespace(**{**vars(np), "isfinite": lambda values: np.ones_like(values, dtype=bool)})
+
+
+def anybody_survives(patch: pytest.MonkeyPatch) -> None:
+    """Select without the compiler, which knows its own NumPy."""
+    patch.setattr(tasks.held, "_held_kernel", tasks.held._Plain)
+    for name, piece in list(vars(breeding).items()):
+        patch.setattr(breeding, name, getattr(piece, "py_func", piece))
+    patch.setattr(breeding, "np", every_array_is_finite())
+    patch.setattr(tasks.evolution.afpo, "_select", breeding.select)
 
 
 def in_place(path, data: bytes) -> None:
@@ -121,6 +141,14 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
     "check that a training's loss is finite": (
         "tests/tasks/residual/test_training.py::test_data_that_are_not_finite_end_a_training_by_name[nan]",
         lambda patch: patch.setattr(tasks.residual.training, "_finite", lambda loss, *where: loss.item()),
+    ),
+    "check that a survivor's fitness is finite": (
+        EVOLUTION + "afpo.py::test_a_fitness_that_is_not_finite_is_never_selected_and_dominates_nobody",
+        anybody_survives,
+    ),
+    "check that a design got somewhere with every member": (
+        EVOLUTION + "objective.py::test_one_diverged_member_is_enough[nan]",
+        lambda patch: patch.setattr(tasks.evolution.objective, "np", every_array_is_finite()),
     ),
     "refusal of numbers that are not finite": (
         ARTIFACTS + "what_json_has_no_exact_form_for_is_refused",
