@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -31,6 +32,8 @@ USER_ERROR = 2
 """Exit code of a mistake that the user can mend."""
 INCOMPLETE = 1
 """Exit code of a study that went to its end without some of its work or designs, which the message names."""
+DEFECT = 70
+"""Exit code of a mistake of puddle's own, which its traceback shows: EX_SOFTWARE of sysexits.h. Python's would be 1."""
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 STOPPED = (128 + signal.SIGTERM, 128 + signal.SIGHUP)
@@ -405,10 +408,16 @@ def _to_stderr(line: str) -> None:
 
 
 def main(arguments: list[str] | None = None) -> Any:
-    """Run the command line; a mistake that the user can mend ends in one message and exit code 2."""
+    """Run the command line.
+
+    A mistake that the user can mend ends in one message and exit code 2, one of puddle's own in a traceback and 70.
+    """
     pin_threads()
     try:
         return app(arguments)
     except PuddleError as error:
         typer.echo(f"puddle: {error}", err=True)
         sys.exit(USER_ERROR)
+    except Exception:
+        traceback.print_exc()
+        sys.exit(DEFECT)

@@ -273,3 +273,14 @@ def test_workers_here_and_a_cluster_elsewhere_are_not_chosen_together(study, mon
     monkeypatch.setenv("RAY_ADDRESS", "head:6379")
     assert call("study", *study, "--workers", "0") == 0  # all is done; what the environment says, an option overrides
     assert call("study", *study, "--workers", "2", "--address", "local") == 0
+
+
+def test_a_defect_of_ours_shows_where_and_is_no_study_that_is_done(settings, capsys, monkeypatch, tmp_path):
+    def defective(*given, **how):
+        raise ZeroDivisionError("of ours")
+
+    monkeypatch.setattr("pipeline.driver.drive", defective)
+    code = call("study", "--settings", str(settings), "--store", str(tmp_path / "store"))
+    assert code == 70
+    said = capsys.readouterr().err
+    assert said.startswith("Traceback") and "in defective" in said and said.endswith("ZeroDivisionError: of ours\n")
