@@ -1,7 +1,12 @@
-"""Whom a run calls: nobody. In a network namespace every packet is counted that would have left the machine."""
+"""Whom a run calls: nobody. In a network namespace every packet is counted that would have left the machine.
+
+And whom it answers: a cluster listens on its machines' addresses, so that there nothing but the token keeps others out.
+"""
 
 from __future__ import annotations
 
+import collections
+import json
 import os
 import secrets
 import subprocess
@@ -14,7 +19,12 @@ import yaml
 from containers import SMALL_MEMORY, environment_of, instructions, words_of
 from nursery import TINY
 
+from pipeline.store import Store
+
 ROOT = Path(__file__).parents[2]
+
+QUIET = ("RAY_", "MLFLOW_", "PYTEST_", "CI", "GITHUB_", "GITLAB_", "JENKINS_", "BUILDKITE", "TRAVIS", "TEAMCITY_")
+"""Of the environment of these tests: where MLflow finds such a variable it says nothing to its makers by itself."""
 
 ALONE = "ip link set lo up"
 """A machine without network: the loopback is all there is."""
@@ -33,7 +43,7 @@ def on_a_machine(setup: str, *command: str, **changes: str) -> subprocess.Comple
     """
     count = "awk '$1 == \"out:\" {print $11}' /proc/net/dev"  # those it has sent
     script = f'set -e; {setup}\nset +e; "$@"; ended=$?; echo; {count}; exit $ended'
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(QUIET)}
     environment |= {"PYTHONPATH": str(ROOT), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     words = ["unshare", "--net", "--map-root-user", "sh", "-c"]
 
@@ -75,20 +85,80 @@ def test_a_study_completes_where_nobody_answers_and_calls_nobody(setup, refusal,
         torture.note("not a packet left the machine")
 
 
-def test_the_head_of_a_cluster_calls_nobody(torture, short_folder: Path):
-    """Ray itself would: its makers, and the metadata servers of three clouds."""
+HEAD, WORKER = "192.0.2.2", "192.0.2.3"
+"""Addresses of two machines of a cluster."""
+
+
+def test_the_nodes_of_a_cluster_call_nobody_and_answer_no_stranger(torture, short_folder: Path):
+    """Ray itself would call its makers, and the metadata servers of three clouds."""
     torture.times(1, 1)
-    here = f"--port=6379 --node-ip-address=127.0.0.1 --temp-dir={short_folder / 'ray'}"
-    head = words_of("head", {"--block": here, "--port=6379": "--log-style=record", **SMALL_MEMORY})
+    of_head, of_worker = (f"--node-ip-address={ip} --temp-dir={short_folder / ip}" for ip in (HEAD, WORKER))
+    head = words_of("head", {"--block": of_head, **SMALL_MEMORY})
+    worker = words_of("worker", {"--block": of_worker, "head:6379": f"{HEAD}:6379", **SMALL_MEMORY})
     run_of_image = next(line for line in instructions("RUN") if "ray_bootstrap_config" in line)
-    script = f'{run_of_image}; mkdir "$HOME/ray"; {" ".join(head)} && sleep 10'
+    nodes = f"{run_of_image}; {' '.join(head)} && {' '.join(worker)}"
     environment = environment_of("head", {"RAY_AUTH_TOKEN_PATH": str(short_folder / "token")})
     (short_folder / "token").write_text(secrets.token_hex(32))
+    script = f"{nodes} && sleep 5 && python {Path(__file__).with_name('stranger.py')}"
+    machines = f"{UNHEARD}; ip address add {WORKER}/24 dev out"
     try:
-        ran = on_a_machine(UNHEARD, "sh", "-c", script, **environment, HOME=str(short_folder))
+        ran = on_a_machine(machines, "sh", "-c", script, **environment, HOME=str(short_folder))
     finally:  # not by `ray stop`, which ends every Ray of this machine, those of other tests too
         for process in psutil.process_iter(["cmdline"]):
             if any(str(short_folder) in word for word in process.info["cmdline"] or ()):
                 process.kill()
-    assert "Ray runtime started" in ran.stdout, ran.stderr
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert n_packets(ran) == 0
+    asked = json.loads(ran.stdout.splitlines()[-3])
+    answers = collections.Counter((one["process"], *sorted(one["answers"])) for one in asked)
+    assert answers == {
+        ("gcs_server", 12, 12, 16): 1,
+        ("raylet", 12, 12, 16): 4,  # two of each node
+        ("ray::RuntimeEnvAgent", 401): 2,
+    }
+    torture.note(f"{len(asked)} sockets of two nodes refused a stranger")
+
+
+PAGES = """
+import re, subprocess, sys, time, urllib.request
+
+def page(path, **said):
+    json = {"Content-Type": "application/json"}
+    asked = urllib.request.Request(f"http://127.0.0.1:5000/{path}", headers=json, **said)
+    with urllib.request.urlopen(asked, timeout=60) as answer:
+        return answer.read().decode()
+
+server = subprocess.Popen([sys.executable, "-m", "pipeline", "ui", "--store", sys.argv[1], "--port", "5000"])
+try:
+    end = time.monotonic() + 120
+    while True:
+        try:
+            page("health")
+            break
+        except OSError:
+            assert server.poll() is None and time.monotonic() < end, "no server"
+            time.sleep(0.2)
+    parts = re.findall(r'(?:src|href)="(?:\\./)?(static-files/[^"]+)"', page(""))
+    assert len(parts) > 2, parts
+    for path in parts:
+        if not path.endswith(".ico"):
+            page(path)
+    page("ajax-api/2.0/mlflow/experiments/search", data=b'{"max_results": 5}')
+    page("ajax-api/2.0/mlflow/runs/search", data=b'{"experiment_ids": ["0"]}')
+    page("ajax-api/3.0/mlflow/ui-telemetry")
+    time.sleep(1)
+finally:
+    server.terminate()
+    server.wait(60)
+print("all pages came")
+"""
+"""What a browser asks MLflow's server for, whether its makers want to hear what one does among it."""
+
+
+def test_the_ui_of_a_store_calls_nobody(torture, tmp_path: Path):
+    torture.times(1, 1)
+    Store.open(tmp_path / "store", create=True)
+    (tmp_path / "store" / "mlflow.db").touch()  # which the server fills
+    ran = on_a_machine(UNHEARD, sys.executable, "-c", PAGES, str(tmp_path / "store"))
+    assert "all pages came" in ran.stdout, ran.stdout + ran.stderr
     assert n_packets(ran) == 0
