@@ -1,5 +1,6 @@
 """What the torture shares: the nursery, which forks drivers that may die in milliseconds, and a place for stores."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -18,12 +19,14 @@ HERE = Path(__file__).parent
 class Nursery:
     """The process of tests/torture/nursery.py."""
 
-    def __init__(self, size: str) -> None:
+    def __init__(self, size: str, inside: Sequence[str] = ()) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, str(HERE / "nursery.py"), size],
+            [*inside, sys.executable, str(HERE / "nursery.py"), size],
             env={**os.environ, "PYTHONPATH": str(HERE.parents[1]), "OMP_NUM_THREADS": "1"},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
+        self.pid = self._process.pid
+
     def _answer(self) -> Any:
         line = self._process.stdout.readline()
         assert line, "the nursery is dead"
@@ -62,12 +65,16 @@ class Nursery:
 
 
 @pytest.fixture(scope="session")
-def nursery(request: pytest.FixtureRequest) -> Iterator[Nursery]:
-    one = Nursery("large" if request.config.getoption("--torture") else "small")
-    try:
-        yield one
-    finally:
-        one.close()
+def start_nursery(request: pytest.FixtureRequest) -> Iterator[Callable[..., Nursery]]:
+    """Start nurseries, each by the words of a program, if any, which becomes it."""
+    size = "large" if request.config.getoption("--torture") else "small"
+    with contextlib.ExitStack() as stack:
+        yield lambda *inside: stack.enter_context(contextlib.closing(Nursery(size, inside)))
+
+
+@pytest.fixture(scope="session")
+def nursery(start_nursery: Callable[..., Nursery]) -> Nursery:
+    return start_nursery()
 
 
 @pytest.fixture

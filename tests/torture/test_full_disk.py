@@ -1,90 +1,138 @@
 """A disk that fills, a file-size limit and a disk that turns read-only stop a study clearly; with room it goes on."""
 
+from __future__ import annotations
+
 import os
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+ROOT = Path(__file__).parents[2]
+
+ALONE = ("unshare", "--mount", "--map-root-user")
+"""Runs a program in a namespace of its own where it may mount, which anybody may have whose system knows such."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Where disks are mounted: here, or in the namespace of a nursery."""
+
+    nursery: Any
+    undisturbed: dict[str, Any]
+    """What it says of a study that nothing disturbs."""
+    inside: tuple[str, ...] = ()
+    """Words that run a command there."""
+    top: Path = Path("/")
+    """Its files, as these tests see them."""
+
+    def run(self, *words: str | Path, **how: Any) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([*self.inside, *words], capture_output=True, text=True, **how)
+
+    def mount(self, disk: Path, options: str, *words: str) -> None:
+        done = self.run("mount", *words, "-o", options, "tmpfs", disk)
+        if done.returncode:
+            pytest.skip(f"may mount a disk neither here nor in a namespace: {done.stderr.strip()}")
+
+    def unmount(self, disk: Path) -> None:
+        self.run("umount", disk, check=True)
+
+    def kept(self, disk: Path) -> list[str]:
+        """Give the keys of what a disk's store holds."""
+        store = self.top / disk.relative_to("/") / "store"
+        return [path.parent.name for path in store.glob("items/*/*/*/manifest.json")]
+
+
+def may_mount(folder: Path, inside: tuple[str, ...]) -> bool:
+    try:
+        subprocess.run([*inside, "mount", "-t", "tmpfs", "tmpfs", folder], check=True, capture_output=True)
+        if not inside:
+            subprocess.run(["umount", folder], check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return False
+    return True
+
 
 @pytest.fixture(scope="module")
-def undisturbed(nursery, tmp_path_factory):
-    (answer,) = nursery.finish([tmp_path_factory.mktemp("undisturbed") / "store"])
-    return answer
+def machine(request, start_nursery, tmp_path_factory) -> Machine:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    in_namespace = not may_mount(folder, ()) and may_mount(folder, ALONE)
+    nursery = start_nursery(*ALONE) if in_namespace else request.getfixturevalue("nursery")
+    (undisturbed,) = nursery.finish([folder / "store"])
+    if not in_namespace:
+        return Machine(nursery, undisturbed)
+    enter = ("nsenter", f"--target={nursery.pid}", "--user", "--mount", "--preserve-credentials")
+    return Machine(nursery, undisturbed, enter, Path(f"/proc/{nursery.pid}/root"))
 
 
-def mount(place, options: str, *words: str) -> None:
-    done = subprocess.run(["mount", *words, "-o", options, "tmpfs", str(place)], capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"may not mount a disk here: {done.stderr.strip()}")
-
-
-def stopped(nursery, disk, undisturbed, why: str, **command) -> bool:
+def stopped(machine: Machine, disk: Path, why: str, **command) -> bool:
     """Drive the study where it may not end; check that it says why, and that what it kept is whole."""
-    told = nursery.drive(disk / "store", **command)
+    told = machine.nursery.drive(disk / "store", **command)
     assert told["status"] == 0, told["traceback"]
     if "error" not in told:
-        assert told["tree"] == undisturbed["tree"]
+        assert told["tree"] == machine.undisturbed["tree"]
         return False
     assert why in told["error"] and str(disk) in told["error"] and "kept before is safe" in told["error"]
     return True
 
 
-def resumes(nursery, disk, undisturbed, committed) -> None:
-    (after,) = nursery.finish([disk / "store"])
+def resumes(machine: Machine, disk: Path, committed: list[str]) -> None:
+    (after,) = machine.nursery.finish([disk / "store"])
     assert not set(after["computed"]) & set(committed)
-    assert after["tree"] == undisturbed["tree"]
+    assert after["tree"] == machine.undisturbed["tree"]
 
 
-def test_a_disk_of_any_size_that_fills(torture, nursery, undisturbed, place):
+def test_a_disk_of_any_size_that_fills(torture, machine, place):
     n_full = 0
     for rng in torture.attempts(12, 500):
         disk = place()
         n_kilobytes = int(rng.integers(4, 1200))
-        mount(disk, f"size={n_kilobytes}k", "-t", "tmpfs")
+        machine.mount(disk, f"size={n_kilobytes}k", "-t", "tmpfs")
         try:
             kept = []
-            if stopped(nursery, disk, undisturbed, "No space left on device"):
+            if stopped(machine, disk, "No space left on device"):
                 n_full += 1
-                kept = [path.parent.name for path in disk.glob("store/items/*/*/*/manifest.json")]
-                mount(disk, "remount,size=64m")
-            resumes(nursery, disk, undisturbed, kept)
+                kept = machine.kept(disk)
+                machine.mount(disk, "remount,size=64m")
+            resumes(machine, disk, kept)
         finally:
-            subprocess.run(["umount", str(disk)], check=True)
+            machine.unmount(disk)
     assert n_full
     torture.note(f"{n_full} disks of 4 kB to 1.2 MB were too small; each study went on once there was room")
 
 
-def test_a_limit_on_the_size_of_files(torture, nursery, undisturbed, place):
+def test_a_limit_on_the_size_of_files(torture, machine, place):
     n_stopped = 0
     for rng in torture.attempts(6, 200):
         disk = place()
         kept = []
-        if stopped(nursery, disk, undisturbed, "File too large", file_bytes=int(rng.integers(100, 40_000))):
+        if stopped(machine, disk, "File too large", file_bytes=int(rng.integers(100, 40_000))):
             n_stopped += 1
-            kept = [path.parent.name for path in disk.glob("store/items/*/*/*/manifest.json")]
-        resumes(nursery, disk, undisturbed, kept)
+            kept = machine.kept(disk)
+        resumes(machine, disk, kept)
         shutil.rmtree(disk)
     assert n_stopped
     torture.note(f"{n_stopped} limits stopped the study")
 
 
-def test_a_disk_that_turns_read_only(torture, nursery, undisturbed, place):
+def test_a_disk_that_turns_read_only(torture, machine, place):
     """A driver fills the disk half-way; then it is read-only, as a disk is after an error; then it can be written."""
     for rng in torture.attempts(3, 100):
         disk = place()
-        mount(disk, "size=64m", "-t", "tmpfs")
+        machine.mount(disk, "size=64m", "-t", "tmpfs")
         try:
-            at = int(rng.integers(20, len(undisturbed["effects"]) - 1))
-            died = nursery.drive(disk / "store", fault={"kind": "die", "at": at})
-            mount(disk, "remount,ro")
-            assert stopped(nursery, disk, undisturbed, "Read-only file system")
-            mount(disk, "remount,rw")
-            resumes(nursery, disk, undisturbed, died["committed"])
+            at = int(rng.integers(20, len(machine.undisturbed["effects"]) - 1))
+            died = machine.nursery.drive(disk / "store", fault={"kind": "die", "at": at})
+            machine.mount(disk, "remount,ro")
+            assert stopped(machine, disk, "Read-only file system")
+            machine.mount(disk, "remount,rw")
+            resumes(machine, disk, died["committed"])
         finally:
-            subprocess.run(["umount", str(disk)], check=True)
+            machine.unmount(disk)
 
 
 THROWS = """
@@ -133,12 +181,11 @@ def test_a_disk_that_turns_read_only_under_a_driver(torture, place):
     settings, store, undisturbed = (folder / name for name in ("throws.yaml", "store", "undisturbed"))
     settings.write_text(THROWS)
     store.mkdir()
-    alone = ["unshare", "--mount", "--map-root-user"]
-    if shutil.which("unshare") is None or subprocess.run([*alone, "mount", "--bind", store, store]).returncode:
+    if not may_mount(store, ALONE):
         pytest.skip("no namespace to mount a disk in")
     ran = subprocess.run(
-        [*alone, sys.executable, "-c", TURNS, settings, store, undisturbed, str(number)],
-        capture_output=True, text=True, cwd=Path(__file__).parents[2], env={**os.environ, "OMP_NUM_THREADS": "1"},
+        [*ALONE, sys.executable, "-c", TURNS, settings, store, undisturbed, str(number)],
+        capture_output=True, text=True, cwd=ROOT, env={**os.environ, "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
     assert ran.stderr.endswith("codes: [0, 2, 0]\n"), ran.stderr
     assert "Read-only file system" in ran.stderr and "kept before is safe" in ran.stderr
@@ -150,17 +197,17 @@ def test_a_disk_that_turns_read_only_under_a_driver(torture, place):
     assert len(expected) == 40 and found == expected
 
 
-def test_the_command_says_it_and_ends_with_2(torture, tmp_path):
+def test_the_command_says_it_and_ends_with_2(torture, machine, tmp_path):
     """The whole program: its settings, its store, MLflow's database and Ray apart."""
     torture.times(1, 1)
-    mount(tmp_path, "size=16k", "-t", "tmpfs")
+    machine.mount(tmp_path, "size=16k", "-t", "tmpfs")
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "pipeline", "study", "--preset=smoke", "--workers=0", "--store", tmp_path / "store"],
-            capture_output=True, text=True, cwd=Path(__file__).parents[2], env={**os.environ, "OMP_NUM_THREADS": "1"},
+        done = machine.run(
+            sys.executable, "-m", "pipeline", "study", "--preset=smoke", "--workers=0", "--store", tmp_path / "store",
+            env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
         )  # fmt: skip
     finally:
-        subprocess.run(["umount", str(tmp_path)], check=True)
+        machine.unmount(tmp_path)
     assert done.returncode == 2
     assert "No space left on device" in done.stderr and "give the same command again" in done.stderr
     assert "Traceback" not in done.stderr
