@@ -139,12 +139,15 @@ def mutate_table(table: Table, rng: Generator, variation: Variation) -> None:
     numbers = variation.numbers
     n_designs, n_numbers, before = len(table), len(numbers.column), table.copy()
     changes = rng.random((n_designs, n_numbers)) < variation.change
+    is_same = np.ones(n_designs, dtype=np.bool_)
     while True:
         steps = rng.standard_normal((n_designs, n_numbers))
         if variation.n_actuated != ANY_NUMBER:
             _move_motors(table, changes, rng, numbers)
-        n_same, is_same = 0, np.ones(n_designs, dtype=np.bool_)
+        n_same = 0
         for design in range(n_designs):
+            if not is_same[design]:
+                continue
             for number in range(n_numbers):
                 column = numbers.column[number]
                 if changes[design, number]:

@@ -147,18 +147,22 @@ def breed(
 
 def survive(population: Population, children: Children, fitness: Floats, held: Any, n_survivors: int) -> Population:
     """Select the survivors as :func:`tasks.evolution.tell` does, drawing from ``held.rng``."""
-    all_fitness = np.concatenate((population.fitness, fitness))
-    all_age = np.concatenate((population.age, children.age))
-    all_identities = np.concatenate((population.identity, children.identity))
+    n_parents, n_all = len(population.age), len(population.age) + len(children.age)
+    all_fitness, all_age = np.empty(n_all), np.empty(n_all, dtype=np.int64)
+    all_fitness[:n_parents], all_fitness[n_parents:] = population.fitness, fitness
+    all_age[:n_parents], all_age[n_parents:] = population.age, children.age
     survivors = _choose(all_fitness, all_age, held, n_survivors)
-    table = np.empty((len(survivors), N_COLUMNS))
-    for place, design in enumerate(survivors):
-        child = design - len(population.age)
-        table[place] = population.table[design] if child < 0 else children.table[child]
-    return Population(
-        table, all_fitness[survivors], all_age[survivors] + 1, all_identities[survivors],
-        population.n_evaluated + len(fitness),
-    )  # fmt: skip
+    n = len(survivors)
+    table, of_survivors = np.empty((n, N_COLUMNS)), np.empty(n)
+    age, identity = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for place in range(n):
+        design, child = survivors[place], survivors[place] - n_parents
+        of_survivors[place], age[place] = all_fitness[design], all_age[design] + 1
+        if child < 0:
+            table[place], identity[place] = population.table[design], population.identity[design]
+        else:
+            table[place], identity[place] = children.table[child], children.identity[child]
+    return Population(table, of_survivors, age, identity, population.n_evaluated + len(fitness))
 
 
 def select(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
@@ -169,8 +173,14 @@ def select(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
 @inline
 def _choose(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
     front, dominated = _front_and_dominated(fitness, age)
-    n_more = max(0, min(n_survivors - len(front), len(dominated)))
-    return np.concatenate((front[:n_survivors], dominated[_sample(len(dominated), n_more, held)]))
+    n_front = min(n_survivors, len(front))
+    n_more = min(n_survivors - n_front, len(dominated))
+    drawn = _sample(len(dominated), n_more, held)
+    survivors = np.empty(n_front + n_more, dtype=np.int64)
+    survivors[:n_front] = front[:n_front]
+    for place in range(n_more):
+        survivors[n_front + place] = dominated[drawn[place]]
+    return survivors
 
 
 @inline
@@ -179,22 +189,28 @@ def _front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
 
     A design is beaten by one of its age or younger. One whose fitness is not finite is neither.
     """
-    is_beaten = np.zeros(len(fitness), dtype=np.bool_)
-    best, first = -np.inf, 0
-    by_age = np.argsort(age, kind="mergesort")
-    while first < len(by_age):
-        end = first
-        while end < len(by_age) and age[by_age[end]] == age[by_age[first]]:
-            if np.isfinite(fitness[by_age[end]]):
-                best = max(best, fitness[by_age[end]])
-            end += 1
-        for place in range(first, end):
-            is_beaten[by_age[place]] = fitness[by_age[place]] < best
-        first = end
-    can_survive = np.isfinite(fitness)
-    front = np.flatnonzero(can_survive & ~is_beaten)
-    by_fitness = np.argsort(-fitness[front], kind="mergesort")
-    return front[by_fitness], np.flatnonzero(can_survive & is_beaten)
+    best = np.full(1 + (age.max() if len(age) else 0), -np.inf)  # of each age or younger
+    for design in range(len(age)):
+        if np.isfinite(fitness[design]):
+            best[age[design]] = max(best[age[design]], fitness[design])
+    for older in range(1, len(best)):
+        best[older] = max(best[older], best[older - 1])
+    front, dominated = np.empty(len(age), dtype=np.int64), np.empty(len(age), dtype=np.int64)
+    n_front = n_dominated = 0
+    for design in range(len(age)):
+        if not np.isfinite(fitness[design]):
+            continue
+        if fitness[design] < best[age[design]]:
+            dominated[n_dominated] = design
+            n_dominated += 1
+        else:
+            place = n_front  # few are non-dominated: of each age the fittest at most, and equals
+            while place > 0 and fitness[front[place - 1]] < fitness[design]:
+                front[place] = front[place - 1]
+                place -= 1
+            front[place] = design
+            n_front += 1
+    return front[:n_front], dominated[:n_dominated]
 
 
 @inline
