@@ -5,7 +5,7 @@ class PuddleError(Exception):
     """A mistake or a mishap that a user can mend.
 
     Its message says what is wrong and where, what was expected and what came, and what to do. The command line prints
-    the message alone and exits with 2; any other exception is a defect of puddle and keeps its traceback.
+    the message alone and exits with 2; any other exception is a defect of puddle, shown with its traceback: 70.
     """
 
 

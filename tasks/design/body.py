@@ -60,7 +60,14 @@ centres of parent and link [m], 0 for the root."""
 
 
 def hang_links(table: Table) -> Floats:
-    """Place links by their rest angles, the root upright at the origin: (n_designs, 7, n_links), see above."""
+    """Place links by their rest angles, the root upright at the origin.
+
+    Args:
+        table: (n_designs, N_COLUMNS) of valid designs.
+
+    Returns:
+        (n_designs, 7, n_links), see above.
+    """
     rest = np.zeros((len(table), 7, N_LINKS))
     for design in range(len(table)):
         genes_of, links = table[design], rest[design]
@@ -88,6 +95,9 @@ _hang_links = compiled(hang_links, [genes], seconds=1)  # in NumPy it takes long
 def rest_pose(designs: Designs) -> tuple[Floats, Floats, Floats]:
     """Place the links by their rest angles, the root upright with its centre at the origin.
 
+    Args:
+        designs: n_designs valid designs.
+
     Returns:
         x [m], y [m] and angle [rad] of every link, each (n_designs, n_links). Angles add up along the tree, unwrapped.
     """
@@ -96,7 +106,15 @@ def rest_pose(designs: Designs) -> tuple[Floats, Floats, Floats]:
 
 
 def spawn_links(table: Table, density: float) -> Float32:
-    """Give (9, n_designs, n_links): the fields of KinematicTrees but the parents, in their order."""
+    """Spawn links: the fields of KinematicTrees but the parents, in their order.
+
+    Args:
+        table: (n_designs, N_COLUMNS) of valid designs.
+        density: of every link [kg/m²].
+
+    Returns:
+        (9, n_designs, n_links)
+    """
     rest, single = _hang_links(table), np.empty((9, len(table), N_LINKS), np.float32)
     for design in range(len(table)):
         lowest = np.inf

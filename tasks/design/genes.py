@@ -289,7 +289,7 @@ def check(designs: Designs) -> None:
     came, link = designs.table[design, column], LINK_OF_COLUMN[column]
     if column in range(N_COLUMNS)[COLUMNS["parent"]]:
         expected = "-1 (it is the root)" if link == 0 else f"a link before it, 0 to {link - 1}"
-        raise DesignError(f"design {design}: parent of link {link} is {int(came)}, expected {expected}")
+        raise DesignError(f"design {design}: parent of link {link} is {came:g}, expected {expected}")
     gene = next(gene for gene in GENES if column in range(N_COLUMNS)[COLUMNS[gene.name]])
     where = f" of link {link}" if gene.per_link else ""
     bounds = f"{gene.low:.6g} to {gene.high:.6g} {gene.unit}".rstrip()

@@ -18,7 +18,17 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from tasks.compiled import compiled
-from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations, genes
+from tasks.design import (
+    ANY_BODY,
+    Designs,
+    Morphology,
+    Mutation,
+    draw_mutants,
+    draw_random,
+    draw_recombinations,
+    genes,
+    variation,
+)
 from tasks.design.genes import N_COLUMNS, Part, Table
 from tasks.design.variation import SOURCES, variation_of
 from tasks.evolution import breeding
@@ -28,7 +38,7 @@ from tasks.parameters import Parameters
 
 Ints = npt.NDArray[np.int64]
 
-_breed = compiled(breeding.breed, [*SOURCES, breeding], seconds=10)
+_breed = compiled(breeding.breed, [*SOURCES, variation, breeding], seconds=10)
 _survive = compiled(breeding.survive, [genes, breeding], seconds=4)
 _select = compiled(breeding.select, [breeding], seconds=4)
 
@@ -91,9 +101,9 @@ def ask(
         morphology: what bodies keep to.
     """
     parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
-    variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
+    varying = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
     children: Children = _breed(
-        afpo.population_size, hold(rng).held, population, afpo.random_share, afpo.mutation_share, variation
+        afpo.population_size, hold(rng).held, population, afpo.random_share, afpo.mutation_share, varying
     )
     if body is None and morphology.unjoined_links == "apart":
         _draw_again(children, population.table, rng, afpo.mutation, morphology)
@@ -127,10 +137,13 @@ def tell(
         fitness: (n_children,) theirs [m]; a design whose fitness is not finite can't be selected.
         rng: source of randomness.
         afpo: the algorithm's parameters.
+
+    Raises:
+        ValueError: there is not one fitness for each child.
     """
     if fitness.shape != children.age.shape:
         raise ValueError(f"fitness has shape {fitness.shape}, expected {children.age.shape}: one for each child")
-    told = np.ascontiguousarray(fitness, dtype=np.float64)
+    told = np.array(fitness, dtype=np.float64)  # kernels are compiled for one that can be written to
     survivors: Population = _survive(population, children, told, hold(rng).held, afpo.population_size)
     return survivors
 
@@ -140,12 +153,17 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
 
     Args:
         fitness: (n_designs,) [m]; a design whose fitness is not finite does not survive.
-        age: (n_designs,) generations.
+        age: (n_designs,) generations, 0 or more; the oldest decides how much memory it takes.
         rng: source of randomness.
         n_survivors: how many to choose; fewer are chosen only if fewer have a finite fitness.
 
     Returns:
         Indices of the survivors.
+
+    Raises:
+        ValueError: an age is negative.
     """
+    if len(age) and age.min() < 0:
+        raise ValueError(f"age of design {age.argmin()} is {age.min()}, expected 0 or more generations")
     survivors: Ints = _select(fitness, age, hold(rng).held, n_survivors)
     return survivors

@@ -1,4 +1,4 @@
-"""Evolution's own work, compiled: a generation's children, and who of all is dominated.
+"""Evolution's own work, compiled: from a population to its children, and from both to the survivors.
 
 In NumPy it is some hundred calls, each of which takes longer than its work on 64 designs.
 """
@@ -76,7 +76,7 @@ class Children(NamedTuple):
     """Designs that wait to be evaluated; axis 0 is the child."""
 
     table: Table
-    """(n_children, N_COLUMNS) their genes."""
+    """(n_children, N_COLUMNS) their genes, not to be changed once ``designs`` was read."""
     age: Ints
     """(n_children,) generations: that of the older parent; 0 where there is none."""
     identity: Ints
@@ -146,7 +146,15 @@ def breed(
 
 
 def survive(population: Population, children: Children, fitness: Floats, held: Any, n_survivors: int) -> Population:
-    """Select the survivors as :func:`tasks.evolution.tell` does, drawing from ``held.rng``."""
+    """Select the survivors among all, who then are a generation older.
+
+    Args:
+        population: those who survived before.
+        children: the designs evaluated now.
+        fitness: (n_children,) theirs [m].
+        held: ``rng`` of it is the source of randomness.
+        n_survivors: how many are to survive.
+    """
     n_parents, n_all = len(population.age), len(population.age) + len(children.age)
     all_fitness, all_age = np.empty(n_all), np.empty(n_all, dtype=np.int64)
     all_fitness[:n_parents], all_fitness[n_parents:] = population.fitness, fitness
@@ -204,13 +212,10 @@ def _front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
             dominated[n_dominated] = design
             n_dominated += 1
         else:
-            place = n_front  # few are non-dominated: of each age the fittest at most, and equals
-            while place > 0 and fitness[front[place - 1]] < fitness[design]:
-                front[place] = front[place - 1]
-                place -= 1
-            front[place] = design
+            front[n_front] = design
             n_front += 1
-    return front[:n_front], dominated[:n_dominated]
+    by_fitness = np.argsort(-fitness[front[:n_front]], kind="mergesort")
+    return front[by_fitness], dominated[:n_dominated]
 
 
 @inline

@@ -64,7 +64,7 @@ def evolve(
     """
     if n_generations < 1:
         raise ValueError(f"n_generations is {n_generations}, expected 1 or more")
-    # After some milliseconds of anything else, Python's own work was measured to take several times as long. So what
+    # After some milliseconds of anything else, Python's own work takes about twice as long. So what
     # can be done before or after all rollouts is.
     generators = [hold(generator_of(first_generation + index)) for index in range(n_generations)]
     steps = []

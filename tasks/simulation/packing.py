@@ -1,6 +1,6 @@
 """Robots into lanes: what does not change of them, and their state at the spawn, written to the rows of blocks.
 
-In NumPy this is some hundred calls, a twentieth of the rollouts of 64 designs; compiled it is a hundredth.
+In NumPy this is some hundred calls, a twentieth of the rollouts of 64 designs; compiled it is less than a hundredth.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ THIRD = np.float32(1.0) / np.float32(3.0)
 FREQUENCY, PHASE, MOTION_RANGE, MOTOR_ON = (
     COLUMNS[name].start for name in ("frequency", "phase", "motion_range", "motor_on")
 )
-"""Columns of a design's controller in a table of designs: of the root, those of the other links follow."""
+"""Columns of controllers in a table of designs: the frequency's; those of the root, which the other links' follow."""
 
 
 @inline

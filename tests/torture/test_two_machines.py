@@ -62,7 +62,8 @@ ADDED = "127.0.0.3"
 
 PLAIN_PYTHON = {"NUMBA_DISABLE_JIT": "1"}
 """In the environment of every process that computes. Each machine has the sources in a folder of its own, where its
-kernels would all be compiled anew: longer than they work for. Networks round otherwise then."""
+kernels would all be compiled anew: longer than they work for. The networks' sums round otherwise without the compiler,
+so that the study in one process does without it too."""
 
 SERIALLY = """
 import sys
@@ -104,12 +105,14 @@ class Task(NamedTuple):
 
 @pytest.mark.timeout(1200)  # what it waits for has bounds of its own
 def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_path):
-    text = STUDY.replace("N_GENERATIONS", "320" if torture.large else "80")
+    text = STUDY.replace("N_GENERATIONS", "480" if torture.large else "80")
     settings = parse(Settings, text, name="two")
     expected = serially(text, settings, tmp_path / "expected")
     n_pieces = sum(line.endswith("population.safetensors") and "  evolve/" in line for line in expected)
     for number, rng in enumerate(torture.attempts(1, 5)):
-        half_way = int(rng.uniform(0.3, 0.45) * n_pieces)
+        # A machine takes its time to come, and is to find work that lasts.
+        lost_after = rng.uniform(0.2, 0.3) if torture.large else rng.uniform(0.3, 0.45)
+        half_way = int(lost_after * n_pieces)
         folder = short_folder / str(number)
         folder.mkdir()
         (folder / "two.yaml").write_text(text)
@@ -123,7 +126,7 @@ def test_a_machine_leaves_half_way_and_another_comes(torture, short_folder, tmp_
         torture.note("pieces, by machine: " + ", ".join(f"{machine} {number}" for machine, number in n_tasks.items()))
         if torture.large:  # a short study may leave the machines that go and come hardly any
             assert n_tasks.keys() >= {LOST, ADDED} and len(n_tasks) == 3, n_tasks
-            assert min(n_tasks.values()) >= 8, n_tasks
+            assert min(n_tasks.values()) >= 4, n_tasks
         of_machines = [own for own in of_machines if len(own) > 1]
         assert of_machines, n_tasks
         usual, busy = [usual_share_busy(own) for own in of_machines], [share_busy(own) for own in of_machines]

@@ -1,6 +1,5 @@
 """Age-fitness Pareto optimisation: selection on worked examples, shares of children, ages and identities."""
 
-
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -226,6 +225,18 @@ def test_after_a_generation_that_diverged_throughout_evolution_starts_again() ->
     children = ask(nobody, rng(12), afpo)
     assert (children.operator == RANDOM).all()
     np.testing.assert_array_equal(children.identity, np.arange(8, 16))
+
+
+def test_who_has_no_finite_fitness_is_not_told_from_who_diverged() -> None:
+    afpo = Afpo(population_size=4)
+    children = ask(NOBODY_YET, rng(13), afpo)
+    after = tell(NOBODY_YET, children, np.array([np.nan, 1.0, np.inf, -np.inf]), rng(14), afpo)
+    assert (after.identity.tolist(), after.fitness.tolist(), after.age.tolist()) == ([1], [1.0], [1])
+
+
+def test_a_negative_age_is_refused() -> None:
+    with pytest.raises(ValueError, match="age of design 1 is -2, expected 0 or more generations"):
+        select(np.zeros(3), np.array([0, -2, 1]), rng(), 2)
 
 
 def test_a_fitness_for_each_child_is_asked_for() -> None:
