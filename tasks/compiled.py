@@ -1,12 +1,13 @@
 """Kernels compiled once per machine, and again when their source changes.
 
-numba keys its cache on disk by the file of the function itself, and does not see an edit of another module that it
-calls. So the folder of the cache is named by a digest of all the modules that go into a kernel. It lies in the user's
-cache, which all processes of a machine share, or in NUMBA_CACHE_DIR if that is set, and needs no write access to the
-package.
+numba keys its cache on disk by the file of the function itself: where that lies, and what it holds. It does not see an
+edit of another module that the function calls, and a copy elsewhere, such as Ray makes for each session on a cluster,
+would be compiled anew. So the folder of the cache is named by a digest of all the modules that go into a kernel, not
+by their place. It lies in the user's cache, which all processes of a machine share, or in NUMBA_CACHE_DIR if that is
+set, and needs no write access to the package.
 """
 
-# ruff: noqa: PTH103, PTH111, PTH116, PTH118, PTH207
+# ruff: noqa: PTH100, PTH103, PTH111, PTH116, PTH118, PTH119, PTH120, PTH207
 # (no pathlib in tasks, and this is the one place that keeps a file)
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from types import ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import UserProvidedCacheLocator
 from numba.core.event import Listener, register
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -56,6 +58,15 @@ class _Word(Listener):  # type: ignore[misc]  # numba has no types
 register("numba:compile", _Word())
 
 
+class ByContent(UserProvidedCacheLocator):  # type: ignore[misc]
+    """Where numba keeps a kernel within its folder: the same wherever its module lies."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        """Give the name of the module's package."""
+        return os.path.basename(os.path.dirname(os.path.abspath(py_file)))
+
+
 def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:
     """Compile a kernel on its first call, or take it from the cache.
 
@@ -74,12 +85,13 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
     read = [sys.modules[__name__], *sources]  # how pieces are inlined counts too
     digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in read).encode()).hexdigest()
     folder = os.path.join(_cache_folder(), digest[:16])
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = folder  # numba reads it here, where the function is decorated
+    before = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
+    numba.config.CACHE_DIR = folder  # numba reads both here, where the function is decorated
+    numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.{ByContent.__name__}"
     try:
         kernel = numba.njit(error_model="numpy", cache=True)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = before
 
     _KERNELS[function] = _Cached(folder, seconds)
     return cast(Callable[..., Any], kernel)

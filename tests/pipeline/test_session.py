@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import psutil
 import pytest
@@ -49,6 +49,16 @@ def place():
         yield folder
 
 
+def named(processes: Sequence[psutil.Process], name: str) -> list[psutil.Process]:
+    """Find those of a name; a process that has ended since it was listed has none."""
+    found = []
+    for process in processes:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            if process.name() == name:
+                found.append(process)
+    return found
+
+
 def driving(program: str, place: str) -> subprocess.Popen[str]:
     words = [sys.executable, "-c", APART + program, place]
     return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -61,7 +71,7 @@ def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server, place):
         assert driver.stdout is not None
         assert driver.stdout.readline() == "up\n"
         processes = psutil.Process(driver.pid).children(recursive=True)
-        (victim,) = (process for process in processes if process.name() == server)
+        (victim,) = named(processes, server)
         victim.send_signal(signal.SIGKILL)
         _, said = driver.communicate(timeout=60)
         assert driver.returncode == 2
@@ -81,7 +91,7 @@ def test_a_driver_that_does_other_work_goes_on_when_its_ray_dies(place):
         assert driver.stdout is not None
         assert driver.stdout.readline() == "up\n"
         children = psutil.Process(driver.pid).children(recursive=True)
-        next(process for process in children if process.name() == "raylet").kill()
+        named(children, "raylet")[0].kill()
         assert driver.communicate(timeout=60) == ("kept\n", "")
         assert driver.returncode == 0
     finally:
@@ -98,12 +108,11 @@ with ray_cluster("local", 2):
 
 def workers_of(driver: psutil.Process) -> Iterator[psutil.Process]:
     """Find the workers that its raylet has started. It has other children, and some are not yet what they will be."""
-    for raylet in driver.children(recursive=True):
-        if raylet.name() == "raylet":
-            for process in raylet.children():
-                words = process.cmdline()
-                if any("default_worker.py" in word for word in words[:3]) or words[:1] == ["ray::IDLE"]:
-                    yield process
+    for raylet in named(driver.children(recursive=True), "raylet"):
+        for process in raylet.children():
+            words = process.cmdline()
+            if any("default_worker.py" in word for word in words[:3]) or words[:1] == ["ray::IDLE"]:
+                yield process
 
 
 def test_no_worker_can_die_while_the_driver_connects(place):

@@ -117,8 +117,7 @@ def here(seconds: float) -> float:
 def seconds_until_gone(one: Driver, at_most: float) -> float:
     """Wait for the end."""
     begin = time.monotonic()
-    while one.family():
-        left = [f"{process.pid} {process.name()}" for process in one.family()]
+    while left := one.family():
         assert time.monotonic() - begin < at_most, f"after {at_most:.1f} s still there: {left}"
         one.process.poll()
         time.sleep(0.05)
@@ -175,9 +174,9 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
 
 def test_the_next_start_sweeps_what_a_killed_driver_and_its_keeper_left(tmp_path: Path):
     with driver(tmp_path / "a", *ENDLESS, "--workers", "1") as one:
-        (keeper,) = wait_for(lambda: [p for p in one.family() if "keeper.py" in " ".join(p.cmdline())])
-        (lock,) = wait_for(lambda: [p for p in sessions() if str(p.parent) in keeper.cmdline()])
-        wait_for(lambda: [p for p in one.family() if p.name() == "raylet"])
+        (keeper,) = wait_for(lambda: [p for p in one.family() if "keeper.py" in " ".join(words_of(p))])
+        (lock,) = wait_for(lambda: [p for p in sessions() if str(p.parent) in words_of(keeper)])
+        wait_for(lambda: [p for p in one.family() if "raylet" in map(os.path.basename, words_of(p)[:1])])
         one.process.send_signal(signal.SIGSTOP)  # so that nobody is left to tidy up
         for killed in (keeper, one.process):
             killed.kill()

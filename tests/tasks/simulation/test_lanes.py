@@ -1,8 +1,5 @@
 """Lanes under the compiler against NumPy's float32, lane by lane and bit by bit, for several numbers of lanes."""
 
-import os
-import subprocess
-import sys
 from fractions import Fraction
 
 import numba
@@ -13,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numba.core.errors import TypingError
 
-from tasks.compiled import compiled, inline
+from tasks.compiled import inline
 from tasks.simulation import simd  # noqa: F401 (teaches numba what lanes are)
 from tasks.simulation.lanes import (
     ALIGNMENT,
@@ -250,46 +247,3 @@ def test_memory_begins_on_a_cache_line(shape):
     for _ in range(5):
         array = aligned(shape)
         assert array.ctypes.data % ALIGNMENT == 0 and array.shape == shape and not array.any()
-
-
-def test_an_edit_of_a_module_that_a_kernel_calls_is_not_served_from_the_cache(tmp_path):
-    (tmp_path / "outer.py").write_text(
-        "import sys, inner\n"
-        "from tasks.compiled import compiled, is_cached\n"
-        "def kernel(x):\n    return inner.piece(x)\n"
-        "if __name__ == '__main__':\n    import outer\n"
-        "    kernel = compiled(outer.kernel, [outer, inner], seconds=1)\n"
-        "    cached = is_cached(kernel)\n"
-        "    print(kernel(2.0 if len(sys.argv) == 1 else 2), cached)\n"
-    )
-    inner = "from tasks.compiled import inline\n@inline\ndef piece(x):\n    return x * {}\n"
-    environment = {
-        **os.environ,
-        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
-        "PYTHONDONTWRITEBYTECODE": "1",
-    }
-
-    def run(factor, *arguments):
-        (tmp_path / "inner.py").write_text(inner.format(factor))
-        done = subprocess.run(
-            [sys.executable, str(tmp_path / "outer.py"), *arguments],
-            env=environment, capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        return done.stdout.split(), done.stderr.count("compiling outer (once, about 1 s)")
-
-    assert run(10) == (["20.0", "False"], 1)
-    assert run(10) == (["20.0", "True"], 0)
-    assert run(30) == (["60.0", "False"], 1)
-    assert run(10) == (["20.0", "True"], 0)
-    assert run(10, "whole") == (["20", "True"], 1)  # for other arguments it is compiled again, and says so
-
-
-def test_a_closure_is_no_kernel():
-    shift = 1.0
-
-    def shifted(block):
-        block[0] = block[0] + shift
-
-    with pytest.raises(ValueError, match=r"shifted is a closure, expected a function of a module"):
-        compiled(shifted, [], seconds=1)
