@@ -253,6 +253,8 @@ LOW = np.array([gene.low for gene in GENES])
 HIGH = np.array([gene.high for gene in GENES])
 OF_ROOT = np.array([gene.of_root for gene in GENES])
 """(n_genes,) whether the root has it."""
+IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])
+"""(n_genes,) whether it is 0 or 1, and nothing between."""
 
 
 def find_fault(table: Table) -> tuple[int, int]:
@@ -264,12 +266,13 @@ def find_fault(table: Table) -> tuple[int, int]:
     for design in range(len(table)):
         for link in range(N_LINKS):
             parent = table[design, PARENT + link]
-            if parent != ROOT_PARENT if link == 0 else not 0 <= parent < link:
+            if parent != ROOT_PARENT if link == 0 else not (0 <= parent < link and parent == np.floor(parent)):
                 return design, PARENT + link
     for gene in range(len(FIRST)):
         for design in range(len(table)):
             for column in range(FIRST[gene] if OF_ROOT[gene] else FIRST[gene] + 1, END[gene]):
-                if not LOW[gene] <= table[design, column] <= HIGH[gene]:  # NaN is outside too
+                value = table[design, column]
+                if not LOW[gene] <= value <= HIGH[gene] or (IS_FLAG[gene] and value != np.floor(value)):  # NaN too
                     return design, column
     return -1, -1
 
@@ -292,5 +295,5 @@ def check(designs: Designs) -> None:
         raise DesignError(f"design {design}: parent of link {link} is {came:g}, expected {expected}")
     gene = next(gene for gene in GENES if column in range(N_COLUMNS)[COLUMNS[gene.name]])
     where = f" of link {link}" if gene.per_link else ""
-    bounds = f"{gene.low:.6g} to {gene.high:.6g} {gene.unit}".rstrip()
+    bounds = f"{gene.low:.6g} {'or' if gene.kind == 'flag' else 'to'} {gene.high:.6g} {gene.unit}".rstrip()
     raise DesignError(f"design {design}: {gene.name}{where} is {came}, expected {bounds}")

@@ -161,6 +161,15 @@ def test_designs_of_a_table_have_the_fields_of_designs_and_no_others(designs: De
     assert restored.equals(designs)
 
 
+@pytest.mark.parametrize(("name", "expected"), [("parent", "a link before it, 0 to 2"), ("motor_on", "0 or 1")])
+def test_a_fraction_in_a_table_where_whole_numbers_belong_is_named(designs: Designs, name: str, expected: str) -> None:
+    table = designs.table.copy()
+    table[4, COLUMNS[name].start + 3] = 0.5
+    with pytest.raises(DesignError) as refused:
+        check(Designs.from_table(table))
+    assert str(refused.value) == f"design 4: {name} of link 3 is 0.5, expected {expected}"
+
+
 def test_the_first_of_several_bad_designs_is_named(designs: Designs) -> None:
     bad = with_value(with_value(designs, "phase", (4, 1), np.nan), "phase", (1, 5), 7.0)
     with pytest.raises(DesignError, match=r"design 1: phase of link 5 is 7\.0"):
