@@ -92,7 +92,7 @@ def _drive(
         if stage not in wanted:
             upstream[stage.name] = results_of(stage, walks)
             continue
-        require(settings, stage, upstream, how_to_run=how_to_run)
+        require(settings, stage, STAGES, upstream, how_to_run=how_to_run)
         all_done = False
         try:
             if any(walk.open for walk in walks):

@@ -162,13 +162,33 @@ def survey(
     return upstream
 
 
-def require(settings: Settings, stage: Stage, upstream: Upstream, *, how_to_run: Callable[[str], str]) -> None:
-    """Refuse to start a stage whose inputs are not there.
+def require(
+    settings: Settings,
+    stage: Stage,
+    stages: Sequence[Stage],
+    upstream: Upstream,
+    *,
+    how_to_run: Callable[[str], str],
+) -> None:
+    """Refuse to start a stage whose inputs are not there, or theirs.
+
+    Where an input's input is missing, the input itself can't be asked for: it counts as not possible, not as missing.
+
+    Args:
+        settings: the study's.
+        stage: what is to start.
+        stages: all of the study, in their order.
+        upstream: results of the stages before it.
+        how_to_run: gives the command line that runs a stage.
 
     Raises:
         PuddleError: names the first stage that must come first, what it lacks, and the command that runs it.
     """
-    for name in stage.reads(settings):
+    needed = set(stage.reads(settings))
+    for earlier in reversed(stages):
+        if earlier.name in needed:
+            needed.update(earlier.reads(settings))
+    for name in (earlier.name for earlier in stages if earlier.name in needed):
         lacking = upstream[name].unfinished
         if lacking:
             raise PuddleError(

@@ -136,10 +136,11 @@ def test_forecast_prices_what_is_left(study, settings, capsys, tmp_path):
     assert "0 generations" in capsys.readouterr().out
 
 
-def test_a_stage_whose_inputs_are_missing(settings, capsys, tmp_path):
+@pytest.mark.parametrize("stage", ["train", "evolve", "assess"])
+def test_a_stage_whose_inputs_are_missing(stage, settings, capsys, tmp_path):
     options = ("--settings", str(settings), "--store", str(tmp_path / "store"), "--workers", "0")
-    said = refused(capsys, "train", *options)
-    assert "train needs the results of collect" in said
+    said = refused(capsys, stage, *options)
+    assert f"{stage} needs the results of collect" in said
     assert f"puddle collect --settings {settings} --store {tmp_path / 'store'}" in said
 
 

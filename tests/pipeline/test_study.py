@@ -3,6 +3,8 @@
 import contextlib
 import dataclasses
 import itertools
+import re
+import shutil
 
 import pytest
 from small_study import NoBar, digests, run, silent
@@ -114,12 +116,52 @@ def test_an_edited_setting_redoes_what_depends_on_it_and_nothing_else(serial_run
     assert all(n == 2 for n in more["evolve"].n_done.values())  # the first four generations stand
 
 
-def test_a_stage_whose_inputs_are_missing_says_which_and_how_to_get_them(tmp_path):
-    store = Store.open(tmp_path / "store", create=True)
-    upstream = survey(tiny(), STAGES, store, say=silent)
-    by_name = {stage.name: stage for stage in STAGES}
-    with pytest.raises(PuddleError, match=r"train needs the results of collect.*throws-0.*\n.*`puddle collect`"):
-        require(tiny(), by_name["train"], upstream, how_to_run=lambda name: f"puddle {name}")
+def refusal(name: str, settings: Settings, store: Store) -> str:
+    """Say why a stage can't start."""
+    upstream = survey(settings, STAGES, store, say=silent)
+    (stage,) = (stage for stage in STAGES if stage.name == name)
+    with pytest.raises(PuddleError) as refused:
+        require(settings, stage, STAGES, upstream, how_to_run=lambda name: f"puddle {name}")
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["train", "evolve", "transfer", "assess", "analyse", "report"])
+@pytest.mark.parametrize("overrides", [(), ("grid.environments=[residual_slush]", "grid.single_member_depths=[]")])
+def test_a_stage_whose_inputs_are_missing_says_which_and_how_to_get_them(name, overrides, tmp_path):
+    """The first that must come, however far up: without it what is between them can't even be asked for."""
+    said = refusal(name, tiny(*overrides), Store.open(tmp_path / "store", create=True))
+    assert re.match(rf"{name} needs the results of collect.*throws-0.*\n.*`puddle collect`", said), said
+
+
+def test_a_piece_far_up_is_missed_too(serial_run, tmp_path):
+    store, upstream = serial_run
+    lacking = shutil.copytree(store.root, tmp_path / "store")
+    (chunk,) = upstream["collect"].done["throws-2"]
+    Store.open(lacking, create=False).discard("collect", chunk.key)
+    said = refusal("evolve", tiny(), Store.open(lacking, create=False))
+    assert "evolve needs the results of collect, and 1 of them are missing (the first: throws-2)" in said
+
+
+def test_statistics_wait_for_every_trial(serial_run):
+    """Champions of trials that were never evolved can't be scored: that is no reason to go on without them."""
+    store, _ = serial_run
+    more = tiny("grid.n_trials=3")
+    for name in ("transfer", "assess", "analyse", "report"):
+        said = refusal(name, more, store)
+        assert f"{name} needs the results of evolve, and 8 of them are missing" in said and "`puddle evolve`" in said
+
+
+def test_what_was_set_aside_stops_no_stage(serial_run):
+    """The driver has tried it: what depends on it is not possible, and all else goes on."""
+    store, upstream = serial_run
+    lost = dataclasses.replace(upstream["collect"], done={}, set_aside={"throws-0": "set aside after 2 attempts"})
+    found = {"collect": lost}
+    for stage in STAGES[1:]:
+        require(tiny(), stage, STAGES, found, how_to_run=str)
+        found[stage.name] = results_of(stage, follow(stage, tiny(), store, found, say=silent))
+        if stage.name == "evolve":
+            assert set(found["evolve"].set_aside) == {"residual_slush/1m/trial-0", "single_member/1m/trial-0"}
+        found[stage.name] = dataclasses.replace(found[stage.name], unfinished=())  # it has run
 
 
 def _failing(compute, bad: str):
