@@ -85,7 +85,7 @@ class Item:
     version: int
     label: str
     spec: Spec
-    """All that changes the result, inputs apart: settings used, seed, what it is."""
+    """All that changes the result, inputs apart: settings used, seed, what it is. It holds its chain's."""
     inputs: Mapping[str, Input]
     how: Spec = field(default_factory=dict)
     """What does not change the result: engine, size of batches, ``n_gpus`` that it occupies."""

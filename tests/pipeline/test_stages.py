@@ -42,6 +42,7 @@ def test_contract(stage, settings, study):
     for item in items:
         canonical_json(item.identity)  # plain JSON, or it raises
         assert item.stage == stage.name and item.version == stage.version
+        assert any(item.spec.items() >= chain.spec.items() for chain in chains)  # by which `puddle gc` knows it
         assert {source.manifest.stage for source in item.inputs.values()} <= {stage.name, *stage.reads(settings)}
         manifest = store.manifest(item.stage, item.key)
         inputs = {

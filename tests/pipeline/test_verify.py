@@ -15,13 +15,15 @@ from types import SimpleNamespace
 import pytest
 
 from pipeline import doctor, gc
-from pipeline.artifacts import encode_sealed
+from pipeline.artifacts import encode_sealed, key_of
 from pipeline.cli import main
 from pipeline.cluster import Done, TaskFailed, Ticket, session
 from pipeline.configuration import parse
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.settings import Settings
+from pipeline.settings import RESIDUAL_ENVIRONMENTS, Settings
+from pipeline.stages import STAGES
 from pipeline.store import Store
+from pipeline.study import survey
 
 SETTINGS = """name: tiny
 grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 1}
@@ -261,6 +263,74 @@ def test_a_study_that_was_stopped_half_way_keeps_what_it_has(options, store):
     found = {key for _, key in gc.find_garbage(store).items}
     assert evolved and not found & set(evolved)  # its first four generations are those of the longer study
     assert found >= {item.key for item in record.items if item.stage == "report"}
+
+
+@pytest.fixture
+def evolving(study, settings, tmp_path, monkeypatch) -> Store:
+    """A copy of a store with a study in every world, whose record lists nothing yet: as while it evolves."""
+    monkeypatch.setattr(session, "PLACE", tmp_path)
+    found = Store.open(shutil.copytree(study[0].root, tmp_path / "evolving"), create=False)
+    found.write_study(settings.name, settings.model_dump(mode="json"), ())
+    return found
+
+
+LOST = [
+    ("collect", "throws-2", 0),
+    ("train", "member-01", 0),
+    *(("evolve", f"{world}/1m/trial-1", index) for world in ("dry_land", "residual_slush") for index in (0, 1)),
+    ("transfer", "dry_land/1m/trial-0", 0),
+    ("assess", "true_slush/1m/trial-0", 0),
+]
+
+
+@pytest.mark.parametrize("lost", [[one] for one in LOST] + [LOST])
+def test_what_stands_behind_a_gap_is_no_garbage(lost, study, settings, evolving):
+    """What was discarded is computed again, to the same bytes: what depends on it will be found where it is."""
+    assert not gc.find_garbage(evolving).items
+    _, upstream = study
+    gone = [upstream[stage].done[label][index] for stage, label, index in lost]
+    files = [{name: evolving.read(one, name) for name in one.files} for one in gone]
+    for one in gone:
+        evolving.discard(one.stage, one.key)
+    garbage = gc.find_garbage(evolving)
+    assert not garbage.items and len(garbage.halves) == len(gone)
+    gc.remove(evolving, garbage)
+    assert not gc.find_garbage(evolving).items
+    for one, data in zip(gone, files, strict=True):
+        evolving.commit(one.stage, one.key, one.identity, data, record=one.record)
+    found = survey(settings, STAGES, evolving, say=str)
+    assert not any(of.unfinished or of.set_aside for of in found.values())
+
+
+def test_what_follows_from_other_networks_is_garbage_though_those_are_not_made_yet(study, settings, evolving):
+    """And a gc that dies leaves what the next one removes: who depends on something goes before it."""
+    other = settings.model_dump(mode="json")
+    other["training"]["n_iterations"] += 1
+    evolving.write_study(settings.name, other, ())
+    garbage = gc.find_garbage(evolving)
+    _, upstream = study
+    old = [*upstream["train"].done.values(), *upstream["assess"].done.values()]
+    old += [
+        chain
+        for stage in ("evolve", "transfer")
+        for label, chain in upstream[stage].done.items()
+        if label.startswith(RESIDUAL_ENVIRONMENTS)
+    ]
+    assert set(garbage.items) >= {(one.stage, one.key) for chain in old for one in chain}
+    for n_removed, (stage, key) in enumerate(garbage.items, 1):
+        evolving.remove(stage, key)
+        assert set(gc.find_garbage(evolving).items) == set(garbage.items[n_removed:])
+
+
+@pytest.mark.parametrize(
+    "identity",
+    [{}, {"inputs": [7]}, {"inputs": {"before": []}}, {"inputs": {"before": "gone"}, "version": 2, "spec": 7}],
+)
+def test_an_item_that_a_stranger_sealed_is_garbage(identity, study, evolving):
+    key = key_of(identity)
+    evolving.commit("evolve", key, identity, {"population.safetensors": b"?"}, record={})
+    evolving.discard("evolve", study[1]["evolve"].done["dry_land/1m/trial-0"][0].key)  # a chain with a gap
+    assert ("evolve", key) in gc.find_garbage(evolving).items
 
 
 def test_nothing_is_removed_while_a_study_is_driven_or_can_not_be_read(options, store, capsys):
