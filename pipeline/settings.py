@@ -62,6 +62,19 @@ class Grid(Parameters):
                 raise ValueError(f"{name} repeats a value, expected each once")
         return self
 
+    @model_validator(mode="after")
+    def _a_name_for_each_depth(self) -> Self:
+        for name in ("depths", "single_member_depths"):
+            called: dict[str, float] = {}
+            for depth in getattr(self, name):
+                other = called.setdefault(f"{depth:g}", depth)  # as labels have it
+                if other != depth:
+                    raise ValueError(
+                        f"{name} holds {other!r} and {depth!r}, and both are called {depth:g} m: expected depths that "
+                        f"differ in their first six digits"
+                    )
+        return self
+
     def trials(self) -> list[tuple[EnvironmentName, float, int]]:
         """List environment, depth and number of every trial."""
         arms = [(environment, depth) for depth in self.depths for environment in self.environments]

@@ -12,6 +12,7 @@ import pytest
 from pipeline.cli import main
 from pipeline.configuration import parse
 from pipeline.design_file import design_document
+from pipeline.errors import PuddleError
 from pipeline.settings import Settings
 from tasks.design import random_designs
 
@@ -265,6 +266,21 @@ def test_a_refused_element_is_one_mistake(capsys, tmp_path):
 def test_single_members_evolve_only_at_depths_of_the_grid():
     grid = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three").grid
     assert {depth for _, depth, _ in grid.trials()} == {3.0}
+
+
+@pytest.mark.parametrize(
+    ("grid", "said"),
+    [
+        ("depths: [2.0, 1.0, 2.0]", "depths repeats a value, expected each once"),
+        ("depths: [2.0, 1.0, 3.0, 1.0000001]", "depths holds 1.0 and 1.0000001, and both are called 1 m"),
+        ("single_member_depths: [123.4567, 123.4568]", "single_member_depths holds 123.4567 and 123.4568, and both"),
+    ],
+)
+def test_depths_that_go_by_one_name_are_refused(grid, said):
+    """Results go by it: one trial's would stand for the other's."""
+    with pytest.raises(PuddleError, match=re.escape(said)):
+        parse(Settings, f"grid: {{{grid}}}", name="mine")
+    assert parse(Settings, "grid: {depths: [123.456, 123.457]}", name="mine").grid.depths == (123.456, 123.457)
 
 
 def test_workers_here_and_a_cluster_elsewhere_are_not_chosen_together(study, monkeypatch, capsys):
