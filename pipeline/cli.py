@@ -96,9 +96,10 @@ def _check_where(context: typer.Context, workers: int | None, address: str | Non
 
 
 def _cluster(workers: int | None, address: str | None) -> Callable[[], AbstractContextManager[Cluster]]:
+    """Choose where work is done. Workers are this machine's, so that an address in the environment does not count."""
     if workers == 0:
         return serial_cluster
-    return lambda: ray_cluster(address=address, n_workers=workers)
+    return lambda: ray_cluster(address=address if workers is None else "local", n_workers=workers)
 
 
 @contextlib.contextmanager

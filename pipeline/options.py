@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,8 @@ if TYPE_CHECKING:
 Preset = Annotated[str, typer.Option("--preset", help="Settings in configs/: smoke, laptop, row, paper, pontoon.")]
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="A settings file instead of a preset.")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="Change one setting: evolution.n_generations=50.")]
-StorePath = Annotated[Path, typer.Option("--store", envvar="PUDDLE_STORE", help="Where results are kept.")]
+STORE_VARIABLE = "PUDDLE_STORE"
+StorePath = Annotated[Path, typer.Option("--store", envvar=STORE_VARIABLE, help="Where results are kept.")]
 Workers = Annotated[
     int | None, typer.Option("--workers", min=0, help="Cores to use here; all by default, 0 for none but this process.")
 ]
@@ -62,6 +64,6 @@ class Chosen:
             words += ["--preset", self.preset]
         for override in self.overrides:
             words += ["--set", override]
-        if self.store != DEFAULT_STORE:
+        if self.store != Path(os.environ.get(STORE_VARIABLE) or DEFAULT_STORE):  # what the command takes by itself
             words += ["--store", str(self.store)]
         return shlex.join(words)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.cli import main
+from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.design_file import design_document
 from pipeline.errors import PuddleError
@@ -290,6 +291,25 @@ def test_workers_here_and_a_cluster_elsewhere_are_not_chosen_together(study, mon
     monkeypatch.setenv("RAY_ADDRESS", "head:6379")
     assert call("study", *study, "--workers", "0") == 0  # all is done; what the environment says, an option overrides
     assert call("study", *study, "--workers", "2", "--address", "local") == 0
+
+
+@pytest.mark.parametrize(
+    ("variable", "options", "expected"),
+    [
+        ("head:6379", [], {"address": "head:6379", "n_workers": None}),
+        ("head:6379", ["--workers", "2"], {"address": "local", "n_workers": 2}),
+        ("head:6379", ["--address", "auto"], {"address": "auto", "n_workers": None}),
+        ("", ["--workers", "2"], {"address": "local", "n_workers": 2}),
+    ],
+)
+def test_workers_are_this_machines_whatever_the_environment_says(
+    variable, options, expected, settings, monkeypatch, tmp_path
+):
+    asked = []
+    monkeypatch.setattr("pipeline.cli.ray_cluster", lambda **where: asked.append(where) or serial_cluster())
+    monkeypatch.setenv("RAY_ADDRESS", variable)
+    assert call("collect", "--settings", str(settings), "--store", str(tmp_path / "store"), *options) == 0
+    assert asked == [expected]
 
 
 def test_a_defect_of_ours_shows_where_and_is_no_study_that_is_done(settings, capsys, monkeypatch, tmp_path):

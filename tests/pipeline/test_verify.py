@@ -243,6 +243,14 @@ def test_what_no_study_needs_is_listed_then_removed(options, store, capsys):
     assert "that no study needs" not in capsys.readouterr().out
 
 
+def test_what_gc_advises_is_for_the_store_that_it_looked_at(options, store, monkeypatch, capsys):
+    monkeypatch.chdir(store.root.parent)
+    monkeypatch.setenv("PUDDLE_STORE", "elsewhere")
+    (store.root / "items" / "evolve" / "00" / ("0" * 64)).mkdir(parents=True)
+    assert call("gc", "--store", "store") == 0
+    assert "`puddle gc --store store --remove` removes it" in capsys.readouterr().out
+
+
 def test_a_persons_files_are_no_garbage_whatever_their_names(options, store, capsys):
     folder = store.export_path("tiny")
     ours, theirs = folder / ".index.html.tmp", folder / ".notes.tmp"
