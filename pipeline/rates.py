@@ -21,7 +21,7 @@ from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.sizes import BYTES_OF_A_DESIGN
 from pipeline.specimens import N_FEW_THROWS, few_throws, short_film, untrained_ensemble
 from pipeline.stages import evolve, transfer
-from pipeline.stages.segments import groups_of, segment_spec, true_medium, true_slush, world_of
+from pipeline.stages.segments import groups_of, segment_lengths, segment_spec, true_medium, true_slush, world_of
 from pipeline.store import Store
 from tasks.analysis import disagreement, link_states, member_errors, novelty, thrown
 from tasks.design import Designs, random_designs
@@ -211,7 +211,8 @@ def seconds_of_a_result(settings: Settings, root: Path) -> float:
     Raises:
         PuddleError: nothing can be kept there.
     """
-    n_rows = settings.work.generations_per_item * settings.evolution.afpo.population_size
+    n_generations = segment_lengths(settings, settings.evolution.n_generations)[0]
+    n_rows = n_generations * settings.evolution.afpo.population_size
     history = bytes(int(n_rows * BYTES_OF_A_DESIGN))
     with (
         signals_unwind(),

@@ -19,7 +19,7 @@ from pipeline.stage import Chain, Results, Spec, Stage
 from pipeline.stages import STAGES
 from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS
 from pipeline.stages.report import PAGE
-from pipeline.stages.segments import history_units
+from pipeline.stages.segments import history_units, segment_lengths
 from tasks.design import N_LINKS, Designs, random_designs
 from tasks.evolution import NOBODY_YET, Evaluation, evolve
 from tasks.residual import Transitions
@@ -62,15 +62,17 @@ class Sizes:
 def weigh(settings: Settings) -> Sizes:
     """Make, encode and weigh a small piece of each kind of work."""
     n_members = settings.ensemble.n_members if settings.needs_ensemble else 0
-    own = _bytes_of_a_generation(settings, 1, None)
-    together = _bytes_of_a_generation(settings, n_members, None) if n_members else own
+    n_evolved, n_adapted = settings.evolution.n_generations, settings.transfer.n_generations
+    own = _bytes_of_a_generation(settings, n_evolved, 1, None)
+    together = _bytes_of_a_generation(settings, n_evolved, n_members, None) if n_members else own
     one, many = (_bytes_of_predictions(n, n_members) for n in (1, N_CALIBRATION_DESIGNS))
+    body = random_designs(1, np.random.default_rng(1))
     film = short_film(settings)
     return Sizes(
         throw=_bytes_of_a_throw(settings) if n_members else 0.0,
         member=_bytes_of_weights(settings) + LEARNED_BYTES if n_members else 0.0,
         generation=dict.fromkeys(ENVIRONMENTS, own) | {"residual_slush": together},
-        adapted_generation=_bytes_of_a_generation(settings, 1, random_designs(1, np.random.default_rng(1))),
+        adapted_generation=_bytes_of_a_generation(settings, n_adapted, 1, body),
         assessed=(many - one) / (N_CALIBRATION_DESIGNS - 1),
         assessed_table=one,
         link=LINK_BYTES * (3 + 2 * n_members) if n_members else 0.0,
@@ -142,9 +144,9 @@ def _bytes_of_weights(settings: Settings) -> float:
     return 4.0 * sum((n_in + 1) * n_out for n_in, n_out in layers_of(settings.network))
 
 
-def _bytes_of_a_generation(settings: Settings, n_members: int, body: Designs | None) -> float:
+def _bytes_of_a_generation(settings: Settings, n_of_trial: int, n_members: int, body: Designs | None) -> float:
     """Evolve one segment by random scores; its history, its survivors and its curve, by generation."""
-    rng, n_generations = np.random.default_rng(0), settings.work.generations_per_item
+    rng, n_generations = np.random.default_rng(0), segment_lengths(settings, n_of_trial)[0]
 
     def random_scores(designs: Designs) -> Evaluation:
         displacement = rng.normal(size=(len(designs), n_members))

@@ -15,6 +15,7 @@ from pipeline.errors import PuddleError
 from pipeline.forecast import forecast_lines
 from pipeline.rates import Rates, seconds_of_a_result, time_of_selection
 from pipeline.settings import Settings
+from pipeline.sizes import BYTES_OF_A_DESIGN
 from pipeline.store import Store
 from tasks.design import random_designs
 from tasks.evolution import NOBODY_YET, ask
@@ -62,6 +63,21 @@ def test_a_disk_that_keeps_nothing_is_an_error_that_says_so(smoke, elsewhere):
     why = f"{elsewhere}/file/store: timing what a result costs failed: Not a directory"
     with pytest.raises(PuddleError, match=why):
         seconds_of_a_result(smoke, elsewhere / "file" / "store")
+
+
+def test_no_more_is_kept_for_the_time_it_takes_than_a_trial_keeps(elsewhere, monkeypatch):
+    kept = []
+    plain = Store.commit
+
+    def commit(store, stage, key, identity, files, *, record):
+        kept.append(len(files["history.parquet"]))
+        return plain(store, stage, key, identity, files, record=record)
+
+    monkeypatch.setattr(Store, "commit", commit)
+    overrides = ("evolution.n_generations=5", "work.generations_per_item=5000")
+    settings = load(Settings, preset_path("smoke"), overrides)
+    seconds_of_a_result(settings, elsewhere / "store")
+    assert set(kept) == {5 * settings.evolution.afpo.population_size * BYTES_OF_A_DESIGN}
 
 
 def test_a_signal_leaves_nothing(smoke, elsewhere, monkeypatch):

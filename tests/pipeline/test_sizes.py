@@ -33,6 +33,16 @@ def test_a_network_has_the_layers_that_are_priced():
     assert [layers[f"weight_{i}"].shape for i in range(len(layers) // 2)] == layers_of(network)
 
 
+def test_no_segment_is_longer_than_its_trial():
+    """Whatever generations_per_item is: 3,000 of them by themselves would be weighed as another number."""
+    asked = ["grid.environments=[dry_land]", "grid.single_member_depths=[]", "transfer.n_generations=30"]
+    longest, endless = (
+        weigh(parse(Settings, SMALL, name="small", overrides=[*asked, f"work.generations_per_item={n}"]))
+        for n in (40, 3000)
+    )
+    assert endless == longest
+
+
 class NoBar:
     def advance(self, work: float) -> None: ...
 
