@@ -375,4 +375,5 @@ def _is_item(item: StudyItem) -> bool:
 def _own_name() -> bytes:
     """Return who this process is, for others to read."""
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    return encode_json({"pid": os.getpid(), "host": platform.node(), "started": started, "command": " ".join(sys.argv)})
+    command = " ".join(sys.argv).encode(errors="backslashreplace").decode()  # a path may be of bytes that are no text
+    return encode_json({"pid": os.getpid(), "host": platform.node(), "started": started, "command": command})

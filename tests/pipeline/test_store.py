@@ -213,6 +213,12 @@ def test_a_study_has_one_driver_which_is_named_to_a_second(store: Store) -> None
         assert f"process {os.getpid()} " in store.driver_of("laptop")
 
 
+def test_a_driver_whose_command_is_no_unicode_is_named(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["puddle", "study", "--store", os.fsdecode(b"st\xf6re")])
+    with store.lock_study("laptop"):
+        assert "(puddle study --store st\\udcf6re)" in store.driver_of("laptop")
+
+
 def test_asking_who_drives_is_never_in_the_drivers_way(store: Store) -> None:
     with store.lock_study("laptop"):
         pass
