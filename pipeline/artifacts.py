@@ -20,6 +20,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import safetensors.numpy
 from safetensors import SafetensorError
@@ -233,11 +234,21 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
         PuddleError: where the data are damaged or of another format; it names the source, what was expected and came.
     """
     try:
-        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True, pre_buffer=False)
-        label = _read_label((file.metadata.metadata or {}).get(METADATA_KEY.encode()), source)
+        metadata = pq.read_metadata(pa.BufferReader(data))
+        label = _read_label((metadata.metadata or {}).get(METADATA_KEY.encode()), source)
         check_format(label, schema=schema, version=version, source=source)
-        _refuse_swelling(file)
+        kinds = {field.name: field.type for field in metadata.schema.to_arrow_schema()}
+        _refuse_swelling(metadata, kinds)
+        texts = [name for name, kind in kinds.items() if pa.types.is_string(kind)]
+        file = pq.ParquetFile(
+            pa.BufferReader(data),
+            metadata=metadata,
+            read_dictionary=texts,  # each text once, however often it is there
+            page_checksum_verification=True,
+            pre_buffer=False,
+        )
         table = file.read(use_threads=False)
+        _refuse_beyond_memory(sum(_text_bytes(table.column(name)) for name in texts))
         columns = {name: _pure_array(_numpy_column(table.column(name)), name) for name in table.column_names}
     except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, MemoryError) as error:
         raise PuddleError(
@@ -247,22 +258,33 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
     return columns
 
 
-def _refuse_swelling(file: pq.ParquetFile) -> None:
+def _refuse_swelling(metadata: pq.FileMetaData, kinds: Mapping[str, pa.DataType]) -> None:
     """Refuse a table that would fill the memory: a few kilobytes can stand for many gigabytes."""
-    width = sum(_width(field.type) for field in file.schema_arrow)
-    n_bytes = max(
-        file.metadata.num_rows * width,
-        sum(file.metadata.row_group(index).total_byte_size for index in range(file.metadata.num_row_groups)),
-    )
+    width = sum(_width(name, kind) for name, kind in kinds.items())
+    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+    _refuse_beyond_memory(max(metadata.num_rows * width, sum(group.total_byte_size for group in groups)))
+
+
+def _refuse_beyond_memory(n_bytes: int) -> None:
     if n_bytes > MAX_TABLE_BYTES:
         raise ValueError(f"it would take {n_bytes} bytes of memory, {MAX_TABLE_BYTES} at most")
 
 
-def _width(kind: pa.DataType) -> int:
-    """Return the bytes that a value takes in memory; of text, the least."""
-    if pa.types.is_fixed_size_list(kind):
-        return int(kind.list_size) * _width(kind.value_type)
-    return max(1, kind.bit_width // 8) if pa.types.is_primitive(kind) else 4
+def _width(name: str, kind: pa.DataType) -> int:
+    """Return the bytes that a value takes in memory; of text, which place has which."""
+    if pa.types.is_string(kind):
+        return 4
+    if pa.types.is_fixed_size_list(kind) and pa.types.is_primitive(kind.value_type):
+        return int(kind.list_size) * _width(name, kind.value_type)
+    if not pa.types.is_primitive(kind):
+        raise ValueError(f"column {name!r} is of {kind}, which no table of ours holds")
+    return max(1, int(kind.bit_width) // 8)
+
+
+def _text_bytes(column: pa.ChunkedArray) -> int:
+    """Return the bytes that texts take in memory, read as a dictionary: numpy gives each the room of the longest."""
+    lengths = [pc.max(pc.utf8_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks]
+    return 4 * max(lengths, default=0) * len(column)
 
 
 def _arrow_column(array: Array) -> pa.Array:
@@ -274,8 +296,8 @@ def _arrow_column(array: Array) -> pa.Array:
 
 
 def _numpy_column(column: pa.ChunkedArray) -> Array:
-    if pa.types.is_string(column.type):
-        return np.array(column.to_pylist(), dtype=np.str_)
+    if pa.types.is_dictionary(column.type):
+        return np.array(column.cast(pa.string()).to_pylist(), dtype=np.str_)
     if not pa.types.is_fixed_size_list(column.type):
         return np.array(column.to_numpy(), order="C")
     k = column.type.list_size

@@ -276,6 +276,31 @@ def test_a_header_that_claims_more_than_there_is_takes_no_memory() -> None:
             DECODE["arrays"](length.to_bytes(8, "little") + header)
 
 
+@pytest.mark.parametrize("texts", [["x" * 100_000] + ["y"] * 199, ["x" * 100_000] * 200], ids=["longest", "same"])
+def test_text_that_would_fill_the_memory_is_refused_before_it_does(texts: list[str], monkeypatch) -> None:
+    """Every text takes the room of the longest in memory; in the file each is there once, compressed."""
+    data = encode_table({"word": np.array(texts)}, **FORMAT, producer="")
+    monkeypatch.setattr("pipeline.artifacts.MAX_TABLE_BYTES", 2**20)
+    usual, pool = pa.default_memory_pool(), pa.proxy_memory_pool(pa.default_memory_pool())
+    pa.set_memory_pool(pool)
+    try:
+        with pytest.raises(PuddleError, match=r"the file: .* it would take 80000000 bytes of memory, 1048576 at most"):
+            DECODE["table"](data)
+    finally:
+        pa.set_memory_pool(usual)
+    assert len(data) < 2000 and pool.max_memory() < 2**20
+
+
+@pytest.mark.parametrize("kind", [pa.binary(), pa.large_string(), pa.list_(pa.string(), 1), pa.list_(pa.int8())])
+def test_columns_of_kinds_that_are_never_written_are_refused_unread(kind: pa.DataType, monkeypatch) -> None:
+    label = canonical_json({"schema": FORMAT["schema"], "version": FORMAT["version"]}).decode()
+    sink = io.BytesIO()
+    pq.write_table(pa.table({"x": pa.array([None], kind)}).replace_schema_metadata({"puddle": label}), sink)
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *arguments, **options: pytest.fail("it was read"))
+    with pytest.raises(PuddleError, match=r"the file: .* column 'x' is of "):
+        DECODE["table"](sink.getvalue())
+
+
 def test_foreign_files_are_named_as_such() -> None:
     sink = io.BytesIO()
     pq.write_table(pa.table({"x": [1, 2]}), sink)
