@@ -28,7 +28,10 @@ ENVIRONMENTS: tuple[EnvironmentName, ...] = get_args(EnvironmentName)
 RESIDUAL_ENVIRONMENTS: tuple[EnvironmentName, ...] = ("residual_slush", "single_member")
 """The environments that need trained networks."""
 
-Depth = Annotated[float, Field(ge=0.0, le=1000.0)]
+DEEPEST = 1000.0
+"""The deepest ground that there may be [m]."""
+
+Depth = Annotated[float, Field(ge=0.0, le=DEEPEST)]
 
 
 class Ensemble(Parameters):

@@ -12,7 +12,7 @@ from pipeline.design_file import read_design
 from pipeline.errors import PuddleError
 from pipeline.report import Replay, render_gif, render_mp4, render_robot, replay_of
 from pipeline.report.data import ENVIRONMENTS as STYLES
-from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.settings import DEEPEST, ENVIRONMENTS, RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.stage import Files, MissingInputs
 from pipeline.stages import collect, train
 from pipeline.stages.analyses.films import NOBODY, median_member
@@ -49,7 +49,7 @@ def simulate_design(
     Args:
         path: of the design file.
         environment: dry_land, true_slush or residual_slush.
-        depth: of the ground [m].
+        depth: of the ground [m], 0 to DEEPEST.
         out: where to put a GIF, an MP4 or a page, if anywhere; in Residual Slush, of the median member's world.
         settings: how long the design is watched, and which networks residual_slush means.
         open_store: gives the store that holds the networks.
@@ -61,6 +61,8 @@ def simulate_design(
     design = read_design(path)
     if environment not in WORLDS:
         raise PuddleError(f"--environment: expected one of {', '.join(WORLDS)}, came {environment!r}")
+    if not 0.0 <= depth <= DEEPEST:
+        raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, came {depth:g}")
     world = cast(EnvironmentName, environment)
     kind = None if out is None else out.suffix.lower()
     if out is not None and (kind not in (*FILMS, PAGE) or not out.parent.is_dir()):
@@ -72,19 +74,15 @@ def simulate_design(
     why = ""
     if world == "residual_slush" or kind == PAGE:
         try:
-            files = _learned(settings, open_store(), throws=kind == PAGE)
+            files = _learned(settings, open_store, throws=kind == PAGE)
         except PuddleError as missing:
             advice = f". `{how_to_run('study')}` makes it." if isinstance(missing, MissingInputs) else ""
             why = f"{missing}{advice}"
             if world == "residual_slush":
                 raise PuddleError(why) from None
-    try:
-        place = world_of(spec, files)
-    except ValueError as error:
-        raise PuddleError(f"--depth: {error}") from None
     rollouts = simulate(
         design,
-        place,
+        world_of(spec, files),
         n_settle=settings.rollout.n_settle,
         n_measure=settings.rollout.n_measure,
         engine=settings.work.engine,
@@ -130,13 +128,20 @@ def simulate_design(
     return lines
 
 
-def _learned(settings: Settings, store: Store, *, throws: bool) -> dict[str, Files]:
+def _learned(settings: Settings, open_store: Callable[[], Store], *, throws: bool) -> dict[str, Files]:
     """Read every member of the ensemble, and the throws that they learned from if asked to.
 
     Raises:
         MissingInputs: names what the store does not hold.
-        PuddleError: names what of it is damaged; or `puddle gc` is at work.
+        PuddleError: these settings ask for none; or names what of it is damaged; or `puddle gc` is at work.
     """
+    if not settings.needs_ensemble:
+        raise PuddleError(
+            f"study {settings.name} trains no networks: expected one of {', '.join(RESIDUAL_ENVIRONMENTS)} in "
+            f"grid.environments, or a depth of the grid in grid.single_member_depths. Choose the settings of a study "
+            f"that trains some: --preset, --settings, --set."
+        )
+    store = open_store()
     damage: list[str] = []
     with store.lock_to_read():
         upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=damage.append)

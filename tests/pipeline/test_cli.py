@@ -129,6 +129,20 @@ def test_simulate_names_a_damaged_network(study, design, capsys, tmp_path):
     assert str(network) in refused(capsys, "simulate", *arguments)
 
 
+NO_NETWORKS = ("--set", "grid.environments=[true_slush]", "--set", "grid.single_member_depths=[]")
+
+
+def test_simulate_says_where_settings_train_no_networks(design, settings, capsys, tmp_path):
+    """No command would make them: the advice to run the study would be in vain."""
+    options = ("--depth", "1", "--settings", str(settings), "--store", str(tmp_path / "none"), *NO_NETWORKS)
+    said = refused(capsys, "simulate", str(design), "--environment", "residual_slush", *options)
+    assert "study tiny trains no networks" in said and "grid.environments" in said and "puddle study" not in said
+    out = tmp_path / "alone.html"
+    assert call("simulate", str(design), "--environment", "dry_land", "--out", str(out), *options) == 0
+    said = capsys.readouterr().out
+    assert "shown without what networks say of it: study tiny trains no networks" in said and "puddle study" not in said
+
+
 def test_forecast_prices_what_is_left(study, settings, capsys, tmp_path):
     arguments = ("--settings", str(settings), "--cores", "64")
     assert call("forecast", *arguments, "--store", str(tmp_path / "none")) == 0
@@ -176,9 +190,10 @@ def test_unknown_words(capsys, tmp_path, design):
     assert "true_slush, dry_land, residual_slush" in said
 
 
-@pytest.mark.parametrize("depth", ["-1", "nan", "inf", "deep"])
+@pytest.mark.parametrize("depth", ["-1", "nan", "inf", "deep", "1e39", "1000.1"])
 def test_depths_that_are_none(depth, design, capsys):
-    said = refused(capsys, "simulate", str(design), "--environment", "dry_land", "--depth", depth)
+    reference = ("--set", "work.engine=reference")
+    said = refused(capsys, "simulate", str(design), "--environment", "dry_land", "--depth", depth, *reference)
     assert "depth" in said
 
 
