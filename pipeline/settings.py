@@ -94,6 +94,17 @@ class Rollout(Parameters):
     n_measure: int = Field(default=1200, ge=1, le=1_000_000)
     """Steps over which displacement counts. [P]"""
 
+    @model_validator(mode="after")
+    def _something_moves_in_a_film(self) -> Self:
+        # Two frames, two steps from each other; where nothing settles, the first is the state after the first step.
+        n_least = 2 if self.n_settle else 3
+        if self.n_measure < n_least:
+            raise ValueError(
+                f"n_measure is {self.n_measure} where n_settle is {self.n_settle}, too few steps to show on the page: "
+                f"expected {n_least} or more"
+            )
+        return self
+
 
 class Evolution(Parameters):
     """The evolution of bodies and controllers."""

@@ -156,7 +156,8 @@ def replay_of(
         raise ValueError(f"replay {title!r}: trace has shape {trace.shape}, expected (n_steps, {N_LINKS}, 6)")
     frames = at_frames(trace[..., :3], n_settle)
     if len(frames) < 2:
-        raise ValueError(f"replay {title!r}: {len(trace)} steps, expected {n_settle + STEPS_PER_FRAME} or more")
+        n_least = max(n_settle, 1) + STEPS_PER_FRAME
+        raise ValueError(f"replay {title!r}: {len(trace)} steps, expected {n_least} or more")
     if not np.isfinite(trace).all():
         raise ValueError(f"replay {title!r}: the rollout diverged, there is nothing to show")
     return Replay(

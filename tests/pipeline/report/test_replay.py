@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pipeline.report.replay import QUANTUM, EncodedReplay, Overlay, encode, replay_of
+from pipeline.settings import Rollout
 
 WORDS = {"title": "a walk", "environment": "", "world": "True Slush", "depth": 2.0, "has_medium": True}
 
@@ -103,6 +104,19 @@ def test_a_wrong_trace_is_named(rollout):
         replay_of(design, trace, n_settle=240, **WORDS)
     with pytest.raises(ValueError, match="2 designs, expected one"):
         replay_of(design[[0, 0]], trace, n_settle=0, **WORDS)
+
+
+@pytest.mark.parametrize("n_settle", [0, 1, 7])
+def test_the_shortest_rollout_that_settings_allow_is_the_shortest_that_can_be_shown(rollout, n_settle):
+    """One frame is none: nothing moves in it."""
+    design, trace, _ = rollout
+    n_measure = 3 if n_settle == 0 else 2
+    n_steps = Rollout(n_settle=n_settle, n_measure=n_measure).n_settle + n_measure
+    assert len(replay_of(design, trace[:n_steps], n_settle=n_settle, **WORDS).frames) == 2
+    with pytest.raises(ValueError, match=f"{n_steps - 1} steps, expected {n_steps} or more"):
+        replay_of(design, trace[: n_steps - 1], n_settle=n_settle, **WORDS)
+    with pytest.raises(ValueError, match=f"n_measure is {n_measure - 1}.*expected {n_measure} or more"):
+        Rollout(n_settle=n_settle, n_measure=n_measure - 1)
 
 
 def test_an_overlay_survives_its_encoding(slush_replay):
