@@ -155,10 +155,16 @@ def read_document(path: Path) -> bytes:
     return data
 
 
+def below(folder: Path) -> Iterator[Path]:
+    """Give everything in a folder and below. What others remove meanwhile is left out; links are not followed."""
+    for place, folders, files in os.walk(folder):  # rglob fails where a folder has gone
+        yield from (Path(place, name) for name in (*folders, *files))
+
+
 def size_bytes(folder: Path) -> int:
     """Return the length of all files in a folder and below."""
     total = 0
-    for path in folder.rglob("*"):
+    for path in below(folder):
         with contextlib.suppress(FileNotFoundError):  # a commit renames its temporary files meanwhile
             found = path.lstat()
             total += found.st_size if stat.S_ISREG(found.st_mode) else 0

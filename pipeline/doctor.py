@@ -168,10 +168,15 @@ def _store(root: Path, settings: Settings) -> Iterator[Finding]:
 
 
 def _kept(root: Path, settings: Settings) -> tuple[dict[str, Results], list[str]]:
-    """Find what a store holds of the study, and who drives studies in it. What is damaged counts as missing."""
+    """Find what a store holds of the study, and who drives studies in it. What is damaged counts as missing.
+
+    Raises:
+        PuddleError: it can't be read; or `puddle gc` is at work.
+    """
     store = Store.open(root, create=False)
-    drivers = [f"study {name} is driven by {who}" for name in store.studies() if (who := store.driver_of(name))]
-    return survey(settings, STAGES, store, say=lambda line: None), drivers
+    with store.lock_to_read():
+        drivers = [f"study {name} is driven by {who}" for name in store.studies() if (who := store.driver_of(name))]
+        return survey(settings, STAGES, store, say=lambda line: None), drivers
 
 
 def _try_commit(folder: Path) -> float:

@@ -13,7 +13,16 @@ from pipeline.study import survey
 
 
 def status_lines(settings: Settings, store: Store) -> Iterator[str]:
-    """Give lines for the study and each stage, for each piece set aside, and for each trial whose designs diverged."""
+    """Give lines for the study and each stage, for each piece set aside, and for each trial whose designs diverged.
+
+    Raises:
+        PuddleError: where `puddle gc` is at work.
+    """
+    with store.lock_to_read():
+        yield from _status_lines(settings, store)
+
+
+def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
     notes: list[str] = []
     upstream = survey(settings, STAGES, store, say=notes.append)
     set_aside = _set_aside(settings, store)
@@ -77,8 +86,12 @@ def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
     """Give the SHA-256 of every item of the study that is done, and of its files, in the order of the study's plan.
 
     An item's is that of the list of its files with theirs: the digest that the report and MLflow show.
+
+    Raises:
+        PuddleError: where `puddle gc` is at work.
     """
-    upstream = survey(settings, STAGES, store, say=lambda line: None)
+    with store.lock_to_read():
+        upstream = survey(settings, STAGES, store, say=lambda line: None)
     for results in upstream.values():
         for label, manifests in results.done.items():
             for index, manifest in enumerate(manifests):

@@ -149,7 +149,7 @@ class Store(Items):
 
     def links(self) -> list[Path]:
         """Return the symbolic links in the store, as paths in it. There should be none."""
-        return sorted(path.relative_to(self.root) for path in self.root.rglob("*") if path.is_symlink())
+        return sorted(path.relative_to(self.root) for path in disk.below(self.root) if path.is_symlink())
 
     def size_bytes(self) -> int:
         """Return the length of all files together."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 
@@ -111,7 +112,17 @@ def verify_lines(
 
     Returns:
         Lines: what was left out, what is unfinished and what is wrong, and what mends it; and whether all is well.
+
+    Raises:
+        PuddleError: where `puddle gc` is at work.
     """
+    with contextlib.nullcontext() if discard else store.lock_to_read():  # an item on its way out would seem damaged
+        return _verify_lines(store, discard=discard, progress=progress, how_to_run=how_to_run)
+
+
+def _verify_lines(
+    store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
+) -> tuple[list[str], bool]:
     n_bytes = store.size_bytes()
     left_out: list[str] = []
     with progress.stage("verify", unit="MB", total=n_bytes / 1e6) as bar:

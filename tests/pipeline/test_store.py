@@ -78,6 +78,23 @@ def test_size_is_that_of_all_files(store: Store) -> None:
     assert store.size_bytes() == sum(len(data) for data in tree(store.root).values())
 
 
+def test_a_folder_that_vanishes_meanwhile_holds_nothing(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where `puddle gc --remove` is at work beside it."""
+    commit(store)
+    size, empty = store.size_bytes(), store.root / "items" / "train"
+    plain = os.scandir
+
+    def scandir(path: object) -> object:
+        if os.fspath(path) == str(empty):
+            empty.rmdir()
+        return plain(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    for look, found in (store.size_bytes, size), (store.links, []):
+        empty.mkdir()
+        assert look() == found and not empty.exists()
+
+
 def test_a_key_that_is_not_of_its_identity_and_bad_file_names_are_defects(store: Store) -> None:
     with pytest.raises(ValueError, match=f"expected the key of its identity, {KEY}"):
         store.commit("evolve", "0" * 64, IDENTITY, FILES, record={})

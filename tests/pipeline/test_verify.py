@@ -353,6 +353,18 @@ def test_nothing_is_removed_while_a_study_is_driven_or_can_not_be_read(options, 
     assert n_items(store) == sum(1 for _ in store.root.glob("items/*/*/*/manifest.json"))
 
 
+def test_nothing_is_looked_at_while_garbage_is_removed(options, store, capsys):
+    """An item on its way out would be called damaged."""
+    with store.lock_all():
+        for command in ("status", "--digests"), ("status",), ("verify",):
+            assert call(*command, *options) == 2
+            assert "`puddle gc` is removing what no study needs. Wait for its end." in capsys.readouterr().err
+        (found,) = doctor._store(store.root, parse(Settings, SETTINGS, name="tiny"))
+        assert found.verdict == "fail" and "`puddle gc` is removing" in found.found
+    with store.lock_to_read():
+        assert call("status", *options) == call("verify", *options) == 0
+
+
 def test_a_study_of_another_puddle_is_told(options, store, tmp_path, capsys):
     store.write_study("tiny", {**store.read_study("tiny").settings, "wings": 2}, ())
     assert call("gc", "--remove", "--store", str(store.root)) == 2
