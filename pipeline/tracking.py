@@ -116,15 +116,29 @@ class Tracker:
                 self._warned = True
                 reason = (str(error) or "no reason given").splitlines()[0]
                 self._say(
-                    f"MLflow at {self._uri or database_uri(self._store)} failed: {type(error).__name__}: {reason}\n"
+                    f"MLflow at {self._uri or self._store / 'mlflow.db'} failed: {type(error).__name__}: {reason}\n"
                     f"The study goes on without it. What MLflow lacks is sent with the next stage, or by the same "
                     f"command once MLflow is well; a damaged mlflow.db may be deleted."
                 )
 
 
 def database_uri(store: Path) -> str:
-    """Where a store's own MLflow database is."""
-    return f"sqlite:///{store.resolve() / 'mlflow.db'}"
+    """Where a store's own MLflow database is.
+
+    Raises:
+        PuddleError: MLflow would take the path for another, outside the store.
+    """
+    from sqlalchemy import make_url  # with MLflow
+
+    database = str(store.resolve() / "mlflow.db")
+    uri = f"sqlite:///{database}"  # not escaped: MLflow makes the folder of the path as it stands there
+    if make_url(uri).database != database or not database.isprintable():  # bytes that are no text are not printable
+        raise PuddleError(
+            f"{store}: expected a path that MLflow takes as it is, came one with ?, % or letters that are none. "
+            f"Nothing was written elsewhere. Keep the store under a plainer name, or choose an MLflow of your own: "
+            f"--tracking-uri."
+        )
+    return uri
 
 
 @contextlib.contextmanager

@@ -116,6 +116,27 @@ def test_a_study_its_stage_and_its_trials(tmp_path, said):
     assert lineage == {"inputs": {"train": "a" * 64}, "outputs": {"history": "b" * 64}}
 
 
+@pytest.mark.parametrize("name", ["what?", "a%3Fb", "q?x=1#y", os.fsdecode(b"st\xf6re")])
+def test_a_store_whose_name_means_another_place_in_an_address_goes_without_a_mirror(tmp_path, said, name):
+    """In a URI, what follows ? is no part of the path, and %3F is a ?."""
+    store = tmp_path / name
+    store.mkdir()
+    open_tracker(store, say=said.append).mirror(STUDY, STAGE)
+    (line,) = said
+    assert "expected a path that MLflow takes as it is" in line and "The study goes on" in line
+    assert [path.name for path in store.iterdir()] == ["mlflow.lock"] and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("name", ["a#b", "a b", "größe"])
+def test_a_store_of_an_odd_name_keeps_its_mirror_inside(tmp_path, empty_database, said, name):
+    store = tmp_path / name
+    store.mkdir()
+    shutil.copy(empty_database, store)
+    open_tracker(store, say=said.append).mirror(STUDY, STAGE)
+    assert said == [] and set(runs(store)) == {("study", "smoke"), ("stage", "evolve")}
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
 def test_mirrored_twice_is_mirrored_once(store, said):
     open_tracker(store, say=said.append).mirror(STUDY, STAGE, TRIALS)
     once = everything(store)
