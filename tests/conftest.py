@@ -16,11 +16,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
 
 from pipeline.cluster import Cluster, ray_cluster
 from tasks.design import N_LINKS, Designs
+
+hypothesis.settings.register_profile("puddle", deadline=None)  # an example may compile a kernel, or wait for a core
+hypothesis.settings.load_profile("puddle")
 
 MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4e9

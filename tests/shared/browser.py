@@ -97,10 +97,11 @@ class Browser:
         return [event["params"] for event in self.events if event["method"] == method]
 
     def picture(self, selector: str) -> np.ndarray:
-        """Pixels of an element, (height, width, 3)."""
+        """Pixels of an element, (height, width, 3), as many wherever between two pixels it begins."""
         box = self.evaluate(
             f"(() => {{ const b = document.querySelector('{selector}').getBoundingClientRect();"
-            " return {x: b.x + scrollX, y: b.y + scrollY, width: b.width, height: b.height, scale: 1}; })()"
+            " return {x: Math.floor(b.x + scrollX), y: Math.floor(b.y + scrollY),"
+            " width: Math.ceil(b.width), height: Math.ceil(b.height), scale: 1}; })()"
         )
         png = self("Page.captureScreenshot", clip=box, captureBeyondViewport=True)["data"]
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB"))

@@ -155,7 +155,7 @@ def test_a_manifest_that_a_stranger_sealed(torture):
     n_manifests, n_read, n_refused = 100, Counter(), Counter()
     whole = decoded(manifest_body())
 
-    @settings(max_examples=n_manifests, deadline=None, database=None)
+    @settings(max_examples=n_manifests, database=None)
     @given(field=st.sampled_from(FIELDS), hostile=JSON)
     def check(field, hostile):
         body = copy.deepcopy(manifest_body())

@@ -31,7 +31,7 @@ def clipped_overlap(designs: Designs, design: int) -> float:
     )  # fmt: skip
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**63 - 1))
 def test_links_are_apart_where_a_polygon_clipper_finds_no_common_area(seed: int) -> None:
     designs = random_designs(8, np.random.default_rng(seed))

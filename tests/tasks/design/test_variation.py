@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy import stats
@@ -50,7 +50,6 @@ def test_random_designs_are_valid(seed: int, n_designs: int) -> None:
     assert is_canonical(designs)
 
 
-@settings(deadline=None)
 @given(seed=seeds, n_designs=sizes, mutation=mutations, edge=st.booleans())
 def test_mutants_are_valid_and_differ(seed: int, n_designs: int, mutation: Mutation, edge: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -63,7 +62,6 @@ def test_mutants_are_valid_and_differ(seed: int, n_designs: int, mutation: Mutat
     assert (numbers(mutants) != numbers(parents)).any(axis=1).all()
 
 
-@settings(deadline=None)
 @given(seed=seeds, n_designs=sizes, mutation=mutations, edge=st.booleans())
 def test_mutants_of_control_keep_their_bodies(seed: int, n_designs: int, mutation: Mutation, edge: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -75,7 +73,6 @@ def test_mutants_of_control_keep_their_bodies(seed: int, n_designs: int, mutatio
     assert (numbers(mutants) != numbers(parents)).any(axis=1).all()
 
 
-@settings(deadline=None)
 @given(seed=seeds, n_designs=sizes)
 def test_recombinations_are_valid(seed: int, n_designs: int) -> None:
     rng = np.random.default_rng(seed)

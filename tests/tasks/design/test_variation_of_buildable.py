@@ -37,7 +37,7 @@ def buildable() -> Designs:
     return random_designs(48, np.random.default_rng(21), morphology=BUILDABLE)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 @given(seed=seeds, mutation=mutations)
 def test_every_operator_keeps_to_the_morphology(buildable: Designs, seed: int, mutation: Mutation) -> None:
     rng = np.random.default_rng(seed)

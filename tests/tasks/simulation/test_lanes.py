@@ -76,7 +76,7 @@ compiled_kernel = numba.njit(error_model="numpy")(kernel)
 numbers = st.floats(width=32, allow_nan=True, allow_infinity=True, allow_subnormal=True)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays(np.float32, (2, 32), elements=numbers))
 def test_every_operation_equals_numpy_s_in_every_lane(numbers):
     with np.errstate(all="ignore"):
@@ -113,7 +113,7 @@ def fused(block, out):
     out[0] = to_single(excess * 2.0**60)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(arrays(np.float32, (3, 16), elements=st.floats(-8, 8, width=32)))
 def test_fma_rounds_once(numbers):
     block, out = Block(3, 16), Block(1, 16)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
@@ -50,7 +50,6 @@ def test_the_submerged_part_of_random_rectangles_is_the_clippers() -> None:
     assert cut.sum() > 1000  # most of them cross the surface
 
 
-@settings(deadline=None)
 @given(a=lengths, y=heights, angle=angles)
 def test_the_submerged_part_of_any_rectangle_is_the_clippers(a: float, y: float, angle: float) -> None:
     cos, sin = float(np.cos(angle)), float(np.sin(angle))
