@@ -186,10 +186,10 @@ def on_machines_that_change(folder: Path, half_way: int) -> list[Task]:
         of_driver = environment_of("driver", {**token, "PUDDLE_STORE": str(folder / "store"), "PRESET": "smoke"})
         del of_driver["MLFLOW_TRACKING_URI"]  # tests/pipeline/test_tracking_server.py has the server
         driver = start("driver", study, {**without_token, **of_driver})
-        wait_for(enough, driver, folder / "driver.log", 280)
+        wait_for(enough, driver, folder / "driver.log", 480)
         os.killpg(second.pid, signal.SIGKILL)
         machine("c", ADDED, worker)
-        assert driver.wait(280) == 0, (folder / "driver.log").read_text()
+        assert driver.wait(480) == 0, (folder / "driver.log").read_text()
         # The same submission, with the token and without: it may have tried for as long as the study took.
         friend = start("friend", submission(address, folder / "let-in"), of_nodes)
         assert friend.wait(120) == 0 and (folder / "let-in").exists(), (folder / "friend.log").read_text()
