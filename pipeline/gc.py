@@ -2,8 +2,10 @@
 
 A study needs the items that its record lists, and those that its settings lead to: a study that was stopped half-way
 has no record of its last stage yet. Where an item on the way is gone, discarded as damaged, its settings lead no
-further; but it will be computed again, to the same bytes, so the study also needs what stands behind such a gap. While
-a study is driven nothing is removed, and where it can't be told what a study needs, nothing is either.
+further; but it will be computed again, to the same bytes, so the study also needs what stands behind such a gap. A gap
+is a digest that no item has: of two items of the same bytes, the loss of one shows nowhere, and what only an unfinished
+study needs behind it goes, to be computed again. While a study is driven nothing is removed, and where it can't be told
+what a study needs, nothing is either.
 """
 
 from __future__ import annotations
