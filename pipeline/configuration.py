@@ -30,6 +30,9 @@ MAX_BYTES = 2**20
 MAX_DEPTH = 32
 """Levels of nesting in a settings file, at most."""
 
+SET = "--set "
+"""How the place of what an override says begins."""
+
 M = TypeVar("M", bound=BaseModel)
 Scalar: TypeAlias = bool | int | float | str | None
 Location: TypeAlias = tuple[int | str, ...]
@@ -214,7 +217,7 @@ def _plain(value: Value) -> Any:
 
 def _override(root: Value, override: str) -> Value:
     """Return the settings with ``a.b=c`` in place of what a.b was."""
-    where = f"--set {override}"
+    where = f"{SET}{override}"
     path, equals, text = override.partition("=")
     names = path.split(".")
     if not equals or not all(names):
@@ -244,7 +247,8 @@ def _replaced(group: Value, names: Sequence[str], value: Value, above: str = "")
 def _explain(model: type[BaseModel], root: Value, error: Any) -> str:
     """Return one line on one mistake: where it is, what was expected, what came."""
     location: Location = error["loc"]
-    where, field = _place(root, location)
+    value, field = _place(root, location)
+    where = value.where
     kind: str = error["type"]
     said: str = error["msg"]
     if kind == "extra_forbidden":
@@ -252,6 +256,8 @@ def _explain(model: type[BaseModel], root: Value, error: Any) -> str:
         return f"{where}: {field}: unknown setting{_did_you_mean(str(location[-1]), known)}; known: {', '.join(known)}"
     if kind == "missing":
         return f"{where}: {field}: expected a value, came none"
+    if kind == "value_error":  # of values that do not go together: the file's, and those chosen beside it
+        where = " with ".join(dict.fromkeys([where, *_overrides_in(value)]))
     start = f"{where}: {field}: " if field else f"{where}: "
     if kind == "value_error":
         return start + said.removeprefix("Value error, ")
@@ -274,8 +280,8 @@ def _explain(model: type[BaseModel], root: Value, error: Any) -> str:
     return f"{start}{said}, came {_show(error['input'])}"
 
 
-def _place(root: Value, location: Location) -> tuple[str, str]:
-    """Return where the value at a location stands, and its dotted name. What is not in the file has its group's place.
+def _place(root: Value, location: Location) -> tuple[Value, str]:
+    """Return the value at a location, and its dotted name; of what is not in the file, its group.
 
     Pydantic puts the alternative that it tried into the location; such parts name nothing in the file.
     """
@@ -290,7 +296,16 @@ def _place(root: Value, location: Location) -> tuple[str, str]:
             names.append(f".{part}")
         elif index == len(location) - 1:
             names.append(f".{part}")
-    return value.where, "".join(names).lstrip(".")
+    return value, "".join(names).lstrip(".")
+
+
+def _overrides_in(value: Value) -> Iterator[str]:
+    """Give the places of what --set put into a value."""
+    if value.where.startswith(SET):
+        yield value.where
+    inner = value.content
+    for one in inner.values() if isinstance(inner, dict) else inner if isinstance(inner, list) else ():
+        yield from _overrides_in(one)
 
 
 def _groups(model: type[BaseModel], location: Location) -> list[type[BaseModel]]:

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from pipeline.artifacts import canonical_json, digest, encode_json
 from pipeline.cluster import Cluster
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.progress import Bar, Progress
+from pipeline.progress import NOTHING, Bar, Progress, Work
 from pipeline.settings import Settings
 from pipeline.stage import Results, Stage, Summary, Upstream
 from pipeline.stages import STAGES
@@ -96,8 +96,8 @@ def _drive(
         all_done = False
         try:
             if any(walk.open for walk in walks):
-                left = sum(walk.work_left for walk in walks if walk.open)
-                done = sum(walk.work_done for walk in walks)
+                left = sum((walk.left for walk in walks if walk.open), NOTHING)
+                done = sum((walk.done for walk in walks), NOTHING)
                 cluster = the_cluster()
                 with progress.stage(stage.name, unit=stage.unit, total=left + done, done=done) as bar:
                     noting = _Noting(bar, settings, store)
@@ -149,7 +149,7 @@ class _Noting:
         self._bar, self._settings, self._store = bar, settings, store
         self._on_record = _recorded(settings, store) is not None
 
-    def advance(self, work: float) -> None:
+    def advance(self, work: Work) -> None:
         if not self._on_record:
             self._store.write_study(self._settings.name, self._settings.model_dump(mode="json"), ())
             self._on_record = True

@@ -1,8 +1,9 @@
 """How far a stage has got, at what rate, and how long it will take.
 
 On a terminal a bar; elsewhere (a log, a pipe, a batch job) a plain line now and then. Both go to standard error, so
-that results on standard output can be piped. Work is weighted: a unit that costs twice as much counts twice, so that
-the time left stays honest. What was found done in the store counts as done but not toward the rate.
+that results on standard output can be piped. What is counted is units, but the share done and the time left are those
+of their cost: where one unit costs ten times another, the one would mislead. What was found done in the store counts as
+done but not toward the rate.
 """
 
 from __future__ import annotations
@@ -27,14 +28,33 @@ FRAMES_PER_SECOND = 4.0
 BAR_WIDTH = 30
 
 ROUNDING = 1e-9
-"""Share of the total by which a sum of weighted units may miss it."""
+"""Share of the total by which a sum of costs may miss it."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """An amount of work."""
+
+    units: float = 0.0
+    """As a person counts it, such as generations."""
+    cost: float = 0.0
+    """In units of average cost."""
+
+    def __add__(self, other: Work) -> Work:
+        return Work(self.units + other.units, self.cost + other.cost)
+
+    def __sub__(self, other: Work) -> Work:
+        return Work(self.units - other.units, self.cost - other.cost)
+
+
+NOTHING = Work()
 
 
 class Bar(Protocol):
     """A stage's progress, as the work sees it."""
 
-    def advance(self, work: float) -> None:
-        """Count work just done, in the stage's weighted units."""
+    def advance(self, work: Work) -> None:
+        """Count work just done."""
 
 
 class Progress(Protocol):
@@ -44,7 +64,7 @@ class Progress(Protocol):
         """Show a line that stays, above any bar."""
 
     @contextmanager
-    def stage(self, name: str, *, unit: str, total: float, done: float = 0.0) -> Iterator[Bar]:
+    def stage(self, name: str, *, unit: str, total: Work, done: Work = NOTHING) -> Iterator[Bar]:
         """Show a stage while it runs.
 
         Args:
@@ -61,11 +81,11 @@ class Pace:
 
     name: str
     unit: str
-    total: float
-    found: float
+    total: Work
+    found: Work
     """Work found done when the stage began."""
     clock: Callable[[], float] = time.monotonic
-    done: float = field(init=False)
+    done: Work = field(init=False)
     start: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -80,29 +100,30 @@ class Pace:
     @property
     def rate(self) -> float:
         """Units a second, of the work done since the stage began; 0 until some is."""
-        return (self.done - self.found) / self.seconds if self.seconds > 0 else 0.0
+        return (self.done - self.found).units / self.seconds if self.seconds > 0 else 0.0
 
     @property
     def seconds_left(self) -> float | None:
-        """None until there is a rate to tell from."""
-        return max(0.0, self.total - self.done) / self.rate if self.rate > 0 else None
+        """None until there is a pace to tell from."""
+        since = (self.done - self.found).cost
+        return max(0.0, (self.total - self.done).cost) / since * self.seconds if since > 0 else None
 
     @property
     def fraction(self) -> float:
-        """Of the work, from 0 to 1."""
-        return min(1.0, self.done / self.total) if self.total > 0 else 1.0
+        """Of the cost, from 0 to 1."""
+        return min(1.0, self.done.cost / self.total.cost) if self.total.cost > 0 else 1.0
 
     def __str__(self) -> str:
-        counts = f"{_count(self.done)}/{_count(self.total)} {self.unit} ({self.fraction:.0%})"
-        if self.done >= self.total - ROUNDING * self.total:
+        counts = f"{self.fraction:.0%}, {_count(self.done.units)}/{_count(self.total.units)} {self.unit}"
+        if self.fraction >= 1 - ROUNDING:
             return f"{counts}, {_count(self.rate)}/s, took {_duration(self.seconds)}"
         if self.seconds_left is None:
             return f"{counts}, {_duration(self.seconds)} so far"
         return f"{counts}, {_count(self.rate)}/s, {_duration(self.seconds_left)} left"
 
 
-def _count(work: float) -> str:
-    return f"{work:,.0f}" if work >= 10 else f"{work:.2g}"
+def _count(units: float) -> str:
+    return f"{units:,.0f}" if units >= 10 else f"{units:.2g}"
 
 
 def _duration(seconds: float) -> str:
@@ -130,7 +151,7 @@ class _Bars:
         self._live.console.print(line, markup=False)
 
     @contextmanager
-    def stage(self, name: str, *, unit: str, total: float, done: float = 0.0) -> Iterator[Bar]:
+    def stage(self, name: str, *, unit: str, total: Work, done: Work = NOTHING) -> Iterator[Bar]:
         pace = Pace(name, unit, total, done)
         self._live.update(_Drawing(pace))
         try:
@@ -163,7 +184,7 @@ class _Lines:
         self._console.print(line, markup=False, soft_wrap=True)
 
     @contextmanager
-    def stage(self, name: str, *, unit: str, total: float, done: float = 0.0) -> Iterator[Bar]:
+    def stage(self, name: str, *, unit: str, total: Work, done: Work = NOTHING) -> Iterator[Bar]:
         pace = Pace(name, unit, total, done)
 
         def now_and_then() -> None:
@@ -183,6 +204,6 @@ class _Counter:
     pace: Pace
     changed: Callable[[], None]
 
-    def advance(self, work: float) -> None:
+    def advance(self, work: Work) -> None:
         self.pace.done += work
         self.changed()

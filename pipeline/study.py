@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.manifest import Manifest
-from pipeline.progress import Bar
+from pipeline.progress import Bar, Work
 from pipeline.settings import Settings
 from pipeline.stage import NOT_POSSIBLE, Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Upstream
 from pipeline.store import Store
@@ -76,14 +76,17 @@ class Walk:
         return self.chain.weight * self.chain.units[len(self.manifests)]
 
     @property
-    def work_left(self) -> float:
-        """Weighted units still to do."""
-        return self.chain.weight * sum(self.chain.units[len(self.manifests) :])
+    def left(self) -> Work:
+        """What is still to do."""
+        return self._work(self.chain.units[len(self.manifests) :])
 
     @property
-    def work_done(self) -> float:
-        """Weighted units done."""
-        return self.chain.weight * sum(self.chain.units[: len(self.manifests)])
+    def done(self) -> Work:
+        """What is done."""
+        return self._work(self.chain.units[: len(self.manifests)])
+
+    def _work(self, units: Sequence[float]) -> Work:
+        return Work(sum(units), self.chain.weight * sum(units))
 
 
 def _next_item(stage: Stage, settings: Settings, walk: Walk, upstream: Upstream) -> Item:
@@ -253,7 +256,7 @@ class _Dispatcher:
 
         def make_ready(number: int) -> None:
             if walks[number].open:
-                heapq.heappush(ready, (-walks[number].work_left, number))
+                heapq.heappush(ready, (-walks[number].left.cost, number))
 
         numbers = {id(walk): number for number, walk in enumerate(walks)}
         for number in range(len(walks)):
@@ -350,12 +353,12 @@ class _Dispatcher:
         record = {"label": item.label, "seconds": seconds, "how": item.how}
         manifest = self._store.commit(item.stage, item.key, item.identity, files, record=record)
         self._slowest = max(self._slowest, seconds / walk.next_work)
-        left = walk.work_left
+        left = walk.left
         walk.manifests.append(manifest)
         walk.n_failed = 0
         # Where a piece in the middle was damaged, those after it stand: they depend on its content.
         _go_on(self._stage, self._settings, walk, self._store, self._upstream, self._say)
-        self._bar.advance(left - walk.work_left)
+        self._bar.advance(left - walk.left)
         return walk
 
 

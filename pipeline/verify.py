@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from pipeline import disk
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.progress import Progress
+from pipeline.progress import Progress, Work
 from pipeline.store import WRITTEN_ANEW, Store, StudyItem
 
 
@@ -125,8 +125,12 @@ def _verify_lines(
 ) -> tuple[list[str], bool]:
     n_bytes = store.size_bytes()
     left_out: list[str] = []
-    with progress.stage("verify", unit="MB", total=n_bytes / 1e6) as bar:
-        wrong = find_damage(store, checked=lambda n_checked: bar.advance(n_checked / 1e6), say=left_out.append)
+
+    def megabytes(n: int) -> Work:
+        return Work(n / 1e6, cost=n / 1e6)
+
+    with progress.stage("verify", unit="MB", total=megabytes(n_bytes)) as bar:
+        wrong = find_damage(store, checked=lambda n_checked: bar.advance(megabytes(n_checked)), say=left_out.append)
     n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
     left_out += _unfinished_lines(store, wrong)
     if not wrong:

@@ -166,6 +166,14 @@ def test_a_mistake_in_an_override_names_the_override(override: str, message: str
     assert refused("seed: 1\n", override) == [f"--set {override}: {message}"]
 
 
+def test_values_that_do_not_go_together_are_placed_where_they_may_have_come_from() -> None:
+    said = "seed is 13, expected a luckier one"
+    assert refused("name: a\nseed: 13\n") == [f"lab.yaml: {said}"]
+    assert refused("name: a\n", "seed=13") == [f"lab.yaml with --set seed=13: {said}"]
+    twice = "grid.depths=[2, 3]", "seed=13"
+    assert refused("grid: {n_trials: 3}\n", *twice) == [f"lab.yaml with --set {twice[0]} with --set {twice[1]}: {said}"]
+
+
 def test_an_override_below_a_value_says_where_the_value_is() -> None:
     assert refused("name: a\nseed: 1\n", "seed.x=3") == [
         "--set seed.x=3: seed: expected a group of settings, came 1 at lab.yaml:2"

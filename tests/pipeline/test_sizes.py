@@ -1,6 +1,7 @@
 """What a forecast says that a study keeps is what a study keeps."""
 
 import pytest
+from small_study import NoBar
 
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
@@ -41,10 +42,6 @@ def test_no_segment_is_longer_than_its_trial():
         for n in (40, 3000)
     )
     assert endless == longest
-
-
-class NoBar:
-    def advance(self, work: float) -> None: ...
 
 
 def test_every_stage_keeps_about_what_was_said(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from pipeline.cluster import Cluster
+from pipeline.progress import Work
 from pipeline.settings import Settings
 from pipeline.stage import Results, Stage
 from pipeline.stages import STAGES
@@ -13,7 +14,7 @@ from pipeline.study import follow, results_of, run_stage
 
 
 class NoBar:
-    def advance(self, work: float) -> None: ...
+    def advance(self, work: Work) -> None: ...
 
 
 def silent(line: str) -> None: ...

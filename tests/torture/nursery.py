@@ -34,6 +34,7 @@ from pipeline.configuration import parse
 from pipeline.driver import drive
 from pipeline.errors import PuddleError
 from pipeline.gc import find_garbage, remove
+from pipeline.progress import Work
 from pipeline.settings import Settings
 from pipeline.stage import Stage
 from pipeline.stages import STAGES
@@ -89,7 +90,7 @@ class Quiet:
 
     def __exit__(self, *error: object) -> None: ...
 
-    def advance(self, work: float) -> None: ...
+    def advance(self, work: Work) -> None: ...
 
     def mirror(self, *runs: Any) -> None: ...
 
