@@ -1,11 +1,13 @@
-"""What tests of the pipeline share: one study, as small as can be, with every stage done; an empty store; a browser."""
+"""What tests of the pipeline share: studies as small as can be, with every stage done; an empty store; a browser."""
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from browser import CHROMIUM, Browser
-from small_study import run
+from command_line import call
+from small_study import ON_DRY_LAND, run
 
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
@@ -43,6 +45,23 @@ def study(settings, tmp_path_factory):
     store = Store.open(tmp_path_factory.mktemp("stages") / "store", create=True)
     with serial_cluster() as cluster:
         return store, run(settings, store, cluster)
+
+
+@pytest.fixture(scope="session")
+def done(tmp_path_factory) -> Path:
+    """A folder with a settings file, and a store with its study: what commands work on."""
+    folder = tmp_path_factory.mktemp("done")
+    (folder / "tiny.yaml").write_text(ON_DRY_LAND)
+    options = ["--settings", str(folder / "tiny.yaml"), "--store", str(folder / "store")]
+    assert call("study", "--workers", "0", *options) == 0
+    return folder
+
+
+@pytest.fixture
+def options(done, tmp_path) -> list[str]:
+    """Options for a copy of it."""
+    shutil.copytree(done, tmp_path, dirs_exist_ok=True)
+    return ["--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store")]
 
 
 @pytest.fixture(scope="module")

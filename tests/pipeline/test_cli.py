@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import call
 
-from pipeline.cli import main
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
 from pipeline.design_file import design_document
@@ -55,12 +55,6 @@ def design(tmp_path) -> Path:
     path = tmp_path / "design.json"
     path.write_text(json.dumps(design_document(random_designs(1, np.random.default_rng(3)))))
     return path
-
-
-def call(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as exit_info:
-        main(list(arguments))
-    return int(exit_info.value.code or 0)
 
 
 def refused(capsys, *arguments: str) -> str:

@@ -12,6 +12,16 @@ from pipeline.stages import STAGES
 from pipeline.store import Store
 from pipeline.study import follow, results_of, run_stage
 
+ON_DRY_LAND = """name: tiny
+grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 1}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 4, afpo: {population_size: 4}}
+transfer: {n_generations: 2}
+assess: {n_designs: 8}
+work: {generations_per_item: 2, engine: reference}
+"""
+"""Settings of a study that takes seconds."""
+
 
 class NoBar:
     def advance(self, work: Work) -> None: ...
@@ -43,3 +53,7 @@ def digests(upstream: dict[str, Results]) -> dict[str, list[str]]:
         for stage, results in upstream.items()
         for label, manifests in results.done.items()
     }
+
+
+def n_items(store: Store) -> int:
+    return sum(1 for stage in store.stages() for _ in store.keys(stage))

@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 import ray
+from command_line import call
 
 import pipeline.cli
 import pipeline.driver
@@ -24,7 +25,6 @@ import pipeline.status
 import pipeline.study
 import pipeline.tracking
 from pipeline.artifacts import decode_json, decode_table
-from pipeline.cli import main
 from pipeline.cluster import Cluster
 from pipeline.configuration import load
 from pipeline.manifest import Manifest
@@ -104,12 +104,6 @@ def injected(monkeypatch: pytest.MonkeyPatch, **computes) -> tuple[Stage, ...]:
     for module in (pipeline.stages, pipeline.driver, pipeline.status):
         monkeypatch.setattr(module, "STAGES", stages)
     return stages
-
-
-def call(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(list(arguments))
-    return int(ended.value.code or 0)
 
 
 @pytest.mark.timeout(1200)  # patience with what hangs is a multiple of what workers take to start

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import call
 from typer.testing import CliRunner
 
 from pipeline import disk
 from pipeline.artifacts import decode_table
-from pipeline.cli import app, main
+from pipeline.cli import app
 from pipeline.drive import command
 from pipeline.drive.log import JOURNAL, DriveLog, Entry
 from pipeline.drive.player import Player, RealClock
@@ -41,12 +42,6 @@ def kit(tmp_path, calibration) -> Path:
 
 def table_of(path: Path):
     return decode_table(path.read_bytes(), schema="drive_log", version=1, source=str(path))
-
-
-def call(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as exit_info:
-        main(list(arguments))
-    return int(exit_info.value.code or 0)
 
 
 def test_a_dry_run(kit, tmp_path, capsys):

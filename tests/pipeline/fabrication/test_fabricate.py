@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import call
 
 from pipeline import disk
-from pipeline.cli import main
 from pipeline.design_file import design_document, read_design
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
@@ -20,12 +20,6 @@ from pipeline.fabrication.page import _last
 from pipeline.store import Store
 from pipeline.timeline_file import read_calibration, read_timeline
 from tasks.design import Designs
-
-
-def call(*arguments: str) -> int:
-    with pytest.raises(SystemExit) as exit_info:
-        main(list(arguments))
-    return int(exit_info.value.code or 0)
 
 
 def write(design: Designs, path: Path) -> Path:
