@@ -1,7 +1,7 @@
 """Networks on a CPU: many small multilayer perceptrons, row by row, near the peak of the core.
 
-A tile of the product of rows and weights is held in the vector registers: TILE_ROWS rows by two vectors of outputs,
-summed over the inputs in their order by fused multiply-adds. So a row's result is the same whatever rows are beside it,
+A tile of the product of rows and weights is held in the vector registers: TILE_ROWS rows by two vectors of outputs, or
+one at the end of a layer, summed over the inputs in their order by fused multiply-adds. So a row's result is the same whatever rows are beside it,
 however many there are, and on any machine. A block of rows goes through all layers before the next, and stays in the
 L1 cache.
 """
@@ -32,15 +32,14 @@ _FEATURES = llvm.get_host_cpu_features()
 N_LANES = 16 if _FEATURES.get("avx512f") else 8 if _FEATURES.get("avx") else 4
 TILE_ROWS = 12 if N_LANES == 16 else 6
 """As many as leave two registers for weights and some for inputs, of 32 and of 16."""
-TILE_VECTORS = 2
-PANEL = TILE_VECTORS * N_LANES
-"""Outputs of a tile. Layers are padded to a multiple."""
+PANEL = 2 * N_LANES
+"""Outputs of a tile. Layers are padded to whole vectors: their last tile may be half as wide."""
 NUMBER = 4
 """Bytes of a float32."""
 
 
-def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], relu: Any) -> None:
-    """Emit the instructions of out = relu(x @ weight + bias) for a tile."""
+def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], relu: Any, n_vectors: int) -> None:
+    """Emit the instructions of out = relu(x @ weight + bias) for a tile as wide as some vectors."""
     x, weight, bias, out = pointers
     n_in, x_stride, out_stride = sizes
     vector, size = ir.VectorType(ir.FloatType(), N_LANES), n_in.type
@@ -57,7 +56,7 @@ def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], 
     fma = cgutils.get_or_insert_function(
         builder.module, ir.FunctionType(vector, [vector] * 3), f"llvm.fma.v{N_LANES}f32"
     )
-    biases = [builder.load(vector_at(bias, number(v * N_LANES)), align=4 * N_LANES) for v in range(TILE_VECTORS)]
+    biases = [builder.load(vector_at(bias, number(v * N_LANES)), align=4 * N_LANES) for v in range(n_vectors)]
     starts = [builder.mul(number(row), x_stride) for row in range(TILE_ROWS)]
     before = builder.block
     loop, after = builder.append_basic_block("inputs"), builder.append_basic_block("tile")
@@ -66,11 +65,11 @@ def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], 
     builder.position_at_end(loop)
     k = builder.phi(size)
     k.add_incoming(number(0), before)
-    sums = [[builder.phi(vector) for _ in range(TILE_VECTORS)] for _ in range(TILE_ROWS)]
-    panel_row = builder.mul(k, number(PANEL))
+    sums = [[builder.phi(vector) for _ in range(n_vectors)] for _ in range(TILE_ROWS)]
+    panel_row = builder.mul(k, number(n_vectors * N_LANES))
     weights = [
         builder.load(vector_at(weight, builder.add(panel_row, number(v * N_LANES))), align=4 * N_LANES)
-        for v in range(TILE_VECTORS)
+        for v in range(n_vectors)
     ]
     undefined = ir.Constant(vector, ir.Undefined)
     to_all = ir.Constant(ir.VectorType(ir.IntType(32), N_LANES), [0] * N_LANES)
@@ -83,7 +82,7 @@ def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], 
     following = builder.add(k, number(1))
     k.add_incoming(following, loop)
     for row in range(TILE_ROWS):
-        for v in range(TILE_VECTORS):
+        for v in range(n_vectors):
             sums[row][v].add_incoming(biases[v], before)
             sums[row][v].add_incoming(totals[row][v], loop)
     again = builder.cbranch(builder.icmp_signed("<", following, n_in), loop, after)
@@ -92,7 +91,7 @@ def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], 
     builder.position_at_end(after)
     zero = ir.Constant(vector, [0.0] * N_LANES)
     for row in range(TILE_ROWS):
-        for v in range(TILE_VECTORS):
+        for v in range(n_vectors):
             total = totals[row][v]
             negative = builder.fcmp_ordered("<", total, zero)  # so that NaN stays
             positive = builder.select(negative, zero, total)
@@ -109,19 +108,27 @@ def _not_unrolled(module: ir.Module) -> ir.MDValue:
     return loop
 
 
-@intrinsic
-def _multiply_tile(
-    typing: Any, x: Any, weight: Any, bias: Any, out: Any, n_in: Any, x_stride: Any, out_stride: Any, relu: Any
-) -> Any:
-    """Compute a tile; x, weight, bias and out are addresses, strides are in numbers."""
+def _tile_of(n_vectors: int) -> Any:
+    """Make a function that computes a tile as wide as some vectors."""
 
-    def emit(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        pointer = ir.FloatType().as_pointer()
-        addresses = [builder.inttoptr(address, pointer) for address in args[:4]]
-        _tile(builder, addresses, args[4:7], args[7])
-        return context.get_dummy_value()
+    @intrinsic
+    def multiply_tile(
+        typing: Any, x: Any, weight: Any, bias: Any, out: Any, n_in: Any, x_stride: Any, out_stride: Any, relu: Any
+    ) -> Any:
+        """Compute a tile; x, weight, bias and out are addresses, strides are in numbers."""
 
-    return types.void(*[types.intp] * 7, types.boolean), emit
+        def emit(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+            pointer = ir.FloatType().as_pointer()
+            addresses = [builder.inttoptr(address, pointer) for address in args[:4]]
+            _tile(builder, addresses, args[4:7], args[7], n_vectors)
+            return context.get_dummy_value()
+
+        return types.void(*[types.intp] * 7, types.boolean), emit
+
+    return multiply_tile
+
+
+_multiply_tile, _multiply_half_tile = _tile_of(2), _tile_of(1)
 
 
 def _forward(
@@ -138,6 +145,7 @@ def _forward(
         between: (2, TILE_ROWS, widest layer) for what goes from one layer to the next.
     """
     n_members, n_layers, _ = layers.shape
+    widest = sizes[1:].max()
     for member in range(n_members):
         for first in range(0, n_rows, TILE_ROWS):
             rows = x + NUMBER * (member * n_rows + first) * sizes[0]
@@ -147,11 +155,14 @@ def _forward(
                 if last:
                     result = out + NUMBER * (member * n_rows + first) * n_out
                 else:
-                    result = between + NUMBER * (layer % 2) * TILE_ROWS * sizes.max()
+                    result = between + NUMBER * (layer % 2) * TILE_ROWS * widest
                 for unit in range(0, n_out, PANEL):
                     weight = layers[member, layer, 0] + NUMBER * unit * n_in
                     bias = layers[member, layer, 1] + NUMBER * unit
-                    _multiply_tile(rows, weight, bias, result + NUMBER * unit, n_in, n_in, n_out, not last)
+                    if n_out - unit >= PANEL:
+                        _multiply_tile(rows, weight, bias, result + NUMBER * unit, n_in, n_in, n_out, not last)
+                    else:
+                        _multiply_half_tile(rows, weight, bias, result + NUMBER * unit, n_in, n_in, n_out, not last)
                 rows = result
 
 
@@ -159,8 +170,8 @@ run_networks = compiled(_forward, [sys.modules[__name__]], seconds=2)
 
 
 def _padded(n: int) -> int:
-    """Round a number of outputs up to whole panels."""
-    return -(-n // PANEL) * PANEL
+    """Round a number of outputs up to whole vectors."""
+    return -(-n // N_LANES) * N_LANES
 
 
 class PackedNetworks:
@@ -196,7 +207,7 @@ class PackedNetworks:
             ],
             np.int64,
         )
-        self.between = aligned((2, TILE_ROWS, max(sizes)))
+        self.between = aligned((2, TILE_ROWS, max(sizes[1:])))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pack anew in another process: addresses and alignment do not travel."""
@@ -216,10 +227,16 @@ class PackedNetworks:
 
 
 def _panels(weight: Float32, n_in: int, n_out: int) -> Float32:
-    """Cut (n_members, n_in, n_out) weights into (n_members, n_panels, n_in, PANEL), filled with zeros."""
+    """Cut (n_members, n_in, n_out) weights, filled with zeros, into panels, one after the other in memory.
+
+    Returns:
+        (n_members, n_in · n_out): of each panel (n_in, PANEL) numbers, or half as many of the last.
+    """
     n_members = len(weight)
     filled = np.zeros((n_members, n_in, n_out), np.float32)
     filled[:, : weight.shape[1], : weight.shape[2]] = weight
-    panels = aligned((n_members, n_out // PANEL, n_in, PANEL))
-    panels[:] = filled.reshape(n_members, n_in, n_out // PANEL, PANEL).transpose(0, 2, 1, 3)
+    panels = aligned((n_members, n_in * n_out))
+    for unit in range(0, n_out, PANEL):
+        panel = filled[:, :, unit : unit + PANEL].reshape(n_members, -1)
+        panels[:, unit * n_in : unit * n_in + panel.shape[1]] = panel
     return panels

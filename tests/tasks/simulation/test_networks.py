@@ -41,7 +41,7 @@ def by_torch(weights, biases, x):
     return h.numpy()
 
 
-@pytest.mark.parametrize(("hidden_layers", "width"), [(1, 5), (2, 32), (2, 64), (3, 100), (3, 128), (4, 256)])
+@pytest.mark.parametrize(("hidden_layers", "width"), [(1, 5), (2, 32), (2, 48), (2, 64), (3, 100), (3, 128), (4, 256)])
 def test_equals_torch(hidden_layers, width):
     weights, biases = networks(hidden_layers, width)
     x = rows(217)
@@ -58,9 +58,10 @@ def rounded(exact):
     return min(candidates, key=lambda c: (abs(Fraction(float(c)) - exact), int(c.view(np.int32)) & 1))
 
 
-def test_sums_run_over_the_inputs_in_their_order_rounded_once_per_input():
+@pytest.mark.parametrize("width", [4, PANEL + 4])  # of less than a tile, and of one and a half
+def test_sums_run_over_the_inputs_in_their_order_rounded_once_per_input(width):
     # So the bits are those of any machine with fused multiply-adds, whatever its vectors.
-    weights, biases = networks(2, 4, n_members=1)
+    weights, biases = networks(2, width, n_members=1)
     x = rows(3, n_members=1)
     got = PackedNetworks(weights, biases, INPUTS).forward(x)[0]
     for row in range(3):
@@ -76,7 +77,7 @@ def test_sums_run_over_the_inputs_in_their_order_rounded_once_per_input():
         assert (got[row] == h).all()
 
 
-@pytest.mark.parametrize("width", [7, PANEL, 64])
+@pytest.mark.parametrize("width", [7, PANEL, 48, 64])
 def test_a_row_does_not_depend_on_the_rows_beside_it(width):
     network = packed(2, width)
     x = rows(500)
