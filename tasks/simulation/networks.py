@@ -1,9 +1,9 @@
 """Networks on a CPU: many small multilayer perceptrons, row by row, near the peak of the core.
 
 A tile of the product of rows and weights is held in the vector registers: TILE_ROWS rows by two vectors of outputs, or
-one at the end of a layer, summed over the inputs in their order by fused multiply-adds. So a row's result is the same whatever rows are beside it,
-however many there are, and on any machine. A block of rows goes through all layers before the next, and stays in the
-L1 cache.
+one at the end of a layer, summed over the inputs in their order by fused multiply-adds. So a row's result is the same
+whatever rows are beside it, however many there are, and on any machine. A block of rows goes through all layers before
+the next, and stays in the L1 cache.
 """
 
 # mypy: disallow-untyped-decorators=False, warn-return-any=False
