@@ -34,14 +34,14 @@ _pack_robots = compiled(packing.pack_robots, [genes, body, rows, contact, drive,
 
 
 def advance_lanes_among_networks(
-    block: Any, blocks: Any, world: Any, first_step: int, n_steps: int, robot_of_lane: Any, n_designs: int,
+    block: Any, blocks: Any, world: Any, first_step: int, n_steps: int, root_rows: Any,
     observed: Any, layers: Any, sizes: Any, x: Any, out: Any, between: Any, no_trace: Any,
 ) -> None:  # fmt: skip
     """Take steps with all robots, each in its member's medium; see learned.py, networks.py and the engine's kernel."""
     for taken in range(n_steps):
-        learned.observe(blocks, robot_of_lane, n_designs, observed, x)
+        learned.observe(blocks, root_rows, observed, x)
         networks.run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
-        learned.add(blocks, robot_of_lane, n_designs, out, rows.VX, rows.VY, rows.OMEGA)
+        learned.add(blocks, root_rows, out, rows.VX, rows.VY, rows.OMEGA)
         _advance(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
 
 
@@ -167,9 +167,10 @@ class Groups:
         n_designs = self.n_robots // learned_medium.n_members
         x, out = learned_medium.room(n_designs * N_LINKS)
         observed = np.array([rows.QUANTITIES[name] for name in learned_medium.inputs], np.int64)
+        root_rows = learned.root_rows(self._robot_of_lane, n_designs, x.shape[1])
         with np.errstate(all="ignore"):
             _advance_among_networks(
-                self._block, self.blocks, world, first_step, n_steps, self._robot_of_lane, n_designs, observed,
+                self._block, self.blocks, world, first_step, n_steps, root_rows, observed,
                 learned_medium.layers, learned_medium.sizes, x, out, learned_medium.between, self._no_trace,
             )  # fmt: skip
 

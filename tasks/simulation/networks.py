@@ -11,6 +11,7 @@ the next, and stays in the L1 cache.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -89,13 +90,12 @@ def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], 
     again.set_metadata("llvm.loop", _not_unrolled(builder.module))
 
     builder.position_at_end(after)
-    zero = ir.Constant(vector, [0.0] * N_LANES)
+    # One bound for either case: a choice for each vector would become as many jumps.
+    least = builder.select(relu, *(ir.Constant(vector, [bound] * N_LANES) for bound in (0.0, -math.inf)))
     for row in range(TILE_ROWS):
         for v in range(n_vectors):
             total = totals[row][v]
-            negative = builder.fcmp_ordered("<", total, zero)  # so that NaN stays
-            positive = builder.select(negative, zero, total)
-            value = builder.select(relu, positive, total)
+            value = builder.select(builder.fcmp_ordered("<", total, least), least, total)  # so that NaN stays
             where = builder.add(builder.mul(number(row), out_stride), number(v * N_LANES))
             builder.store(value, vector_at(out, where), align=4 * N_LANES)
 

@@ -40,16 +40,14 @@ _advance = compiled(step.advance_bodies, _SOURCES, seconds=30)
 
 
 def advance_bodies_among_networks(
-    block: Any, blocks: Any, world: Any, first_step: int, n_steps: int, robot_of_lane: Any, n_designs: int,
+    block: Any, blocks: Any, world: Any, first_step: int, n_steps: int, root_rows: Any,
     observed: Any, layers: Any, sizes: Any, x: Any, out: Any, between: Any, no_trace: Any,
 ) -> None:  # fmt: skip
     """Take steps with all robots, each in its member's medium; see learned.py, networks.py and the engine's kernel."""
     for taken in range(n_steps):
-        learned.observe(blocks, robot_of_lane, n_designs, observed, x)
+        learned.observe(blocks, root_rows, observed, x)
         networks.run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
-        learned.add(
-            blocks, robot_of_lane, n_designs, out, body_rows.CHANGE_VX, body_rows.CHANGE_VY, body_rows.CHANGE_OMEGA
-        )
+        learned.add(blocks, root_rows, out, body_rows.CHANGE_VX, body_rows.CHANGE_VY, body_rows.CHANGE_OMEGA)
         _advance(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
 
 
@@ -73,9 +71,9 @@ class Robots:
         records = pack(designs, trees, self._rigid, depth, physics)
         self.blocks[..., 0] = np.tile(records, (n_members, 1))
 
-    def _columns(self, *first_rows: int) -> Float32:
+    def _columns(self, *root_rows: int) -> Float32:
         """Read (n_robots, n_links, n_columns) quantities of the links."""
-        return np.stack([self.blocks[:, row : row + N_LINKS, 0] for row in first_rows], axis=-1)
+        return np.stack([self.blocks[:, row : row + N_LINKS, 0] for row in root_rows], axis=-1)
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states; NaN where diverged."""
@@ -101,9 +99,10 @@ class Robots:
         n_designs = self.n_robots // learned_medium.n_members
         x, out = learned_medium.room(n_designs * N_LINKS)
         observed = np.array([rows.QUANTITIES[name] for name in learned_medium.inputs], np.int64)
+        root_rows = learned.root_rows(np.arange(self.n_robots), n_designs, x.shape[1])
         with np.errstate(all="ignore"):
             _advance_among_networks(
-                self._block, self.blocks, world, first_step, n_steps, np.arange(self.n_robots), n_designs, observed,
+                self._block, self.blocks, world, first_step, n_steps, root_rows, observed,
                 learned_medium.layers, learned_medium.sizes, x, out, learned_medium.between, self._no_trace,
             )  # fmt: skip
 
