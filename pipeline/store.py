@@ -131,21 +131,29 @@ class Store(Items):
         Args:
             checked: is told the length of everything once it has been looked at.
         """
-        links = self.links()
-        checks: list[tuple[Path, Callable[[], object]]]
-        checks = [(self.root / link, functools.partial(disk.inside, self.root, *link.parts)) for link in links]
-        if not links:
-            items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
-            checks += [(self._item(*item), functools.partial(self._verified, *item)) for item in items]
-            checks += [(self.study_path(name), functools.partial(self.read_study, name)) for name in self.studies()]
         wrong = []
-        for path, check in checks:
+        for path, check in self._checks():
             try:
                 check()
             except PuddleError as error:
                 wrong.append(error)
             checked(disk.size_bytes(path))
         return wrong
+
+    def bytes_to_verify(self) -> int:
+        """Return the length of what :meth:`verify` looks at; MLflow's mirror of it is not."""
+        return sum(disk.size_bytes(path) for path, _ in self._checks())
+
+    def _checks(self) -> list[tuple[Path, Callable[[], object]]]:
+        """List what can be verified, and how."""
+        links = self.links()
+        if links:
+            return [(self.root / link, functools.partial(disk.inside, self.root, *link.parts)) for link in links]
+        items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
+        return [
+            *((self._item(*item), functools.partial(self._verified, *item)) for item in items),
+            *((self.study_path(name), functools.partial(self.read_study, name)) for name in self.studies()),
+        ]
 
     def links(self) -> list[Path]:
         """Return the symbolic links in the store, as paths in it. There should be none."""

@@ -123,7 +123,7 @@ def verify_lines(
 def _verify_lines(
     store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
 ) -> tuple[list[str], bool]:
-    n_bytes = store.size_bytes()
+    n_bytes = store.bytes_to_verify()
     left_out: list[str] = []
 
     def megabytes(n: int) -> Work:

@@ -21,8 +21,12 @@ def store(options) -> Store:
 
 
 def test_a_store_that_is_well_verifies(options, store, capsys):
+    n_bytes = store.bytes_to_verify()
+    (store.root / "mlflow.db").write_bytes(bytes(9_000_000))  # a mirror, which is not looked at
     assert call("verify", *options) == 0
-    assert f"{n_items(store)} items" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert f"{n_items(store)} items, {n_bytes / 1e6:,.1f} MB: every byte" in said.out and n_bytes < 9_000_000
+    assert said.err.splitlines()[-1].startswith("verify: 100%, ")
 
 
 def test_damage_is_named_discarded_and_mended(options, store, capsys):
