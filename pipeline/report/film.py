@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import matplotlib as mpl
@@ -196,9 +197,11 @@ def _scale(draw: ImageDraw.ImageDraw, camera: _Camera, frame: int, start: float,
         draw.line(
             (column, size[1] - (8 if long else 4) * OVERSAMPLING, column, size[1]), fill=INK, width=OVERSAMPLING
         )
+        if not long:
+            continue
         label = _metres(at, 0)
         half = font.getlength(label) / 2
-        if long and half <= column <= size[0] - half:  # "−10 m" cut short is another distance
+        if half <= column <= size[0] - half:  # "−10 m" cut short is another distance
             draw.text((column, size[1] - 9 * OVERSAMPLING), label, fill=INK, font=font, anchor="mb")
 
 
@@ -279,6 +282,7 @@ def _metres(value: float, digits: int) -> str:
     return f"{value:.{digits}f} m".replace("-", "−")
 
 
+@cache
 def _font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
     """Load DejaVu Sans, which comes with matplotlib and so is the same everywhere."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
