@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from pipeline.drive import maestro
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 
 DATA_BYTES = {0x84: 3, 0x87: 3, 0x89: 3, 0x90: 1, 0xA1: 0, 0xA2: 0}
@@ -121,8 +122,9 @@ class FakeMaestro:
 
 
 @pytest.fixture
-def plug() -> Iterator[type[FakeMaestro]]:
+def plug(monkeypatch) -> Iterator[type[FakeMaestro]]:
     """Plug fake controllers in; they are unplugged at the test's end."""
+    monkeypatch.setattr(maestro, "PATIENCE", 1.0)  # a fake is a thread, and a busy machine may let it wait for 0.1 s
     plugged = []
 
     def make(**how) -> FakeMaestro:
