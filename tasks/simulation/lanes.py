@@ -57,12 +57,17 @@ def aligned(shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
     return memory[start : start + n_bytes].view(np.float32).reshape(shape)
 
 
+def as_block(rows: npt.NDArray[np.float32]) -> Block:
+    """View (n_rows, n_lanes) numbers in aligned memory as a block."""
+    view = Block.__new__(Block)
+    view.rows, view.n_lanes = rows, rows.shape[1]
+    view.address = rows.ctypes.data
+    return view
+
+
 def from_row(block: Any, row: int) -> Any:
     """View a block from a row on."""
-    view = Block.__new__(Block)
-    view.rows, view.n_lanes = block.rows[row:], block.n_lanes
-    view.address = view.rows.ctypes.data
-    return view
+    return as_block(block.rows[row:])
 
 
 def count_parts(block: Any) -> int:
@@ -72,11 +77,8 @@ def count_parts(block: Any) -> int:
 
 def part(block: Any, index: int) -> Any:
     """View some of a block's lanes in all its rows: one of its parts."""
-    view = Block.__new__(Block)
-    view.n_lanes = block.n_lanes // count_parts(block)
-    view.rows = block.rows[:, index * view.n_lanes : (index + 1) * view.n_lanes]
-    view.address = view.rows.ctypes.data
-    return view
+    n_lanes = block.n_lanes // count_parts(block)
+    return as_block(block.rows[:, index * n_lanes : (index + 1) * n_lanes])
 
 
 def select(mask: Any, yes: Any, no: Any) -> Any:

@@ -1,79 +1,145 @@
 """Steps in a medium that networks have learned: what they read, and what they add, between two steps of an engine.
 
 Between two steps of the engine lie only microseconds; going back to Python for each would take longer than the steps.
-So an engine makes a kernel of these two, the networks' and its own. It must be a module's function and no closure: to
-numba's cache a closure over kernels is another one in every process.
+So an engine makes a kernel of :func:`push` and its own. It must be a module's function and no closure: to numba's cache
+a closure over kernels is another one in every process.
+
+A member's rows are counted link by link, and design by design within a link. So robots that lie side by side in the
+engine's lanes lie side by side in the networks', and where a vector of the one is a vector of the other it moves whole.
 """
 
 # mypy: disallow-untyped-decorators=False
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tasks.compiled import inline
 from tasks.design.genes import N_LINKS
+from tasks.simulation import rows
+from tasks.simulation.lanes import Block, as_block
+from tasks.simulation.networks import N_LANES, PackedNetworks, run_networks
 
+Float32 = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
 
-def root_rows(robot_of_lane: Indices, n_designs: int, n_rows: int) -> Indices:
-    """Find the row of each lane's root among the rows of all members, one member after the other.
+class Ties(NamedTuple):
+    """Links of robots in an engine's blocks tied to rows of networks, as many at once as the blocks here have lanes."""
+
+    places: Indices
+    """(n, 3) where a tie's numbers lie in the three blocks: of the first quantity, input and change."""
+    robots: Block
+    """The engine's blocks."""
+    x: Block
+    """The networks' inputs."""
+    out: Block
+    """What they say of them: changes of vx, vy, omega, and padding."""
+    quantity: int
+    """Rows of ``robots`` from a quantity of a tie to the next."""
+    number: int
+    """Rows of ``x`` and ``out`` from a number of a tie to the next."""
+
+
+class Coupling(NamedTuple):
+    """All robots tied to their members' networks."""
+
+    whole: Ties
+    """Where N_LANES links lie side by side in both."""
+    single: Ties
+    """All others."""
+    observed: Indices
+    """(n_inputs,) the engine's first rows of the quantities that networks read."""
+    layers: Indices
+    sizes: Indices
+    x: Float32
+    out: Float32
+    between: Float32
+    """As networks.py has them."""
+
+
+def couple(networks: PackedNetworks, blocks: Float32, n_robots: int) -> Coupling:
+    """Tie robots to their members' networks.
 
     Args:
-        robot_of_lane: (n_lanes,) member · n_designs + design; repeats where lanes are left over.
-        n_designs: robots of each member.
-        n_rows: of each member.
-
-    Returns:
-        (n_lanes,)
+        networks: of all members.
+        blocks: (n_groups, n_rows, n_lanes) all robots' numbers, in aligned memory. Robot i is in lane i mod n_lanes of
+            group i // n_lanes; what fills lanes that are left over stays out.
+        n_robots: of all members; robot number member · n_designs + design.
     """
-    member, design = np.divmod(robot_of_lane, n_designs)
-    found: Indices = member * n_rows + design * N_LINKS
-    return found
+    n_designs = n_robots // networks.n_members
+    x, out = networks.room(n_designs * N_LINKS)
+    _, n_rows, n_lanes = blocks.shape
+    link, robot = (index.reshape(-1) for index in np.indices((N_LINKS, n_robots)))
+    member, design = np.divmod(robot, n_designs)
+    group, lane = np.divmod(robot, n_lanes)
+    vector, place = np.divmod(link * n_designs + design, N_LANES)
+    vector += member * x.shape[1]
+    of_x, of_out = (vector * room.shape[2] * N_LANES + place for room in (x, out))
+    places = np.stack([(group * n_rows + link) * n_lanes + lane, of_x, of_out], axis=1)
+
+    # A vector of the networks is one of the engine's where both begin with the same link, and a member has as many.
+    starts = (place == 0) & (lane % N_LANES == 0) & (design + N_LANES <= n_designs) & (n_lanes % N_LANES == 0)
+    is_whole = np.zeros(len(robot) + N_LANES, bool)
+    is_whole[np.nonzero(starts)[0][:, None] + np.arange(N_LANES)] = True
+
+    def ties(chosen: npt.NDArray[np.bool_], width: int) -> Ties:
+        robots, inputs, changes = (
+            as_block(numbers.reshape(-1)[: numbers.size // width * width].reshape(-1, width))
+            for numbers in (blocks, x, out)
+        )
+        return Ties(places[chosen] // width, robots, inputs, changes, n_lanes // width, N_LANES // width)
+
+    return Coupling(
+        whole=ties(starts, N_LANES),
+        single=ties(~is_whole[: len(robot)], 1),
+        observed=np.array([rows.QUANTITIES[name] for name in networks.inputs], np.int64),
+        layers=networks.layers,
+        sizes=networks.sizes,
+        x=x,
+        out=out,
+        between=networks.between,
+    )
 
 
 @inline
-def observe(blocks: Any, root_rows: Any, observed: Any, x: Any) -> None:
-    """Gather what the networks read.
-
-    Args:
-        blocks: (n_groups, n_rows, n_lanes) all robots' numbers.
-        root_rows: (n_groups · n_lanes,) the root's row in x, those of all members counted through; links follow.
-        observed: (n_inputs,) first rows of the quantities that networks read.
-        x: (n_members, n_rows, n_inputs) room for inputs.
-    """
-    n_groups, _, n_lanes = blocks.shape
-    inputs = x.reshape(-1, x.shape[2])
-    for group in range(n_groups):
-        for lane in range(n_lanes):
-            first = root_rows[group * n_lanes + lane]
-            for link in range(N_LINKS):
-                for k in range(observed.shape[0]):
-                    inputs[first + link, k] = blocks[group, observed[k] + link, lane]
+def _read(ties: Any, observed: Any) -> None:
+    """Copy what the networks read."""
+    for tie in range(ties.places.shape[0]):
+        robot, x = ties.places[tie, 0], ties.places[tie, 1]
+        for k in range(observed.shape[0]):
+            ties.x[x + k * ties.number] = ties.robots[robot + observed[k] * ties.quantity]
 
 
 @inline
-def add(blocks: Any, root_rows: Any, out: Any, to_vx: int, to_vy: int, to_omega: int) -> None:
-    """Scatter what the networks say: changes of vx, vy, omega, to be added to the quantities of given first rows.
+def _add(ties: Any, to_vx: int, to_vy: int, to_omega: int) -> None:
+    """Add what they say."""
+    for tie in range(ties.places.shape[0]):
+        robot, change = ties.places[tie, 0], ties.places[tie, 2]
+        for to in (to_vx, to_vy, to_omega):
+            row = robot + to * ties.quantity
+            ties.robots[row] = ties.robots[row] + ties.out[change]
+            change += ties.number
+
+
+@inline
+def push(coupling: Any, to_vx: int, to_vy: int, to_omega: int) -> None:
+    """Let networks read all robots, and add their changes to the quantities of given first rows.
 
     Args:
-        blocks: as above; so is root_rows, in out.
-        root_rows: as above.
-        out: (n_members, n_rows, padded outputs) changes.
+        coupling: of these robots.
         to_vx: first row of the quantity to which the change of vx is added.
         to_vy: the same of vy.
         to_omega: the same of omega.
     """
-    n_groups, _, n_lanes = blocks.shape
-    changes = out.reshape(-1, out.shape[2])
-    for group in range(n_groups):
-        for lane in range(n_lanes):
-            first = root_rows[group * n_lanes + lane]
-            for link in range(N_LINKS):
-                blocks[group, to_vx + link, lane] += changes[first + link, 0]
-                blocks[group, to_vy + link, lane] += changes[first + link, 1]
-                blocks[group, to_omega + link, lane] += changes[first + link, 2]
+    x, out = coupling.x, coupling.out
+    _read(coupling.whole, coupling.observed)
+    _read(coupling.single, coupling.observed)
+    run_networks(
+        coupling.layers, coupling.sizes, x.shape[1], x.ctypes.data, out.ctypes.data, coupling.between.ctypes.data
+    )
+    _add(coupling.whole, to_vx, to_vy, to_omega)
+    _add(coupling.single, to_vx, to_vy, to_omega)

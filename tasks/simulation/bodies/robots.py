@@ -40,15 +40,12 @@ _advance = compiled(step.advance_bodies, _SOURCES, seconds=30)
 
 
 def advance_bodies_among_networks(
-    block: Any, blocks: Any, world: Any, first_step: int, n_steps: int, root_rows: Any,
-    observed: Any, layers: Any, sizes: Any, x: Any, out: Any, between: Any, no_trace: Any,
-) -> None:  # fmt: skip
-    """Take steps with all robots, each in its member's medium; see learned.py, networks.py and the engine's kernel."""
+    block: Any, n_robots: int, world: Any, first_step: int, n_steps: int, coupling: Any, no_trace: Any
+) -> None:
+    """Take steps with all robots, each in its member's medium; see learned.py and the engine's kernel."""
     for taken in range(n_steps):
-        learned.observe(blocks, root_rows, observed, x)
-        networks.run_networks(layers, sizes, x.shape[1], x.ctypes.data, out.ctypes.data, between.ctypes.data)
-        learned.add(blocks, root_rows, out, body_rows.CHANGE_VX, body_rows.CHANGE_VY, body_rows.CHANGE_OMEGA)
-        _advance(block, blocks.shape[0], world, first_step + taken, 1, no_trace, False)
+        learned.push(coupling, body_rows.CHANGE_VX, body_rows.CHANGE_VY, body_rows.CHANGE_OMEGA)
+        _advance(block, n_robots, world, first_step + taken, 1, no_trace, False)
 
 
 _advance_among_networks = compiled(advance_bodies_among_networks, [*_SOURCES, networks, learned], seconds=30)
@@ -96,15 +93,11 @@ class Robots:
 
     def advance_among(self, learned_medium: PackedNetworks, world: World, first_step: int, n_steps: int) -> None:
         """Take steps in a medium that is one network for each member: all of it in one kernel, and without a trace."""
-        n_designs = self.n_robots // learned_medium.n_members
-        x, out = learned_medium.room(n_designs * N_LINKS)
-        observed = np.array([rows.QUANTITIES[name] for name in learned_medium.inputs], np.int64)
-        root_rows = learned.root_rows(np.arange(self.n_robots), n_designs, x.shape[1])
+        coupling = learned.couple(learned_medium, self.blocks, self.n_robots)
         with np.errstate(all="ignore"):
             _advance_among_networks(
-                self._block, self.blocks, world, first_step, n_steps, root_rows, observed,
-                learned_medium.layers, learned_medium.sizes, x, out, learned_medium.between, self._no_trace,
-            )  # fmt: skip
+                self._block, self.n_robots, world, first_step, n_steps, coupling, self._no_trace
+            )
 
     def push(self, medium: Medium) -> None:
         """Let a medium act on every link, and the links on their bodies, as the reference engine does."""
