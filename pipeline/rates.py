@@ -16,7 +16,7 @@ from pipeline.artifacts import Json, key_of
 from pipeline.cluster.process import signals_unwind
 from pipeline.errors import PuddleError
 from pipeline.manifest import Manifest
-from pipeline.report import render_gif, render_mp4
+from pipeline.report import render_films
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.sizes import BYTES_OF_A_DESIGN
 from pipeline.specimens import N_FEW_THROWS, few_throws, short_film, untrained_ensemble
@@ -175,7 +175,7 @@ def time_of_selection(settings: Settings, body: Designs | None) -> float:
 
 def _time_of_picture(settings: Settings) -> float:
     film = short_film(settings)
-    return _seconds(lambda: (render_gif([film]), render_mp4([film]))) / len(film.frames)
+    return _seconds(lambda: render_films([film])) / len(film.frames)
 
 
 def _time_of_look(settings: Settings) -> float:

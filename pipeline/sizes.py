@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.artifacts import encode_arrays, encode_table
-from pipeline.report import render_gif, render_mp4
+from pipeline.report import render_films
 from pipeline.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.specimens import N_FEW_THROWS, few_throws, layers_of, short_film
 from pipeline.stage import Chain, Results, Spec, Stage
@@ -76,7 +76,7 @@ def weigh(settings: Settings) -> Sizes:
         assessed=(many - one) / (N_CALIBRATION_DESIGNS - 1),
         assessed_table=one,
         link=LINK_BYTES * (3 + 2 * n_members) if n_members else 0.0,
-        picture=(len(render_gif([film])) + len(render_mp4([film]))) / len(film.frames),
+        picture=sum(map(len, render_films([film]))) / len(film.frames),
     )
 
 

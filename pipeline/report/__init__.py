@@ -6,6 +6,7 @@ To add a figure: draw it in the module of its subject, list it in figures.py, an
 from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
 from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
+from pipeline.report.films import render_films
 from pipeline.report.gif import render_gif
 from pipeline.report.mp4 import render_mp4
 from pipeline.report.page import render_page, render_robot
@@ -20,6 +21,7 @@ __all__ = [
     "StudyReport",
     "TrialResult",
     "draw_all",
+    "render_films",
     "render_gif",
     "render_mp4",
     "render_page",

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from PIL import Image
 
+from pipeline.report import film
 from pipeline.report.film import palette, pictures
 from pipeline.report.replay import Replay
 
-FPS = 10
-"""Pictures a second; a GIF counts in hundredths of a second, and grows with every picture."""
+EVERY = 3
+"""Of how many pictures of a film a GIF has one; it counts in hundredths of a second, and grows with every picture."""
+FPS = film.FPS / EVERY
 
 
 def render_gif(replays: Sequence[Replay]) -> bytes:
@@ -20,11 +22,19 @@ def render_gif(replays: Sequence[Replay]) -> bytes:
     Raises:
         ValueError: there are no replays.
     """
-    drawn_colors = Image.new("P", (1, 1))
-    drawn_colors.putpalette([part for color in palette(replays) for part in color])
-    frames = [
-        picture.quantize(palette=drawn_colors, dither=Image.Dither.NONE) for picture in pictures(replays, FPS)
-    ]
+    reduce_colors = on_palette(replays)
+    return write_gif([reduce_colors(picture) for picture in pictures(replays, every=EVERY)])
+
+
+def on_palette(replays: Sequence[Replay]) -> Callable[[Image.Image], Image.Image]:
+    """Return what reduces a picture of replays to a palette of the colours that are drawn."""
+    colors = Image.new("P", (1, 1))
+    colors.putpalette([part for color in palette(replays) for part in color])
+    return lambda picture: picture.quantize(palette=colors, dither=Image.Dither.NONE)
+
+
+def write_gif(frames: Sequence[Image.Image]) -> bytes:
+    """Put pictures on one palette, FPS a second, into a GIF that repeats for ever."""
     out = io.BytesIO()
     frames[0].save(
         out,

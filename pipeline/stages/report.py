@@ -12,9 +12,9 @@ import yaml
 from pipeline.artifacts import decode_json, encode_json
 from pipeline.manifest import Manifest
 from pipeline.provenance import environment as provenance
-from pipeline.report import Drawing, Replay, draw_all, render_gif, render_mp4, render_page
+from pipeline.report import Drawing, Replay, draw_all, render_films, render_page
 from pipeline.report.data import Digest, Draws, ResidualError, StudyReport, TrialResult
-from pipeline.report.mp4 import FPS
+from pipeline.report.film import FPS
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.stage import (
     NOT_POSSIBLE,
@@ -40,7 +40,7 @@ from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store import Store
 from tasks.evolution import OPERATORS
 
-NAME, VERSION = "report", 6
+NAME, VERSION = "report", 7
 
 PAGE, FILMS = "index.html", "films"
 """Label of the page's work, which is also its file; beginning of the labels of the films'."""
@@ -158,7 +158,7 @@ def _films(job: Job, inputs: Mapping[str, Files]) -> Files:
         named = {TOGETHER: above[:2]} if above else {}
     files: dict[str, bytes] = {}
     for name, shown in named.items():
-        files |= {f"{name}.gif": render_gif(shown), f"{name}.mp4": render_mp4(shown)}
+        files[f"{name}.gif"], files[f"{name}.mp4"] = render_films(shown)
     listed = {name: [f"{one.title}, in {one.world}, {one.depth:g} m" for one in shown] for name, shown in named.items()}
     return {**files, job.spec["listing"]: encode_json(listed)}
 

@@ -8,8 +8,23 @@ import pytest
 from PIL import Image, ImageColor
 
 from pipeline.report.data import ENVIRONMENTS
-from pipeline.report.film import GROUND, LANE_HEIGHT, SKY, SLUSH, SURFACE, WIDTH, _robot_colors, link_outline
+from pipeline.report.film import pictures
+from pipeline.report.films import render_films
 from pipeline.report.gif import FPS, render_gif
+from pipeline.report.lane import (
+    GROUND,
+    GROUND_EDGE,
+    LANE_HEIGHT,
+    SKY,
+    SLUSH,
+    SLUSH_OVER_ROBOT,
+    SURFACE,
+    WIDTH,
+    link_outline,
+    mix,
+    robot_colors,
+)
+from pipeline.report.mp4 import render_mp4
 
 
 def count(picture: Image.Image, color: str | tuple[int, int, int]) -> int:
@@ -35,6 +50,27 @@ def test_two_robots_above_one_another(slush_replay, dry_replay):
 
 def test_the_same_bytes_each_time(dry_replay):
     assert render_gif([dry_replay]) == render_gif([dry_replay])
+
+
+def test_both_films_of_the_same_pictures(slush_replay, dry_replay):
+    """Of a number of pictures, 151 and 61, after whose last the GIF has none, and another."""
+    for replays in ([slush_replay], [dry_replay, slush_replay], [replace(dry_replay, frames=dry_replay.frames[:11])]):
+        assert render_films(replays) == (render_gif(replays), render_mp4(replays))
+
+
+def test_slush_lies_over_the_robot_and_the_lines_alike(slush_replay):
+    """A robot at rest, upright and half under slush; the start's line goes down behind it, to the ground."""
+    frames = np.tile([0.0, 0.3, 0.0], (3, 6, 1))
+    still = replace(slush_replay, frames=frames, length_scale=np.full(6, 2.0), depth=1.5)
+    picture = next(pictures([still]))
+    colors = np.asarray(picture).astype(int)
+    root = robot_colors(still.environment)[0]
+    veiled = np.abs(colors - mix(root, SLUSH, SLUSH_OVER_ROBOT)).max(axis=2) <= 1
+    assert count(picture, root) > 100 < veiled.sum()
+    below = colors[np.nonzero(veiled)[0].max() + 4 :, WIDTH // 2]
+    line = below[: np.argmax((np.abs(below - ImageColor.getrgb(GROUND_EDGE)) < 9).all(axis=1)) - 1]
+    assert len(line) > 15 and np.ptp(line, axis=0).max() <= 1
+    assert (np.abs(line - ImageColor.getrgb(SLUSH)).max(axis=1) > 20).all()
 
 
 def test_slush_that_is_only_imagined_has_a_dashed_surface(slush_replay):
@@ -64,7 +100,7 @@ def test_the_camera_keeps_a_robot_in_view_however_far_and_high_it_goes(dry_repla
     picture = Image.open(io.BytesIO(render_gif([replace(dry_replay, frames=frames)])))
     picture.seek(picture.n_frames - 1)
     body = picture.crop((0, 50, WIDTH, LANE_HEIGHT))
-    root, others, _ = _robot_colors("dry_land")
+    root, others, _ = robot_colors("dry_land")
     assert count(body, root) + count(body, others) > 100
 
 
@@ -92,6 +128,6 @@ def test_nothing_to_draw():
 
 def test_outline_of_a_link_that_lies_on_its_side():
     """A link of length 2 is 0.5 wide; turned by 90° its long axis lies along x."""
-    outline = link_outline(np.array([3.0, 1.0, np.pi / 2]), 2.0)
+    outline = link_outline(np.array([3.0, 1.0, np.pi / 2]), np.array(2.0))
     assert outline.min(axis=0) == pytest.approx([2.0, 0.75])
     assert outline.max(axis=0) == pytest.approx([4.0, 1.25])

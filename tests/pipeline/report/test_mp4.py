@@ -7,8 +7,9 @@ import av
 import numpy as np
 import pytest
 
-from pipeline.report.film import LANE_HEIGHT, WIDTH, pictures
-from pipeline.report.mp4 import FPS, render_mp4
+from pipeline.report.film import FPS, pictures
+from pipeline.report.lane import LANE_HEIGHT, WIDTH
+from pipeline.report.mp4 import render_mp4
 
 
 def read(data: bytes) -> tuple[av.video.VideoStream, list[np.ndarray]]:
@@ -32,7 +33,7 @@ def test_a_film_is_what_browsers_and_slides_play(slush_replay, dry_replay):
 def test_it_shows_the_pictures_that_were_drawn_and_they_move(slush_replay):
     """Flat areas keep their colour to 2 of 255, which is what studio range leaves; edges blur, chroma being halved."""
     _, shown = read(render_mp4([slush_replay]))
-    drawn = [np.asarray(picture) for picture in pictures([slush_replay], FPS)]
+    drawn = [np.asarray(picture) for picture in pictures([slush_replay])]
     assert len(shown) == len(drawn)
     for one, other in zip(shown[:: FPS // 2], drawn[:: FPS // 2], strict=True):
         off = np.abs(one.astype(int) - other).max(axis=2)
