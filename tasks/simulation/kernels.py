@@ -172,7 +172,7 @@ if N_JOINTS != 5:
 
 @inline
 def half_group(blocks: Any, half: int) -> Any:
-    """View half the lanes of a group; the halves of groups abreast are counted through.
+    """View half the lanes of a group, or all where a register holds them; those of groups abreast are counted through.
 
     Contacts go by halves, since a second point costs time in all lanes where one has it: few links lie on two points,
     but among 32 lanes mostly one does.

@@ -71,8 +71,13 @@ def from_row(block: Any, row: int) -> Any:
 
 
 def count_parts(block: Any) -> int:
-    """Count the parts of a block: 2 halves of its lanes, or 1 if it has a single lane."""
-    return min(2, int(block.n_lanes))
+    """Count the parts of a block: 2 halves of its lanes, or 1 if they fill no more than a vector register."""
+    return n_parts(int(block.n_lanes))
+
+
+def n_parts(n_lanes: int) -> int:
+    """Count the parts of so many lanes."""
+    return 2 if n_lanes > widest() // 2 else 1
 
 
 def part(block: Any, index: int) -> Any:
@@ -156,7 +161,7 @@ def store_whole(block: Any, row: int, number: int) -> None:
 
 @functools.cache  # asking LLVM takes longer than packing designs
 def widest() -> int:
-    """Count the lanes that this machine's vector registers favour; the bits do not depend on it."""
+    """Count the lanes that this machine favours, those of two vector registers; the bits do not depend on it."""
     features = llvm.get_host_cpu_features()
     if features.get("avx512f"):
         return 32

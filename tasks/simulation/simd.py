@@ -30,6 +30,7 @@ from tasks.simulation.lanes import (
     from_row,
     lane,
     load_whole,
+    n_parts,
     part,
     select,
     sqrt,
@@ -68,7 +69,7 @@ class BlockType(types.Type):
     @property
     def n_parts(self) -> int:
         """Parts of :func:`part`."""
-        return min(2, self.count)
+        return n_parts(self.count)
 
     @property
     def part(self) -> BlockType:
