@@ -10,6 +10,7 @@ from varied_designs import BODY, NO_REWIRING, binomial_interval, is_canonical, m
 
 from tasks.design import (
     N_LINKS,
+    DesignError,
     Designs,
     Morphology,
     Mutation,
@@ -38,13 +39,24 @@ def buildable() -> Designs:
 
 
 @settings(max_examples=15)
-@given(seed=seeds, mutation=mutations)
+@given(seed=seeds, mutation=mutations.map(lambda m: m.model_copy(update={"rewiring": 0.9 * m.rewiring})))
 def test_every_operator_keeps_to_the_morphology(buildable: Designs, seed: int, mutation: Mutation) -> None:
+    """A mutation that always rewires may find no place for any link: see the next test."""
     rng = np.random.default_rng(seed)
     parents = buildable[rng.permutation(48)[:12]]
     assert keeps_to_it(mutate(parents, rng, mutation=mutation, morphology=BUILDABLE))
     assert keeps_to_it(crossover(parents[:6], parents[6:], rng, morphology=BUILDABLE))
     assert keeps_to_it(random_designs(2, rng, morphology=BUILDABLE))
+
+
+def test_a_parent_without_a_mutant_is_named(buildable: Designs) -> None:
+    """Wherever one of its links is hung, links that no joint ties overlap."""
+    rng = np.random.default_rng(0)
+    parents = buildable[rng.permutation(48)[8:10]]
+    only_rewired = Mutation(genes_changed=0.0, step=0.001, rewiring=1.0)
+    mutate(parents[:1], rng, mutation=only_rewired, morphology=BUILDABLE)
+    with pytest.raises(DesignError, match="design 1: links that no joint ties overlap at rest in each of 131072 draws"):
+        mutate(parents, rng, mutation=only_rewired, morphology=BUILDABLE)
 
 
 def test_a_thousand_mutations_in_a_row_keep_to_the_morphology(buildable: Designs) -> None:
