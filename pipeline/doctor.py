@@ -116,7 +116,7 @@ def _processor(n_cores: int, n_workers: int) -> Finding:
     from tasks.simulation.lanes import widest
 
     load = os.getloadavg()[0]
-    found = f"{n_cores} cores, {widest()} robots a vector; load {load:.1f}"
+    found = f"{n_cores} cores, {widest()} robots abreast; load {load:.1f}"
     if n_workers > n_cores:
         return Finding("warn", "processor", found, f"{n_workers} workers on {n_cores} cores wait for one another.")
     if load > 0.5 * n_cores:

@@ -1,6 +1,6 @@
 """Replays as pictures: a robot in its world, or several above one another at one scale.
 
-lane.py draws each robot's part. gif.py and mp4.py put the pictures into files.
+lane.py draws each robot's part. gif.py and mp4.py put the pictures into files, and films.py into both.
 """
 
 from __future__ import annotations

@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 
 from PIL import Image
 
-from pipeline.report import film
+from pipeline.report.film import FPS as FILM_FPS
 from pipeline.report.film import palette, pictures
 from pipeline.report.replay import Replay
 
 EVERY = 3
 """Of how many pictures of a film a GIF has one; it counts in hundredths of a second, and grows with every picture."""
-FPS = film.FPS / EVERY
+FPS = FILM_FPS / EVERY
+"""Pictures a second."""
 
 
 def render_gif(replays: Sequence[Replay]) -> bytes:
@@ -34,7 +35,7 @@ def on_palette(replays: Sequence[Replay]) -> Callable[[Image.Image], Image.Image
 
 
 def write_gif(frames: Sequence[Image.Image]) -> bytes:
-    """Put pictures on one palette, FPS a second, into a GIF that repeats for ever."""
+    """Put pictures that share a palette, FPS a second, into a GIF that repeats for ever."""
     out = io.BytesIO()
     frames[0].save(
         out,

@@ -1,7 +1,7 @@
 """One robot in its world, picture by picture: a lane of a film.
 
-Drawn with Pillow at twice the size and reduced. What is the same in many pictures, or can be computed for all at once,
-is: where everything is, the caption's strip, and every word.
+Drawn with Pillow at twice the size and reduced. Where things are is computed for all pictures at once; the caption's
+strip and each word are drawn once.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def robot_colors(environment: str) -> tuple[Rgb, Rgb, Rgb]:
     return color, mix(color, WHITE, 0.28), mix(color, INK, 0.55)
 
 
-def link_outline(pose: Points, length: Points, inset: float = 0.0) -> Points:
+def link_outline(pose: Points, length: Points, *, inset: float = 0.0) -> Points:
     """Give the corners of links, rounded, in the world.
 
     Args:

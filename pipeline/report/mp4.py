@@ -57,7 +57,11 @@ def write_mp4(drawn: Iterable[Image.Image], n_lanes: int) -> bytes:
             context.color_range = NARROW
             for picture in drawn:
                 frame = converter.reformat(
-                    av.VideoFrame.from_image(picture), format="yuv420p", dst_colorspace=BT709, dst_color_range=NARROW
+                    av.VideoFrame.from_image(picture),
+                    format="yuv420p",
+                    dst_colorspace=BT709,
+                    dst_color_range=NARROW,
+                    threads=1,
                 )
                 container.mux(stream.encode(frame))
             container.mux(stream.encode())

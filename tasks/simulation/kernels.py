@@ -171,14 +171,14 @@ if N_JOINTS != 5:
 
 
 @inline
-def half_group(blocks: Any, half: int) -> Any:
-    """View half the lanes of a group, or all where a register holds them; those of groups abreast are counted through.
+def part_of_groups(blocks: Any, index: int) -> Any:
+    """View a part of a group; those of groups abreast are counted through.
 
-    Contacts go by halves, since a second point costs time in all lanes where one has it: few links lie on two points,
+    Contacts go by parts, since a second point costs time in all lanes where one has it: few links lie on two points,
     but among 32 lanes mostly one does.
     """
-    n_halves = count_parts(blocks)
-    return part(from_row(blocks, half // n_halves * N_ROWS), half % n_halves)
+    n_parts = count_parts(blocks)
+    return part(from_row(blocks, index // n_parts * N_ROWS), index % n_parts)
 
 
 @inline
@@ -214,10 +214,10 @@ def start_joints_and_sweep(blocks: Any, n_abreast: int, world: Any, touching: in
         sweep_joint(blocks, n_abreast, 4)
         if touching == 0:  # afloat, or in the air
             continue
-        for half in range(n_abreast * count_parts(blocks)):
-            block = half_group(blocks, half)
+        for index in range(n_abreast * count_parts(blocks)):
+            block = part_of_groups(blocks, index)
             for link in range(world.n_links):
-                bit = half * world.n_links + link
+                bit = index * world.n_links + link
                 if on_two_points >> bit & 1:
                     contact.solve_both_points(block, link, world.friction)
                 elif touching >> bit & 1:
@@ -289,19 +289,19 @@ def end_step(block: Any, world: Any, touching: int) -> None:
 @inline
 def take_step(blocks: Any, n_abreast: int, world: Any, step: int) -> None:
     """Take a step with groups abreast."""
-    n_halves = count_parts(blocks)
+    n_parts = count_parts(blocks)
     for k in range(n_abreast):
         push_links(from_row(blocks, k * N_ROWS), world, step)
-    touching, on_two_points = 0, 0  # of the first half in the lowest bits
-    for half in range(n_abreast * n_halves):
-        links, links_on_two = start_contacts(half_group(blocks, half), world)
-        touching |= links << (half * world.n_links)
-        on_two_points |= links_on_two << (half * world.n_links)
+    touching, on_two_points = 0, 0  # of the first part in the lowest bits
+    for index in range(n_abreast * n_parts):
+        links, links_on_two = start_contacts(part_of_groups(blocks, index), world)
+        touching |= links << (index * world.n_links)
+        on_two_points |= links_on_two << (index * world.n_links)
     start_joints_and_sweep(blocks, n_abreast, world, touching, on_two_points)
     for k in range(n_abreast):
         links = 0
-        for half in range(k * n_halves, (k + 1) * n_halves):
-            links |= touching >> (half * world.n_links)
+        for index in range(k * n_parts, (k + 1) * n_parts):
+            links |= touching >> (index * world.n_links)
         end_step(from_row(blocks, k * N_ROWS), world, links)
 
 

@@ -66,25 +66,25 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int) -> Coupling
 
     Args:
         networks: of all members.
-        blocks: (n_groups, n_rows, n_lanes) all robots' numbers, in aligned memory. Robot i is in lane i mod n_lanes of
-            group i // n_lanes; what fills lanes that are left over stays out.
-        n_robots: of all members; robot number member · n_designs + design.
+        blocks: (n_groups, n_rows, n_lanes) all robots' numbers, contiguous in aligned memory. Robot i is in lane i mod
+            n_lanes of group i // n_lanes; lanes that are left over hold copies of the last, and stay copies.
+        n_robots: of all members, as many of each; robot number member · n_designs + design.
     """
     n_designs = n_robots // networks.n_members
     x, out = networks.room(n_designs * N_LINKS)
-    _, n_rows, n_lanes = blocks.shape
-    link, robot = (index.reshape(-1) for index in np.indices((N_LINKS, n_robots)))
-    member, design = np.divmod(robot, n_designs)
-    group, lane = np.divmod(robot, n_lanes)
-    vector, place = np.divmod(link * n_designs + design, N_LANES)
+    n_groups, n_rows, n_lanes = blocks.shape
+    link, place = (index.reshape(-1) for index in np.indices((N_LINKS, n_groups * n_lanes)))
+    group, lane = np.divmod(place, n_lanes)
+    member, design = np.divmod(np.minimum(place, n_robots - 1), n_designs)
+    vector, first = np.divmod(link * n_designs + design, N_LANES)
     vector += member * x.shape[1]
-    of_x, of_out = (vector * room.shape[2] * N_LANES + place for room in (x, out))
+    of_x, of_out = (vector * room.shape[2] * N_LANES + first for room in (x, out))
     places = np.stack([(group * n_rows + link) * n_lanes + lane, of_x, of_out], axis=1)
 
     # A vector of the networks is one of the engine's where both begin with the same link, and a member has as many.
-    starts = (place == 0) & (lane % N_LANES == 0) & (design + N_LANES <= n_designs) & (n_lanes % N_LANES == 0)
-    is_whole = np.zeros(len(robot) + N_LANES, bool)
-    is_whole[np.nonzero(starts)[0][:, None] + np.arange(N_LANES)] = True
+    begins = (first == 0) & (lane % N_LANES == 0) & (design + N_LANES <= n_designs) & (n_lanes % N_LANES == 0)
+    is_whole = np.zeros(len(places), bool)
+    is_whole[np.nonzero(begins)[0][:, None] + np.arange(N_LANES)] = True
 
     def ties(chosen: npt.NDArray[np.bool_], width: int) -> Ties:
         robots, inputs, changes = (
@@ -94,8 +94,8 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int) -> Coupling
         return Ties(places[chosen] // width, robots, inputs, changes, n_lanes // width, N_LANES // width)
 
     return Coupling(
-        whole=ties(starts, N_LANES),
-        single=ties(~is_whole[: len(robot)], 1),
+        whole=ties(begins, N_LANES),
+        single=ties(~is_whole, 1),
         observed=np.array([rows.QUANTITIES[name] for name in networks.inputs], np.int64),
         layers=networks.layers,
         sizes=networks.sizes,

@@ -17,7 +17,6 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-import llvmlite.binding as llvm
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
@@ -26,12 +25,13 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from tasks.compiled import compiled
-from tasks.simulation.lanes import aligned
+from tasks.simulation import lanes
+from tasks.simulation.lanes import aligned, widest
 
 Float32 = npt.NDArray[np.float32]
 
-_FEATURES = llvm.get_host_cpu_features()
-N_LANES = 16 if _FEATURES.get("avx512f") else 8 if _FEATURES.get("avx") else 4
+N_LANES = widest() // 2
+"""Of a vector register."""
 TILE_VECTORS = 2
 TILE_UNITS = 8 if N_LANES == 16 else 4
 """As many as leave registers for rows and weights, of 32 and of 16. Layers are padded to half as many."""
@@ -41,7 +41,7 @@ NUMBER = 4
 
 
 def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], relu: Any, n_units: int) -> None:
-    """Emit the instructions of out = relu(weight @ x + bias) for a tile of some outputs."""
+    """Emit the instructions of out = relu(weightᵀ x + bias) for a tile of some outputs."""
     x, weight, bias, out = pointers
     n_in, n_out = sizes
     vector, size = ir.VectorType(ir.FloatType(), N_LANES), n_in.type
@@ -116,7 +116,7 @@ def _tile_of(n_units: int) -> Any:
     ) -> Any:
         """Compute a tile; x, weight, bias and out are addresses."""
 
-        def emit(context: Any, builder: Any, signature: Any, args: Any) -> ir.Value:
+        def emit(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
             pointer = ir.FloatType().as_pointer()
             addresses = [builder.inttoptr(address, pointer) for address in args[:4]]
             _tile(builder, addresses, args[4:6], args[6], n_units)
@@ -144,27 +144,27 @@ def _forward(
         between: (2, TILE_VECTORS, widest layer, N_LANES) for what goes from one layer to the next.
     """
     n_members, n_layers, _ = layers.shape
-    lanes = NUMBER * N_LANES
+    vector = NUMBER * N_LANES
     widest = sizes[1:].max()
     for member in range(n_members):
         for first in range(member * n_vectors, (member + 1) * n_vectors, TILE_VECTORS):
-            rows = x + lanes * first * sizes[0]
+            rows = x + vector * first * sizes[0]
             for layer in range(n_layers):
                 n_in, n_out = sizes[layer], sizes[layer + 1]
                 last = layer == n_layers - 1
-                inner = between + lanes * (layer % 2) * TILE_VECTORS * widest
-                result = out + lanes * first * n_out if last else inner
+                inner = between + vector * (layer % 2) * TILE_VECTORS * widest
+                result = out + vector * first * n_out if last else inner
                 for unit in range(0, n_out, TILE_UNITS):
                     weight = layers[member, layer, 0] + NUMBER * unit * n_in
                     bias = layers[member, layer, 1] + NUMBER * unit
                     if n_out - unit >= TILE_UNITS:
-                        _multiply_tile(rows, weight, bias, result + lanes * unit, n_in, n_out, not last)
+                        _multiply_tile(rows, weight, bias, result + vector * unit, n_in, n_out, not last)
                     else:
-                        _multiply_half_tile(rows, weight, bias, result + lanes * unit, n_in, n_out, not last)
+                        _multiply_half_tile(rows, weight, bias, result + vector * unit, n_in, n_out, not last)
                 rows = result
 
 
-run_networks = compiled(_forward, [sys.modules[__name__]], seconds=2)
+run_networks = compiled(_forward, [lanes, sys.modules[__name__]], seconds=2)
 
 
 def _padded(n: int) -> int:
@@ -193,7 +193,7 @@ class PackedNetworks:
         self._panels = [
             _panels(weight, n_in, n_out) for weight, n_in, n_out in zip(weights, sizes, sizes[1:], strict=False)
         ]
-        self._biases = [aligned((self.n_members, n_out)) for n_out in sizes[1:]]
+        self._biases = [np.zeros((self.n_members, n_out), np.float32) for n_out in sizes[1:]]
         for packed, bias in zip(self._biases, biases, strict=True):
             packed[:, : bias.shape[1]] = bias
         self.layers = np.array(
@@ -242,7 +242,7 @@ def _panels(weight: Float32, n_in: int, n_out: int) -> Float32:
     n_members = len(weight)
     filled = np.zeros((n_members, n_in, n_out), np.float32)
     filled[:, : weight.shape[1], : weight.shape[2]] = weight
-    panels = aligned((n_members, n_in * n_out))
+    panels = np.zeros((n_members, n_in * n_out), np.float32)
     for unit in range(0, n_out, TILE_UNITS):
         panel = filled[:, :, unit : unit + TILE_UNITS].reshape(n_members, -1)
         panels[:, unit * n_in : unit * n_in + panel.shape[1]] = panel

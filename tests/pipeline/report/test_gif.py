@@ -53,9 +53,11 @@ def test_the_same_bytes_each_time(dry_replay):
 
 
 def test_both_films_of_the_same_pictures(slush_replay, dry_replay):
-    """Of a number of pictures, 151 and 61, after whose last the GIF has none, and another."""
-    for replays in ([slush_replay], [dry_replay, slush_replay], [replace(dry_replay, frames=dry_replay.frames[:11])]):
+    """Of 91, 60 and 11 pictures: after the last that the GIF has come none, two and one."""
+    for replays in ([dry_replay, slush_replay], [dry_replay], [replace(dry_replay, frames=dry_replay.frames[:11])]):
         assert render_films(replays) == (render_gif(replays), render_mp4(replays))
+    with pytest.raises(ValueError, match="needs a replay"):
+        render_films([])
 
 
 def test_slush_lies_over_the_robot_and_the_lines_alike(slush_replay):

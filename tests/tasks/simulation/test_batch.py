@@ -97,11 +97,12 @@ def test_it_does_not_settle_if_not_asked_to(designs):
 @pytest.mark.parametrize("row", [VX, OMEGA + 3])
 def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, row):
     world = batch.shared_world(TrueSlush(0.5), PHYSICS)
-    clean, spoiled = (batch.Groups(designs, PHYSICS, n_members=1, n_lanes=16) for _ in range(2))
+    clean, spoiled = (batch.Groups(designs, PHYSICS, n_members=1, n_lanes=widest()) for _ in range(2))
     for groups in (clean, spoiled):
         groups.advance(world, 0, 60, None)
-    victim = 21  # lane 5 of group 1
-    spoiled.blocks[1, row, 5] = poison
+    victim = 21  # with neighbours on either side, in its part of the group and in the other
+    group, lane = divmod(victim, widest())
+    spoiled.blocks[group, row, lane] = poison
     for groups in (clean, spoiled):
         groups.advance(world, 60, 90, None)
     others = np.arange(N_DESIGNS) != victim

@@ -58,7 +58,7 @@ def rounded(exact):
     return min(candidates, key=lambda c: (abs(Fraction(float(c)) - exact), int(c.view(np.int32)) & 1))
 
 
-@pytest.mark.parametrize("width", [3, TILE_UNITS + 3])  # of less than a tile, and of one and more than a half
+@pytest.mark.parametrize("width", [1, TILE_UNITS + 1])  # of half a tile, and of one and a half
 def test_sums_run_over_the_inputs_in_their_order_rounded_once_per_input(width):
     # So the bits are those of any machine with fused multiply-adds, whatever its vectors.
     weights, biases = networks(2, width, n_members=1)
@@ -77,7 +77,7 @@ def test_sums_run_over_the_inputs_in_their_order_rounded_once_per_input(width):
         assert (got[row] == h).all()
 
 
-@pytest.mark.parametrize("width", [7, TILE_UNITS, 48, 64])
+@pytest.mark.parametrize("width", [5, TILE_UNITS, 48, 64])
 def test_a_row_does_not_depend_on_the_rows_beside_it(width):
     network = packed(2, width)
     x = rows(500)
