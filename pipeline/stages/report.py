@@ -51,7 +51,7 @@ TOGETHER = "replay"
 EVOLUTION, ADAPTATION = "evolve/", "adaptation/"
 """How the names of inputs begin that are the curves of trials, and of their adaptations."""
 
-PICTURES_OF_PAGE = 2500
+PICTURES_OF_PAGE = 4000
 """About what the page costs, as pictures of a film."""
 
 
