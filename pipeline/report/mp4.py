@@ -18,8 +18,8 @@ from pipeline.report.lane import LANE_HEIGHT, WIDTH
 from pipeline.report.replay import Replay
 
 X264 = {"preset": "veryfast", "crf": "23", "threads": "1"}
-"""At a constant rate factor of 23 the edges of links are clean, and 20 s take 100 to 300 kB; less is better. Slower
-presets make files no smaller."""
+"""At a constant rate factor of 23 the edges of links are clean, and 20 s take 250 to 550 kB; less is better. A
+slower preset takes twice as long for files a tenth smaller."""
 
 MP4 = {"movflags": "+faststart", "movie_timescale": str(1000 * FPS)}
 """The index goes to the front, so that a browser can begin at once; to go back there takes a file. A film's length is

@@ -9,7 +9,6 @@ from PIL import Image, ImageColor
 
 from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.film import pictures
-from pipeline.report.films import render_films
 from pipeline.report.gif import FPS, render_gif
 from pipeline.report.lane import (
     GROUND,
@@ -24,7 +23,6 @@ from pipeline.report.lane import (
     mix,
     robot_colors,
 )
-from pipeline.report.mp4 import render_mp4
 
 
 def count(picture: Image.Image, color: str | tuple[int, int, int]) -> int:
@@ -50,14 +48,6 @@ def test_two_robots_above_one_another(slush_replay, dry_replay):
 
 def test_the_same_bytes_each_time(dry_replay):
     assert render_gif([dry_replay]) == render_gif([dry_replay])
-
-
-def test_both_films_of_the_same_pictures(slush_replay, dry_replay):
-    """Of 91, 60 and 11 pictures: after the last that the GIF has come none, two and one."""
-    for replays in ([dry_replay, slush_replay], [dry_replay], [replace(dry_replay, frames=dry_replay.frames[:11])]):
-        assert render_films(replays) == (render_gif(replays), render_mp4(replays))
-    with pytest.raises(ValueError, match="needs a replay"):
-        render_films([])
 
 
 def test_slush_lies_over_the_robot_and_the_lines_alike(slush_replay):
