@@ -46,7 +46,7 @@ def first_generation() -> list[Figure]:
     program = (
         "import time\n"
         "from functools import partial\n"
-        "from tasks.evolution import NOBODY_YET, Afpo, evaluate, evolve\n"
+        "from tasks.evolution import Afpo, Trial, evaluate, evolve\n"
         "from tasks.seeding import generator\n"
         "from tasks.simulation import simulate\n"
         "from tasks.world import TrueSlush\n"
@@ -54,7 +54,7 @@ def first_generation() -> list[Figure]:
         "    rollouts = simulate(designs, TrueSlush(1.0), n_settle=1, n_measure=1)\n"
         "    return evaluate(rollouts, disagreement_penalty=0.0)\n"
         "start = time.perf_counter()\n"
-        "evolve(NOBODY_YET, score, partial(generator, 0), first_generation=0, n_generations=1, afpo=Afpo())\n"
+        "evolve([Trial(partial(generator, 0))], score, first_generation=0, n_generations=1, afpo=Afpo())\n"
         "print(time.perf_counter() - start)\n"
     )
     with tempfile.TemporaryDirectory() as cache:

@@ -11,7 +11,7 @@ from benchmarks.engines import N_DESIGNS, N_ROUNDS
 from benchmarks.measure import Figure
 from pipeline.artifacts import encode_arrays, encode_table
 from tasks.design import Designs
-from tasks.evolution import NOBODY_YET, Afpo, Evaluation, evaluate, evolve
+from tasks.evolution import Afpo, Evaluation, Trial, evaluate, evolve
 from tasks.seeding import generator
 from tasks.simulation import batch, simulate
 from tasks.world import DryLand, Environment, TrueSlush
@@ -55,8 +55,8 @@ def _shares(world: Environment, trial: int) -> tuple[float, float]:
 
     start = time.perf_counter()
     with mock.patch.object(batch, "Groups", TimedGroups):
-        population, history = evolve(
-            NOBODY_YET, score, partial(generator, trial),
+        ((population, history),) = evolve(
+            [Trial(partial(generator, trial))], score,
             first_generation=0, n_generations=N_GENERATIONS, afpo=Afpo(population_size=N_DESIGNS),
         )  # fmt: skip
     evolved = time.perf_counter() - start

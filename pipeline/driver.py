@@ -13,13 +13,14 @@ from pydantic import ValidationError
 
 from pipeline.artifacts import canonical_json, digest, encode_json
 from pipeline.cluster import Cluster
+from pipeline.dispatch import run_stage
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.progress import NOTHING, Bar, Progress, Work
 from pipeline.settings import Settings
 from pipeline.stage import Results, Stage, Summary, Upstream
 from pipeline.stages import STAGES
 from pipeline.store import SetAside, Store, StudyItem, StudyRecord
-from pipeline.study import follow, require, results_of, run_stage
+from pipeline.study import follow, require, results_of
 from pipeline.tracking import Run, Tracker
 from tasks.simulation import batch
 

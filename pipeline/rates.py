@@ -20,7 +20,7 @@ from pipeline.report import render_films
 from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.sizes import BYTES_OF_A_DESIGN
 from pipeline.specimens import N_FEW_THROWS, few_throws, short_film, untrained_ensemble
-from pipeline.stages import evolve, transfer
+from pipeline.stages import evolve, segments, transfer
 from pipeline.stages.segments import groups_of, segment_lengths, segment_spec, true_medium, true_slush, world_of
 from pipeline.store import Store
 from tasks.analysis import disagreement, link_states, member_errors, novelty, thrown
@@ -48,7 +48,7 @@ class Rates:
     throw: float
     iteration: float
     simulation: Mapping[EnvironmentName, float]
-    """Of a generation, by the world in which designs are simulated."""
+    """Of a generation, by the world in which designs are simulated; where trials go side by side, of each of them."""
     selection: Mapping[str, float]
     """Of a generation: asking and telling, by the stage that evolves. Bodies that are given are not drawn."""
     population_size: int
@@ -136,7 +136,8 @@ def _time_of_simulation(settings: Settings, world: EnvironmentName) -> float:
     environment = _world(settings, world, float(np.median(depths or list(settings.grid.depths))))
     rng = np.random.default_rng(0)
     morphology = settings.evolution.morphology
-    designs = random_designs(afpo.population_size, rng, morphology=morphology)
+    n_abreast = segments.n_abreast(settings, world)
+    designs = random_designs(n_abreast * afpo.population_size, rng, morphology=morphology)
 
     def rollouts(n_steps: int) -> object:
         return simulate(
@@ -147,7 +148,7 @@ def _time_of_simulation(settings: Settings, world: EnvironmentName) -> float:
     n_steps = min(FEWEST_STEPS, n_all)
     while (seconds := _seconds(partial(rollouts, n_steps))) < ENOUGH_SECONDS and n_steps < n_all:
         n_steps = min(4 * n_steps, n_all)
-    return seconds * n_all / n_steps
+    return seconds * n_all / n_steps / n_abreast
 
 
 def time_of_selection(settings: Settings, body: Designs | None) -> float:

@@ -1,6 +1,6 @@
 """How a stage's chains would keep a cluster busy: the driver's own policy, played through on simulated cores.
 
-As in pipeline/study.py, the heaviest remaining chain is handed out first, two pieces for each core; as on Ray, tasks
+As in pipeline/dispatch.py, the heaviest remaining chain is handed out first, two pieces for each core; as on Ray, tasks
 begin in the order in which they came; and one driver takes every result, one after another. A piece whose generations
 are split holds no core itself: it hands a generation's batches to the cores, waits for all, and selects.
 """
@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from pipeline.study import QUEUED_PER_CORE
+from pipeline.dispatch import QUEUED_PER_CORE
 
 TASK_SECONDS = 0.003
 """What Ray takes to hand out one task, measured."""

@@ -21,7 +21,7 @@ from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS
 from pipeline.stages.report import PAGE
 from pipeline.stages.segments import history_units, segment_lengths
 from tasks.design import N_LINKS, Designs, random_designs
-from tasks.evolution import NOBODY_YET, Evaluation, evolve
+from tasks.evolution import Evaluation, Trial, evolve
 from tasks.residual import Transitions
 
 MANIFEST_BYTES = 2_500
@@ -152,9 +152,9 @@ def _bytes_of_a_generation(settings: Settings, n_of_trial: int, n_members: int, 
         displacement = rng.normal(size=(len(designs), n_members))
         return Evaluation(fitness=displacement.mean(axis=1), displacement=displacement, com_displacement=displacement)
 
-    after, history = evolve(
-        NOBODY_YET, random_scores, lambda generation: rng,
-        first_generation=0, n_generations=n_generations, afpo=settings.evolution.afpo, body=body,
+    ((after, history),) = evolve(
+        [Trial(lambda generation: rng, body=body)], random_scores,
+        first_generation=0, n_generations=n_generations, afpo=settings.evolution.afpo,
     )  # fmt: skip
     population = encode_arrays(after.arrays(), schema="population", version=1, producer="")
     return (_weight(history, units=history_units()) + len(population) + CURVE_BYTES) / n_generations

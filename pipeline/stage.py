@@ -1,7 +1,7 @@
 """The contract of a stage: what it reads, which work there is, what one piece computes, and what came of it all.
 
 To add a stage, write a module in pipeline/stages/ that defines a :class:`Stage`, and name it in
-pipeline/stages/__init__.py. The middleware (pipeline/study.py) does the rest: it finds what is done, spreads the
+pipeline/stages/__init__.py. The middleware (study.py and dispatch.py) does the rest: it finds what is done, spreads the
 missing pieces over the cluster, keeps their results and mirrors them to MLflow.
 
 A stage's work is a set of *chains*: pieces that follow one another, such as the segments of an evolutionary trial.
@@ -52,6 +52,10 @@ class Chain:
     """What tells this chain from the others of its stage."""
     weight: float = 1.0
     """Cost of a unit relative to the stage's other chains, for the order of work and the time left."""
+    world: str = ""
+    """Where it happens: pieces of chains of one world that are equally far and equally long may go side by side."""
+    n_abreast: int = 1
+    """How many do so best."""
 
     @property
     def n_items(self) -> int:
@@ -184,5 +188,7 @@ class Stage:
     compute: Callable[[Job, Mapping[str, Files]], Files]
     """Compute a piece from what it is and its inputs' files, by name. Runs on a worker: no store, no clock."""
     summarise: Callable[[Settings, Results, Store], Summary]
+    compute_abreast: Callable[[Sequence[Job], Sequence[Mapping[str, Files]]], Sequence[Files]] | None = None
+    """Compute such pieces side by side, as one call: the same as ``compute`` makes of each, but sooner."""
     diverged: Callable[[Settings, Results, Store], Mapping[str, str]] = lambda settings, results, store: {}
     """What diverged in its chains that are complete, by label; none of them where all stayed finite."""

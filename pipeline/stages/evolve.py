@@ -29,7 +29,8 @@ def plan(settings: Settings) -> Sequence[Chain]:
             settings, stage=NAME, environment=environment, world=environment, depth=depth, trial=trial
         )
         label = segments.trial_label(environment, depth, trial)
-        chains.append(segments.chain_of(settings, label, spec, settings.evolution.n_generations))
+        lengths = segments.segment_lengths(settings, settings.evolution.n_generations)
+        chains.append(segments.chain_of(settings, label, spec, lengths))
     return chains
 
 
@@ -101,6 +102,7 @@ STAGE = Stage(
     plan=plan,
     item=item,
     compute=segments.compute_segment,
+    compute_abreast=segments.compute_segments,
     summarise=summarise,
     diverged=diverged,
 )

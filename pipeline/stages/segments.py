@@ -17,9 +17,10 @@ from pipeline.stage import Chain, Files, Input, Job, Spec, Upstream
 from pipeline.store import Store
 from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
-from tasks.evolution import HISTORY_UNITS, NOBODY_YET, OPERATORS, Afpo, Evaluation, Population, evaluate, evolve
+from tasks.evolution import HISTORY_UNITS, NOBODY_YET, OPERATORS, Afpo, Evaluation, Population, Trial, evaluate, evolve
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
+from tasks.simulation.batch import n_that_fill_lanes
 from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
@@ -125,6 +126,13 @@ def world_inputs(settings: Settings, world: EnvironmentName, trial: int, upstrea
     return {label: Input(upstream["train"].chain(label)[-1], (WEIGHTS,)) for label in labels}
 
 
+def n_abreast(settings: Settings, world: EnvironmentName) -> int:
+    """Say how many trials of a world fill the engine's lanes together, where one leaves some of them empty."""
+    if world in RESIDUAL_ENVIRONMENTS or settings.work.engine != "batch":  # members fill them, or there are none
+        return 1
+    return n_that_fill_lanes(settings.evolution.afpo.population_size, settings.physics)
+
+
 def relative_cost(settings: Settings, world: EnvironmentName) -> float:
     """Estimate what a generation costs, relative to one on dry land."""
     if world not in RESIDUAL_ENVIRONMENTS:
@@ -198,25 +206,40 @@ def score(spec: Spec, how: Spec, environment: Environment, designs: Designs) -> 
 
 def compute_segment(job: Job, inputs: Mapping[str, Files]) -> Files:
     """Advance a trial by the segment's generations."""
-    spec = job.spec
-    environment = world_of(spec, inputs)
-    before = population_of(inputs[BEFORE]) if BEFORE in inputs else NOBODY_YET
-    body = champion_of(population_of(inputs[CHAMPION_OF])) if CHAMPION_OF in inputs else None
-    after, history = evolve(
-        before,
-        partial(score, spec, job.how, environment),
-        partial(generator, spec["seed"], *spec["identity"]),
+    return compute_segments([job], [inputs])[0]
+
+
+def compute_segments(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]]) -> list[Files]:
+    """Advance trials of one world by the same generations, side by side."""
+    spec, how = jobs[0].spec, jobs[0].how
+    trials = [_trial(job.spec, of) for job, of in zip(jobs, inputs, strict=True)]
+    advanced = evolve(
+        trials,
+        partial(score, spec, how, world_of(spec, inputs[0])),
         first_generation=spec["first_generation"],
         n_generations=spec["n_generations"],
         afpo=Afpo.model_validate(spec["afpo"]),
-        body=body,
         morphology=Morphology.model_validate(spec["morphology"]),
     )
-    return {
-        POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=job.key),
-        HISTORY: encode_table(history, schema="history", version=1, producer=job.key, units=history_units()),
-        CURVE: encode_table(_curve(before, history), schema="curve", version=1, producer=job.key, units=CURVE_UNITS),
-    }
+    return [
+        {
+            POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=job.key),
+            HISTORY: encode_table(history, schema="history", version=1, producer=job.key, units=history_units()),
+            CURVE: encode_table(
+                _curve(trial.population, history), schema="curve", version=1, producer=job.key, units=CURVE_UNITS
+            ),
+        }
+        for job, trial, (after, history) in zip(jobs, trials, advanced, strict=True)
+    ]
+
+
+def _trial(spec: Spec, inputs: Mapping[str, Files]) -> Trial:
+    """Give a trial as the segment before left it."""
+    return Trial(
+        partial(generator, spec["seed"], *spec["identity"]),
+        population_of(inputs[BEFORE]) if BEFORE in inputs else NOBODY_YET,
+        champion_of(population_of(inputs[CHAMPION_OF])) if CHAMPION_OF in inputs else None,
+    )
 
 
 def population_of(files: Files) -> Population:
@@ -284,11 +307,13 @@ def join_curves(parts: Mapping[str, bytes]) -> dict[str, npt.NDArray[Any]]:
     return {name: np.concatenate([table[name] for table in tables]) for name in CURVE_UNITS}
 
 
-def chain_of(settings: Settings, label: str, spec: Spec, n_generations: int) -> Chain:
-    """Lay out a trial as a chain of segments."""
+def chain_of(settings: Settings, label: str, spec: Spec, units: tuple[float, ...]) -> Chain:
+    """Lay out a trial as a chain of segments, and of what else there is to do for it."""
     return Chain(
         label=label,
-        units=segment_lengths(settings, n_generations),
+        units=units,
         spec=spec,
         weight=relative_cost(settings, spec["world"]),
+        world=f"{spec['world']} at {spec['depth']!r} m",
+        n_abreast=n_abreast(settings, spec["world"]),
     )

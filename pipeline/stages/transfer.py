@@ -50,7 +50,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
         label = segments.trial_label(environment, depth, trial)
         adapted = environment in settings.transfer.adapted_environments
         adaptation = segments.segment_lengths(settings, settings.transfer.n_generations) if adapted else ()
-        chains.append(Chain(label=label, units=(*adaptation, SCORING), spec=spec))
+        chains.append(segments.chain_of(settings, label, spec, (*adaptation, SCORING)))
     return chains
 
 
@@ -74,7 +74,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     """Advance an adaptation, or score a trial's champion before and after it."""
-    if "n_generations" in job.spec:
+    if _is_adaptation(job):
         return segments.compute_segment(job, inputs)
     evolved = segments.population_of(inputs[CHAMPION_OF])
     champion = segments.champion_of(evolved)
@@ -89,6 +89,17 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
             files[ADAPTED] = encode_json(design_document(adapted))
             scores |= _in_true_slush(job, adapted, "adapted")
     return {**files, SCORE: encode_json(scores)}
+
+
+def compute_abreast(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]]) -> list[Files]:
+    """Advance adaptations side by side; champions are scored one after another, which takes but milliseconds."""
+    if _is_adaptation(jobs[0]):
+        return segments.compute_segments(jobs, inputs)
+    return [compute(job, of) for job, of in zip(jobs, inputs, strict=True)]
+
+
+def _is_adaptation(job: Job) -> bool:
+    return "n_generations" in job.spec
 
 
 def _in_true_slush(job: Job, design: Designs, name: str) -> dict[str, float | None]:
@@ -165,6 +176,7 @@ STAGE = Stage(
     plan=plan,
     item=item,
     compute=compute,
+    compute_abreast=compute_abreast,
     summarise=summarise,
     diverged=diverged,
 )

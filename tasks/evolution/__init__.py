@@ -3,7 +3,7 @@
 from tasks.evolution.afpo import NOBODY_YET, Afpo, ask, select, tell
 from tasks.evolution.breeding import OPERATORS, Children, Population
 from tasks.evolution.objective import Evaluation, evaluate, penalised_mean
-from tasks.evolution.trial import HISTORY_UNITS, History, evolve
+from tasks.evolution.trial import HISTORY_UNITS, History, Trial, evolve
 
 __all__ = [
     "HISTORY_UNITS",
@@ -14,6 +14,7 @@ __all__ = [
     "Evaluation",
     "History",
     "Population",
+    "Trial",
     "ask",
     "evaluate",
     "evolve",

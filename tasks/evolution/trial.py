@@ -1,8 +1,13 @@
-"""A trial: one evolutionary run, as far as it is asked to go, with a record of every design that it evaluated."""
+"""A trial: one evolutionary run, as far as it is asked to go, with a record of every design that it evaluated.
+
+Trials that have nothing to do with one another may go side by side: their designs are evaluated together, which changes
+nothing but the time it takes, and each trial is what it would be by itself.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +15,7 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.design import ANY_BODY, Designs, Morphology
-from tasks.evolution.afpo import Afpo, ask, tell
+from tasks.evolution.afpo import NOBODY_YET, Afpo, ask, tell
 from tasks.evolution.breeding import OPERATORS, Children, Population
 from tasks.evolution.objective import Evaluation
 from tasks.held import hold
@@ -33,31 +38,38 @@ HISTORY_UNITS: Mapping[str, str] = {
 """Columns of a history beside the genes, and their units."""
 
 
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A trial as far as it has come."""
+
+    generator_of: Callable[[int], Generator]
+    """Gives each generation its own generator, so that it does not matter where a trial was cut."""
+    population: Population = NOBODY_YET
+    body: Designs | None = None
+    """One design whose body stays; only controllers evolve then."""
+
+
 def evolve(
-    population: Population,
+    trials: Sequence[Trial],
     evaluate: Callable[[Designs], Evaluation],
-    generator_of: Callable[[int], Generator],
     *,
     first_generation: int,
     n_generations: int,
     afpo: Afpo,
-    body: Designs | None = None,
     morphology: Morphology = ANY_BODY,
-) -> tuple[Population, History]:
-    """Advance a trial by some generations.
+) -> list[tuple[Population, History]]:
+    """Advance trials by some generations, side by side.
 
     Args:
-        population: what the trial was before; NOBODY_YET at its start.
-        evaluate: scores designs; evolution does not know how.
-        generator_of: gives each generation its own generator, so that it does not matter where a trial was cut.
+        trials: as they are before.
+        evaluate: scores designs, of all trials at once; evolution does not know how.
         first_generation: number of the first generation to run.
         n_generations: how many to run.
         afpo: the algorithm's parameters.
-        body: one design whose body stays; only controllers evolve then.
         morphology: what bodies keep to.
 
     Returns:
-        The trial as it is afterwards, and the history of these generations.
+        Of each trial: what survives of it, and the history of these generations.
 
     Raises:
         ValueError: there is no generation to run.
@@ -66,17 +78,47 @@ def evolve(
         raise ValueError(f"n_generations is {n_generations}, expected 1 or more")
     # After some milliseconds of anything else, Python's own work takes about twice as long. So what
     # can be done before or after all rollouts is.
-    generators = [hold(generator_of(first_generation + index)) for index in range(n_generations)]
-    steps = []
-    for rng in generators:
-        children = ask(population, rng, afpo, body=body, morphology=morphology)
-        evaluation = evaluate(children.designs)
-        population = tell(population, children, evaluation.fitness, rng, afpo)
-        steps.append((children, evaluation, population))
-    return population, _record(first_generation, steps)
+    numbers = range(first_generation, first_generation + n_generations)
+    generators = [[hold(trial.generator_of(number)) for number in numbers] for trial in trials]
+    populations = [trial.population for trial in trials]
+    steps: list[list[_Step]] = [[] for _ in trials]
+    for rngs in zip(*generators, strict=True):
+        families = [
+            ask(population, rng, afpo, body=trial.body, morphology=morphology)
+            for trial, population, rng in zip(trials, populations, rngs, strict=True)
+        ]
+        evaluations = _of_each(evaluate(_all_designs(families)), families)
+        for i, (children, evaluation, rng) in enumerate(zip(families, evaluations, rngs, strict=True)):
+            populations[i] = tell(populations[i], children, evaluation.fitness, rng, afpo)
+            steps[i].append((children, evaluation, populations[i]))
+    return [(after, _record(first_generation, of)) for after, of in zip(populations, steps, strict=True)]
 
 
-def _record(first_generation: int, steps: Sequence[tuple[Children, Evaluation, Population]]) -> History:
+_Step = tuple[Children, Evaluation, Population]
+"""A generation of a trial: its children, how they did, and who survived."""
+
+
+def _all_designs(families: Sequence[Children]) -> Designs:
+    """Join the children of trials, one trial after another."""
+    if len(families) == 1:
+        return families[0].designs
+    return Designs.from_table(np.concatenate([children.table for children in families]))
+
+
+def _of_each(evaluation: Evaluation, families: Sequence[Children]) -> list[Evaluation]:
+    """Part what was said of all designs by trials."""
+    ends = np.cumsum([len(children.age) for children in families])
+    return [
+        Evaluation(
+            fitness=evaluation.fitness[first:end],
+            displacement=evaluation.displacement[first:end],
+            com_displacement=evaluation.com_displacement[first:end],
+        )
+        for first, end in zip((0, *ends[:-1]), ends, strict=True)
+    ]
+
+
+def _record(first_generation: int, steps: Sequence[_Step]) -> History:
     """Record what became of each generation's children, all generations at once."""
     children = [step[0] for step in steps]
     n_children = [len(of.age) for of in children]

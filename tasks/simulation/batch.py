@@ -177,6 +177,16 @@ class Groups:
         self.set_velocities(*(v.astype(np.float32).reshape(self.n_robots, N_LINKS) for v in velocities))
 
 
+def _has_no_lanes(physics: Physics) -> bool:
+    """Tell whether robots have the kernel without lanes."""
+    return physics.passive_joints == "locked" or physics.link_collisions
+
+
+def n_that_fill_lanes(n_robots: int, physics: Physics) -> int:
+    """Count the populations of so many robots that this machine's lanes hold at once: their steps cost hardly more."""
+    return 1 if _has_no_lanes(physics) else max(1, widest() // n_robots)
+
+
 def roll_out(
     designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool
 ) -> Motion:
@@ -207,7 +217,7 @@ def roll_out_on(
     n_members = environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1
     learned_medium: PackedNetworks | None = getattr(medium, "networks", None)
     groups: Groups | Robots
-    if physics.passive_joints == "locked" or physics.link_collisions:
+    if _has_no_lanes(physics):
         groups = Robots(designs, environment.depth, physics, n_members=n_members)
     else:
         groups = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes)

@@ -16,7 +16,7 @@ PATCHES = sorted((ROOT / "docs" / "patches").glob("*.patch"))
 RUN = """
 import json
 from functools import partial
-from tasks.evolution import NOBODY_YET, Afpo, evaluate, evolve
+from tasks.evolution import Afpo, Trial, evaluate, evolve
 from tasks.seeding import generator
 from tasks.simulation import simulate
 from tasks.world import TrueSlush
@@ -26,7 +26,7 @@ def score(designs):
 
 afpo = Afpo(population_size=6)
 afpo = afpo.model_copy(update={"mutation": afpo.mutation.model_copy(update={"step": 1.0})})  # as patch 1 asks for
-_, history = evolve(NOBODY_YET, score, partial(generator, 1), first_generation=0, n_generations=3, afpo=afpo)
+((_, history),) = evolve([Trial(partial(generator, 1))], score, first_generation=0, n_generations=3, afpo=afpo)
 print(json.dumps(history["fitness"].tolist()))
 """
 

@@ -5,12 +5,13 @@ from small_study import NoBar
 
 from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
+from pipeline.dispatch import run_stage
 from pipeline.settings import Settings
 from pipeline.sizes import PAGE_BYTES, bytes_left, weigh
 from pipeline.specimens import layers_of
 from pipeline.stages import STAGES
 from pipeline.store import Store
-from pipeline.study import follow, results_of, run_stage
+from pipeline.study import follow, results_of
 from tasks.residual.network import ResidualNetwork
 
 SMALL = """

@@ -2,22 +2,21 @@
 
 import contextlib
 import dataclasses
-import itertools
 import re
 import shutil
 
 import pytest
 from small_study import NoBar, digests, run, silent
 
-import pipeline.study
-from pipeline.cluster import Cluster, Handle, Outcome, Ticket, serial_cluster
+from pipeline.cluster import serial_cluster
 from pipeline.configuration import parse
+from pipeline.dispatch import run_stage
 from pipeline.errors import PuddleError
 from pipeline.settings import Settings
 from pipeline.stage import Files, Job, Stage
 from pipeline.stages import STAGES
 from pipeline.store import Store
-from pipeline.study import follow, require, results_of, run_stage, survey
+from pipeline.study import follow, require, results_of, survey
 
 TINY = """
 name: tiny
@@ -227,122 +226,3 @@ def test_a_damaged_item_is_computed_again(tmp_path):
         after = run(tiny(), store, cluster, STAGES[:2], said.append)
     assert digests(after) == digests(before)
     assert len(said) == 1 and "weights.safetensors" in said[0]
-
-
-class Stuck:
-    """A cluster of one core, on which the pieces of some trials never end; and a clock that knows no other time.
-
-    A piece that ends takes 100 s. Until ``free_at`` [s], the core is somebody else's.
-    """
-
-    n_cores, n_gpus = 1.0, 0.0
-
-    def __init__(self, inner: Cluster, *stuck: str, free_at: float = 0.0) -> None:
-        self.inner, self.stuck, self.now, self.numbers = inner, stuck, 0.0, itertools.count(-1, -1)
-        self.free_at, self.hung = free_at, list[Ticket]()
-
-    def monotonic(self) -> float:
-        assert self.now < 1e6, "it waits for ever"
-        return self.now
-
-    perf_counter = monotonic
-
-    def share(self, value: object) -> Handle:
-        return self.inner.share(value)
-
-    def submit(self, function, *arguments, name="", **options) -> Ticket:
-        if any(label in name for label in self.stuck):
-            self.hung.append(Ticket(next(self.numbers), name))
-            return self.hung[-1]
-
-        def slowly(*given):
-            (files, _), begin = function(*given), self.now
-            self.now += 100.0
-            return files, self.now - begin
-
-        return self.inner.submit(slowly, *arguments, name=name)
-
-    def next_done(self, timeout: float) -> tuple[Ticket, Outcome] | None:
-        finished = self.inner.next_done() if self.now >= self.free_at else None
-        self.now += timeout if finished is None else 0.0
-        return finished
-
-    def begun(self) -> set[Ticket]:
-        return set(self.hung[:1]) if self.now >= self.free_at else set()
-
-    def give_up(self, ticket: Ticket) -> None:
-        assert self.hung.pop(0) is ticket, f"{ticket.name} works, or waits"
-
-
-ONE_ARM = (
-    "grid.environments=[dry_land]", "grid.single_member_depths=[]", "grid.n_trials=2", "work.generations_per_item=4",
-)  # fmt: skip
-
-
-def _evolve(settings: Settings, store: Store, monkeypatch, *stuck: str, free_at: float = 0.0) -> dict[str, str]:
-    """Evolve where some trials hang, and give why each was set aside."""
-    with serial_cluster() as inner:
-        cluster = Stuck(inner, *stuck, free_at=free_at)
-        monkeypatch.setattr(pipeline.study, "time", cluster)
-        return dict(run(settings, store, cluster, STAGES[2:3])["evolve"].set_aside)
-
-
-def test_a_piece_that_hangs_is_set_aside_by_every_driver_that_meets_it(tmp_path, monkeypatch):
-    """The second finds the rest done: what it may take follows from what is kept, if it was made in the same way."""
-    settings, store = tiny(*ONE_ARM), Store.open(tmp_path / "store", create=True)
-    for _ in range(2):
-        (label, why), = _evolve(settings, store, monkeypatch, "trial-1").items()
-        assert label == "dry_land/1m/trial-1"
-        assert "did not end within 2000 s" in why and "slowest piece of its stage took 100 s" in why
-
-
-@pytest.mark.parametrize(
-    ("before", "now"),
-    [
-        ([], ["work.engine=batch"]),
-        ([], ["work.designs_per_batch=2"]),
-        (["work.designs_per_batch=2"], ["work.designs_per_batch=2"]),
-    ],
-)
-def test_what_was_made_in_another_way_says_nothing_of_how_long_a_piece_may_take(before, now, tmp_path, monkeypatch):
-    """Another engine takes a hundredth of the time, and batches take the longer, the fewer cores there are."""
-    store = Store.open(tmp_path / "store", create=True)
-    _evolve(tiny(*ONE_ARM, *before), store, monkeypatch, "trial-1")
-    (why,) = _evolve(tiny(*ONE_ARM, *now), store, monkeypatch, "trial-1").values()
-    assert "did not end within 86400 s" in why and "none of its stage has ended" in why
-
-
-def test_a_stage_whose_every_piece_hangs_ends(tmp_path, monkeypatch):
-    store = Store.open(tmp_path / "store", create=True)
-    assert set(_evolve(tiny(*ONE_ARM), store, monkeypatch, "trial-")) == {"dry_land/1m/trial-0", "dry_land/1m/trial-1"}
-    long = tiny(*ONE_ARM, "evolution.n_generations=2000", "work.generations_per_item=2000")
-    (why, _) = _evolve(long, store, monkeypatch, "trial-").values()
-    assert "did not end within 120000 s" in why
-
-
-def test_what_waits_for_a_core_that_is_somebody_elses_does_not_hang(tmp_path, monkeypatch):
-    """Four days, of which another driver has the core for three: only from then on a piece may be too long."""
-    store = Store.open(tmp_path / "store", create=True)
-    assert not _evolve(tiny(*ONE_ARM), store, monkeypatch, free_at=3 * 86_400.0)
-    other = Store.open(tmp_path / "other", create=True)
-    assert list(_evolve(tiny(*ONE_ARM), other, monkeypatch, "trial-1", free_at=3 * 86_400.0)) == ["dry_land/1m/trial-1"]
-
-
-class Late(Stuck):
-    """A cluster whose node with a core joins when the core is free; before there are only nodes without."""
-
-    @property
-    def n_cores(self) -> float:
-        return float(self.now >= self.free_at)
-
-
-@pytest.mark.parametrize(("free_at", "n_said"), [(0.0, 0), (7.0, 0), (3600.0, 1)])
-def test_a_cluster_without_cores_is_said_once_and_waited_for(free_at, n_said, tmp_path, monkeypatch):
-    store, said = Store.open(tmp_path / "store", create=True), list[str]()
-    with serial_cluster() as inner:
-        cluster = Late(inner, free_at=free_at)
-        monkeypatch.setattr(pipeline.study, "time", cluster)
-        found = run(tiny(*ONE_ARM), store, cluster, STAGES[2:3], said.append)
-    assert not found["evolve"].set_aside and not found["evolve"].unfinished
-    expected = "evolve waits: expected a cluster with at least one core"
-    assert [line.startswith(expected) for line in said] == [True] * n_said

@@ -26,7 +26,7 @@ from typing import Any
 import volatile
 import yaml
 
-import pipeline.study
+import pipeline.dispatch
 from pipeline import disk
 from pipeline.artifacts import digest
 from pipeline.cluster import Cluster, serial_cluster
@@ -130,10 +130,11 @@ def noted(cluster: AbstractContextManager[Cluster], root: Path) -> Iterator[Clus
             def __getattr__(self, name: str) -> Any:
                 return getattr(inner, name)
 
-            def submit(self, function: Callable[..., Any], compute: Any, job: Any, *rest: Any, **how: Any) -> Any:
-                held = any(root.glob(f"items/*/{job.key[:2]}/{job.key}/manifest.json"))
-                print(job.key, "held" if held else "missing", file=log, flush=True)
-                return inner.submit(function, compute, job, *rest, **how)
+            def submit(self, function: Any, compute: Any, abreast: Any, jobs: Any, *rest: Any, **how: Any) -> Any:
+                for job in jobs:
+                    held = any(root.glob(f"items/*/{job.key[:2]}/{job.key}/manifest.json"))
+                    print(job.key, "held" if held else "missing", file=log, flush=True)
+                return inner.submit(function, compute, abreast, jobs, *rest, **how)
 
         yield Noted()
 
@@ -186,24 +187,24 @@ def collect_garbage(store: Store) -> None:
 def study(settings: Settings, root: Path, answer: dict[str, Any], *, mlflow: bool = False) -> None:
     """Be a driver."""
 
-    def looked_up(compute: Callable[..., Any], job: Any, *rest: Any) -> Any:
-        answer["computed"].append(job.key)
-        return look_up(compute, job, *rest)
+    def looked_up(compute: Any, compute_abreast: Any, jobs: Any, *rest: Any) -> Any:
+        answer["computed"].extend(job.key for job in jobs)
+        return look_up(compute, compute_abreast, jobs, *rest)
 
     def noted(store: Store, stage: str, key: str, *rest: Any, **record: Any) -> Any:
         manifest = commit(store, stage, key, *rest, **record)
         answer["committed"].append(key)
         return manifest
 
-    look_up, commit = pipeline.study.compute_item, Store.commit
-    pipeline.study.compute_item, Store.commit = looked_up, noted
+    look_up, commit = pipeline.dispatch.compute_party, Store.commit
+    pipeline.dispatch.compute_party, Store.commit = looked_up, noted
     terminal = Quiet(answer["said"])
     try:
         run_study(settings, root, terminal, tracker=open_tracker(root, None, say=terminal.say) if mlflow else None)
     except PuddleError as error:
         answer["error"] = str(error)
     finally:
-        pipeline.study.compute_item, Store.commit = look_up, commit
+        pipeline.dispatch.compute_party, Store.commit = look_up, commit
 
 
 def look_at(root: Path, answer: dict[str, Any], *, whole: bool) -> None:
@@ -248,14 +249,14 @@ def outcome(pid: int, reading: int) -> dict[str, Any]:
 
 def main(size: str) -> None:
     """Compute the study, say so, and serve commands until stdin ends."""
-    compute, cache = pipeline.study.compute_item, {}
+    compute, cache = pipeline.dispatch.compute_party, {}
 
-    def keeping(how: Callable[..., Any], job: Any, *rest: Any) -> Any:
-        if job.key not in cache:
-            files = compute(how, job, *rest)[0]
-            kept = sorted(files, key=lambda name: name != PAGE)[: N_OF_PAGE[size]] if PAGE in files else files
-            cache[job.key] = {name: files[name] for name in kept}
-        return cache[job.key], 1.0
+    def keeping(how: Any, how_abreast: Any, jobs: Any, *rest: Any) -> Any:
+        if any(job.key not in cache for job in jobs):
+            for job, files in zip(jobs, compute(how, how_abreast, jobs, *rest)[0], strict=True):
+                kept = sorted(files, key=lambda name: name != PAGE)[: N_OF_PAGE[size]] if PAGE in files else files
+                cache[job.key] = {name: files[name] for name in kept}
+        return [cache[job.key] for job in jobs], 1.0
 
     @functools.cache
     def ready(name: str) -> Settings:
@@ -265,7 +266,7 @@ def main(size: str) -> None:
         gc.freeze()
         return settings
 
-    pipeline.study.compute_item = keeping
+    pipeline.dispatch.compute_party = keeping
     volatile.watch(disk)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever else prints, prints elsewhere

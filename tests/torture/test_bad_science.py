@@ -19,6 +19,7 @@ import ray
 from command_line import call
 
 import pipeline.cli
+import pipeline.dispatch
 import pipeline.driver
 import pipeline.stages
 import pipeline.status
@@ -112,8 +113,8 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
 ):
     injected(monkeypatch, train=train_one_on_a_nan, evolve=evolve_some_badly)
     monkeypatch.setattr(pipeline.cli, "_cluster", lambda *_: lambda: contextlib.nullcontext(local_ray))
-    monkeypatch.setattr(pipeline.study, "LEAST_PATIENCE_SECONDS", max(10.0, 8 * seconds_of_a_crash(local_ray)))
-    monkeypatch.setattr(pipeline.study, "PATIENCE", 3.0)
+    monkeypatch.setattr(pipeline.dispatch, "LEAST_PATIENCE_SECONDS", max(10.0, 8 * seconds_of_a_crash(local_ray)))
+    monkeypatch.setattr(pipeline.dispatch, "PATIENCE", 3.0)
     (tmp_path / "tiny.yaml").write_text(TINY)
     options = ("--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"))
     reasons = {
@@ -145,7 +146,7 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
         assert {"member-00#0", "dry_land/1m/trial-0#0", "index.html#0"} <= done
     # The causes are mended: what was set aside is computed, and nothing else. (Another page would tell nothing new.)
     injected(monkeypatch)
-    monkeypatch.setattr(pipeline.study, "LEAST_PATIENCE_SECONDS", 600.0)
+    monkeypatch.setattr(pipeline.dispatch, "LEAST_PATIENCE_SECONDS", 600.0)
     before = {(stage, key) for stage in store.stages() for key in store.keys(stage)}
     assert call("train", *options) == 0
     assert call("evolve", *options) == 0

@@ -13,6 +13,7 @@ from tasks.evolution import (
     Evaluation,
     History,
     Population,
+    Trial,
     evaluate,
     evolve,
 )
@@ -37,6 +38,10 @@ def of_trial(generation: int) -> np.random.Generator:
     return generator(5, "evolve", 9.0, 0, generation)
 
 
+def of_another(generation: int) -> np.random.Generator:
+    return generator(5, "evolve", 9.0, 1, generation)
+
+
 def run(
     cuts: list[int],
     *,
@@ -48,8 +53,9 @@ def run(
     population, histories, first = NOBODY_YET, [], 0
     for end in cuts:
         population = Population.from_arrays(population.arrays())
-        population, history = evolve(
-            population, score, of_trial, first_generation=first, n_generations=end - first, afpo=afpo, body=body
+        trial = Trial(of_trial, population, body)
+        ((population, history),) = evolve(
+            [trial], score, first_generation=first, n_generations=end - first, afpo=afpo
         )
         histories.append(history)
         first = end
@@ -136,12 +142,32 @@ def test_the_diverged_are_kept_but_never_survive(uncut: tuple[Population, Histor
 
 
 def test_another_trial_is_another() -> None:
-    def other(generation: int) -> np.random.Generator:
-        return generator(5, "evolve", 9.0, 1, generation)
-
     one, _ = run([2])
-    two, _ = evolve(NOBODY_YET, long_and_fast, other, first_generation=0, n_generations=2, afpo=AFPO)
+    ((two, _),) = evolve([Trial(of_another)], long_and_fast, first_generation=0, n_generations=2, afpo=AFPO)
     assert not one.designs.equals(two.designs)
+
+
+def test_trials_side_by_side_are_what_each_is_alone() -> None:
+    """One begins, one goes on, one has a body that stays; and all designs of a generation are evaluated at once."""
+    n_at_once = []
+
+    def score(designs: Designs) -> Evaluation:
+        n_at_once.append(len(designs))
+        return long_and_fast(designs)
+
+    begun, _ = run([3])
+    body = random_designs(1, np.random.default_rng(2))
+    trials = [Trial(of_another), Trial(of_trial, begun), Trial(of_trial, body=body)]
+    together = evolve(trials, score, first_generation=3, n_generations=5, afpo=AFPO)
+    assert n_at_once == [3 * AFPO.population_size] * 5
+    for trial, (population, history) in zip(trials, together, strict=True):
+        ((alone, of_one),) = evolve([trial], long_and_fast, first_generation=3, n_generations=5, afpo=AFPO)
+        for (name, array), expected in zip(population.arrays().items(), alone.arrays().values(), strict=True):
+            assert array.tobytes() == expected.tobytes(), name
+        assert list(history) == list(of_one)
+        for name, column in history.items():
+            assert column.tobytes() == of_one[name].tobytes(), name
+            assert column.dtype == of_one[name].dtype, name
 
 
 def test_a_frozen_body_stays_through_a_trial() -> None:
@@ -175,8 +201,8 @@ BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 @pytest.mark.parametrize("frozen", [False, True])
 def test_every_design_of_a_trial_keeps_to_its_morphology(frozen: bool) -> None:
     body = random_designs(1, np.random.default_rng(6), morphology=BUILDABLE) if frozen else None
-    _, history = evolve(
-        NOBODY_YET, long_and_fast, of_trial, first_generation=0, n_generations=12, afpo=AFPO, body=body,
+    ((_, history),) = evolve(
+        [Trial(of_trial, body=body)], long_and_fast, first_generation=0, n_generations=12, afpo=AFPO,
         morphology=BUILDABLE,
     )  # fmt: skip
     designs = Designs.from_arrays(history)
