@@ -220,19 +220,27 @@ def recombine_tables(child: Table, other: Table, rng: Generator, variation: Vari
     """
     n_designs = len(child)
     stays = np.empty((n_designs, N_LINKS + 1), dtype=np.bool_)  # each link's genes, and those of the whole design
-    stays[:, :N_LINKS] = rng.random((n_designs, N_LINKS)) < 0.5
+    of_links = rng.random((n_designs, N_LINKS))
     flipped = rng.integers(0, N_LINKS, n_designs)
-    stays[:, N_LINKS] = rng.random(n_designs) < 0.5
+    of_whole = rng.random(n_designs)
+    on_in = np.empty(N_JOINTS)
     for design in range(n_designs):
-        n_stay = stays[design, :N_LINKS].sum()
+        n_stay = 0
+        for link in range(N_LINKS):
+            stays[design, link] = of_links[design, link] < 0.5
+            n_stay += stays[design, link]
+        stays[design, N_LINKS] = of_whole[design] < 0.5
         if n_stay == 0 or n_stay == N_LINKS:
             stays[design, flipped[design]] ^= True
         motors = child[design, MOTORS : MOTORS + N_JOINTS]
-        on_in = motors + other[design, MOTORS : MOTORS + N_JOINTS]
+        for joint in range(N_JOINTS):
+            on_in[joint] = motors[joint] + other[design, MOTORS + joint]
         for column in range(N_COLUMNS):
             if not stays[design, LINK_OF_COLUMN[column]]:
                 child[design, column] = other[design, column]
         if variation.n_actuated != ANY_NUMBER:
             # 3 on in both, 2 inherited, 1 on in the other, 0 in none; chance decides among equals.
-            preference = np.minimum(on_in, 1) + (on_in == 2) + motors
-            _switch_on_highest(motors, preference + rng.random(N_JOINTS), variation.n_actuated)
+            preference = rng.random(N_JOINTS)
+            for joint in range(N_JOINTS):
+                preference[joint] += min(on_in[joint], 1.0) + (on_in[joint] == 2.0) + motors[joint]
+            _switch_on_highest(motors, preference, variation.n_actuated)

@@ -1,6 +1,7 @@
 """Evolution's own work, compiled: from a population to its children, and from both to the survivors.
 
-In NumPy it is some hundred calls, each of which takes longer than its work on 64 designs.
+In NumPy it is some hundred calls, each of which takes longer than its work on 64 designs. Loops over numbers take the
+place of whole arrays' sums and indices, which take several times as long to compile.
 """
 
 from __future__ import annotations
@@ -133,16 +134,38 @@ def breed(
             places[child, 1], identities[child, 1] = other, population.identity[other]
             age[child] = max(age[child], population.age[other])
 
-    mutants = np.flatnonzero(operator == MUTATION)
-    changed = population.table[places[mutants, 0]]
+    mutants, changed = _parents(population, operator, MUTATION, places[:, 0])
     mutate_kernel(changed, rng, variation)
-    table[mutants] = changed
-    recombined = np.flatnonzero(operator == CROSSOVER)
-    mixed = population.table[places[recombined, 0]]
-    recombine_kernel(mixed, population.table[places[recombined, 1]], rng, variation)
-    table[recombined] = mixed
-    identity = population.n_evaluated + np.arange(n_children)
+    for number, child in enumerate(mutants):
+        _copy_genes(changed[number], table[child])
+    recombined, mixed = _parents(population, operator, CROSSOVER, places[:, 0])
+    _, others = _parents(population, operator, CROSSOVER, places[:, 1])
+    recombine_kernel(mixed, others, rng, variation)
+    for number, child in enumerate(recombined):
+        _copy_genes(mixed[number], table[child])
+    identity = np.arange(population.n_evaluated, population.n_evaluated + n_children)
     return Children(table, age, identity, operator, places, identities, np.ones(n_children, dtype=np.int64))
+
+
+@inline
+def _parents(population: Population, operator: Ints, wanted: int, place: Ints) -> tuple[Ints, Table]:
+    """List the children of an operator, and copy the genes of their parents at given places in the population."""
+    children = np.empty(len(operator), dtype=np.int64)
+    n = 0
+    for child in range(len(operator)):
+        if operator[child] == wanted:
+            children[n] = child
+            n += 1
+    genes = np.empty((n, N_COLUMNS))
+    for number in range(n):
+        _copy_genes(population.table[place[children[number]]], genes[number])
+    return children[:n], genes
+
+
+@inline
+def _copy_genes(one: Table, to: Table) -> None:
+    for column in range(N_COLUMNS):
+        to[column] = one[column]
 
 
 def survive(population: Population, children: Children, fitness: Floats, held: Any, n_survivors: int) -> Population:
@@ -157,8 +180,10 @@ def survive(population: Population, children: Children, fitness: Floats, held: A
     """
     n_parents, n_all = len(population.age), len(population.age) + len(children.age)
     all_fitness, all_age = np.empty(n_all), np.empty(n_all, dtype=np.int64)
-    all_fitness[:n_parents], all_fitness[n_parents:] = population.fitness, fitness
-    all_age[:n_parents], all_age[n_parents:] = population.age, children.age
+    for parent in range(n_parents):
+        all_fitness[parent], all_age[parent] = population.fitness[parent], population.age[parent]
+    for child in range(len(children.age)):
+        all_fitness[n_parents + child], all_age[n_parents + child] = fitness[child], children.age[child]
     survivors = _choose(all_fitness, all_age, held, n_survivors)
     n = len(survivors)
     table, of_survivors = np.empty((n, N_COLUMNS)), np.empty(n)
@@ -167,9 +192,11 @@ def survive(population: Population, children: Children, fitness: Floats, held: A
         design, child = survivors[place], survivors[place] - n_parents
         of_survivors[place], age[place] = all_fitness[design], all_age[design] + 1
         if child < 0:
-            table[place], identity[place] = population.table[design], population.identity[design]
+            identity[place] = population.identity[design]
+            _copy_genes(population.table[design], table[place])
         else:
-            table[place], identity[place] = children.table[child], children.identity[child]
+            identity[place] = children.identity[child]
+            _copy_genes(children.table[child], table[place])
     return Population(table, of_survivors, age, identity, population.n_evaluated + len(fitness))
 
 
@@ -185,7 +212,8 @@ def _choose(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
     n_more = min(n_survivors - n_front, len(dominated))
     drawn = _sample(len(dominated), n_more, held)
     survivors = np.empty(n_front + n_more, dtype=np.int64)
-    survivors[:n_front] = front[:n_front]
+    for place in range(n_front):
+        survivors[place] = front[place]
     for place in range(n_more):
         survivors[n_front + place] = dominated[drawn[place]]
     return survivors
@@ -197,7 +225,10 @@ def _front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
 
     A design is beaten by one of its age or younger. One whose fitness is not finite is neither.
     """
-    best = np.full(1 + (age.max() if len(age) else 0), -np.inf)  # of each age or younger
+    oldest = 0
+    for design in range(len(age)):
+        oldest = max(oldest, age[design])
+    best = np.full(1 + oldest, -np.inf)  # of each age or younger
     for design in range(len(age)):
         if np.isfinite(fitness[design]):
             best[age[design]] = max(best[age[design]], fitness[design])
@@ -214,8 +245,13 @@ def _front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
         else:
             front[n_front] = design
             n_front += 1
-    by_fitness = np.argsort(-fitness[front[:n_front]], kind="mergesort")
-    return front[by_fitness], dominated[:n_dominated]
+    for last in range(1, n_front):  # sorted by insertion, so that equals keep their order
+        design, place = front[last], last
+        while place > 0 and fitness[front[place - 1]] < fitness[design]:
+            front[place] = front[place - 1]
+            place -= 1
+        front[place] = design
+    return front[:n_front], dominated[:n_dominated]
 
 
 @inline

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tasks.compiled import inline
-from tasks.simulation.lanes import select
+from tasks.simulation.lanes import from_row, select
 from tasks.simulation.rotation import sincos
 from tasks.simulation.rows import (
     ANGLE,
@@ -71,19 +71,19 @@ def clamp(a: Any, low: Any, high: Any) -> Any:
 
 
 @inline
-def of_parent(block: Any, row: int, parent: Any, joint: int) -> Any:
+def of_parent(links: Any, parent: Any, joint: int) -> Any:
     """Gather a quantity of each lane's parent of a joint, from the rows of the links that it may be."""
-    gathered = block[row]
+    gathered = links[0]
     for link in range(1, joint + 1):
-        gathered = select(parent == link, block[row + link], gathered)
+        gathered = select(parent == link, links[link], gathered)
     return gathered
 
 
 @inline
-def to_parent(block: Any, row: int, parent: Any, joint: int, value: Any) -> None:
+def to_parent(links: Any, parent: Any, joint: int, value: Any) -> None:
     """Scatter a quantity to each lane's parent of a joint."""
     for link in range(joint + 1):
-        block[row + link] = select(parent == link, value, block[row + link])
+        links[link] = select(parent == link, value, links[link])
 
 
 @inline
@@ -94,8 +94,8 @@ def init_velocity_constraint(block: Any, joint: int, dt_ratio: Any) -> None:
     mA, iA = block[PARENT_INVERSE_MASS + joint], block[PARENT_INVERSE_INERTIA + joint]
     mB, iB = block[INVERSE_MASS + child], block[INVERSE_INERTIA + child]
 
-    rA_x = -(of_parent(block, SIN, parent, joint) * block[PARENT_ANCHOR + joint])
-    rA_y = of_parent(block, COS, parent, joint) * block[PARENT_ANCHOR + joint]
+    rA_x = -(of_parent(from_row(block, SIN), parent, joint) * block[PARENT_ANCHOR + joint])
+    rA_y = of_parent(from_row(block, COS), parent, joint) * block[PARENT_ANCHOR + joint]
     rB_x = -(block[SIN + child] * block[CHILD_ANCHOR + joint])
     rB_y = block[COS + child] * block[CHILD_ANCHOR + joint]
     block[RA_X + joint], block[RA_Y + joint] = rA_x, rA_y
@@ -113,10 +113,10 @@ def init_velocity_constraint(block: Any, joint: int, dt_ratio: Any) -> None:
     motor_impulse = block[MOTOR_IMPULSE + joint] * dt_ratio
     block[IMPULSE_X + joint], block[IMPULSE_Y + joint], block[MOTOR_IMPULSE + joint] = P_x, P_y, motor_impulse
 
-    to_parent(block, VX, parent, joint, of_parent(block, VX, parent, joint) - mA * P_x)
-    to_parent(block, VY, parent, joint, of_parent(block, VY, parent, joint) - mA * P_y)
-    wA = of_parent(block, OMEGA, parent, joint)
-    to_parent(block, OMEGA, parent, joint, wA - iA * ((rA_x * P_y - rA_y * P_x) + motor_impulse))
+    to_parent(from_row(block, VX), parent, joint, of_parent(from_row(block, VX), parent, joint) - mA * P_x)
+    to_parent(from_row(block, VY), parent, joint, of_parent(from_row(block, VY), parent, joint) - mA * P_y)
+    wA = of_parent(from_row(block, OMEGA), parent, joint)
+    to_parent(from_row(block, OMEGA), parent, joint, wA - iA * ((rA_x * P_y - rA_y * P_x) + motor_impulse))
     block[VX + child] = block[VX + child] + mB * P_x
     block[VY + child] = block[VY + child] + mB * P_y
     block[OMEGA + child] = block[OMEGA + child] + iB * ((rB_x * P_y - rB_y * P_x) + motor_impulse)
@@ -131,9 +131,9 @@ def solve_velocity_constraint(block: Any, joint: int) -> None:
     mB, iB = block[INVERSE_MASS + child], block[INVERSE_INERTIA + child]
     rA_x, rA_y = block[RA_X + joint], block[RA_Y + joint]
     rB_x, rB_y = block[RB_X + joint], block[RB_Y + joint]
-    vA_x = of_parent(block, VX, parent, joint)
-    vA_y = of_parent(block, VY, parent, joint)
-    wA = of_parent(block, OMEGA, parent, joint)
+    vA_x = of_parent(from_row(block, VX), parent, joint)
+    vA_y = of_parent(from_row(block, VY), parent, joint)
+    wA = of_parent(from_row(block, OMEGA), parent, joint)
     vB_x, vB_y, wB = block[VX + child], block[VY + child], block[OMEGA + child]
 
     # A motor that is off has no impulse to give.
@@ -154,9 +154,9 @@ def solve_velocity_constraint(block: Any, joint: int) -> None:
     block[IMPULSE_X + joint] = block[IMPULSE_X + joint] + impulse_x
     block[IMPULSE_Y + joint] = block[IMPULSE_Y + joint] + impulse_y
 
-    to_parent(block, VX, parent, joint, vA_x - mA * impulse_x)
-    to_parent(block, VY, parent, joint, vA_y - mA * impulse_y)
-    to_parent(block, OMEGA, parent, joint, wA - iA * (rA_x * impulse_y - rA_y * impulse_x))
+    to_parent(from_row(block, VX), parent, joint, vA_x - mA * impulse_x)
+    to_parent(from_row(block, VY), parent, joint, vA_y - mA * impulse_y)
+    to_parent(from_row(block, OMEGA), parent, joint, wA - iA * (rA_x * impulse_y - rA_y * impulse_x))
     block[VX + child] = vB_x + mB * impulse_x
     block[VY + child] = vB_y + mB * impulse_y
     block[OMEGA + child] = wB + iB * (rB_x * impulse_y - rB_y * impulse_x)
@@ -169,11 +169,11 @@ def solve_position_constraint(block: Any, joint: int, unsolved: Any) -> Any:
     parent = block[PARENT + joint]
     mA, iA = block[PARENT_INVERSE_MASS + joint], block[PARENT_INVERSE_INERTIA + joint]
     mB, iB = block[INVERSE_MASS + child], block[INVERSE_INERTIA + child]
-    cA_x, cA_y = of_parent(block, X, parent, joint), of_parent(block, Y, parent, joint)
+    cA_x, cA_y = of_parent(from_row(block, X), parent, joint), of_parent(from_row(block, Y), parent, joint)
     cB_x, cB_y = block[X + child], block[Y + child]
 
-    rA_x = -(of_parent(block, SIN, parent, joint) * block[PARENT_ANCHOR + joint])
-    rA_y = of_parent(block, COS, parent, joint) * block[PARENT_ANCHOR + joint]
+    rA_x = -(of_parent(from_row(block, SIN), parent, joint) * block[PARENT_ANCHOR + joint])
+    rA_y = of_parent(from_row(block, COS), parent, joint) * block[PARENT_ANCHOR + joint]
     rB_x = -(block[SIN + child] * block[CHILD_ANCHOR + joint])
     rB_y = block[COS + child] * block[CHILD_ANCHOR + joint]
 
@@ -190,13 +190,13 @@ def solve_position_constraint(block: Any, joint: int, unsolved: Any) -> Any:
     impulse_x = select(unsolved, inverse_det * (k_xy * C_y - k_yy * C_x), 0.0)
     impulse_y = select(unsolved, inverse_det * (k_xy * C_x - k_xx * C_y), 0.0)
 
-    aA = of_parent(block, ANGLE, parent, joint) - iA * (rA_x * impulse_y - rA_y * impulse_x)
+    aA = of_parent(from_row(block, ANGLE), parent, joint) - iA * (rA_x * impulse_y - rA_y * impulse_x)
     sin_A, cos_A = sincos(aA)
-    to_parent(block, X, parent, joint, cA_x - mA * impulse_x)
-    to_parent(block, Y, parent, joint, cA_y - mA * impulse_y)
-    to_parent(block, ANGLE, parent, joint, aA)
-    to_parent(block, SIN, parent, joint, sin_A)
-    to_parent(block, COS, parent, joint, cos_A)
+    to_parent(from_row(block, X), parent, joint, cA_x - mA * impulse_x)
+    to_parent(from_row(block, Y), parent, joint, cA_y - mA * impulse_y)
+    to_parent(from_row(block, ANGLE), parent, joint, aA)
+    to_parent(from_row(block, SIN), parent, joint, sin_A)
+    to_parent(from_row(block, COS), parent, joint, cos_A)
     aB = block[ANGLE + child] + iB * (rB_x * impulse_y - rB_y * impulse_x)
     sin_B, cos_B = sincos(aB)
     block[X + child], block[Y + child] = cB_x + mB * impulse_x, cB_y + mB * impulse_y

@@ -88,7 +88,7 @@ class World(NamedTuple):
 def command_motor(block: Any, j: int, time: Any, gain: Any) -> None:
     """Motor speed gain · (θ* - θ); see tasks/simulation/drive.py."""
     parent = block[PARENT + j]
-    joint_angle = block[ANGLE + j + 1] - of_parent(block, ANGLE, parent, j)
+    joint_angle = block[ANGLE + j + 1] - of_parent(from_row(block, ANGLE), parent, j)
     turns = block[FREQUENCY] * time + block[PHASE + j]
     r = turns - floor(turns + 0.5)
     folded = 0.25 - abs(abs(r) - 0.25)

@@ -97,7 +97,8 @@ def pack_robots(
         genes, tree = table[design], 0
         for link in range(N_LINKS):
             tree += int(genes[PARENT + link]) * TREE_WEIGHTS[link]
-        place[design] = PLACE_OF_TREE[tree]
+        for link in range(N_LINKS):
+            place[design, link] = PLACE_OF_TREE[tree, link]
         robot = np.zeros(rows.FREQUENCY + 1, single)  # what comes after is scratch
         robot[rows.FREQUENCY] = single(genes[FREQUENCY])
         for i in range(N_LINKS):
@@ -126,6 +127,9 @@ def pack_robots(
                 robot[rows.MOTION_RANGE + j] = single(genes[MOTION_RANGE + link])
                 robot[rows.REST_ANGLE + j] = single(genes[JOINT_ANGLE + link])
         for number in range(design, n_robots, len(table)):
-            blocks[number // n_lanes, : len(robot), number % n_lanes] = robot
+            for row in range(len(robot)):
+                blocks[number // n_lanes, row, number % n_lanes] = robot[row]
+    last = n_robots - 1
     for number in range(n_robots, blocks.shape[0] * n_lanes):
-        blocks[number // n_lanes, :, number % n_lanes] = blocks[(n_robots - 1) // n_lanes, :, (n_robots - 1) % n_lanes]
+        for row in range(blocks.shape[1]):
+            blocks[number // n_lanes, row, number % n_lanes] = blocks[last // n_lanes, row, last % n_lanes]
