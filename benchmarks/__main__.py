@@ -40,8 +40,9 @@ def main() -> None:
     """Measure, print, write."""
     console = Console(width=118)
     figures: list[Figure] = []
-    for measure in (engines.first_generation, engines.steps, engines.bodies, engines.packing, evolution.own_work,
-                    engines.two_processes, networks.inference, networks.generation):  # fmt: skip
+    for measure in (engines.first_generation, engines.steps, engines.bodies, engines.packing,
+                    evolution.own_work, evolution.side_by_side, engines.two_processes,
+                    networks.inference, networks.generation):  # fmt: skip
         console.print(f"[dim]{measure.__doc__}[/dim]")
         figures += measure()
     table = Table(title=f"One core of {machine()['cpu']}")

@@ -1,8 +1,9 @@
-"""What evolution itself takes of a generation; the rest is simulation."""
+"""What evolution itself takes of a generation, the rest of which is simulation; and trials side by side."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 from unittest import mock
@@ -17,6 +18,8 @@ from tasks.simulation import batch, simulate
 from tasks.world import DryLand, Environment, TrueSlush
 
 N_GENERATIONS = 100
+N_OF_LAPTOP = 16
+"""Designs of a trial of the laptop's preset."""
 
 
 def own_work() -> list[Figure]:
@@ -66,3 +69,31 @@ def _shares(world: Environment, trial: int) -> tuple[float, float]:
     keeping = time.perf_counter() - start
     own = evolved - (evaluating - packing)
     return 100 * own / evolved, 100 * (own + keeping) / (evolved + keeping)
+
+
+def side_by_side() -> list[Figure]:
+    """Evolve two trials of 16 designs side by side, and one after the other."""
+    figures = []
+    for world in (TrueSlush(0.0), TrueSlush(1.0), TrueSlush(9.0)):
+        for trials in ([0], [0, 1]):
+            _seconds(world, trials)  # compiles
+        shares = []
+        for one, other in ((2 * number, 2 * number + 1) for number in range(N_ROUNDS)):
+            apart = _seconds(world, [one]) + _seconds(world, [other])
+            shares.append(100 * _seconds(world, [one, other]) / apart)
+        figures.append(Figure(f"two trials side by side over one by one, d = {world.depth:g}", shares, "%"))
+    return figures
+
+
+def _seconds(world: Environment, trials: Sequence[int]) -> float:
+    """Evolve trials side by side for a few generations."""
+
+    def score(designs: Designs) -> Evaluation:
+        return evaluate(simulate(designs, world), disagreement_penalty=0.0)
+
+    start = time.perf_counter()
+    evolve(
+        [Trial(partial(generator, trial)) for trial in trials], score,
+        first_generation=0, n_generations=N_GENERATIONS // 4, afpo=Afpo(population_size=N_OF_LAPTOP),
+    )  # fmt: skip
+    return time.perf_counter() - start

@@ -107,9 +107,8 @@ def is_cached(kernel: Callable[..., Any]) -> bool:
 
 
 def inline(function: F) -> F:
-    """Mark a piece of a kernel: compiled into whatever calls it, and from there alone."""
-    piece = numba.njit(forceinline=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-    return cast(F, piece(function))
+    """Mark a piece of a kernel: compiled into whatever calls it."""
+    return cast(F, numba.njit(forceinline=True, error_model="numpy")(function))
 
 
 def _cache_folder() -> str:
