@@ -21,10 +21,10 @@ from pipeline.store import Store
 from pipeline.study import Walk, go_on, is_batched, next_item
 
 N_ATTEMPTS = 2
-"""Times that a piece is tried before it is set aside."""
+"""Times that a piece is tried by itself before it is set aside."""
 
 QUEUED_PER_CORE = 2
-"""Pieces handed to the cluster at a time, so that no core waits for this process."""
+"""Parties handed to the cluster at a time, so that no core waits for this process."""
 
 PATIENCE = 20.0
 """Times the slowest piece of its stage, by weighted units, that a piece may take before it is taken to hang. Generous:
@@ -96,7 +96,7 @@ class _Dispatcher:
         self._since: dict[Ticket, float] = {}
         """When a party was first seen at work; what waits for a core, behind others' work too, does not hang."""
         self._slowest = 0.0
-        """Seconds a weighted unit, of the pieces that ended, in this process or before."""
+        """Seconds a weighted unit, of the pieces that ended, now or before; one beside others took what all took."""
         self._looks_without_cores = 0
 
     def run(self, walks: Sequence[Walk]) -> None:
@@ -126,7 +126,7 @@ class _Dispatcher:
             queue = max(1, round(QUEUED_PER_CORE * n_cores))
             while ready and len(self._running) < queue:
                 # The queue must not run low for company's sake: a core without work is worse than empty lanes.
-                n_to_spare = len(ready) + len(self._running) - queue
+                n_to_spare = len(ready) + len(self._running) - queue if self._stage.compute_abreast else 0
                 self._submit([walks[number] for number in _take_party(ready, walks, n_to_spare)])
             finished = self._cluster.next_done(timeout=SECONDS_BETWEEN_LOOKS)
             if finished is not None:
@@ -183,7 +183,7 @@ class _Dispatcher:
         for ticket, party in self._running.items():
             if ticket in begun:
                 self._since.setdefault(ticket, now)
-            patience, why = self._patience(sum(walk.next_work for walk, _ in party))
+            patience, why = self._patience(max(walk.next_work for walk, _ in party))
             if now - self._since.get(ticket, now) > patience:
                 reason = f"it did not end within {patience:.0f} s{why}, and was stopped"
                 hanging.append((ticket, TaskFailed(ticket.name, reason, "", False)))
@@ -207,12 +207,13 @@ class _Dispatcher:
         else:
             results, seconds = outcome.result
             for (walk, item), files in zip(party, results, strict=True):
+                self._slowest = max(self._slowest, seconds / walk.next_work)
                 self._keep(walk, item, files, seconds / len(party))
         return [walk for walk, _ in party]
 
     def _fail(self, walk: Walk, item: Item, failed: TaskFailed, *, in_company: bool) -> None:
-        if in_company:  # by whose fault is not known, so each is tried alone, and nothing is counted
-            walk.alone = True
+        walk.alone = True
+        if in_company:  # by whose fault is not known, so nothing is counted
             return
         walk.n_failed += 1
         if walk.n_failed >= N_ATTEMPTS:
@@ -222,7 +223,6 @@ class _Dispatcher:
     def _keep(self, walk: Walk, item: Item, files: Files, seconds: float) -> None:
         record: Mapping[str, Json] = {"label": item.label, "seconds": seconds, "how": item.how}
         manifest = self._store.commit(item.stage, item.key, item.identity, files, record=record)
-        self._slowest = max(self._slowest, seconds / walk.next_work)
         left = walk.left
         walk.manifests.append(manifest)
         walk.n_failed, walk.alone = 0, False
@@ -261,7 +261,7 @@ def compute_party(
 
     Args:
         compute: computes one.
-        compute_abreast: computes several.
+        compute_abreast: computes several, which a stage without it never has.
         jobs: what they are.
         names: of the inputs of each.
         contents: of the inputs, of one piece after another.
@@ -269,6 +269,6 @@ def compute_party(
     start = time.perf_counter()
     left = iter(contents)
     inputs = [dict(zip(of, itertools.islice(left, len(of)), strict=True)) for of in names]
-    if len(jobs) > 1 and compute_abreast is not None:
-        return compute_abreast(jobs, inputs), time.perf_counter() - start
-    return [compute(job, of) for job, of in zip(jobs, inputs, strict=True)], time.perf_counter() - start
+    if len(jobs) == 1 or compute_abreast is None:
+        return [compute(jobs[0], inputs[0])], time.perf_counter() - start
+    return compute_abreast(jobs, inputs), time.perf_counter() - start

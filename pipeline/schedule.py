@@ -2,7 +2,8 @@
 
 As in pipeline/dispatch.py, the heaviest remaining chain is handed out first, two pieces for each core; as on Ray, tasks
 begin in the order in which they came; and one driver takes every result, one after another. A piece whose generations
-are split holds no core itself: it hands a generation's batches to the cores, waits for all, and selects.
+are split holds no core itself: it hands a generation's batches to the cores, waits for all, and selects. Trials that go
+side by side are played one by one, each at its share of their time, though with cores enough for all they go alone.
 """
 
 from __future__ import annotations

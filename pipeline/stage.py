@@ -189,6 +189,6 @@ class Stage:
     """Compute a piece from what it is and its inputs' files, by name. Runs on a worker: no store, no clock."""
     summarise: Callable[[Settings, Results, Store], Summary]
     compute_abreast: Callable[[Sequence[Job], Sequence[Mapping[str, Files]]], Sequence[Files]] | None = None
-    """Compute such pieces side by side, as one call: the same as ``compute`` makes of each, but sooner."""
+    """Compute pieces of chains that may go side by side, as one call: what ``compute`` makes of each, but sooner."""
     diverged: Callable[[Settings, Results, Store], Mapping[str, str]] = lambda settings, results, store: {}
     """What diverged in its chains that are complete, by label; none of them where all stayed finite."""

@@ -28,7 +28,7 @@ class Walk:
     set_aside: str | None = None
     """Why the chain can't go on, if it can't."""
     alone: bool = False
-    """Whether the piece that is next failed beside others: alone it fails by its own fault."""
+    """Whether the piece that is next has failed: it is tried again without company, to take nobody along."""
     slowest: float = 0.0
     """Seconds a weighted unit, of the pieces that were found kept and tell what one takes now."""
 
@@ -104,7 +104,8 @@ def go_on(
             return
         # Another engine may be a hundred times as fast, and batches share what cores there were: no measure of now.
         if manifest.record.get("how") == item.how and not is_batched(item):
-            walk.slowest = max(walk.slowest, float(manifest.record.get("seconds", 0.0)) / walk.next_work)
+            seconds = float(manifest.record.get("seconds", 0.0)) * walk.chain.n_abreast  # a share, perhaps
+            walk.slowest = max(walk.slowest, seconds / walk.next_work)
         walk.manifests.append(manifest)
 
 

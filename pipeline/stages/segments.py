@@ -210,8 +210,15 @@ def compute_segment(job: Job, inputs: Mapping[str, Files]) -> Files:
 
 
 def compute_segments(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]]) -> list[Files]:
-    """Advance trials of one world by the same generations, side by side."""
+    """Advance trials of one world by the same generations, side by side.
+
+    Raises:
+        ValueError: they differ in more than which trial they are.
+    """
     spec, how = jobs[0].spec, jobs[0].how
+    common, *others = (_all_but_identity(job, of) for job, of in zip(jobs, inputs, strict=True))
+    if any(other != common for other in others):
+        raise ValueError(f"trials side by side, from {spec['identity']} on, differ in more than their identities")
     trials = [_trial(job.spec, of) for job, of in zip(jobs, inputs, strict=True)]
     advanced = evolve(
         trials,
@@ -231,6 +238,12 @@ def compute_segments(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]])
         }
         for job, trial, (after, history) in zip(jobs, trials, advanced, strict=True)
     ]
+
+
+def _all_but_identity(job: Job, inputs: Mapping[str, Files]) -> tuple[Spec, Mapping[str, Files]]:
+    """Give what trials that go side by side have in common: the specification, and the networks of their world."""
+    networks = {name: files for name, files in inputs.items() if name not in (BEFORE, CHAMPION_OF)}
+    return {**job.spec, "identity": None}, networks
 
 
 def _trial(spec: Spec, inputs: Mapping[str, Files]) -> Trial:

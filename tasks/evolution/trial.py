@@ -49,6 +49,10 @@ class Trial:
     """One design whose body stays; only controllers evolve then."""
 
 
+_Step = tuple[Children, Evaluation, Population]
+"""A generation of a trial: its children, how they did, and who survived."""
+
+
 def evolve(
     trials: Sequence[Trial],
     evaluate: Callable[[Designs], Evaluation],
@@ -92,10 +96,6 @@ def evolve(
             populations[i] = tell(populations[i], children, evaluation.fitness, rng, afpo)
             steps[i].append((children, evaluation, populations[i]))
     return [(after, _record(first_generation, of)) for after, of in zip(populations, steps, strict=True)]
-
-
-_Step = tuple[Children, Evaluation, Population]
-"""A generation of a trial: its children, how they did, and who survived."""
 
 
 def _all_designs(families: Sequence[Children]) -> Designs:

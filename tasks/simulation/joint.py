@@ -72,7 +72,7 @@ def clamp(a: Any, low: Any, high: Any) -> Any:
 
 @inline
 def of_parent(links: Any, parent: Any, joint: int) -> Any:
-    """Gather a quantity of each lane's parent of a joint, from the rows of the links that it may be."""
+    """Gather a quantity of each lane's parent of a joint; it has a row of ``links`` for each link that this may be."""
     gathered = links[0]
     for link in range(1, joint + 1):
         gathered = select(parent == link, links[link], gathered)
@@ -81,7 +81,7 @@ def of_parent(links: Any, parent: Any, joint: int) -> Any:
 
 @inline
 def to_parent(links: Any, parent: Any, joint: int, value: Any) -> None:
-    """Scatter a quantity to each lane's parent of a joint."""
+    """Scatter a quantity to each lane's parent of a joint, in its rows ``links``."""
     for link in range(joint + 1):
         links[link] = select(parent == link, value, links[link])
 

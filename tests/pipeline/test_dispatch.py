@@ -15,7 +15,7 @@ from pipeline.stage import Files, Job, Stage
 from pipeline.stages import STAGES
 from pipeline.store import Store
 
-(EVOLVE,) = (stage for stage in STAGES if stage.name == "evolve")
+EVOLVE, TRANSFER = (stage for stage in STAGES if stage.name in ("evolve", "transfer"))
 
 
 def tiny(*overrides: str) -> Settings:
@@ -148,9 +148,13 @@ class Parties:
 
     def __init__(self, inner: Cluster, n_cores: float = 1.0) -> None:
         self.inner, self.n_cores, self.parties = inner, n_cores, list[list[int]]()
+        self.in_company = set[tuple[str, bool]]()
+        """Stages, and whether it evolved there."""
 
     def submit(self, function, compute, compute_abreast, jobs, *rest, **options) -> Ticket:
         self.parties.append([job.spec["identity"][-1] for job in jobs])
+        if len(jobs) > 1:
+            self.in_company.add((jobs[0].spec["identity"][0], "n_generations" in jobs[0].spec))
         return self.inner.submit(function, compute, compute_abreast, jobs, *rest, **options)
 
     def __getattr__(self, name: str):
@@ -166,7 +170,7 @@ def _abreast(root, *overrides: str, stage: Stage = EVOLVE, n_cores: float = 1.0)
 
 
 def test_trials_that_fill_the_lanes_together_go_side_by_side_and_are_what_each_is_alone(tmp_path):
-    alone, parties = _abreast(tmp_path / "alone", stage=dataclasses.replace(EVOLVE, plan=_one_abreast))
+    alone, parties = _abreast(tmp_path / "alone", stage=_lonely(EVOLVE))
     assert parties == [[0], [1], [2], [3], [4], [0], [1], [2], [3], [4]]
     together, parties = _abreast(tmp_path / "together")
     assert parties[0] == [0, 1, 2, 3]  # a piece waits behind every core
@@ -174,8 +178,30 @@ def test_trials_that_fill_the_lanes_together_go_side_by_side_and_are_what_each_i
     assert digests(together) == digests(alone)
 
 
-def _one_abreast(settings: Settings):
-    return [dataclasses.replace(chain, n_abreast=1) for chain in EVOLVE.plan(settings)]
+def test_adaptations_and_scores_go_side_by_side_too_and_on_ray(tmp_path, local_ray):
+    settings, stages = tiny(*ABREAST), (EVOLVE, TRANSFER)
+    with serial_cluster() as inner:
+        alone = run(settings, Store.open(tmp_path / "alone", create=True), inner, list(map(_lonely, stages)))
+    cluster = Parties(local_ray)
+    together = run(settings, Store.open(tmp_path / "together", create=True), cluster, stages)
+    assert digests(together) == digests(alone)
+    assert cluster.in_company == {("evolve", True), ("transfer", True), ("transfer", False)}
+
+
+def test_trials_of_several_worlds_are_refused_side_by_side():
+    """Silently they would be kept as what they are not."""
+    jobs = [EVOLVE.item(tiny(f"grid.depths=[{depth}]"), *_first_chain(depth), {}).job for depth in (1.0, 2.0)]
+    with pytest.raises(ValueError, match="differ in more than their identities"):
+        EVOLVE.compute_abreast(jobs, [{}, {}])
+
+
+def _first_chain(depth: float):
+    return EVOLVE.plan(tiny(f"grid.depths=[{depth}]"))[0], 0, None
+
+
+def _lonely(stage: Stage) -> Stage:
+    """Make the stage compute everything alone."""
+    return dataclasses.replace(stage, compute_abreast=None)
 
 
 def test_no_core_is_left_without_work_for_company(tmp_path):
