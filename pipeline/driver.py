@@ -7,11 +7,13 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from pydantic import ValidationError
 
 from pipeline.artifacts import canonical_json, digest, encode_json
+from pipeline.background import Background
 from pipeline.cluster import Cluster
 from pipeline.dispatch import run_stage
 from pipeline.errors import DamagedArtifact, PuddleError
@@ -37,7 +39,8 @@ def drive(
 ) -> Upstream:
     """Do what is missing of some stages, and show what came of them.
 
-    The cluster is opened only once there is something to compute, so that a study that is done says so at once.
+    The cluster is opened only once there is something to compute, so that a study that is done says so at once. MLflow
+    hears of a stage while the next one computes: a study of hundreds of trials has hundreds of thousands of points.
 
     Args:
         settings: the study's.
@@ -51,7 +54,11 @@ def drive(
     Returns:
         Results of every stage up to the last one wanted; of those wanted with what diverged in them.
     """
-    with store.lock_study(settings.name), contextlib.ExitStack() as stack:
+    with (
+        store.lock_study(settings.name),
+        Background("bringing MLflow up to date", progress.say) as background,
+        contextlib.ExitStack() as stack,
+    ):
         cluster: list[Cluster] = []
 
         def the_cluster() -> Cluster:
@@ -62,11 +69,14 @@ def drive(
                 cluster.append(stack.enter_context(open_cluster()))
             return cluster[0]
 
+        def mirror(study: Run, stage: Run, trials: Sequence[Run]) -> None:
+            background.do(partial(tracker.mirror, study, stage, trials))
+
         _introduce(settings, store, progress.say)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
-                return _drive(settings, wanted, store, the_cluster, tracker, progress, how_to_run)
+                return _drive(settings, wanted, store, the_cluster, mirror, progress, how_to_run)
             except DamagedArtifact as damage:
                 if damage.stage is None or damage.key is None or (damage.stage, damage.key) in discarded:
                     raise  # not an item's, or made anew and damaged again: the disk can't be trusted
@@ -82,7 +92,7 @@ def _drive(
     wanted: Sequence[Stage],
     store: Store,
     the_cluster: Callable[[], Cluster],
-    tracker: Tracker,
+    mirror: Callable[[Run, Run, Sequence[Run]], None],
     progress: Progress,
     how_to_run: Callable[[str], str],
 ) -> Upstream:
@@ -114,7 +124,7 @@ def _drive(
         upstream[stage.name] = replace(found, diverged=stage.diverged(settings, found, store))
         summary = stage.summarise(settings, found, store)
         progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
-        tracker.mirror(*_runs(settings, stage, upstream, summary))
+        mirror(*_runs(settings, stage, upstream, summary))
     return upstream
 
 

@@ -62,14 +62,16 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
         curve = segments.read_curve(store, results.done[label])
         final = float(curve["best_fitness"][-1])
         best.setdefault((environment, depth), []).append(final)
-        curves = {name: curve[name].astype(np.float64) for name in ("best_fitness", "median_fitness", "n_diverged")}
+        curves = {name: curve[name].astype(np.float64) for name in ("best_fitness", "median_fitness")}
+        n_diverged = float(curve["n_diverged"].sum())
         for operator in OPERATORS:
             drawn[operator] += int(curve[segments.drawn_column(operator)].sum())
             rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
         params: dict[str, str | int | float] = {"environment": environment, "depth": depth, "trial": trial}
-        trials.append(TrialSummary(name=label, params=params, metrics={"champion_fitness": final}, curves=curves))
+        of_trial = {"champion_fitness": final, "n_diverged": n_diverged}
+        trials.append(TrialSummary(name=label, params=params, metrics=of_trial, curves=curves))
     lines = []
-    metrics = {"n_diverged": float(sum(trial.curves["n_diverged"].sum() for trial in trials))}
+    metrics = {"n_diverged": sum(trial.metrics["n_diverged"] for trial in trials)}
     for (world, depth), of in best.items():
         known = [fitness for fitness in of if np.isfinite(fitness)]
         said = f"{segments.mean_and_deviation(known)} m (n = {len(known)})" if known else "     -"

@@ -135,26 +135,21 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
                 if values:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
             lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
-    trials = [
-        TrialSummary(
-            name=segments.trial_label(row["environment"], row["depth"], row["trial"]),
-            params={name: row[name] for name in ("environment", "depth", "trial")},
-            metrics={k: v for k, v in row.items() if isinstance(v, float) and k != "depth"},
-            curves=_adaptation_curve(row, results, store),
-        )
-        for row in rows
-    ]
-    metrics["n_diverged"] = float(sum(trial.curves[ADAPTED_DIVERGED].sum() for trial in trials if trial.curves))
+    trials = [_of_trial(row, results, store) for row in rows]
+    metrics["n_diverged"] = sum(trial.metrics[ADAPTED_DIVERGED] for trial in trials if trial.curves)
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 
-def _adaptation_curve(row: Mapping[str, Any], results: Results, store: Store) -> dict[str, Any]:
-    adaptation = results.done[segments.trial_label(row["environment"], row["depth"], row["trial"])][:-1]
-    if not adaptation:
-        return {}
-    curve = segments.read_curve(store, adaptation)
-    shown = {"adapted_best_fitness": curve["best_fitness"], ADAPTED_DIVERGED: curve["n_diverged"]}
-    return {name: values.astype(np.float64) for name, values in shown.items()}
+def _of_trial(row: Mapping[str, Any], results: Results, store: Store) -> TrialSummary:
+    """Sum up a trial's scores, and its adaptation where there was one."""
+    name = segments.trial_label(row["environment"], row["depth"], row["trial"])
+    metrics = {k: v for k, v in row.items() if isinstance(v, float) and k != "depth"}
+    curves = {}
+    if adaptation := results.done[name][:-1]:
+        curve = segments.read_curve(store, adaptation)
+        curves = {"adapted_best_fitness": curve["best_fitness"].astype(np.float64)}
+        metrics[ADAPTED_DIVERGED] = float(curve["n_diverged"].sum())
+    return TrialSummary(name, {key: row[key] for key in ("environment", "depth", "trial")}, metrics, curves)
 
 
 def diverged(settings: Settings, results: Results, store: Store) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """The driver: what it does about damage that it meets half-way, and about a name whose study had other settings."""
 
 import contextlib
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -63,6 +64,27 @@ def flip_a_bit(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
+
+
+def test_mlflow_hears_of_a_stage_while_the_next_one_runs(store: Store) -> None:
+    class Slow(Terminal):
+        """Its MLflow has not heard of a stage before the next one has begun."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.begun = {name: threading.Event() for name in ("evolve", "transfer")}
+            self.heard: list[tuple[str, bool]] = []
+
+        def stage(self, name, **options):
+            self.begun[name].set()
+            return super().stage(name, **options)
+
+        def mirror(self, study, stage, trials) -> None:
+            self.heard.append((stage.name, stage.name != "evolve" or self.begun["transfer"].wait(60)))
+
+    terminal = Slow()
+    run(store, terminal=terminal)
+    assert terminal.heard[-2:] == [("evolve", True), ("transfer", True)]
 
 
 def test_damage_met_while_other_work_is_under_way_is_mended(store: Store) -> None:
