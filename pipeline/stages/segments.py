@@ -127,7 +127,7 @@ def world_inputs(settings: Settings, world: EnvironmentName, trial: int, upstrea
 
 
 def n_abreast(settings: Settings, world: EnvironmentName) -> int:
-    """Say how many trials of a world fill the engine's lanes together, where one leaves some of them empty."""
+    """Say how many trials of a world keep the engine's lanes busy together, where one leaves some of them empty."""
     if world in RESIDUAL_ENVIRONMENTS or settings.work.engine != "batch":  # members fill them, or there are none
         return 1
     return n_that_fill_lanes(settings.evolution.afpo.population_size, settings.physics)

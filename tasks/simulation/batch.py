@@ -18,7 +18,7 @@ from tasks.design import body, genes
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, packing, rotation, rows, simd
 from tasks.simulation.bodies.robots import Robots
-from tasks.simulation.kernels import World
+from tasks.simulation.kernels import MOST_ABREAST, World
 from tasks.simulation.lanes import Block, widest
 from tasks.simulation.motion import GROUND_HALF_HEIGHT, Motion
 from tasks.simulation.networks import PackedNetworks
@@ -183,8 +183,8 @@ def _has_no_lanes(physics: Physics) -> bool:
 
 
 def n_that_fill_lanes(n_robots: int, physics: Physics) -> int:
-    """Count the populations of so many robots that this machine's lanes hold at once: their steps cost hardly more."""
-    return 1 if _has_no_lanes(physics) else max(1, widest() // n_robots)
+    """Count the populations of so many robots that fill this machine's lanes, in as many groups as go abreast."""
+    return 1 if _has_no_lanes(physics) else max(1, MOST_ABREAST * widest() // n_robots)
 
 
 def roll_out(
