@@ -1,8 +1,8 @@
 """The batch engine: many robots at once, one per lane, with the bits of the reference engine.
 
-Designs are packed into groups of as many robots as two of the machine's vectors hold, or one where robots are few (see
-lanes.widest), and a compiled kernel steps the groups. Robots whose passive joints are locked or whose links collide
-have a kernel of their own, without lanes: see tasks/simulation/bodies. One thread: a study runs one process per core.
+Designs are packed into groups of as many robots as two of the machine's vectors hold (see lanes.widest), and a compiled
+kernel steps the groups. Robots whose passive joints are locked or whose links collide have a kernel of their own,
+without lanes: see tasks/simulation/bodies. One thread: a study runs one process per core.
 """
 
 from __future__ import annotations
@@ -34,12 +34,16 @@ _pack_robots = compiled(packing.pack_robots, [genes, body, rows, contact, drive,
 
 
 def advance_lanes_among_networks(
-    block: Any, n_groups: int, world: Any, first_step: int, n_steps: int, coupling: Any, no_trace: Any
-) -> None:
-    """Take steps with all robots, each in its member's medium; see learned.py and the engine's kernel."""
+    block: Any, n_groups: int, world: Any, first_step: int, n_steps: int, coupling: Any,
+    trace: Any, traced: bool, one: int,
+) -> None:  # fmt: skip
+    """Take steps with all robots, each in its member's medium; see learned.py and the engine's kernel.
+
+    ``one`` is 1 and ``traced`` False. Were they constants here, numba would compile the engine once more for them.
+    """
     for taken in range(n_steps):
         learned.push(coupling, rows.VX, rows.VY, rows.OMEGA)
-        _advance(block, n_groups, world, first_step + taken, 1, no_trace, False)
+        _advance(block, n_groups, world, first_step + taken, one, trace, traced)
 
 
 _advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, networks, learned], seconds=20)
@@ -164,7 +168,7 @@ class Groups:
         coupling = learned.couple(learned_medium, self.blocks, self.n_robots)
         with np.errstate(all="ignore"):
             _advance_among_networks(
-                self._block, self.n_groups, world, first_step, n_steps, coupling, self._no_trace
+                self._block, self.n_groups, world, first_step, n_steps, coupling, self._no_trace, False, 1
             )
 
     def push(self, medium: Medium) -> None:
@@ -191,10 +195,9 @@ def roll_out(
     designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool
 ) -> Motion:
     """Simulate designs in an environment; see :func:`tasks.simulation.simulate`."""
-    n_robots = len(designs) * (environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1)
-    n_lanes = widest() if n_robots > widest() // 2 else widest() // 2  # a small population fits half of them
+    # Half as many would take 0.7 of the time where they suffice, and another twenty seconds to compile.
     return roll_out_on(
-        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, n_lanes=n_lanes
+        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, n_lanes=widest()
     )
 
 

@@ -40,12 +40,13 @@ _advance = compiled(step.advance_bodies, _SOURCES, seconds=30)
 
 
 def advance_bodies_among_networks(
-    block: Any, n_robots: int, world: Any, first_step: int, n_steps: int, coupling: Any, no_trace: Any
-) -> None:
-    """Take steps with all robots, each in its member's medium; see learned.py and the engine's kernel."""
+    block: Any, n_robots: int, world: Any, first_step: int, n_steps: int, coupling: Any,
+    trace: Any, traced: bool, one: int,
+) -> None:  # fmt: skip
+    """Take steps with all robots, each in its member's medium, as tasks.simulation.batch does on lanes."""
     for taken in range(n_steps):
         learned.push(coupling, body_rows.CHANGE_VX, body_rows.CHANGE_VY, body_rows.CHANGE_OMEGA)
-        _advance(block, n_robots, world, first_step + taken, 1, no_trace, False)
+        _advance(block, n_robots, world, first_step + taken, one, trace, traced)
 
 
 _advance_among_networks = compiled(advance_bodies_among_networks, [*_SOURCES, networks, learned], seconds=30)
@@ -96,7 +97,7 @@ class Robots:
         coupling = learned.couple(learned_medium, self.blocks, self.n_robots)
         with np.errstate(all="ignore"):
             _advance_among_networks(
-                self._block, self.n_robots, world, first_step, n_steps, coupling, self._no_trace
+                self._block, self.n_robots, world, first_step, n_steps, coupling, self._no_trace, False, 1
             )
 
     def push(self, medium: Medium) -> None:
