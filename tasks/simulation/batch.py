@@ -46,7 +46,7 @@ def advance_lanes_among_networks(
         _advance(block, n_groups, world, first_step + taken, one, trace, traced)
 
 
-_advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, networks, learned], seconds=20)
+_advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, networks, learned], seconds=15)
 
 
 def is_compiled() -> bool:
