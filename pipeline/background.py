@@ -15,7 +15,7 @@ SECONDS_OF_SILENCE = 2.0
 class Background:
     """Does one thing after another on a thread of its own; at the end of a ``with`` all of it has been done.
 
-    Only an interruption does not wait. The thread ends with the process then, whatever it was at.
+    Only what ends in an error does not wait: it is to be said at once. The thread goes on then until the process ends.
     """
 
     def __init__(self, what: str, say: Callable[[str], None]) -> None:
@@ -26,7 +26,7 @@ class Background:
             say: shows a line to the user.
         """
         self._what, self._say = what, say
-        self._work: queue.SimpleQueue[Callable[[], object]] = queue.SimpleQueue()
+        self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
 
@@ -38,11 +38,10 @@ class Background:
         self._work.put(work)
 
     def _go_on(self) -> None:
-        while True:
-            work = self._work.get()
+        while (work := self._work.get()) is not None:
             try:
                 work()
-            except BaseException as error:  # a thread that died would be waited for for ever
+            except BaseException as error:  # it is for the end to raise, and the rest of the work is none the worse
                 self._error = self._error or error
 
     def __enter__(self) -> Self:
@@ -51,12 +50,12 @@ class Background:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._thread is None or (kind is not None and not issubclass(kind, Exception)):
+        self._work.put(None)
+        if self._thread is None or kind is not None:
             return
-        all_done = threading.Event()
-        self.do(all_done.set)
-        if not all_done.wait(SECONDS_OF_SILENCE):
+        self._thread.join(SECONDS_OF_SILENCE)
+        if self._thread.is_alive():
             self._say(self._what)
-            all_done.wait()
-        if self._error is not None and kind is None:
+            self._thread.join()
+        if self._error is not None:
             raise self._error

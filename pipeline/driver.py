@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from pipeline.artifacts import canonical_json, digest, encode_json
 from pipeline.background import Background
 from pipeline.cluster import Cluster
+from pipeline.cluster.process import signals_unwind
 from pipeline.dispatch import run_stage
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.progress import NOTHING, Bar, Progress, Work
@@ -56,7 +57,8 @@ def drive(
     """
     with (
         store.lock_study(settings.name),
-        Background("bringing MLflow up to date", progress.say) as background,
+        signals_unwind(),
+        Background("bringing the record of runs and curves up to date", progress.say) as background,
         contextlib.ExitStack() as stack,
     ):
         cluster: list[Cluster] = []

@@ -15,6 +15,9 @@ from tasks.evolution import OPERATORS
 
 NAME, VERSION = "evolve", 2
 
+DIVERGED = "n_designs_diverged"
+"""What MLflow calls the designs of a trial that diverged, of all its generations."""
+
 
 def reads(settings: Settings) -> tuple[str, ...]:
     """Residual environments need the networks; the others need nothing."""
@@ -63,15 +66,14 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
         final = float(curve["best_fitness"][-1])
         best.setdefault((environment, depth), []).append(final)
         curves = {name: curve[name].astype(np.float64) for name in ("best_fitness", "median_fitness")}
-        n_diverged = float(curve["n_diverged"].sum())
         for operator in OPERATORS:
             drawn[operator] += int(curve[segments.drawn_column(operator)].sum())
             rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
         params: dict[str, str | int | float] = {"environment": environment, "depth": depth, "trial": trial}
-        of_trial = {"champion_fitness": final, "n_diverged": n_diverged}
+        of_trial = {"champion_fitness": final, DIVERGED: float(curve["n_diverged"].sum())}
         trials.append(TrialSummary(name=label, params=params, metrics=of_trial, curves=curves))
     lines = []
-    metrics = {"n_diverged": sum(trial.metrics["n_diverged"] for trial in trials)}
+    metrics = {"n_diverged": sum(trial.metrics[DIVERGED] for trial in trials)}
     for (world, depth), of in best.items():
         known = [fitness for fitness in of if np.isfinite(fitness)]
         said = f"{segments.mean_and_deviation(known)} m (n = {len(known)})" if known else "     -"

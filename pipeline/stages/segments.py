@@ -128,7 +128,9 @@ def world_inputs(settings: Settings, world: EnvironmentName, trial: int, upstrea
 
 def n_abreast(settings: Settings, world: EnvironmentName) -> int:
     """Say how many trials of a world keep the engine's lanes busy together, where one leaves some of them empty."""
-    if world in RESIDUAL_ENVIRONMENTS or settings.work.engine != "batch":  # members fill them, or there are none
+    if settings.work.engine != "batch":
+        return 1
+    if world in RESIDUAL_ENVIRONMENTS:  # an ensemble fills them; of single members each trial has its own
         return 1
     return n_that_fill_lanes(settings.evolution.afpo.population_size, settings.physics)
 

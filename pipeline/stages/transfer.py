@@ -29,8 +29,8 @@ ADAPTED_TO = "adapted"
 SCORING = 2 / 64
 """What scoring a champion before and after costs: two rollouts, of the 64 or so of a generation."""
 
-ADAPTED_DIVERGED = "adapted_n_diverged"
-"""What MLflow calls the designs of an adaptation that diverged, by generation."""
+ADAPTED_DIVERGED = "adapted_n_designs_diverged"
+"""What MLflow calls the designs of an adaptation that diverged, of all its generations."""
 
 SCORE, CHAMPION, ADAPTED = "score.json", "champion.json", "adapted.json"
 
@@ -136,7 +136,7 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
             lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
     trials = [_of_trial(row, results, store) for row in rows]
-    metrics["n_diverged"] = sum(trial.metrics[ADAPTED_DIVERGED] for trial in trials if trial.curves)
+    metrics["n_diverged"] = sum(trial.metrics.get(ADAPTED_DIVERGED, 0.0) for trial in trials)
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 

@@ -1,4 +1,4 @@
-"""Work beside the rest: in order, waited for at the end, and by nobody who was interrupted."""
+"""Work beside the rest: in order, and waited for at the end unless that is an error."""
 
 import threading
 import time
@@ -32,33 +32,31 @@ def test_a_long_wait_is_explained():
     assert said == ["bringing it up to date"]
 
 
-def test_what_went_wrong_is_raised_at_the_end_and_the_rest_is_done():
+@pytest.mark.parametrize("error", [ArithmeticError, SystemExit])
+def test_what_went_wrong_is_raised_at_the_end_and_the_rest_is_done(error):
+    def go_wrong():
+        raise error
+
     done = []
-    with pytest.raises(ZeroDivisionError), Background("waiting", say=pytest.fail) as background:
-        background.do(lambda: 1 / 0)
+    with pytest.raises(error), Background("waiting", say=pytest.fail) as background:
+        background.do(go_wrong)
         background.do(lambda: done.append("the rest"))
     assert done == ["the rest"]
 
 
-def test_an_error_of_the_callers_waits_and_is_the_one_that_is_raised():
-    done = []
-    with pytest.raises(KeyError), Background("waiting", say=pytest.fail) as background:
-        background.do(lambda: time.sleep(0.2))
-        background.do(lambda: done.append("all"))
-        background.do(lambda: 1 / 0)
-        raise KeyError
-    assert done == ["all"]
-
-
-def test_an_interruption_does_not_wait():
+@pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt])
+def test_what_ends_in_an_error_does_not_wait(error):
     never = threading.Event()
-    with pytest.raises(KeyboardInterrupt), Background("waiting", say=pytest.fail) as background:
+    with pytest.raises(error), Background("waiting", say=pytest.fail) as background:
         background.do(never.wait)
-        raise KeyboardInterrupt
+        background.do(lambda: 1 / 0)
+        raise error
     never.set()
 
 
-def test_without_work_there_is_no_thread():
+def test_there_is_a_thread_only_while_there_is_work():
     before = threading.active_count()
-    with Background("waiting", say=pytest.fail):
+    with Background("waiting", say=pytest.fail) as background:
         assert threading.active_count() == before
+        background.do(lambda: None)
+    assert threading.active_count() == before

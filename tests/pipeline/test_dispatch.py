@@ -138,7 +138,7 @@ def test_a_cluster_without_cores_is_said_once_and_waited_for(free_at, n_said, tm
 
 
 ABREAST = ("work.engine=batch", "grid.n_trials=5", "work.generations_per_item=2", "evolution.afpo.population_size=2")
-"""Ten pieces, of which the lanes of any machine hold four at once."""
+"""Ten pieces, of which the lanes of any machine hold four at once, and more."""
 
 
 class Parties:

@@ -1,6 +1,10 @@
 """The driver: what it does about damage that it meets half-way, and about a name whose study had other settings."""
 
 import contextlib
+import os
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
@@ -85,6 +89,35 @@ def test_mlflow_hears_of_a_stage_while_the_next_one_runs(store: Store) -> None:
     terminal = Slow()
     run(store, terminal=terminal)
     assert terminal.heard[-2:] == [("evolve", True), ("transfer", True)]
+
+
+def test_a_signal_ends_the_wait_for_mlflow_through_every_finally(tmp_path: Path) -> None:
+    """The cluster is closed by then, whose own handlers unwind while there is one."""
+    script = """
+import sys, time
+from pathlib import Path
+from test_driver import TO_EVOLVE, Terminal, run
+from pipeline.store import Store
+class Slow(Terminal):
+    def say(self, line):
+        print(line, flush=True)
+    def mirror(self, *runs):
+        time.sleep(600)
+try:
+    run(Store.open(Path(sys.argv[1]), create=True), TO_EVOLVE, terminal=Slow())
+finally:
+    print("unwound", flush=True)
+"""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    words = [sys.executable, "-c", script, str(tmp_path / "store")]
+    with subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, text=True) as driver:
+        assert driver.stdout is not None
+        for line in driver.stdout:
+            if line == "bringing the record of runs and curves up to date\n":
+                driver.send_signal(signal.SIGTERM)
+                break
+        assert driver.stdout.read() == "unwound\n"
+    assert driver.returncode == 128 + signal.SIGTERM
 
 
 def test_damage_met_while_other_work_is_under_way_is_mended(store: Store) -> None:

@@ -6,7 +6,7 @@ import pytest
 from both_engines import Slushes, assert_equal_in_plain_python, networks, peaks_of_memory
 
 from tasks.design import N_LINKS, Designs, concatenate, random_designs
-from tasks.simulation import DIVERGED, OK, batch, contact, packing, simulate
+from tasks.simulation import DIVERGED, OK, batch, contact, kernels, packing, simulate
 from tasks.simulation.lanes import widest
 from tasks.simulation.motion import Motion
 from tasks.simulation.rows import N_ROWS, OMEGA, VERTEX_1, VERTEX_2, VX
@@ -39,6 +39,15 @@ def whole(designs: Designs, environment: Environment) -> np.ndarray:
     trace = roll_out(designs, environment, widest()).trace
     assert trace is not None and np.isfinite(trace).all()
     return trace
+
+
+def test_as_many_populations_go_side_by_side_as_the_groups_abreast_hold():
+    room = kernels.MOST_ABREAST * widest()
+    for n_robots in range(1, room + 1):
+        n = batch.n_that_fill_lanes(n_robots, PHYSICS)
+        assert n * n_robots <= room < (n + 1) * n_robots
+    assert batch.n_that_fill_lanes(room + 1, PHYSICS) == 1
+    assert batch.n_that_fill_lanes(1, Physics(link_collisions=True)) == 1  # it has no lanes
 
 
 @compiled_only

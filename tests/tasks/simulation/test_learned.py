@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tasks.design import random_designs
-from tasks.simulation import batch, learned
+from tasks.simulation import learned
 from tasks.simulation.batch import Groups, shared_world
 from tasks.simulation.lanes import widest
 from tasks.simulation.networks import N_LANES
@@ -40,18 +40,6 @@ def test_one_kernel_gives_the_bits_of_asking_between_steps(n_designs, n_lanes, s
         apart.push(environment.ensemble)
         apart.advance(world, step, 1, None)
     np.testing.assert_array_equal(together.poses(), apart.poses())
-
-
-def test_the_engine_is_compiled_once_for_worlds_with_networks_and_without():
-    """Once more would be some twenty seconds on every new machine."""
-    rng = np.random.default_rng(0)
-    environment = ResidualSlush(1.0, networks(rng))
-    groups = Groups(random_designs(2, rng), PHYSICS, n_members=3, n_lanes=widest())
-    world = shared_world(environment, PHYSICS)
-    groups.advance(world, 0, 0, None)
-    groups.advance_among(environment.ensemble.networks, world, 0, 1)
-    compiled = [blocks.count for blocks, *_ in batch._advance.signatures]
-    assert compiled.count(widest()) == 1
 
 
 @settings(deadline=None)
