@@ -32,17 +32,30 @@ def machine() -> dict[str, str | int | None]:
     except (OSError, StopIteration):
         cpu = platform.processor()
     said = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
-    return {"cpu": cpu, "cores": os.cpu_count(), "python": platform.python_version(), "lanes": engines.N_LANES,
-            "commit": said.stdout.strip() or None}  # fmt: skip
+    return {
+        "cpu": cpu,
+        "cores": os.cpu_count(),
+        "python": platform.python_version(),
+        "lanes": engines.N_LANES,
+        "commit": said.stdout.strip() or None,
+    }
 
 
 def main() -> None:
     """Measure, print, write."""
     console = Console(width=118)
     figures: list[Figure] = []
-    for measure in (engines.first_generation, engines.steps, engines.bodies, engines.packing,
-                    evolution.own_work, evolution.side_by_side, engines.two_processes,
-                    networks.inference, networks.generation):  # fmt: skip
+    for measure in (
+        engines.first_generation,
+        engines.steps,
+        engines.bodies,
+        engines.packing,
+        evolution.own_work,
+        evolution.side_by_side,
+        engines.two_processes,
+        networks.inference,
+        networks.generation,
+    ):
         console.print(f"[dim]{measure.__doc__}[/dim]")
         figures += measure()
     table = Table(title=f"One core of {machine()['cpu']}")

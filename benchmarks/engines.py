@@ -19,9 +19,9 @@ from benchmarks.measure import Figure, seconds
 from tasks.design import Designs, Morphology, random_designs
 from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.simulation import batch, reference, simulate
-from tasks.simulation.bodies.robots import Robots
-from tasks.simulation.drive import Drive
-from tasks.simulation.lanes import widest
+from tasks.simulation.controller import Drive
+from tasks.simulation.rigid_bodies.engine import Robots
+from tasks.simulation.simd.lanes import widest
 from tasks.world import DryLand, Environment, Physics, Slush, TrueSlush
 
 N_LANES = widest()
@@ -36,7 +36,7 @@ AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torq
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
 
-def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it is frozen)
+def designs(morphology: Morphology = Morphology()) -> Designs:
     """Draw a generation of designs, always the same."""
     return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
 

@@ -10,7 +10,7 @@ from unittest import mock
 
 from benchmarks.engines import N_DESIGNS, N_ROUNDS
 from benchmarks.measure import Figure
-from pipeline.artifacts import encode_arrays, encode_table
+from pipeline.store.encoding import encode_arrays, encode_table
 from tasks.design import Designs
 from tasks.evolution import Afpo, Evaluation, Trial, evaluate, evolve
 from tasks.seeding import generator
@@ -59,9 +59,12 @@ def _shares(world: Environment, trial: int) -> tuple[float, float]:
     start = time.perf_counter()
     with mock.patch.object(batch, "Groups", TimedGroups):
         ((population, history),) = evolve(
-            [Trial(partial(generator, trial))], score,
-            first_generation=0, n_generations=N_GENERATIONS, afpo=Afpo(population_size=N_DESIGNS),
-        )  # fmt: skip
+            [Trial(partial(generator, trial))],
+            score,
+            first_generation=0,
+            n_generations=N_GENERATIONS,
+            afpo=Afpo(population_size=N_DESIGNS),
+        )
     evolved = time.perf_counter() - start
     start = time.perf_counter()
     encode_arrays(population.arrays(), schema="population", version=1, producer="bench")
@@ -92,7 +95,10 @@ def _seconds(world: Environment, trials: Sequence[int]) -> float:
 
     start = time.perf_counter()
     evolve(
-        [Trial(partial(generator, trial)) for trial in trials], score,
-        first_generation=0, n_generations=N_GENERATIONS // 4, afpo=Afpo(population_size=N_OF_LAPTOP),
-    )  # fmt: skip
+        [Trial(partial(generator, trial)) for trial in trials],
+        score,
+        first_generation=0,
+        n_generations=N_GENERATIONS // 4,
+        afpo=Afpo(population_size=N_OF_LAPTOP),
+    )
     return time.perf_counter() - start

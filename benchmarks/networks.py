@@ -1,7 +1,5 @@
 """Networks on one core: our kernel against torch and against the core's own peak."""
 
-# ruff: noqa: ARG001 (numba gives every intrinsic its context)
-
 from __future__ import annotations
 
 from itertools import pairwise
@@ -19,7 +17,7 @@ from benchmarks.engines import N_ROUNDS, N_STEPS, designs
 from benchmarks.measure import Figure, seconds
 from tasks.residual.ensemble import Ensemble
 from tasks.simulation import simulate
-from tasks.simulation.networks import N_LANES
+from tasks.simulation.networks.inference import N_LANES
 from tasks.world import ResidualSlush
 
 N_MEMBERS = 8

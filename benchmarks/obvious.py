@@ -58,9 +58,7 @@ class Robot:
                 position=(float(tree.x[0, i]), float(tree.y[0, i])), angle=float(tree.angle[0, i])
             )
             box = (float(tree.half_width[0, i]), float(tree.half_height[0, i]))
-            link.CreatePolygonFixture(
-                box=box, density=physics.link_density, friction=physics.friction, groupIndex=-1
-            )
+            link.CreatePolygonFixture(box=box, density=physics.link_density, friction=physics.friction, groupIndex=-1)
             self.links.append(link)
         self.joints = [
             self.world.CreateRevoluteJoint(

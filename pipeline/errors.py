@@ -9,7 +9,7 @@ class PuddleError(Exception):
     """
 
 
-class DamagedArtifact(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
+class DamagedArtifact(PuddleError):
     """Something in the store is not what was committed.
 
     Attributes:
@@ -23,9 +23,9 @@ class DamagedArtifact(PuddleError):  # noqa: N818 (what it is, not that it went 
         self.key = key
 
 
-class OtherVersion(PuddleError):  # noqa: N818
+class OtherVersion(PuddleError):
     """A document of our own, of a version that this puddle does not read."""
 
 
-class Irreproducible(PuddleError):  # noqa: N818
+class Irreproducible(PuddleError):
     """The same work gave other bytes than before: a defect, and reported as one."""

@@ -7,7 +7,6 @@ by their place. It lies in the user's cache, which all processes of a machine sh
 set, and needs no write access to the package.
 """
 
-# ruff: noqa: PTH100, PTH103, PTH111, PTH116, PTH118, PTH119, PTH120, PTH207
 # (no pathlib in tasks, and this is the one place that keeps a file)
 
 from __future__ import annotations

@@ -31,14 +31,30 @@ ROOM_BYTES = 4e9
 """Ten times what the tests write, and Ray's shared memory beside it."""
 
 LONGEST_FIRST = (
-    "torture/test_kills.py", "simulation/test_batch.py", "torture/test_processes.py", "torture/test_bad_science.py",
-    "pipeline/test_study.py", "torture/test_two_machines.py", "parity/test_bodies_equal_pybox2d.py",
-    "pipeline/test_cli.py", "torture/test_crash_points.py", "fabrication/test_exports.py",
-    "architecture/test_changes.py", "parity/test_batch_equals_pybox2d.py", "torture/test_corruption.py",
-    "report/test_page.py", "fabrication/test_fabricate.py", "torture/test_full_disk.py", "torture/test_network.py",
-    "pipeline/test_tracking.py", "torture/test_guards.py", "torture/test_order.py", "pipeline/test_cluster.py",
-    "pipeline/test_stages.py", "torture/test_hostile.py",
-)  # fmt: skip
+    "torture/test_kills.py",
+    "simulation/test_batch.py",
+    "torture/test_processes.py",
+    "torture/test_bad_science.py",
+    "pipeline/workflow/test_study.py",
+    "torture/test_two_machines.py",
+    "parity/test_bodies_equal_pybox2d.py",
+    "pipeline/commands/test_app.py",
+    "torture/test_crash_points.py",
+    "fabrication/test_exports.py",
+    "architecture/test_changes.py",
+    "parity/test_batch_equals_pybox2d.py",
+    "torture/test_corruption.py",
+    "report/test_page.py",
+    "fabrication/test_fabricate.py",
+    "torture/test_full_disk.py",
+    "torture/test_network.py",
+    "pipeline/tracking/test_mirror.py",
+    "torture/test_guards.py",
+    "torture/test_order.py",
+    "pipeline/cluster/test_cluster.py",
+    "pipeline/stages/test_stages.py",
+    "torture/test_hostile.py",
+)
 """Files that take longest, so that no process is left with one of them at the end."""
 
 

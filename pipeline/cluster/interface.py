@@ -33,7 +33,7 @@ class Done:
     result: Any
 
 
-class TaskFailed(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
+class TaskFailed(PuddleError):
     """A call that gave no result.
 
     Attributes:

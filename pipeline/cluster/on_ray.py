@@ -27,11 +27,11 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
-from pipeline.cluster.marks import marked, marks
+from pipeline.cluster.preflight import check_reachable, server_of, unusable
 from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_held, signals_unwind
-from pipeline.cluster.reach import check_reachable, server_of, unusable
 from pipeline.cluster.session import PLACE, session
-from pipeline.cluster.watch import DEAD, NODE_DEAD, SECONDS_BETWEEN_LOOKS, end_if_gone
+from pipeline.cluster.started_calls import marked, marks
+from pipeline.cluster.watchdog import DEAD, NODE_DEAD, SECONDS_BETWEEN_LOOKS, end_if_gone
 from pipeline.errors import PuddleError
 
 N_INFRASTRUCTURE_RETRIES = 1

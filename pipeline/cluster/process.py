@@ -13,12 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-PINNED_THREADS = {
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-}
+PINNED_THREADS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 """One thread per process: torch's results change in their last bits with the number of threads, and a study's must not
 depend on how many cores there are."""
 

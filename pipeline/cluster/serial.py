@@ -29,7 +29,7 @@ class _Serial:
 
     @property
     def n_gpus(self) -> float:
-        from tasks.residual.training import n_cuda_devices  # torch takes a second to import
+        from tasks.residual.training import n_cuda_devices
 
         return float(n_cuda_devices())
 
@@ -41,18 +41,13 @@ class _Serial:
         return Handle(value)
 
     def submit(  # n_cores, n_gpus: a call has what there is
-        self,
-        function: Callable[..., Any],
-        *args: Any,
-        n_cores: float = 1.0,  # noqa: ARG002
-        n_gpus: float = 0.0,  # noqa: ARG002
-        name: str = "",
+        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
         self._waiting.append((ticket, function, references(args)))
         return ticket
 
-    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:  # noqa: ARG002
+    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
         if not self._waiting:
             return None
         ticket, function, args = self._waiting.popleft()

@@ -24,9 +24,9 @@ from pathlib import Path
 
 import psutil
 
-from pipeline.cluster import keeper
+from pipeline.cluster import supervisor
 from pipeline.cluster.process import PINNED_THREADS
-from pipeline.cluster.watch import end_if_stuck
+from pipeline.cluster.watchdog import end_if_stuck
 from pipeline.errors import PuddleError
 
 OBJECT_STORE_BYTES = 512 * 2**20
@@ -79,14 +79,18 @@ def session(n_cores: int | None) -> Iterator[Session]:
         token = token_of(folder)
         with os.fdopen(os.open(token, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
             file.write(secrets.token_hex(32))
-        words = [keeper.__file__, str(folder), str(n_cores or 0), str(OBJECT_STORE_BYTES), str(lock)]
+        words = [supervisor.__file__, str(folder), str(n_cores or 0), str(OBJECT_STORE_BYTES), str(lock)]
         with (folder / "keeper.log").open("w") as log:
             kept = subprocess.Popen(
                 [sys.executable, "-P", *words],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, pass_fds=[lock],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                pass_fds=[lock],
                 env={**environment, **WORKERS_ON_DEMAND, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)},
                 start_new_session=True,  # so that Ctrl-C in the terminal reaches Ray through us alone
-            )  # fmt: skip
+            )
         address = _address(kept, folder)
         threading.Thread(target=end_if_stuck, args=(kept.wait, calling, over), daemon=True).start()
         yield Session(address, token, alive=functools.partial(_runs, kept), calling=calling)
@@ -130,7 +134,7 @@ def _hold(folder: Path) -> int:
 def sweep() -> None:
     """Remove the folders, and kill the processes, of sessions whose driver and keeper both were killed."""
     for folder in dead():
-        keeper.kill_all(functools.partial(_processes_of, folder))
+        supervisor.kill_all(functools.partial(_processes_of, folder))
         shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -16,14 +16,14 @@ from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import Finding, Severity
 from tasks.fabrication.contacts import Contact, passing_contacts
-from tasks.fabrication.drives import servo_of
 from tasks.fabrication.floating import Floating, floating_of
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.scaling import HOT, JointLoad, Scales, joint_loads, scales_of
+from tasks.fabrication.servo_joints import servo_of
 from tasks.fabrication.servos import Servo
 from tasks.fabrication.timeline import Timeline, TimelineError, pulses, timeline_of
 from tasks.simulation import OK, Rollouts, simulate
-from tasks.simulation.motion import ANGLE, OMEGA, X, Y
+from tasks.simulation.box2d import ANGLE, OMEGA, X, Y
 from tasks.world import Environment, Physics
 
 SPARE = radians(5.0)
@@ -164,18 +164,25 @@ def bench_of(
     servo = servo_of(settings.kit)
     simulated_mass = physics.link_density * design.parent.shape[1]  # a link has 1 m²
     scales = scales_of(
-        settings.scaling, length=settings.kit.scale_mm_per_m / 1000, mass_kg=kit.mass_g / 1000,
+        settings.scaling,
+        length=settings.kit.scale_mm_per_m / 1000,
+        mass_kg=kit.mass_g / 1000,
         simulated_mass_kg=simulated_mass,
-    )  # fmt: skip
+    )
     loads: list[JointLoad] = []
     if simulated is not None:
         loads = joint_loads(
-            driven(design), simulated.torque, simulated.speed, scales=scales, servo=servo,
-            servos_per_joint=settings.kit.servos_per_joint, max_motor_torque=physics.max_motor_torque,
+            driven(design),
+            simulated.torque,
+            simulated.speed,
+            scales=scales,
+            servo=servo,
+            servos_per_joint=settings.kit.servos_per_joint,
+            max_motor_torque=physics.max_motor_torque,
             commanded_speed=tuple(
                 2 * pi * float(design.frequency[0]) * float(design.motion_range[0, joint]) for joint in driven(design)
             ),
-        )  # fmt: skip
+        )
     floating = floating_of(kit, fluid_density=settings.scaling.fluid_density)
     calibration = calibration_of(kit, servo)
     timeline: Timeline | None = None
@@ -188,21 +195,41 @@ def bench_of(
     contacts: list[Contact] = []
     if simulated is not None:
         contacts = passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step)
-    found = [*refused, *_of_loads(loads, servo, simulated, settings), *_of_contacts(contacts),
-             *_of_floating(floating, tank_mm), *_of_scale(tank, settings.kit.scale_mm_per_m),
-             *_of_members(members, true_slush)]
+    found = [
+        *refused,
+        *_of_loads(loads, servo, simulated, settings),
+        *_of_contacts(contacts),
+        *_of_floating(floating, tank_mm),
+        *_of_scale(tank, settings.kit.scale_mm_per_m),
+        *_of_members(members, true_slush),
+    ]
     return Bench(
-        scales, servo, settings.kit.servos_per_joint, simulated, tuple(loads), floating, members, calibration, timeline,
+        scales,
+        servo,
+        settings.kit.servos_per_joint,
+        simulated,
+        tuple(loads),
+        floating,
+        members,
+        calibration,
+        timeline,
         tuple(found),
-    )  # fmt: skip
+    )
 
 
 def _of_timeline(timeline: Timeline, calibration: Calibration, settings: FabricationSettings) -> list[Finding]:
     try:
         pulses(timeline, calibration)
     except TimelineError as error:
-        return [Finding("timeline", "fault", "servos", f"they can't play this gait: {str(error).rstrip('.')}."
-                        f"{_remedies(_too_much(timeline, calibration), settings)}")]
+        return [
+            Finding(
+                "timeline",
+                "fault",
+                "servos",
+                f"they can't play this gait: {str(error).rstrip('.')}."
+                f"{_remedies(_too_much(timeline, calibration), settings)}",
+            )
+        ]
     return []
 
 
@@ -236,16 +263,18 @@ def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
     for drive in kit.drives:
         reach = servo.us_per_rad * (drive.joint.motion_range + SPARE)
         for side in drive.sides(kit.settings.servos_per_joint):
-            servos.append(ServoCalibration(
-                joint=drive.joint.link,
-                channel=len(servos),
-                centre_us=servo.neutral_us,
-                direction=kit.direction(drive.joint.link, side),
-                us_per_rad=round(servo.us_per_rad, 3),
-                min_us=round(max(servo.min_pulse_us, servo.neutral_us - reach), 1),
-                max_us=round(min(servo.max_pulse_us, servo.neutral_us + reach), 1),
-                max_speed=round(servo.no_load_speed_rad_s, 3),
-            ))  # fmt: skip
+            servos.append(
+                ServoCalibration(
+                    joint=drive.joint.link,
+                    channel=len(servos),
+                    centre_us=servo.neutral_us,
+                    direction=kit.direction(drive.joint.link, side),
+                    us_per_rad=round(servo.us_per_rad, 3),
+                    min_us=round(max(servo.min_pulse_us, servo.neutral_us - reach), 1),
+                    max_us=round(min(servo.max_pulse_us, servo.neutral_us + reach), 1),
+                    max_speed=round(servo.no_load_speed_rad_s, 3),
+                )
+            )
     return Calibration(servos=tuple(servos)) if servos else None
 
 
@@ -258,46 +287,67 @@ def _of_loads(
     for load in loads:
         where = f"joint {load.joint}"
         if load.use > 1:
-            found.append(Finding(
-                "torque", "fault", where,
-                f"the servo can't do it: at the worst instant the run asks for {load.use:.2f} times what a "
-                f"{servo.name} can give (up to {load.peak_torque:.2f} N·m, up to {load.peak_speed:.1f} rad/s; it has "
-                f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded)."
-                f"{_remedies(_short_of(load, servo), settings)}",
-            ))  # fmt: skip
+            found.append(
+                Finding(
+                    "torque",
+                    "fault",
+                    where,
+                    f"the servo can't do it: at the worst instant the run asks for {load.use:.2f} times what a "
+                    f"{servo.name} can give (up to {load.peak_torque:.2f} N·m, up to {load.peak_speed:.1f} rad/s; it has "
+                    f"{servo.stall_torque_nm:.2f} N·m at rest, {servo.no_load_speed_rad_s:.1f} rad/s unloaded)."
+                    f"{_remedies(_short_of(load, servo), settings)}",
+                )
+            )
         elif load.margin < ENOUGH:
-            found.append(Finding(
-                "margin", "warning", where,
-                f"at the worst instant a {servo.name} has {load.margin:.2f} times what the run asks for, expected "
-                f"{ENOUGH:g} or more: a real one gives less than its data sheet says."
-                f"{_remedies(_short_of(load, servo), settings)}",
-            ))  # fmt: skip
+            found.append(
+                Finding(
+                    "margin",
+                    "warning",
+                    where,
+                    f"at the worst instant a {servo.name} has {load.margin:.2f} times what the run asks for, expected "
+                    f"{ENOUGH:g} or more: a real one gives less than its data sheet says."
+                    f"{_remedies(_short_of(load, servo), settings)}",
+                )
+            )
         if load.stall_share > HOT:
-            found.append(Finding(
-                "heat", "warning", where,
-                f"it asks for {load.stall_share:.0%} of the stall torque (root mean square over the run); above "
-                f"{HOT:.0%} a hobby servo overheats within minutes",
-            ))  # fmt: skip
+            found.append(
+                Finding(
+                    "heat",
+                    "warning",
+                    where,
+                    f"it asks for {load.stall_share:.0%} of the stall torque (root mean square over the run); above "
+                    f"{HOT:.0%} a hobby servo overheats within minutes",
+                )
+            )
         if load.saturated > LOWER_BOUND:
-            found.append(Finding(
-                "saturation", "warning", where,
-                f"the simulated motor was at its own limit in {load.saturated:.0%} of the run, and gave less than was "
-                f"asked: what is said of this joint's torque is a lower bound",
-            ))  # fmt: skip
+            found.append(
+                Finding(
+                    "saturation",
+                    "warning",
+                    where,
+                    f"the simulated motor was at its own limit in {load.saturated:.0%} of the run, and gave less than was "
+                    f"asked: what is said of this joint's torque is a lower bound",
+                )
+            )
         elif load.saturated > OFTEN:
-            found.append(Finding(
-                "saturation", "note", where,
-                f"the simulated motor was at its own limit in {load.saturated:.0%} of the run: a stronger servo moves "
-                f"otherwise there",
-            ))  # fmt: skip
+            found.append(
+                Finding(
+                    "saturation",
+                    "note",
+                    where,
+                    f"the simulated motor was at its own limit in {load.saturated:.0%} of the run: a stronger servo moves "
+                    f"otherwise there",
+                )
+            )
     return found
 
 
 def _short_of(load: JointLoad, servo: Servo) -> list[Cause]:
     """Say what of a servo is nearly used up: speed or torque, each by itself; else both, which its line ties."""
     shares: list[tuple[float, Cause]] = [
-        (load.peak_speed / servo.no_load_speed_rad_s, "speed"), (load.peak_torque / servo.stall_torque_nm, "torque")
-    ]  # fmt: skip
+        (load.peak_speed / servo.no_load_speed_rad_s, "speed"),
+        (load.peak_torque / servo.stall_torque_nm, "torque"),
+    ]
     return [cause for share, cause in shares if share * ENOUGH > 1] or ["speed", "torque"]
 
 
@@ -307,12 +357,16 @@ def _of_contacts(contacts: Sequence[Contact]) -> list[Finding]:
         (first, second), parts = contact.links, " and ".join(f"part {part + 1}" for part in contact.parts)
         where = ("joint " if len(contact.joints) == 1 else "joints ") + " and ".join(map(str, contact.joints))
         severity: Severity = "warning" if contact.share > BRIEF else "note"
-        found.append(Finding(
-            "passes on the bench", severity, where,
-            f"links {first} and {second} push one another in {contact.share:.1%} of the simulated run, first after "
-            f"{contact.first:.1f} s of it; on the bench {parts} lie in different layers and pass one another, so that "
-            f"the robot moves otherwise there",
-        ))  # fmt: skip
+        found.append(
+            Finding(
+                "passes on the bench",
+                severity,
+                where,
+                f"links {first} and {second} push one another in {contact.share:.1%} of the simulated run, first after "
+                f"{contact.first:.1f} s of it; on the bench {parts} lie in different layers and pass one another, so that "
+                f"the robot moves otherwise there",
+            )
+        )
     return found
 
 
@@ -322,35 +376,76 @@ def _of_members(members: Members | None, true_slush: float | None) -> list[Findi
     mean, deviation = members.mean, members.deviation
     found = []
     if deviation > abs(mean):
-        found.append(Finding("ensemble", "warning", "robot", "the study's networks do not agree on how far it gets: "
-                             f"{mean:+.2f} ± {deviation:.2f} m of simulation"))
+        found.append(
+            Finding(
+                "ensemble",
+                "warning",
+                "robot",
+                f"the study's networks do not agree on how far it gets: {mean:+.2f} ± {deviation:.2f} m of simulation",
+            )
+        )
     if true_slush is not None and abs(mean - true_slush) > FAR * deviation:
-        found.append(Finding("ensemble", "warning", "robot", f"the study's networks promise {mean:+.2f} ± "
-                             f"{deviation:.2f} m of simulation, and True Slush gives {true_slush:+.2f} m: more than "
-                             f"{FAR:g} σ off"))
+        found.append(
+            Finding(
+                "ensemble",
+                "warning",
+                "robot",
+                f"the study's networks promise {mean:+.2f} ± "
+                f"{deviation:.2f} m of simulation, and True Slush gives {true_slush:+.2f} m: more than "
+                f"{FAR:g} σ off",
+            )
+        )
     return found
 
 
 def _of_floating(floating: Floating, tank_mm: float) -> list[Finding]:
     if floating.stands_in(tank_mm):
-        return [Finding("floating", "warning", "robot", f"it stands on the floor of a tank of {tank_mm:.0f} mm: its "
-                        f"draught is {floating.draught_mm:.0f} mm"), *_of_pockets(floating)]
+        return [
+            Finding(
+                "floating",
+                "warning",
+                "robot",
+                f"it stands on the floor of a tank of {tank_mm:.0f} mm: its draught is {floating.draught_mm:.0f} mm",
+            ),
+            *_of_pockets(floating),
+        ]
     return _of_pockets(floating)
 
 
 def _of_scale(tank: Tank | None, scale_mm_per_m: float) -> list[Finding]:
     if tank is None or isclose(1000 * tank.scale, scale_mm_per_m):
         return []
-    return [Finding("scale", "warning", "robot", f"the kit has {scale_mm_per_m:g} mm for a metre of simulation, the "
-                    f"tank of the settings that it is simulated under {1000 * tank.scale:g}: what was said of it in "
-                    f"that tank is of a robot of another size (--set kit.scale_mm_per_m={1000 * tank.scale:g})")]
+    return [
+        Finding(
+            "scale",
+            "warning",
+            "robot",
+            f"the kit has {scale_mm_per_m:g} mm for a metre of simulation, the "
+            f"tank of the settings that it is simulated under {1000 * tank.scale:g}: what was said of it in "
+            f"that tank is of a robot of another size (--set kit.scale_mm_per_m={1000 * tank.scale:g})",
+        )
+    ]
 
 
 def _of_pockets(floating: Floating) -> list[Finding]:
     if floating.sealed_share > 1:
-        return [Finding("floating", "warning", "robot", "it sinks: it weighs more than the fluid that it displaces, "
-                        f"{floating.sealed_share:.2f} times; the simulated one floats")]
+        return [
+            Finding(
+                "floating",
+                "warning",
+                "robot",
+                "it sinks: it weighs more than the fluid that it displaces, "
+                f"{floating.sealed_share:.2f} times; the simulated one floats",
+            )
+        ]
     if floating.flooded_share > 1:
-        return [Finding("floating", "warning", "robot", "it floats while its pockets are dry and sinks once they are "
-                        f"full (then {floating.flooded_share:.2f} of what it displaces): seal them")]
+        return [
+            Finding(
+                "floating",
+                "warning",
+                "robot",
+                "it floats while its pockets are dry and sinks once they are "
+                f"full (then {floating.flooded_share:.2f} of what it displaces): seal them",
+            )
+        ]
     return []

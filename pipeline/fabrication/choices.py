@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.scaling import Scaling
-from tasks.fabrication.settings import KitSettings
 from tasks.fabrication.timeline import Playback
 from tasks.parameters import Parameters
 

@@ -17,7 +17,7 @@ import io
 
 from matplotlib.colors import to_rgb
 
-from pipeline.fabrication.drawing import PART_COLOURS, assembly_drawing
+from pipeline.fabrication.assembly_drawing import PART_COLOURS, assembly_drawing
 from pipeline.fabrication.formats import dxf, step, stl, three_mf
 from pipeline.fabrication.picture import Colour, Shown, picture
 from tasks.fabrication.features import Feature

@@ -64,8 +64,12 @@ class Labels:
             if leader.length > LEADER_MM:
                 self._sheet.plot(*leader.xy, color=style.get("color", "#1d2129"), lw=0.35, zorder=8)
                 self._marks.append(leader.buffer(0.3))
-        frame = {"boxstyle": f"square,pad={PAD_MM / MM_PER_POINT / style['fontsize']:.3f}", "fc": "white", "ec": "none",
-                 "alpha": 0.8}  # fmt: skip
+        frame = {
+            "boxstyle": f"square,pad={PAD_MM / MM_PER_POINT / style['fontsize']:.3f}",
+            "fc": "white",
+            "ec": "none",
+            "alpha": 0.8,
+        }
         self._sheet.text(*best, text, ha="center", va="center", rotation=rotation, zorder=9, bbox=frame, **style)
 
     def _cost(self, where: Polygon) -> float:

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.artifacts import decode_json
-from pipeline.design_file import design_from
+from pipeline.config.settings import EnvironmentName, Settings
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Members
-from pipeline.settings import EnvironmentName, Settings
-from pipeline.stage import MissingInputs, Results
 from pipeline.stages import STAGES, segments
 from pipeline.stages.segments import WEIGHTS
 from pipeline.stages.transfer import CHAMPION, read_scores
-from pipeline.store import Store
-from pipeline.study import survey
+from pipeline.store.design_file import design_from
+from pipeline.store.encoding import decode_json
+from pipeline.store.store import Store
+from pipeline.workflow.graph import survey
+from pipeline.workflow.stage import MissingInputs, Results
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
 from tasks.simulation import OK, simulate
@@ -76,8 +76,15 @@ def _proposed(settings: Settings, store: Store) -> Source:
         f"{environment.replace('_', ' ')} of {depth:g} m: it gets {row['zero_shot']:+.2f} m in True Slush, the "
         f"nearest to the mean of {len(arm)} champions, {scores.mean():+.2f} m."
     )
-    return Source(design, f"{settings.name}-trial-{row['trial']}", origin, settings, depth,
-                  _members(settings, upstream, store, design, depth), row["zero_shot"])
+    return Source(
+        design,
+        f"{settings.name}-trial-{row['trial']}",
+        origin,
+        settings,
+        depth,
+        _members(settings, upstream, store, design, depth),
+        row["zero_shot"],
+    )
 
 
 def _members(

@@ -12,9 +12,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.config.settings import EnvironmentName
 from pipeline.report.findings import Findings
 from pipeline.report.replay import Replay
-from pipeline.settings import EnvironmentName
 from tasks.analysis.uncertainty import RESOLUTION
 
 Quantity = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]
@@ -138,7 +138,7 @@ class StudyReport:
     measured_seconds: float = 20.0
     """How long robots' way is measured [s]. [P]"""
     digests: Sequence[Digest] = ()
-    set_aside: Sequence[str] = ()
+    failed: Sequence[str] = ()
     """Work that failed twice, named."""
     not_possible: Sequence[str] = ()
     """Work that needs some of that, named."""

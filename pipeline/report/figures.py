@@ -7,13 +7,13 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from pipeline.report.accuracy import aggregates, prediction_accuracy
-from pipeline.report.champions import fitness_curves, transfer_across_depths, transfer_at_depth
+from pipeline.report.accuracy_figure import aggregates, prediction_accuracy
+from pipeline.report.champion_figures import fitness_curves, transfer_across_depths, transfer_at_depth
 from pipeline.report.data import StudyReport
 from pipeline.report.drawing import Drawing, Missing, finish
-from pipeline.report.ensemble import data_set, member_error, phantom_thrust, residual_error
-from pipeline.report.family import family_tree
-from pipeline.report.gaps import attribution, transfer_matrix
+from pipeline.report.ensemble_figures import data_set, member_error, phantom_thrust, residual_error
+from pipeline.report.gap_figures import attribution, transfer_matrix
+from pipeline.report.lineage import family_tree
 
 
 def draw_all(report: StudyReport) -> dict[str, Drawing | Missing]:

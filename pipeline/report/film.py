@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from PIL import Image
 
-from pipeline.report.lane import (
+from pipeline.report.replay import STEPS_PER_FRAME, STEPS_PER_SECOND, Replay
+from pipeline.report.robot_view import (
     CAPTION_HEIGHT,
     FAINT,
     GROUND,
@@ -32,7 +33,6 @@ from pipeline.report.lane import (
     mix,
     robot_colors,
 )
-from pipeline.report.replay import STEPS_PER_FRAME, STEPS_PER_SECOND, Replay
 
 FPS = STEPS_PER_SECOND // STEPS_PER_FRAME
 """Pictures a second: all that a replay has."""

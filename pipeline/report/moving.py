@@ -9,9 +9,9 @@ from importlib.resources import files
 from itertools import groupby
 from string import Template
 
+from pipeline.config.settings import EnvironmentName
 from pipeline.report.replay import Replay, encode
-from pipeline.report.words import absent, number
-from pipeline.settings import EnvironmentName
+from pipeline.report.wording import absent, number
 
 EXEMPLARS: tuple[EnvironmentName, EnvironmentName] = ("residual_slush", "dry_land")
 """Of each depth: with residuals and without. Paper, Fig. 1."""

@@ -14,8 +14,8 @@ from pathlib import Path
 from PIL import Image
 
 from pipeline.report.film import FPS, pictures
-from pipeline.report.lane import LANE_HEIGHT, WIDTH
 from pipeline.report.replay import Replay
+from pipeline.report.robot_view import LANE_HEIGHT, WIDTH
 
 X264 = {"preset": "veryfast", "crf": "23", "threads": "1"}
 """At a constant rate factor of 23 the edges of links are clean, and 20 s take 250 to 550 kB; less is better. A

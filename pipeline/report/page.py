@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from string import Template
 
+from pipeline.config.settings import EnvironmentName
 from pipeline.report.data import (
     ALL_DIVERGED,
     ENVIRONMENTS,
@@ -28,11 +29,10 @@ from pipeline.report.data import (
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.moving import document, gallery, resource, script, viewer
+from pipeline.report.page_tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
 from pipeline.report.replay import Replay
-from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
 from pipeline.report.transfer_table import transfer_table
-from pipeline.report.words import absent, number, percent
-from pipeline.settings import EnvironmentName
+from pipeline.report.wording import absent, number, percent
 
 POLICY = "script-src 'unsafe-inline'; img-src data:"
 """Nothing from elsewhere."""
@@ -60,7 +60,7 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         "title": escape(report.title),
         "name": escape(report.name),
         "finding": _finding(report.trials),
-        "set_aside": _missing(report),
+        "failed": _missing(report),
         "gallery": gallery(report.replays, lost=lost),
         "viewer": viewer(report.replays, lost=lost),
         "transfer_table": transfer_table(report.trials),
@@ -126,17 +126,14 @@ def _finding(trials: Sequence[TrialResult]) -> str:
 
 def _missing(report: StudyReport) -> str:
     """Name what the page does without, and say why."""
-    failed = _listed("These failed twice and were set aside.", report.set_aside)
+    failed = _listed("These failed twice and were set aside.", report.failed)
     failed += _listed("These need what is missing, and were not tried.", report.not_possible)
     wild = _listed(
         "They were set aside, and all else goes on without them. In a sound world none does: look at the settings of "
         "physics and slush, and at the networks’ errors.",
         report.diverged,
     )
-    notices = (
-        ("Not everything ran; what is below does without it.", failed),
-        ("Designs diverged.", wild),
-    )
+    notices = (("Not everything ran; what is below does without it.", failed), ("Designs diverged.", wild))
     return "".join(f'<div class="notice"><b>{title}</b>{said}</div>' for title, said in notices if said)
 
 

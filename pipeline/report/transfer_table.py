@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+from pipeline.config.settings import EnvironmentName
 from pipeline.report.data import (
     ENVIRONMENTS,
     PAPER,
@@ -18,8 +19,7 @@ from pipeline.report.data import (
     estimate,
     ratio,
 )
-from pipeline.report.words import NONE, absent, number, percent
-from pipeline.settings import EnvironmentName
+from pipeline.report.wording import NONE, absent, number, percent
 
 
 def transfer_table(trials: Sequence[TrialResult]) -> str:
@@ -71,9 +71,7 @@ def _paper(environment: EnvironmentName, quantity: Quantity, depth: float) -> fl
     return PAPER.get((environment, quantity)) if depth == PAPER_DEPTH else None
 
 
-def _cell(
-    trials: Sequence[TrialResult], quantity: Quantity, com_quantity: Quantity | None, paper: float | None
-) -> str:
+def _cell(trials: Sequence[TrialResult], quantity: Quantity, com_quantity: Quantity | None, paper: float | None) -> str:
     found = estimate(trials, quantity)
     com = estimate(trials, com_quantity) if com_quantity else None
     lines = _spread(found)

@@ -2,12 +2,4 @@
 
 from pipeline.stages import analyse, assess, collect, evolve, report, train, transfer
 
-STAGES = (
-    collect.STAGE,
-    train.STAGE,
-    evolve.STAGE,
-    transfer.STAGE,
-    assess.STAGE,
-    analyse.STAGE,
-    report.STAGE,
-)
+STAGES = (collect.STAGE, train.STAGE, evolve.STAGE, transfer.STAGE, assess.STAGE, analyse.STAGE, report.STAGE)

@@ -63,26 +63,31 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.artifacts import decode_json, decode_table, encode_json, encode_table
-from pipeline.manifest import Manifest
-from pipeline.settings import EnvironmentName, Settings
-from pipeline.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
+from pipeline.config.settings import EnvironmentName, Settings
 from pipeline.stages import segments
-from pipeline.stages.analyses import champions, instruments, statistics, tank
+from pipeline.stages.analyses import champions, instruments, statistics, tank_tests
 from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.stages.assess import PREDICTIONS, SOURCES
 from pipeline.stages.collect import data_set
 from pipeline.stages.transfer import CHAMPION, SCORE
-from pipeline.store import Store
-from pipeline.tables import Columns, csv_of
+from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.store.tables import Columns, csv_of
+from pipeline.workflow.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
 from tasks.analysis import Tank
 from tasks.analysis.prediction import mean_less_deviations
 
 NAME, VERSION = "analyse", 4
 
 STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS, TANK = (
-    "statistics", "members", "transfer-matrix", "exploiters", "instruments", "tank"
-)  # fmt: skip
+    "statistics",
+    "members",
+    "transfer-matrix",
+    "exploiters",
+    "instruments",
+    "tank",
+)
 """Kinds of items; the label of each, or its beginning."""
 
 REASONS = "reasons.json"
@@ -93,7 +98,7 @@ COMPUTE: Mapping[str, Callable[[Job, Mapping[str, Files]], tuple[Tables, Reasons
     MATRIX: champions.compute_matrix,
     EXPLOITERS: champions.compute_exploiters,
     INSTRUMENTS: instruments.compute_arm,
-    TANK: tank.compute,
+    TANK: tank_tests.compute,
 }
 
 TOO_LONG_FOR_CSV = ("links", "histograms")
@@ -171,13 +176,13 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         for label, (share,) in upstream["assess"].done.items():
             inputs[f"assess/{label}"] = Input(share, (PREDICTIONS,))
     if kind == STATISTICS:
-        spec["set_aside"] = dict(upstream["transfer"].set_aside)
+        spec["failed"] = dict(upstream["transfer"].failed)
         spec["not_assessed"] = _why_not_assessed(settings, upstream)
     elif kind not in (MATRIX, TANK):
         networks, spec["no_networks"] = _networks(settings, upstream, throws=kind != EXPLOITERS)
         inputs |= networks
-    how = {"engine": settings.work.engine, "designs_per_batch": None}
-    return Item(NAME, VERSION, chain.label, spec, inputs, how)
+    execution = {"engine": settings.work.engine, "designs_per_batch": None}
+    return Item(NAME, VERSION, chain.label, spec, inputs, execution)
 
 
 def _networks(settings: Settings, upstream: Upstream, *, throws: bool) -> tuple[dict[str, Input], str]:
@@ -197,7 +202,7 @@ def _why_not_assessed(settings: Settings, upstream: Upstream) -> str:
         return ""
     if not settings.needs_ensemble:
         return "no trial of this study needs networks, so there are no predictions"
-    lost = upstream["assess"].set_aside
+    lost = upstream["assess"].failed
     if lost:
         return "; ".join(f"{label}: {why}" for label, why in lost.items())
     return f"no trial evolved in {' or '.join(SOURCES)} at {settings.assessed_depth:g} m"
@@ -235,8 +240,10 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     lines: list[str] = []
     metrics: dict[str, float] = {}
     for label, report_on in (
-        (STATISTICS, _report_statistics), (MEMBERS, _report_members), (EXPLOITERS, _report_exploiters)
-    ):  # fmt: skip
+        (STATISTICS, _report_statistics),
+        (MEMBERS, _report_members),
+        (EXPLOITERS, _report_exploiters),
+    ):
         if label in found:
             more_lines, more_metrics = report_on(found[label])
             lines += more_lines
@@ -355,12 +362,5 @@ def _finite(metrics: Mapping[str, float]) -> dict[str, float]:
 
 
 STAGE = Stage(
-    name=NAME,
-    version=VERSION,
-    unit="analyses",
-    reads=reads,
-    plan=plan,
-    item=item,
-    compute=compute,
-    summarise=summarise,
+    name=NAME, version=VERSION, unit="analyses", reads=reads, plan=plan, item=item, compute=compute, summarise=summarise
 )

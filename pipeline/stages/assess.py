@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.artifacts import decode_table, encode_table
-from pipeline.manifest import Manifest
-from pipeline.settings import EnvironmentName, Settings
-from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.config.settings import EnvironmentName, Settings
 from pipeline.stages import divergence, segments
-from pipeline.store import Store
+from pipeline.store.encoding import decode_table, encode_table
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.workflow.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
 from tasks.analysis import draw_over_generations, spread_evenly
 from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
@@ -76,7 +76,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
     inputs = segments.world_inputs(settings, "residual_slush", 0, upstream)
     for number, segment in enumerate(upstream["evolve"].chain(chain.label)):
         inputs[f"segment-{number:06d}"] = Input(segment, (segments.HISTORY,))
-    return Item(NAME, VERSION, chain.label, chain.spec, inputs, how={"engine": settings.work.engine})
+    return Item(NAME, VERSION, chain.label, chain.spec, inputs, execution={"engine": settings.work.engine})
 
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
@@ -88,7 +88,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     drawn = draw_over_generations(history["generation"], spec["n_designs"], rng)
     designs = Designs.from_arrays(history)[drawn]
     true, predicted = (
-        segments.roll_out(spec, job.how, segments.world_of({**spec, "world": world}, inputs), designs)
+        segments.roll_out(spec, job.execution, segments.world_of({**spec, "world": world}, inputs), designs)
         for world in ("true_slush", "residual_slush")
     )
     columns = {

@@ -7,12 +7,12 @@ from dataclasses import fields
 
 import numpy as np
 
-from pipeline.artifacts import decode_table, encode_table
-from pipeline.manifest import Manifest
-from pipeline.settings import Settings
-from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.config.settings import Settings
 from pipeline.stages import segments
-from pipeline.store import Store
+from pipeline.store.encoding import decode_table, encode_table
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.workflow.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
 from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
 from tasks.seeding import generator
 from tasks.world import Physics
@@ -77,7 +77,7 @@ def data_set(collected: Results) -> dict[str, Input]:
     Raises:
         MissingInputs: a chunk is not there; says why.
     """
-    labels = (*collected.done, *collected.unfinished, *collected.set_aside)
+    labels = (*collected.done, *collected.unfinished, *collected.failed)
     chunks = [collected.chain(label)[0] for label in labels]
     return {f"throws-{index:06d}": Input(chunk, (TRANSITIONS,)) for index, chunk in enumerate(chunks)}
 

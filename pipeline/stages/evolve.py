@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.manifest import Manifest
-from pipeline.settings import Settings
-from pipeline.stage import Chain, Input, Item, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.config.settings import Settings
 from pipeline.stages import divergence, segments
-from pipeline.store import Store
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.workflow.stage import Chain, Input, Item, Results, Stage, Summary, TrialSummary, Upstream
 from tasks.evolution import OPERATORS
 
 NAME, VERSION = "evolve", 2
@@ -50,7 +50,7 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         label=f"{chain.label}/segment-{index}",
         spec={**chain.spec, **generations},
         inputs=inputs,
-        how=segments.how(settings, chain.spec["world"]),
+        execution=segments.execution(settings, chain.spec["world"]),
     )
 
 
@@ -106,7 +106,7 @@ STAGE = Stage(
     plan=plan,
     item=item,
     compute=segments.compute_segment,
-    compute_abreast=segments.compute_segments,
+    compute_batch=segments.compute_segments,
     summarise=summarise,
     diverged=diverged,
 )

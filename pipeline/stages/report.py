@@ -9,14 +9,23 @@ from typing import Any
 import numpy as np
 import yaml
 
-from pipeline.artifacts import decode_json, encode_json
-from pipeline.manifest import Manifest
-from pipeline.provenance import environment as provenance
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.report import Drawing, Replay, draw_all, render_films, render_page
 from pipeline.report.data import Digest, Draws, ResidualError, StudyReport, TrialResult
 from pipeline.report.film import FPS
-from pipeline.settings import RESIDUAL_ENVIRONMENTS, Settings
-from pipeline.stage import (
+from pipeline.stages import divergence, segments
+from pipeline.stages.assess import PREDICTIONS, read_predictions
+from pipeline.stages.collect import data_set
+from pipeline.stages.proposed_design import PROPOSED, proposal_files, proposed, tank_replays
+from pipeline.stages.report_findings import HISTORIES, findings
+from pipeline.stages.report_replays import arms_of, replays_of
+from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
+from pipeline.stages.transfer import CHAMPION, SCORE
+from pipeline.store.encoding import decode_json, encode_json
+from pipeline.store.manifest import Manifest
+from pipeline.store.provenance import environment as provenance
+from pipeline.store.store import Store
+from pipeline.workflow.stage import (
     NOT_POSSIBLE,
     Chain,
     Files,
@@ -29,15 +38,6 @@ from pipeline.stage import (
     Summary,
     Upstream,
 )
-from pipeline.stages import divergence, segments
-from pipeline.stages.assess import PREDICTIONS, read_predictions
-from pipeline.stages.collect import data_set
-from pipeline.stages.findings import HISTORIES, findings
-from pipeline.stages.proposed import PROPOSED, proposal_files, proposed, tank_replays
-from pipeline.stages.replays import arms_of, replays_of
-from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
-from pipeline.stages.transfer import CHAMPION, SCORE
-from pipeline.store import Store
 from tasks.evolution import OPERATORS
 
 NAME, VERSION = "report", 7
@@ -97,9 +97,9 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
     if any(row[0] in RESIDUAL_ENVIRONMENTS for row in chain.spec["trials"]):
         with suppress(MissingInputs):  # where a member is missing there are no residual worlds to film
             inputs |= segments.world_inputs(settings, "residual_slush", 0, upstream)
-    how = {"engine": settings.work.engine, "designs_per_batch": None}
+    execution = {"engine": settings.work.engine, "designs_per_batch": None}
     if chain.label != PAGE:
-        return Item(NAME, VERSION, chain.label, chain.spec, inputs, how)
+        return Item(NAME, VERSION, chain.label, chain.spec, inputs, execution)
     for label, (member,) in upstream["train"].done.items():
         inputs[f"train/{label}"] = Input(member, (ERRORS,))
     for label, trial in upstream["evolve"].done.items():
@@ -116,8 +116,8 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         with suppress(MissingInputs):  # the figure of the data set says that there is none
             inputs |= data_set(upstream["collect"])
     inputs |= _family_inputs(settings, upstream)
-    lost = [(f"{name}: {label} ", why) for name in upstream for label, why in upstream[name].set_aside.items()]
-    set_aside = [what + why for what, why in lost if not why.startswith(NOT_POSSIBLE)]
+    lost = [(f"{name}: {label} ", why) for name in upstream for label, why in upstream[name].failed.items()]
+    failed = [what + why for what, why in lost if not why.startswith(NOT_POSSIBLE)]
     not_possible = [what + why for what, why in lost if why.startswith(NOT_POSSIBLE)]
     digests = [
         [name, label, manifests[-1].digest]
@@ -125,9 +125,9 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         for label, manifests in upstream[name].done.items()
         if name in reads(settings)
     ]
-    spec = {**chain.spec, "set_aside": set_aside, "not_possible": not_possible}
+    spec = {**chain.spec, "failed": failed, "not_possible": not_possible}
     spec |= {"digests": digests, "made_with": dict(provenance())}
-    return Item(NAME, VERSION, chain.label, spec, inputs, how)
+    return Item(NAME, VERSION, chain.label, spec, inputs, execution)
 
 
 def _family_inputs(settings: Settings, upstream: Upstream) -> dict[str, Input]:
@@ -151,7 +151,7 @@ def _films(job: Job, inputs: Mapping[str, Files]) -> Files:
 
     A listing says what each film shows; it is empty where no champion of the arm could be filmed.
     """
-    replays = replays_of(job.spec, job.how, inputs)
+    replays = replays_of(job.spec, job.execution, inputs)
     named = {film_name(replay): [replay] for replay in replays}
     if job.spec["together"]:
         above = sorted((r for r in replays if r.in_true_slush), key=lambda r: r.environment != "residual_slush")
@@ -175,8 +175,8 @@ def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
     evolved = _curves(EVOLUTION, inputs)
     trials = [result for row in settings.grid.trials() if (result := _trial_result(row, inputs, evolved)) is not None]
     rows = proposed(settings, inputs)
-    replays = replays_of({**job.spec["settings"], "trials": job.spec["trials"]}, job.how, inputs)
-    in_tank = [film for row in rows for film in tank_replays(settings, row, inputs, job.how["engine"])]
+    replays = replays_of({**job.spec["settings"], "trials": job.spec["trials"]}, job.execution, inputs)
+    in_tank = [film for row in rows for film in tank_replays(settings, row, inputs, job.execution["engine"])]
     report = StudyReport(
         name=settings.name,
         title=f"Robots evolved for slush: {settings.name}",
@@ -191,7 +191,7 @@ def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
         draws=_draws(evolved.values()),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=[Digest(*row) for row in job.spec["digests"]],
-        set_aside=job.spec["set_aside"],
+        failed=job.spec["failed"],
         not_possible=job.spec["not_possible"],
         diverged=_diverged(settings, inputs, evolved),
     )
@@ -245,9 +245,7 @@ def _draws(curves: Collection[divergence.Table]) -> list[Draws]:
     return [of for of in totals if of.n_rejected]
 
 
-def _diverged(
-    settings: Settings, inputs: Mapping[str, Files], evolved: Mapping[str, divergence.Table]
-) -> list[str]:
+def _diverged(settings: Settings, inputs: Mapping[str, Files], evolved: Mapping[str, divergence.Table]) -> list[str]:
     """Say what diverged, trial by trial."""
     adapted = _curves(ADAPTATION, inputs)
     said = []
@@ -290,7 +288,7 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Put the page, the figures and the films where a person finds them."""
     files = {name: store.read(done, name) for (done,) in results.done.values() for name in done.files}
     folder = store.export(settings.name, files)
-    no_page = f"no page: {results.set_aside.get(PAGE, 'it is not made yet')}"
+    no_page = f"no page: {results.failed.get(PAGE, 'it is not made yet')}"
     # MLflow shows both kinds of films, and a GIF is ten times an MP4: it gets the one GIF that tells the story.
     artifacts = {name: data for name, data in files.items() if not name.endswith(".gif") or name == f"{TOGETHER}.gif"}
     lines = [f"{folder / PAGE}" if PAGE in files else no_page]
@@ -299,12 +297,5 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
 
 
 STAGE = Stage(
-    name=NAME,
-    version=VERSION,
-    unit="pictures",
-    reads=reads,
-    plan=plan,
-    item=item,
-    compute=compute,
-    summarise=summarise,
+    name=NAME, version=VERSION, unit="pictures", reads=reads, plan=plan, item=item, compute=compute, summarise=summarise
 )

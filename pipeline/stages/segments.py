@@ -9,15 +9,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.artifacts import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.cluster import spread
-from pipeline.manifest import Manifest
-from pipeline.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
-from pipeline.stage import Chain, Files, Input, Job, Spec, Upstream
-from pipeline.store import Store
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.workflow.stage import Chain, Files, Input, Job, Spec, Upstream
 from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
-from tasks.evolution import HISTORY_UNITS, NOBODY_YET, OPERATORS, Afpo, Evaluation, Population, Trial, evaluate, evolve
+from tasks.evolution import (
+    EMPTY_POPULATION,
+    HISTORY_UNITS,
+    OPERATORS,
+    Afpo,
+    Evaluation,
+    Population,
+    Trial,
+    evaluate,
+    evolve,
+)
 from tasks.seeding import generator
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
@@ -106,7 +116,7 @@ def generations_of(settings: Settings, n_generations: int, index: int) -> dict[s
     return {"first_generation": sum(lengths[:index]), "n_generations": lengths[index]}
 
 
-def how(settings: Settings, world: EnvironmentName) -> Spec:
+def execution(settings: Settings, world: EnvironmentName) -> Spec:
     """Say how rollouts in a world are computed, which does not change what they are.
 
     Only what is slow is split into batches: without networks the batch engine takes milliseconds for a generation,
@@ -126,7 +136,7 @@ def world_inputs(settings: Settings, world: EnvironmentName, trial: int, upstrea
     return {label: Input(upstream["train"].chain(label)[-1], (WEIGHTS,)) for label in labels}
 
 
-def n_abreast(settings: Settings, world: EnvironmentName) -> int:
+def batch_size(settings: Settings, world: EnvironmentName) -> int:
     """Say how many trials of a world keep the engine's lanes busy together, where one leaves some of them empty."""
     if settings.work.engine != "batch":
         return 1
@@ -151,7 +161,7 @@ def world_of(spec: Spec, inputs: Mapping[str, Files]) -> Environment:
         return DryLand(depth=depth)
     if world == "true_slush":
         return TrueSlush(depth=depth, slush=Slush.model_validate(spec["slush"]))
-    from tasks.residual.ensemble import Ensemble  # torch takes a second to import; only residual worlds need it
+    from tasks.residual.ensemble import Ensemble
 
     members = [
         decode_arrays(inputs[name][WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=name)[0]
@@ -174,31 +184,31 @@ def true_medium(spec: Spec) -> Medium:
 
 
 def roll_out(
-    spec: Spec, how: Spec, environment: Environment, designs: Designs, *, trace: bool = False
+    spec: Spec, execution: Spec, environment: Environment, designs: Designs, *, trace: bool = False
 ) -> Rollouts:
     """Simulate designs as a specification says."""
     return simulate(
         designs,
         environment,
         **spec["rollout"],
-        engine=how["engine"],
+        engine=execution["engine"],
         trace=trace,
         physics=Physics.model_validate(spec["physics"]),
     )
 
 
-def _score_batch(designs: Designs, spec: Spec, how: Spec, environment: Environment) -> Evaluation:
+def _score_batch(designs: Designs, spec: Spec, execution: Spec, environment: Environment) -> Evaluation:
     penalty = spec.get("disagreement_penalty", 0.0)
-    return evaluate(roll_out(spec, how, environment, designs), disagreement_penalty=penalty)
+    return evaluate(roll_out(spec, execution, environment, designs), disagreement_penalty=penalty)
 
 
-def score(spec: Spec, how: Spec, environment: Environment, designs: Designs) -> Evaluation:
+def score(spec: Spec, execution: Spec, environment: Environment, designs: Designs) -> Evaluation:
     """Simulate and score designs, in batches on several workers where ``how`` says so."""
-    size = how["designs_per_batch"]
+    size = execution["designs_per_batch"]
     if size is None or size >= len(designs):
-        return _score_batch(designs, spec, how, environment)
+        return _score_batch(designs, spec, execution, environment)
     batches = [designs[first : first + size] for first in range(0, len(designs), size)]
-    scored: Sequence[Evaluation] = spread(_score_batch, batches, spec, how, environment)
+    scored: Sequence[Evaluation] = spread(_score_batch, batches, spec, execution, environment)
     return Evaluation(
         fitness=np.concatenate([part.fitness for part in scored]),
         displacement=np.concatenate([part.displacement for part in scored]),
@@ -217,14 +227,14 @@ def compute_segments(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]])
     Raises:
         ValueError: they differ in more than which trial they are.
     """
-    spec, how = jobs[0].spec, jobs[0].how
+    spec, execution = jobs[0].spec, jobs[0].execution
     common, *others = (_all_but_identity(job, of) for job, of in zip(jobs, inputs, strict=True))
     if any(other != common for other in others):
         raise ValueError(f"trials side by side, from {spec['identity']} on, differ in more than their identities")
     trials = [_trial(job.spec, of) for job, of in zip(jobs, inputs, strict=True)]
     advanced = evolve(
         trials,
-        partial(score, spec, how, world_of(spec, inputs[0])),
+        partial(score, spec, execution, world_of(spec, inputs[0])),
         first_generation=spec["first_generation"],
         n_generations=spec["n_generations"],
         afpo=Afpo.model_validate(spec["afpo"]),
@@ -252,7 +262,7 @@ def _trial(spec: Spec, inputs: Mapping[str, Files]) -> Trial:
     """Give a trial as the segment before left it."""
     return Trial(
         partial(generator, spec["seed"], *spec["identity"]),
-        population_of(inputs[BEFORE]) if BEFORE in inputs else NOBODY_YET,
+        population_of(inputs[BEFORE]) if BEFORE in inputs else EMPTY_POPULATION,
         champion_of(population_of(inputs[CHAMPION_OF])) if CHAMPION_OF in inputs else None,
     )
 
@@ -330,5 +340,5 @@ def chain_of(settings: Settings, label: str, spec: Spec, units: tuple[float, ...
         spec=spec,
         weight=relative_cost(settings, spec["world"]),
         world=f"{spec['world']} at {spec['depth']!r} m",
-        n_abreast=n_abreast(settings, spec["world"]),
+        batch_size=batch_size(settings, spec["world"]),
     )

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.artifacts import decode_table, encode_arrays, encode_table
-from pipeline.manifest import Manifest
-from pipeline.settings import Settings
-from pipeline.stage import Chain, Files, Item, Job, Results, Spec, Stage, Summary, TrialSummary, Upstream
+from pipeline.config.settings import Settings
 from pipeline.stages.collect import data_set, read_transitions
 from pipeline.stages.segments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_label
-from pipeline.store import Store
+from pipeline.store.encoding import decode_table, encode_arrays, encode_table
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.workflow.stage import Chain, Files, Item, Job, Results, Spec, Stage, Summary, TrialSummary, Upstream
 from tasks.residual import STATE, Architecture, ErrorRow, Training
 
 NAME, VERSION = "train", 1
@@ -67,13 +67,13 @@ def _spec_of(training: Training) -> Spec:
 
 def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
     """Specify a member's training: it reads every chunk of throws."""
-    how = {"n_gpus": 1} if settings.training.device == "cuda" else {}
-    return Item(NAME, VERSION, chain.label, chain.spec, data_set(upstream["collect"]), how)
+    execution = {"n_gpus": 1} if settings.training.device == "cuda" else {}
+    return Item(NAME, VERSION, chain.label, chain.spec, data_set(upstream["collect"]), execution)
 
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     """Train one member."""
-    from tasks.residual.training import train_member  # torch takes a second to import; only workers need it
+    from tasks.residual.training import train_member
 
     trained = train_member(
         read_transitions([inputs[name] for name in sorted(inputs)]),

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.artifacts import decode_json, encode_json
-from pipeline.design_file import design_document
-from pipeline.manifest import Manifest
-from pipeline.settings import Settings
-from pipeline.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.config.settings import Settings
 from pipeline.stages import divergence, segments
 from pipeline.stages.segments import CHAMPION_OF, POPULATION
-from pipeline.store import Store
+from pipeline.store.design_file import design_document
+from pipeline.store.encoding import decode_json, encode_json
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.workflow.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
 from tasks.design import Designs
 
 NAME, VERSION = "transfer", 1
@@ -68,8 +68,8 @@ def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None
         label = f"{chain.label}/score"
         if previous is not None:
             inputs[ADAPTED_TO] = Input(previous, (POPULATION,))
-    how = segments.how(settings, "true_slush")
-    return Item(stage=NAME, version=VERSION, label=label, spec=spec, inputs=inputs, how=how)
+    execution = segments.execution(settings, "true_slush")
+    return Item(stage=NAME, version=VERSION, label=label, spec=spec, inputs=inputs, execution=execution)
 
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
@@ -91,7 +91,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     return {**files, SCORE: encode_json(scores)}
 
 
-def compute_abreast(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]]) -> list[Files]:
+def compute_batch(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]]) -> list[Files]:
     """Advance adaptations side by side; champions are scored one after another, which takes but milliseconds."""
     if _is_adaptation(jobs[0]):
         return segments.compute_segments(jobs, inputs)
@@ -104,7 +104,7 @@ def _is_adaptation(job: Job) -> bool:
 
 def _in_true_slush(job: Job, design: Designs, name: str) -> dict[str, float | None]:
     """Displacement of a design's root and centre of mass; null where it diverged."""
-    rollouts = segments.roll_out(job.spec, job.how, segments.world_of(job.spec, {}), design)
+    rollouts = segments.roll_out(job.spec, job.execution, segments.world_of(job.spec, {}), design)
     root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
     return {name: root, f"{name}_com": whole} if np.isfinite(root) else {name: None, f"{name}_com": None}
 
@@ -171,7 +171,7 @@ STAGE = Stage(
     plan=plan,
     item=item,
     compute=compute,
-    compute_abreast=compute_abreast,
+    compute_batch=compute_batch,
     summarise=summarise,
     diverged=diverged,
 )

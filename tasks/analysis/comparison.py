@@ -255,7 +255,5 @@ def sweep(scores: Scores, *, rng: Generator) -> tuple[Contrast, ...]:
         student = holm([c.student.p for c in compared])
         welch = holm([c.welch.p for c in compared])
         mann_whitney = holm([c.mann_whitney.p for c in compared])
-        contrasts += [
-            Contrast(a, b, *row) for row in zip(depths, compared, student, welch, mann_whitney, strict=True)
-        ]
+        contrasts += [Contrast(a, b, *row) for row in zip(depths, compared, student, welch, mann_whitney, strict=True)]
     return tuple(contrasts)

@@ -50,12 +50,7 @@ def jittered(designs: Designs, rng: Generator, *, jitter: float = JITTER) -> Des
 
 
 def luck(
-    designs: Designs,
-    score: Callable[[Designs], Floats],
-    *,
-    rng: Generator,
-    n_tries: int = 32,
-    jitter: float = JITTER,
+    designs: Designs, score: Callable[[Designs], Floats], *, rng: Generator, n_tries: int = 32, jitter: float = JITTER
 ) -> Luck:
     """Try designs again with their attachments moved by next to nothing.
 

@@ -82,9 +82,7 @@ def _error_rows(error: Float64, true: Float64, band: str, immersion: str) -> lis
         return [MemberError(k, component, *empty) for k in range(len(error)) for component in COMPONENTS]
     bias, rmse, rms_true = error.mean(axis=1), np.sqrt((error**2).mean(axis=1)), np.sqrt((true**2).mean(axis=0))
     return [
-        MemberError(
-            k, component, band, immersion, n, float(bias[k, i]), float(rmse[k, i]), float(rms_true[i])
-        )
+        MemberError(k, component, band, immersion, n, float(bias[k, i]), float(rmse[k, i]), float(rms_true[i]))
         for k in range(len(error))
         for i, component in enumerate(COMPONENTS)
     ]

@@ -85,26 +85,41 @@ class Statement:
 
 STATEMENTS = (
     Statement(
-        ("dry_land", "adapted"), BEST, "no difference", (0.5,),
+        ("dry_land", "adapted"),
+        BEST,
+        "no difference",
+        (0.5,),
         '"insignificant (p > 0.01) difference between Dry Land designs and True Slush for 0.5m", Evolution',
     ),
     Statement(
-        ("dry_land", "adapted"), BEST, "less", (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0),
+        ("dry_land", "adapted"),
+        BEST,
+        "less",
+        (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0),
         '"p < 0.0001 for all slush depths > 0.5m", Evolution',
     ),
     Statement(
-        ("dry_land", "adapted"), ("residual_slush", "adapted"), "less", (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0),
+        ("dry_land", "adapted"),
+        ("residual_slush", "adapted"),
+        "less",
+        (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0),
         '"significantly under-performed both those evolved in Residual Slush and …", Evolution',
     ),
     Statement(
-        ("residual_slush", "adapted"), BEST, "no difference", (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0),
+        ("residual_slush", "adapted"),
+        BEST,
+        "no difference",
+        (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0),
         '"insignificantly different … up until 3m of slush (p > 0.01)", Evolution',
     ),
     Statement(
-        ("residual_slush", "zero_shot"), ("dry_land", "adapted"), "greater", (DEPTH,),
+        ("residual_slush", "zero_shot"),
+        ("dry_land", "adapted"),
+        "greater",
+        (DEPTH,),
         '"significantly more performant … (Student\'s t-test, p < 0.0001; n=10)", Evolution',
     ),
-)  # fmt: skip
+)
 """Of the sweep over depths the paper does not say which controllers it tests; its Fig. 4B draws the adapted ones."""
 
 PHYSICAL = (
@@ -190,9 +205,7 @@ def _ratio_row(scores: Scores, arm: Arm, stated: float, source: str, rng: Genera
     return _number_row(what, stated, "{:z.0%}", source, ratio(part, whole, rng=rng), n, N_TRIALS, "trials")
 
 
-def _aggregate_row(
-    accuracy: Sequence[Regression], predictor: str, figure: Figure, stated: float, source: str
-) -> Row:
+def _aggregate_row(accuracy: Sequence[Regression], predictor: str, figure: Figure, stated: float, source: str) -> Row:
     what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
     of = next((row for row in accuracy if row.name == predictor), None)
     if of is None:
@@ -254,9 +267,7 @@ def _variation_row(scores: Scores, rng: Generator) -> Row:
     """Say whether champions of single members differ more from each other than those of the ensemble."""
     what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
     paper, source = "above 1", '"very high variation in fitness across independent trials", Evolution'
-    single, ensemble = (
-        finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush")
-    )
+    single, ensemble = (finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush"))
     if min(len(single), len(ensemble)) < 2 or is_constant(ensemble, resolution=RESOLUTION):
         why = f"{len(single)} and {len(ensemble)} trials, expected 2 or more of both, not all equal"
         return Row(what, paper, source, "-", "not comparable", why)

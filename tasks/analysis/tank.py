@@ -87,9 +87,7 @@ class Crossing:
     """``travelled`` over the time that it took [m/s]."""
 
 
-def crossings(
-    designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int, time_step: float
-) -> list[Crossing]:
+def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int, time_step: float) -> list[Crossing]:
     """Say which robots cross the tank.
 
     A settled robot is put with its rear against one end. It has crossed when its centre of mass has travelled as far as

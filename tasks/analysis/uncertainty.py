@@ -124,9 +124,7 @@ def _resampled_means(sample: Float64, rng: Generator) -> Float64:
     return np.concatenate(means)
 
 
-def _acceleration(
-    statistic: Callable[..., Float64], samples: tuple[Float64, ...], means: list[Float64]
-) -> Float64:
+def _acceleration(statistic: Callable[..., Float64], samples: tuple[Float64, ...], means: list[Float64]) -> Float64:
     """Estimate the skewness of each figure from what it does when one value is left out."""
     cubes = squares = np.float64(0)
     for i, sample in enumerate(samples):

@@ -78,12 +78,8 @@ def hang_links(table: Table) -> Floats:
             along_child = genes_of[CHILD_ATTACHMENT + link] * genes_of[LENGTH + link] / 2
             turned = links[REST_ANGLE, above] + genes_of[JOINT_ANGLE + link]
             sine, cosine = np.sin(turned), np.cos(turned)
-            links[REST_X, link] = (
-                links[REST_X, above] - links[REST_SINE, above] * along_parent + sine * along_child
-            )
-            links[REST_Y, link] = (
-                links[REST_Y, above] + links[REST_COSINE, above] * along_parent - cosine * along_child
-            )
+            links[REST_X, link] = links[REST_X, above] - links[REST_SINE, above] * along_parent + sine * along_child
+            links[REST_Y, link] = links[REST_Y, above] + links[REST_COSINE, above] * along_parent - cosine * along_child
             links[REST_ANGLE, link], links[REST_SINE, link], links[REST_COSINE, link] = turned, sine, cosine
             links[PARENT_ANCHOR, link], links[CHILD_ANCHOR, link] = along_parent, along_child
     return rest

@@ -68,14 +68,14 @@ class Gene:
 
 GENES: tuple[Gene, ...] = (
     #    name                 part       kind        low     high         unit             of_root
-    Gene("length_scale",      "body",    "interval", 1.0,    3.0,         "m",             True),
-    Gene("parent_attachment", "body",    "interval", -1.0,   1.0,         "half heights",  False),
-    Gene("child_attachment",  "body",    "interval", -1.0,   1.0,         "half heights",  False),
-    Gene("rest_angle",        "body",    "angle",    -np.pi, np.pi,       "rad",           False),
-    Gene("phase",             "control", "angle",    0.0,    2.0 * np.pi, "rad",           False),
-    Gene("motion_range",      "control", "interval", 0.2,    np.pi / 2.0, "rad",           False),
-    Gene("motor_on",          "control", "flag",     0.0,    1.0,         "",              False),
-    Gene("frequency",         "control", "interval", 0.0,    0.3,         "Hz",            True, per_link=False),
+    Gene("length_scale", "body", "interval", 1.0, 3.0, "m", True),
+    Gene("parent_attachment", "body", "interval", -1.0, 1.0, "half heights", False),
+    Gene("child_attachment", "body", "interval", -1.0, 1.0, "half heights", False),
+    Gene("rest_angle", "body", "angle", -np.pi, np.pi, "rad", False),
+    Gene("phase", "control", "angle", 0.0, 2.0 * np.pi, "rad", False),
+    Gene("motion_range", "control", "interval", 0.2, np.pi / 2.0, "rad", False),
+    Gene("motor_on", "control", "flag", 0.0, 1.0, "", False),
+    Gene("frequency", "control", "interval", 0.0, 0.3, "Hz", True, per_link=False),
 )
 """Every gene but the tree itself (``parent``), which :func:`tasks.design.variation.mutate` rewires."""
 
@@ -129,8 +129,10 @@ class Designs:
         for name in ("frequency", *DTYPES):  # the one that says how many, first
             shape = getattr(self, name).shape
             if shape != shapes[name in PER_DESIGN]:
-                raise DesignError(f"designs: {name} has shape {shape}, expected (n_designs, {N_LINKS}) "
-                                  f"and {', '.join(PER_DESIGN)} (n_designs,), with the same n_designs throughout")
+                raise DesignError(
+                    f"designs: {name} has shape {shape}, expected (n_designs, {N_LINKS}) "
+                    f"and {', '.join(PER_DESIGN)} (n_designs,), with the same n_designs throughout"
+                )
 
     def __len__(self) -> int:
         return int(self.frequency.shape[0])
@@ -171,8 +173,9 @@ class Designs:
             DesignError: it is no (n_designs, N_COLUMNS) table of float64.
         """
         if table.shape[1:] != (N_COLUMNS,) or table.dtype != np.float64:
-            raise DesignError(f"designs: their table is {table.shape} {table.dtype}, "
-                              f"expected (n_designs, {N_COLUMNS}) float64")
+            raise DesignError(
+                f"designs: their table is {table.shape} {table.dtype}, expected (n_designs, {N_COLUMNS}) float64"
+            )
         view = table.view()
         view.flags.writeable = False
         designs = object.__new__(Designs)

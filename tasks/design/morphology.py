@@ -102,12 +102,10 @@ def separation(one: Floats, other: Floats) -> Floats:
     dx, dy = x2 - x1, y2 - y1
     cos, sin = np.abs(c1 * c2 + s1 * s2), np.abs(s2 * c1 - c2 * s1)  # of the angle between them
     along_one = np.maximum(
-        np.abs(c1 * dx + s1 * dy) - (w1 + w2 * cos + h2 * sin),
-        np.abs(c1 * dy - s1 * dx) - (h1 + w2 * sin + h2 * cos),
+        np.abs(c1 * dx + s1 * dy) - (w1 + w2 * cos + h2 * sin), np.abs(c1 * dy - s1 * dx) - (h1 + w2 * sin + h2 * cos)
     )
     along_other = np.maximum(
-        np.abs(c2 * dx + s2 * dy) - (w2 + w1 * cos + h1 * sin),
-        np.abs(c2 * dy - s2 * dx) - (h2 + w1 * sin + h1 * cos),
+        np.abs(c2 * dx + s2 * dy) - (w2 + w1 * cos + h1 * sin), np.abs(c2 * dy - s2 * dx) - (h2 + w1 * sin + h1 * cos)
     )
     gap: Floats = np.maximum(along_one, along_other)
     return gap

@@ -17,10 +17,10 @@ from numpy.random import Generator
 from pydantic import Field
 
 from tasks.compiled import compiled
-from tasks.design import genes, operators
+from tasks.design import genes, variation_kernels
 from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, Gene, Part, Table
 from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Ints, Morphology, until_apart
-from tasks.design.operators import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
+from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
 from tasks.parameters import Parameters
 
 
@@ -37,11 +37,11 @@ class Mutation(Parameters):
 
 MUTATION = Mutation()
 
-SOURCES = [genes, operators]
+SOURCES = [genes, variation_kernels]
 """Modules that go into the operators' kernels."""
-random_kernel = compiled(operators.random_table, SOURCES, seconds=3)
-mutate_kernel = compiled(operators.mutate_table, SOURCES, seconds=6)
-recombine_kernel = compiled(operators.recombine_tables, SOURCES, seconds=3)
+random_kernel = compiled(variation_kernels.random_table, SOURCES, seconds=3)
+mutate_kernel = compiled(variation_kernels.mutate_table, SOURCES, seconds=6)
+recombine_kernel = compiled(variation_kernels.recombine_tables, SOURCES, seconds=3)
 
 NO_DESIGNS = Designs.from_table(np.zeros((0, N_COLUMNS)))
 

@@ -33,7 +33,7 @@ from tasks.design.genes import N_COLUMNS, Part, Table
 from tasks.design.variation import SOURCES, variation_of
 from tasks.evolution import breeding
 from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Children, Population
-from tasks.held import hold
+from tasks.kernel_generators import hold
 from tasks.parameters import Parameters
 
 Ints = npt.NDArray[np.int64]
@@ -70,7 +70,7 @@ class Afpo(Parameters):
         return self.random_share, self.mutation_share, self.crossover_share
 
 
-NOBODY_YET = Population(
+EMPTY_POPULATION = Population(
     table=np.zeros((0, N_COLUMNS)),
     fitness=np.zeros(0),
     age=np.zeros(0, dtype=np.int64),
@@ -110,9 +110,7 @@ def ask(
     return children
 
 
-def _draw_again(
-    children: Children, parents: Table, rng: Generator, mutation: Mutation, morphology: Morphology
-) -> None:
+def _draw_again(children: Children, parents: Table, rng: Generator, mutation: Mutation, morphology: Morphology) -> None:
     """Draw those children again, by their own operators, that the morphology refuses; in place."""
     for operator in range(len(OPERATORS)):
         which = np.flatnonzero(children.operator == operator)

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from tasks.compiled import inline
 from tasks.design.genes import N_COLUMNS, Designs, Table
-from tasks.design.operators import Variation
 from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel
+from tasks.design.variation_kernels import Variation
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]

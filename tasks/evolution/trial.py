@@ -15,10 +15,10 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.design import ANY_BODY, Designs, Morphology
-from tasks.evolution.afpo import NOBODY_YET, Afpo, ask, tell
+from tasks.evolution.afpo import EMPTY_POPULATION, Afpo, ask, tell
 from tasks.evolution.breeding import OPERATORS, Children, Population
 from tasks.evolution.objective import Evaluation
-from tasks.held import hold
+from tasks.kernel_generators import hold
 
 History = dict[str, npt.NDArray[Any]]
 """Columns of equal length, a row per evaluated design: see :data:`HISTORY_UNITS`."""
@@ -44,7 +44,7 @@ class Trial:
 
     generator_of: Callable[[int], Generator]
     """Gives each generation its own generator, so that it does not matter where a trial was cut."""
-    population: Population = NOBODY_YET
+    population: Population = EMPTY_POPULATION
     body: Designs | None = None
     """One design whose body stays; only controllers evolve then."""
 

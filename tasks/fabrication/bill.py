@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
-from tasks.fabrication.drives import Drive
 from tasks.fabrication.features import ear_screw_mm, horn_screw
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import Part, pin_length_mm
 from tasks.fabrication.rods import Layers
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.servo_joints import Drive
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,14 @@ class BillLine:
 def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, settings: KitSettings) -> list[BillLine]:
     """List what a kit is made of."""
     lines = [
-        BillLine("print", part.name, 1, None, part.mass_g,
-                 f"PLA, {settings.infill:.0%} infill, on its {'face' if part.face_down else 'back'}")
+        BillLine(
+            "print",
+            part.name,
+            1,
+            None,
+            part.mass_g,
+            f"PLA, {settings.infill:.0%} infill, on its {'face' if part.face_down else 'back'}",
+        )
         for part in parts
     ]
     screws: Counter[tuple[str, str]] = Counter()
@@ -47,8 +53,16 @@ def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, sett
         screws[servo.centre_screw_name, "centre of the horn, comes with the servo"] += n
     if n_servos:
         servo = drives[0].servo
-        lines.append(BillLine("servo", f"{servo.name} with a {settings.horn} horn", n_servos, None,
-                              n_servos * servo.mass_g, f"{servo.spline_teeth} teeth, {servo.voltage_v:g} V"))
+        lines.append(
+            BillLine(
+                "servo",
+                f"{servo.name} with a {settings.horn} horn",
+                n_servos,
+                None,
+                n_servos * servo.mass_g,
+                f"{servo.spline_teeth} teeth, {servo.voltage_v:g} V",
+            )
+        )
     lines += [BillLine("screw", item, n, None, None, note) for (item, note), n in sorted(screws.items())]
     lengths: Counter[float] = Counter()
     for body, rods in enumerate(layers.rods):
@@ -71,9 +85,15 @@ def _what_pages_ask_for(drives: Sequence[Drive], n_servos: int) -> list[BillLine
             BillLine("supplies", "marine grease", 1, None, None, "in the servos' gearboxes, on the O-rings"),
             BillLine("supplies", f"O-ring for a {servo.spline_mm:g} mm shaft", n_servos, None, None, "under the horn"),
             BillLine("electronics", "Pololu Maestro", 1, None, None, f"of {n_servos} channels or more"),
-            BillLine("electronics", f"{servo.voltage_v:g} V supply", 1, None, None,
-                     "2.5 A for each standard servo, with a switch"),
-        ]  # fmt: skip
+            BillLine(
+                "electronics",
+                f"{servo.voltage_v:g} V supply",
+                1,
+                None,
+                None,
+                "2.5 A for each standard servo, with a switch",
+            ),
+        ]
     return lines
 
 

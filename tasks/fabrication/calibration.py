@@ -53,8 +53,9 @@ class ServoCalibration(Parameters):
                 f"Are they swapped?"
             )
         if not self.min_us <= self.centre_us <= self.max_us:
-            raise ValueError(f"centre_us is {self.centre_us:g}, expected min_us to max_us, "
-                             f"{self.min_us:g} to {self.max_us:g}")
+            raise ValueError(
+                f"centre_us is {self.centre_us:g}, expected min_us to max_us, {self.min_us:g} to {self.max_us:g}"
+            )
         return self
 
     @property

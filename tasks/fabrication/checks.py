@@ -15,12 +15,12 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from tasks.design import N_LINKS
-from tasks.fabrication.drives import Drive
+from tasks.fabrication.built_bodies import Mechanism, Pose, moved
 from tasks.fabrication.features import Feature, ear_screw_mm, horn_screw
-from tasks.fabrication.rigid import Mechanism, Pose, moved
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.rods import Layers
+from tasks.fabrication.servo_joints import Drive
 from tasks.fabrication.servos import MEASURES
-from tasks.fabrication.settings import KitSettings
 from tasks.fabrication.splits import Split, bed_mm
 
 Severity = Literal["fault", "warning", "note"]
@@ -90,23 +90,35 @@ def findings_of(
 def _not_of_the_variant(mechanism: Mechanism) -> Iterator[Finding]:
     n = len(mechanism.joints)
     if n != VARIANT_MOTORS:
-        yield Finding("not of the variant", "warning", "design",
-                      f"{n} motors are on, the physical variant has {VARIANT_MOTORS}; joints whose motor is off swing "
-                      f"freely in the main experiments, but are locked here")  # fmt: skip
+        yield Finding(
+            "not of the variant",
+            "warning",
+            "design",
+            f"{n} motors are on, the physical variant has {VARIANT_MOTORS}; joints whose motor is off swing "
+            f"freely in the main experiments, but are locked here",
+        )
     for first, second in combinations(range(N_LINKS), 2):
         if mechanism.parent_link[second] != first:
             area = mechanism.links[first].intersection(mechanism.links[second]).area
             if area > OVERLAP_MM2:
-                yield Finding("not of the variant", "warning", f"links {first} and {second}",
-                              f"overlap by {area:.0f} mm² at rest without being joined; the variant forbids that")
+                yield Finding(
+                    "not of the variant",
+                    "warning",
+                    f"links {first} and {second}",
+                    f"overlap by {area:.0f} mm² at rest without being joined; the variant forbids that",
+                )
 
 
 def _travel(drives: Sequence[Drive]) -> Iterator[Finding]:
     for drive in drives:
         asked, half = drive.joint.motion_range, drive.servo.travel_rad / 2
         if asked > half:
-            yield Finding("servo's travel", "fault", f"joint {drive.joint.link}",
-                          f"swings ±{degrees(asked):.0f}°, servo {drive.servo.name} turns ±{degrees(half):.0f}°")
+            yield Finding(
+                "servo's travel",
+                "fault",
+                f"joint {drive.joint.link}",
+                f"swings ±{degrees(asked):.0f}°, servo {drive.servo.name} turns ±{degrees(half):.0f}°",
+            )
 
 
 def _cradles(mechanism: Mechanism, drives: Sequence[Drive]) -> Iterator[Finding]:
@@ -114,12 +126,20 @@ def _cradles(mechanism: Mechanism, drives: Sequence[Drive]) -> Iterator[Finding]
         width = mechanism.link_size[drive.carrier_link][0]
         out = drive.cradle.difference(mechanism.bodies[drive.carrier].outline).area
         if drive.cradle_width_mm > width:
-            yield Finding("cradle wider than its link", "warning", f"joint {drive.joint.link}",
-                          f"the cradle is {drive.cradle_width_mm:.1f} mm wide, link {drive.carrier_link} "
-                          f"{width:.1f}; a boss of {out:.0f} mm² stands out")
+            yield Finding(
+                "cradle wider than its link",
+                "warning",
+                f"joint {drive.joint.link}",
+                f"the cradle is {drive.cradle_width_mm:.1f} mm wide, link {drive.carrier_link} "
+                f"{width:.1f}; a boss of {out:.0f} mm² stands out",
+            )
         elif out > OVERLAP_MM2:
-            yield Finding("cradle stands out", "note", f"joint {drive.joint.link}",
-                          f"a boss of {out:.0f} mm² stands out of {mechanism.bodies[drive.carrier].name}")
+            yield Finding(
+                "cradle stands out",
+                "note",
+                f"joint {drive.joint.link}",
+                f"a boss of {out:.0f} mm² stands out of {mechanism.bodies[drive.carrier].name}",
+            )
 
 
 def _shared_room(drives: Sequence[Drive]) -> Iterator[Finding]:
@@ -130,8 +150,12 @@ def _shared_room(drives: Sequence[Drive]) -> Iterator[Finding]:
             shared = rooms[0].intersection(rooms[1]).area
             if shared > OVERLAP_MM2:
                 apart = ((a.joint.at[0] - b.joint.at[0]) ** 2 + (a.joint.at[1] - b.joint.at[1]) ** 2) ** 0.5
-                yield Finding("servos in one place", "fault", f"joints {a.joint.link} and {b.joint.link}",
-                              f"are {apart:.1f} mm apart on part {body + 1}; their hollows share {shared:.0f} mm²")
+                yield Finding(
+                    "servos in one place",
+                    "fault",
+                    f"joints {a.joint.link} and {b.joint.link}",
+                    f"are {apart:.1f} mm apart on part {body + 1}; their hollows share {shared:.0f} mm²",
+                )
 
 
 def _screws(drives: Sequence[Drive], settings: KitSettings) -> Iterator[Finding]:
@@ -139,25 +163,39 @@ def _screws(drives: Sequence[Drive], settings: KitSettings) -> Iterator[Finding]
     for drive in drives[:1]:
         servo, horn = drive.servo, drive.horn
         for what, held, diameter in (
-            (f"{horn.screw_name} screws hold in the {horn.kind} horn", horn_screw(drive, settings).engaged_mm,
-             horn.screw_mm),
-            (f"{servo.ear_screw_name} screws through the ears hold in the plate",
-             ear_screw_mm(drive) - servo.ear_thickness_mm, servo.ear_screw_mm),
-        ):  # fmt: skip
+            (
+                f"{horn.screw_name} screws hold in the {horn.kind} horn",
+                horn_screw(drive, settings).engaged_mm,
+                horn.screw_mm,
+            ),
+            (
+                f"{servo.ear_screw_name} screws through the ears hold in the plate",
+                ear_screw_mm(drive) - servo.ear_thickness_mm,
+                servo.ear_screw_mm,
+            ),
+        ):
             if held < diameter:
-                yield Finding("short thread", "warning", "every joint",
-                              f"{what} by {held:.1f} mm, expected their diameter, {diameter:g} mm, or more: glue the "
-                              f"threads, or take a thicker one (--set kit.measured...)")
+                yield Finding(
+                    "short thread",
+                    "warning",
+                    "every joint",
+                    f"{what} by {held:.1f} mm, expected their diameter, {diameter:g} mm, or more: glue the "
+                    f"threads, or take a thicker one (--set kit.measured...)",
+                )
 
 
 def _unmeasured(drives: Sequence[Drive]) -> Iterator[Finding]:
     for drive in drives[:1]:
         unknown = [name for name in MEASURES if name not in drive.servo.sources]
         if unknown:
-            yield Finding("not measured", "warning", "every joint",
-                          f"{len(unknown)} of {len(MEASURES)} measures of a {drive.servo.name} and its "
-                          f"{drive.horn.kind} horn are common ones that nobody has checked; the page lists them. "
-                          f"Measure yours and print the gauges before the parts")
+            yield Finding(
+                "not measured",
+                "warning",
+                "every joint",
+                f"{len(unknown)} of {len(MEASURES)} measures of a {drive.servo.name} and its "
+                f"{drive.horn.kind} horn are common ones that nobody has checked; the page lists them. "
+                f"Measure yours and print the gauges before the parts",
+            )
 
 
 def _walls(
@@ -185,8 +223,12 @@ def _walls(
                 note((f"{feature.label} ({feature.group})", "the outside"), wall)
         for (first, second), wall in thin.items():
             if wall < settings.min_wall_mm:
-                yield Finding("wall too thin", "fault", f"{mechanism.bodies[body].name}, {side}",
-                              f"{wall:.2f} mm between {first} and {second}, expected {settings.min_wall_mm:g} or more")
+                yield Finding(
+                    "wall too thin",
+                    "fault",
+                    f"{mechanism.bodies[body].name}, {side}",
+                    f"{wall:.2f} mm between {first} and {second}, expected {settings.min_wall_mm:g} or more",
+                )
 
 
 def _necks(mechanism: Mechanism, outlines: Sequence[Polygon], settings: KitSettings) -> Iterator[Finding]:
@@ -199,8 +241,12 @@ def _necks(mechanism: Mechanism, outlines: Sequence[Polygon], settings: KitSetti
             pieces = [piece for piece in getattr(left, "geoms", [left]) if piece.area > settings.min_neck_mm**2]
             if len(pieces) != 1:
                 severity: Severity = "fault" if width <= settings.min_wall_mm else "warning"
-                yield Finding("narrow neck", severity, body.name,
-                              f"it is {width:.1f} mm wide at its narrowest, expected {settings.min_neck_mm:g} or more")
+                yield Finding(
+                    "narrow neck",
+                    severity,
+                    body.name,
+                    f"it is {width:.1f} mm wide at its narrowest, expected {settings.min_neck_mm:g} or more",
+                )
                 break
 
 
@@ -215,47 +261,69 @@ def _collisions(
         where, passing = f"{a.name} and {b.name}", outlines[b.index]
         joints = " and ".join(f"joint {joint.link}" for joint, _ in mechanism.path(a.index, b.index))
         if outlines[a.index].intersection(passing).area > OVERLAP_MM2:
-            yield Finding("parts collide", "fault", where,
-                          f"overlap by {outlines[a.index].intersection(passing).area:.0f} mm² at rest: take another "
-                          f"design, or another rest_angle in the design file")
+            yield Finding(
+                "parts collide",
+                "fault",
+                where,
+                f"overlap by {outlines[a.index].intersection(passing).area:.0f} mm² at rest: take another "
+                f"design, or another rest_angle in the design file",
+            )
             continue
         in_gait = _deepest(still, passing, mechanism.poses_in_gait(a.index, b.index))
         if in_gait > OVERLAP_MM2:
-            yield Finding("parts collide", "fault", where,
-                          f"meet in the gait, through {joints}: by {in_gait:.0f} mm² with a clearance of "
-                          f"{settings.sweep_clearance_mm:g} mm. In the design file, a smaller motion_range or another "
-                          f"phase of one of these joints may keep them apart; or take another design")
+            yield Finding(
+                "parts collide",
+                "fault",
+                where,
+                f"meet in the gait, through {joints}: by {in_gait:.0f} mm² with a clearance of "
+                f"{settings.sweep_clearance_mm:g} mm. In the design file, a smaller motion_range or another "
+                f"phase of one of these joints may keep them apart; or take another design",
+            )
             continue
         in_range = _deepest(still, passing, mechanism.poses_in_range(a.index, b.index))
         if in_range > OVERLAP_MM2:
-            yield Finding("parts collide", "warning", where,
-                          f"miss one another in the gait but meet elsewhere in the ranges of {joints}, by "
-                          f"{in_range:.0f} mm²: move one joint at a time only near rest")
+            yield Finding(
+                "parts collide",
+                "warning",
+                where,
+                f"miss one another in the gait but meet elsewhere in the ranges of {joints}, by "
+                f"{in_range:.0f} mm²: move one joint at a time only near rest",
+            )
 
 
 def _deepest(still: BaseGeometry, passing: BaseGeometry, poses: Sequence[Pose]) -> float:
     return max((still.intersection(moved(passing, pose)).area for pose in poses), default=0.0)
 
 
-def _rods(
-    mechanism: Mechanism, drives: Sequence[Drive], layers: Layers, settings: KitSettings
-) -> Iterator[Finding]:
+def _rods(mechanism: Mechanism, drives: Sequence[Drive], layers: Layers, settings: KitSettings) -> Iterator[Finding]:
     for body, rods in zip(mechanism.bodies, layers.rods, strict=True):
         if not rods:
             swept = " that no other part sweeps" if layers.outer[body.index] else ""
-            yield Finding("no room for rods", "fault", body.name, f"it has no place{swept} for a rod with a wall of "
-                          f"{settings.wall_mm:g} mm")  # fmt: skip
+            yield Finding(
+                "no room for rods",
+                "fault",
+                body.name,
+                f"it has no place{swept} for a rod with a wall of {settings.wall_mm:g} mm",
+            )
         elif len(rods) < settings.rods_per_part:
-            yield Finding("few rods", "warning", body.name,
-                          f"there is room for {len(rods)} of {settings.rods_per_part} rods; its copies twist more")
+            yield Finding(
+                "few rods",
+                "warning",
+                body.name,
+                f"there is room for {len(rods)} of {settings.rods_per_part} rods; its copies twist more",
+            )
     if settings.servos_per_joint == 1:
         for drive in drives:
             twist = lag_rad(drive, layers, settings)
             if twist > TWIST_LIMIT:
                 said = f"{degrees(twist):.0f}°" if twist < pi / 2 else "more than 90°"
-                yield Finding("rods give way", "warning", f"joint {drive.joint.link}",
-                              f"at the servo's full torque, half of it at the other pontoon, that pontoon lags "
-                              f"by {said}; servos_per_joint: 2 or thicker rods help")
+                yield Finding(
+                    "rods give way",
+                    "warning",
+                    f"joint {drive.joint.link}",
+                    f"at the servo's full torque, half of it at the other pontoon, that pontoon lags "
+                    f"by {said}; servos_per_joint: 2 or thicker rods help",
+                )
 
 
 def lag_rad(drive: Drive, layers: Layers, settings: KitSettings) -> float:
@@ -279,18 +347,31 @@ def lag_rad(drive: Drive, layers: Layers, settings: KitSettings) -> float:
 def _bed(mechanism: Mechanism, splits: Sequence[Split], settings: KitSettings) -> Iterator[Finding]:
     width, depth = bed_mm(settings)
     if settings.thickness_mm > settings.bed_mm[2]:
-        yield Finding("larger than the bed", "fault", "every part",
-                      f"is {settings.thickness_mm:g} mm high, the printer {settings.bed_mm[2]:g}")
+        yield Finding(
+            "larger than the bed",
+            "fault",
+            "every part",
+            f"is {settings.thickness_mm:g} mm high, the printer {settings.bed_mm[2]:g}",
+        )
     for body, split in zip(mechanism.bodies, splits, strict=True):
         if len(split.pieces) > 1 or not split.fits:
             whole = split.whole
             low_x, low_y, high_x, high_y = whole.bounds
-            size = (f"it is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, "
-                    f"the bed {width:.0f} × {depth:.0f} inside its margin")
+            size = (
+                f"it is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, "
+                f"the bed {width:.0f} × {depth:.0f} inside its margin"
+            )
             if split.fits:
-                yield Finding("larger than the bed", "note", body.name,
-                              f"{size}: split into {len(split.pieces)} pieces that slide together along the "
-                              f"extrusion; glue them")
+                yield Finding(
+                    "larger than the bed",
+                    "note",
+                    body.name,
+                    f"{size}: split into {len(split.pieces)} pieces that slide together along the extrusion; glue them",
+                )
             else:
-                yield Finding("larger than the bed", "fault", body.name,
-                              f"{size}: no straight cut across a link that misses servos and rods makes its pieces fit")
+                yield Finding(
+                    "larger than the bed",
+                    "fault",
+                    body.name,
+                    f"{size}: no straight cut across a link that misses servos and rods makes its pieces fit",
+                )

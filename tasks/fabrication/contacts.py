@@ -1,7 +1,7 @@
 """Contacts: links that push one another in the simulation and pass one another on the bench.
 
 In the simulation all links lie in one plane, and those that no joint ties collide. On the bench parts lie in two layers
-(tasks/fabrication/drives.py): parts of one layer meet there as well, and what comes of that is checked in the plane
+(tasks/fabrication/servo_joints.py): parts of one layer meet there as well, and what comes of that is checked in the plane
 (tasks/fabrication/checks.py). Parts of different layers pass one another whole. Where their links touched in the
 simulated run, the robot on the bench moves on and the simulated one was stopped: the run is no prediction then.
 """
@@ -16,9 +16,9 @@ import numpy.typing as npt
 import shapely
 
 from tasks.design import Designs
-from tasks.fabrication.rigid import Mechanism
+from tasks.fabrication.built_bodies import Mechanism
 from tasks.fabrication.rods import Layers
-from tasks.simulation.contact import TOTAL_RADIUS
+from tasks.simulation.trees.contact import TOTAL_RADIUS
 
 Floats = npt.NDArray[np.floating]
 
@@ -64,8 +64,15 @@ def passing_contacts(
                 continue  # joined links never collide
             touching = shapely.distance(outlines[:, first], outlines[:, second]) <= TOTAL_RADIUS
             if touching.any():
-                found.append(Contact((first, second), (a.index, b.index), joints, float(touching.mean()),
-                                     float(touching.argmax() + 1) * time_step))  # fmt: skip
+                found.append(
+                    Contact(
+                        (first, second),
+                        (a.index, b.index),
+                        joints,
+                        float(touching.mean()),
+                        float(touching.argmax() + 1) * time_step,
+                    )
+                )
     return sorted(found, key=lambda contact: -contact.share)
 
 

@@ -14,9 +14,9 @@ from shapely import Point as ShapelyPoint
 from shapely import Polygon, unary_union
 from shapely.geometry.base import BaseGeometry
 
-from tasks.fabrication.drives import Drive
-from tasks.fabrication.rigid import Point
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.built_bodies import Point
+from tasks.fabrication.kit_settings import KitSettings
+from tasks.fabrication.servo_joints import Drive
 
 ARC_SEGMENTS = 64
 """Chords for a quarter of a circle: their area misses the circle's by 1 part in 10,000."""
@@ -78,8 +78,10 @@ def ear_screw_mm(drive: Drive) -> int:
     reach = drive.servo.ear_thickness_mm + plate_mm(drive)
     fitting = [length for length in SCREW_LENGTHS_MM if length <= reach]
     if not fitting:
-        raise KitError(f"servo {drive.servo.name}: its ears and the plate before them are {reach:g} mm thick, expected "
-                       f"{SCREW_LENGTHS_MM[0]} or more, the shortest screw")
+        raise KitError(
+            f"servo {drive.servo.name}: its ears and the plate before them are {reach:g} mm thick, expected "
+            f"{SCREW_LENGTHS_MM[0]} or more, the shortest screw"
+        )
     return fitting[-1]
 
 
@@ -93,8 +95,10 @@ def check_room_between(drives: Sequence[Drive], settings: KitSettings) -> None:
     layers = 2 * settings.thickness_mm + settings.layer_gap_mm if drives else settings.thickness_mm
     room = settings.pitch_mm + settings.thickness_mm - 2 * layers - 2 * max(out, 0.0)
     if room <= 0.0:
-        raise KitError(f"pitch_mm is {settings.pitch_mm:g}: two layers of {settings.thickness_mm:g} mm a pontoon "
-                       f"and their servos leave {room:.1f} mm between the pontoons, expected more than 0")
+        raise KitError(
+            f"pitch_mm is {settings.pitch_mm:g}: two layers of {settings.thickness_mm:g} mm a pontoon "
+            f"and their servos leave {room:.1f} mm between the pontoons, expected more than 0"
+        )
 
 
 def cradle_features(drive: Drive, settings: KitSettings) -> list[Feature]:
@@ -106,15 +110,15 @@ def cradle_features(drive: Drive, settings: KitSettings) -> list[Feature]:
     servo, group, thickness = drive.servo, f"servo of joint {drive.joint.link}", settings.thickness_mm
     floor = thickness - plate_mm(drive)
     if floor < servo.ear_thickness_mm + NOTCH_DEPTH_MM:
-        raise KitError(f"thickness_mm is {thickness:g}: servo {servo.name} needs at least "
-                       f"{plate_mm(drive) + servo.ear_thickness_mm + NOTCH_DEPTH_MM:g}")
+        raise KitError(
+            f"thickness_mm is {thickness:g}: servo {servo.name} needs at least "
+            f"{plate_mm(drive) + servo.ear_thickness_mm + NOTCH_DEPTH_MM:g}"
+        )
     features = [
         Feature("pocket", group, drive.pocket, 0.0, floor),
         Feature("case", group, drive.case, floor, thickness),
     ]
-    features += [
-        bore("ear screw", group, at, PILOT * servo.ear_screw_mm, floor, thickness) for at in drive.ear_holes()
-    ]
+    features += [bore("ear screw", group, at, PILOT * servo.ear_screw_mm, floor, thickness) for at in drive.ear_holes()]
     features += [Feature("cable", group, way, 0.0, NOTCH_DEPTH_MM) for way in drive.cable_ways]
     return features
 
@@ -128,8 +132,10 @@ def horn_features(drive: Drive, settings: KitSettings) -> list[Feature]:
     horn, group, thickness = drive.horn, f"horn of joint {drive.joint.link}", settings.thickness_mm
     seat = horn_seat_mm(drive, settings)
     if seat < WEB_MM:
-        raise KitError(f"thickness_mm is {thickness:g}: the horn of servo {drive.servo.name} needs at least "
-                       f"{thickness - seat + WEB_MM:g}")
+        raise KitError(
+            f"thickness_mm is {thickness:g}: the horn of servo {drive.servo.name} needs at least "
+            f"{thickness - seat + WEB_MM:g}"
+        )
     at = drive.joint.at
     if horn.kind == "disc":
         features = [bore("horn", group, at, 2 * drive.recess_radius_mm, seat, thickness)]
@@ -183,10 +189,12 @@ def horn_screw(drive: Drive, settings: KitSettings) -> HornScrew:
         web = min(length - horn.thickness_mm - TIP_MM, seat)
         if web >= WEB_MM and length - web <= horn.top_mm - TIP_MM:
             return HornScrew(length, web, min(length - web, horn.thickness_mm))
-    raise KitError(f"servo {drive.servo.name}: no screw of {SCREW_LENGTHS_MM[0]} to {SCREW_LENGTHS_MM[-1]} mm holds a "
-                   f"{horn.kind} horn {horn.thickness_mm:g} mm thick that ends {horn.top_mm:g} mm above the case: "
-                   f"expected one that passes {WEB_MM:g} to {seat:g} mm of plastic and the horn, and stays "
-                   f"{TIP_MM:g} mm off the case")
+    raise KitError(
+        f"servo {drive.servo.name}: no screw of {SCREW_LENGTHS_MM[0]} to {SCREW_LENGTHS_MM[-1]} mm holds a "
+        f"{horn.kind} horn {horn.thickness_mm:g} mm thick that ends {horn.top_mm:g} mm above the case: "
+        f"expected one that passes {WEB_MM:g} to {seat:g} mm of plastic and the horn, and stays "
+        f"{TIP_MM:g} mm off the case"
+    )
 
 
 def pin_feature(drive: Drive, settings: KitSettings, *, turning: bool) -> Feature:

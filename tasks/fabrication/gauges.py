@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 from build123d import Axis, Location, Sketch, Solid, extrude
 
-from tasks.fabrication.drives import Drive
 from tasks.fabrication.features import Feature, cradle_features, horn_features, horn_screw, horn_seat_mm, plate_mm
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import cut_out, printed_mass_g
 from tasks.fabrication.profile import cradle_boss, horn_boss, polygon_of
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.servo_joints import Drive
 
 RIM_MM = 3.0
 """Of the pocket behind the ears."""
@@ -45,17 +45,16 @@ def gauges_of(drives: Sequence[Drive], settings: KitSettings) -> tuple[Gauge, ..
     drive = replace(drives[0], joint=replace(drives[0].joint, at=(0.0, 0.0)), angle=0.0)
     behind_the_ears = settings.thickness_mm - plate_mm(drive)
     under_the_heads = horn_seat_mm(drive, settings) - horn_screw(drive, settings).web_mm
-    servo = _slice("gauge-servo", cradle_boss(drive), cradle_features(drive, settings), behind_the_ears - RIM_MM,
-                   settings)  # fmt: skip
+    servo = _slice(
+        "gauge-servo", cradle_boss(drive), cradle_features(drive, settings), behind_the_ears - RIM_MM, settings
+    )
     height = servo.solid.bounding_box().size.Z
     over = servo.solid.rotate(Axis.X, 180.0).moved(Location((0.0, 0.0, height)))  # the pocket opens upward
     horn = _slice("gauge-horn", horn_boss(drive), horn_features(drive, settings), under_the_heads, settings)
     return (replace(servo, solid=over), horn)
 
 
-def _slice(
-    name: str, boss: Sketch, features: Sequence[Feature], bottom_mm: float, settings: KitSettings
-) -> Gauge:
+def _slice(name: str, boss: Sketch, features: Sequence[Feature], bottom_mm: float, settings: KitSettings) -> Gauge:
     """Make what lies above a height of a part that is nothing but a boss."""
     cut = [
         replace(feature, low_mm=max(feature.low_mm - bottom_mm, 0.0), high_mm=feature.high_mm - bottom_mm)

@@ -12,16 +12,16 @@ from shapely import unary_union
 from tasks.design import Designs
 from tasks.design.genes import check
 from tasks.fabrication.bill import BillLine, bill_of
+from tasks.fabrication.built_bodies import Mechanism, mechanism_of
 from tasks.fabrication.checks import Finding, findings_of
-from tasks.fabrication.drives import Drive, drives_of
 from tasks.fabrication.features import Feature, check_room_between, features_of
 from tasks.fabrication.gauges import Gauge, gauges_of
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import SIDES, Bought, Part, bought_of, parts_of
 from tasks.fabrication.profile import Profile, profile_of
-from tasks.fabrication.rigid import Mechanism, mechanism_of
 from tasks.fabrication.rods import Layers, keep_out, layers_of, rod_circles
+from tasks.fabrication.servo_joints import Drive, drives_of
 from tasks.fabrication.servos import Sense
-from tasks.fabrication.settings import KitSettings
 from tasks.fabrication.splits import Split, split_of
 
 

@@ -15,11 +15,11 @@ from build123d import Box, Cylinder, Face, Location, Plane, Shape, Solid, Wire, 
 from shapely import Point as ShapelyPoint
 from shapely import Polygon
 
-from tasks.fabrication.drives import Drive
 from tasks.fabrication.features import Feature, volume_mm3
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.profile import Profile, SolidError
 from tasks.fabrication.rods import Layers
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.servo_joints import Drive
 from tasks.fabrication.splits import Split, bed_mm, turn_to_fit
 
 SIDES = ("left", "right")
@@ -106,8 +106,9 @@ def parts_of(
     cuts = [Feature("cut", "cut", cut, 0.0, settings.thickness_mm) for cut in split.cuts]
     everything = [*features, *cuts]
     whole = extrude(profile.face, settings.thickness_mm)
-    solids = cut_out(name, whole, everything, profile.face.area, profile.polygon, settings.thickness_mm,
-                     n_pieces=len(split.pieces))  # fmt: skip
+    solids = cut_out(
+        name, whole, everything, profile.face.area, profile.polygon, settings.thickness_mm, n_pieces=len(split.pieces)
+    )
     parts = []
     bed = bed_mm(settings)
     face_down = any(feature.label == "pocket" for feature in features)
@@ -133,9 +134,15 @@ def parts_of(
 
 
 def cut_out(
-    name: str, whole: Solid, features: Sequence[Feature], area: float, outline: Polygon, thickness: float, *,
+    name: str,
+    whole: Solid,
+    features: Sequence[Feature],
+    area: float,
+    outline: Polygon,
+    thickness: float,
+    *,
     n_pieces: int,
-) -> list[Solid]:  # fmt: skip
+) -> list[Solid]:
     """Cut features out of an extruded outline.
 
     Raises:

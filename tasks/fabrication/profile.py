@@ -14,9 +14,9 @@ from build123d import Circle, Face, GeomType, Location, Rectangle, RectangleRoun
 from shapely import Point as ShapelyPoint
 from shapely import Polygon
 
-from tasks.fabrication.drives import Drive, outline_with_bosses
-from tasks.fabrication.rigid import Mechanism, Point
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.built_bodies import Mechanism, Point
+from tasks.fabrication.kit_settings import KitSettings
+from tasks.fabrication.servo_joints import Drive, outline_with_bosses
 
 ARC_STEP = np.radians(4.0)
 """Of the polygon's chords along an arc; at a radius of 20 mm they miss it by 0.01 mm."""
@@ -171,5 +171,3 @@ def _ring(wire: Wire) -> list[Point]:
             along.reverse()
         points.extend((p.X, p.Y) for p in along[:-1])
     return points
-
-

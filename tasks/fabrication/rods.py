@@ -17,9 +17,9 @@ from shapely import Point as ShapelyPoint
 from shapely import Polygon, unary_union
 from shapely.geometry.base import BaseGeometry
 
-from tasks.fabrication.drives import Drive
-from tasks.fabrication.rigid import Mechanism, Point, swept
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.built_bodies import Mechanism, Point, swept
+from tasks.fabrication.kit_settings import KitSettings
+from tasks.fabrication.servo_joints import Drive
 
 LEAST_SPREAD_MM = 15.0
 """Two rods nearer to one another than this count as one: they hardly stop a part from twisting."""
@@ -99,9 +99,9 @@ def _placed(room: BaseGeometry, n: int) -> tuple[Point, ...]:
     """Place up to n rods as far from one another as there is room."""
     if room.is_empty or room.area < LEAST_ROOM_MM2:
         return ()
-    corners = np.array([
-        point for part in getattr(room, "geoms", [room]) for point in part.simplify(CORNER_MM).exterior.coords[:-1]
-    ])
+    corners = np.array(
+        [point for part in getattr(room, "geoms", [room]) for point in part.simplify(CORNER_MM).exterior.coords[:-1]]
+    )
     hull = np.array(room.convex_hull.exterior.coords)[:-1]
     first, second = max(combinations(range(len(hull)), 2), key=lambda pair: np.hypot(*(hull[pair[0]] - hull[pair[1]])))
     if n == 1 or np.hypot(*(hull[first] - hull[second])) < LEAST_SPREAD_MM:

@@ -137,37 +137,37 @@ def _per_60(seconds: float) -> float:
 _SOURCES = {
     "A": "a robot arm of DS3225s by adamb314 (github.com/adamb314/ServoProject: CadFiles/Robot/robot2CadQuery.py)",
     "B": "the DS3218, of the same size, after typical data sheets "
-         "(github.com/agenticcad/agenticcad: designkit/components/motors.py)",
+    "(github.com/agenticcad/agenticcad: designkit/components/motors.py)",
     "C": "chosen here, for the hole of the ear or of the horn",
     "D": "DSServo's figures for the DS3225 at 5 V, as sellers repeat them "
-         "(wiki.52pi.com, D-0001; github.com/vniclos/-6-Axis-Robot-Arm---ESP-32)",
+    "(wiki.52pi.com, D-0001; github.com/vniclos/-6-Axis-Robot-Arm---ESP-32)",
     "E": "a model of the MG996R, another servo of 40.5 mm, by electro57 "
-         "(github.com/electro57/RepRap: lib/servos/TowerPro/MG996.scad)",
+    "(github.com/electro57/RepRap: lib/servos/TowerPro/MG996.scad)",
     "F": "Fabian Kung's servo driver, calibrated with an HS-85MG (RCServo_API_V100.c, 2016): 10 µs a degree from 610 "
-         "to 2190 µs, of which a part is used here",
+    "to 2190 µs, of which a part is used here",
     "G": "Kpower's guide to drawings of servos: typical sizes (kpower.com/insight_gearbox/7396.html)",
     "H": "Hitec's figures for the HS-85MG at 6 V, as a pilot's page repeats them (docaustinextreme.blogspot.com, 2016)",
     "I": "Hitec's sheet of the HS-311, and Blue Robotics' page of a camera tilt with an HS-5055MG: longer pulses turn "
-         "clockwise; taken for the HS-85MG too",
+    "clockwise; taken for the HS-85MG too",
     "J": "openscad-library by Josh Gadeken, after Hitec and ServoCity "
-         "(github.com/process1183/openscad-library: servos/hitec_hs-85mg.scad)",
+    "(github.com/process1183/openscad-library: servos/hitec_hs-85mg.scad)",
     "K": "measured on a clone by Brad Kartchner (github.com/kartchnb/openscad-servo-library: servos/mg90s_clone.scad)",
     "L": "Lynxmotion's wiki, on the horns of its own servos (wiki.lynxmotion.com, SES gearing and horn information)",
     "M": "a horn of 20 teeth, not said whose, by Brad Kartchner (github.com/kartchnb/servohorn_lib: servohorns/20t)",
     "N": "JX's figures for the PDI-6221MG at 6 V, as a seller's page (rcgoing.com) is repeated "
-         "(github.com/anglerud/makespace_servo_demo: docs/index.md; without its name, pastebin.com/iaUgYw2u)",
+    "(github.com/anglerud/makespace_servo_demo: docs/index.md; without its name, pastebin.com/iaUgYw2u)",
     "P": "the sheet MG90S_Tower-Pro.pdf that sellers hand out (6 V)",
     "Q": "a robot's driver of the 6221MG: 0 to 180° by 500 to 2500 µs "
-         "(github.com/KKawaguchi1219/CatchRobo_2023: Servo6221MG/Servo6221MG.cpp)",
+    "(github.com/KKawaguchi1219/CatchRobo_2023: Servo6221MG/Servo6221MG.cpp)",
     "R": "measured on clones of the S3003, another standard servo, by Brad Kartchner "
-         "(github.com/kartchnb/openscad-servo-library: servos/s3003_clone.scad)",
+    "(github.com/kartchnb/openscad-servo-library: servos/s3003_clone.scad)",
     "T": "Tower Pro's page of the MG90S (towerpro.com.tw/product/mg90s-3), as others quote it",
     "V": "sellers of the 20 mm aluminium disc of 25 teeth (Amazon B07D56FVK5), as a hexapod's builder quotes them "
-         "(github.com/lukas/weird_objects: hexapod_walker/prototype_sts3215/hexapod_prototype.py)",
+    "(github.com/lukas/weird_objects: hexapod_walker/prototype_sts3215/hexapod_prototype.py)",
     "W": "a hexapod of DS3225s, the reach of its cross horns by caliper "
-         "(github.com/lukas/weird_objects: hexapod_walker/prototype/hexapod_prototype.py)",
+    "(github.com/lukas/weird_objects: hexapod_walker/prototype/hexapod_prototype.py)",
     "Y": "Shenzhen Sky Star's sheet of its MG90S, a clone (tinytronics.nl, 000263), as a hexapod's builder quotes it",
-}  # fmt: skip
+}
 """By letter. They were read in what others quote and publish; the makers' own pages were not at hand."""
 
 _NAMES = ("ds3225", "hs85mg", "mg90s", "pdi6221mg")
@@ -188,47 +188,47 @@ _TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
     # are 4.4 to 4.5 mm wide (R, E), lie 47.4 (E) to 49.5 (A, G) apart along the case and 9 (R) to 10.5 (E) across.
     # Its sense is what most such servos have: try it.
     # field                 ds3225                 hs85mg                 mg90s                  pdi6221mg
-    "voltage_v":           ((5.0, "D"),            (6.0, "H"),            (6.0, "P"),            (6.0, "N")),
-    "stall_torque_nm":     ((21.0 * KG_CM, "D"),   (3.5 * KG_CM, "H"),    (2.2 * KG_CM, "P"),    (20.32 * KG_CM, "N")),
-    "no_load_speed_rad_s": ((_per_60(0.15), "D"),  (_per_60(0.14), "H"),  (_per_60(0.08), "P"),  (_per_60(0.16), "N")),
-    "mass_g":              ((67.0, "D"),           (21.8, "H"),           (13.4, "T"),           (62.0, "N")),
-    "min_pulse_us":        ((500.0, "D"),          (900.0, "F"),          (500.0, "Y"),          (500.0, "Q")),
-    "max_pulse_us":        ((2500.0, "D"),         (2100.0, "F"),         (2500.0, "Y"),         (2500.0, "Q")),
-    "travel_rad":          ((radians(270.0), "D"), (radians(120.0), "F"), (radians(180.0), "P"), (radians(180.0), "Q")),
-    "sense":               ((1, "D"),              (-1, "I"),             (1, "Y"),              (1, "?")),
-    "length_mm":           ((40.0, "D"),           (29.1, "J"),           (22.8, "T"),           (40.5, "N")),
-    "width_mm":            ((20.0, "D"),           (13.0, "J"),           (12.4, "T"),           (20.2, "N")),
-    "height_mm":           ((40.5, "D"),           (29.9, "J"),           (28.4, "T"),           (38.0, "N")),
-    "shaft_offset_mm":     ((10.0, "A"),           (6.55, "J"),           (6.2, "K"),            (10.0, "E")),
-    "ear_length_mm":       ((54.0, "W"),           (40.0, "J"),           (32.1, "T"),           (54.3, "E")),
-    "ear_bottom_mm":       ((28.0, "B"),           (18.5, "J"),           (18.5, "T"),           (27.0, "E")),
-    "ear_thickness_mm":    ((2.5, "W"),            (2.0, "J"),            (2.5, "K"),            (2.5, "E")),
-    "hole_span_mm":        ((49.5, "A"),           (35.6, "J"),           (28.3, "K"),           (48.9, "R")),
-    "hole_pitch_mm":       ((10.0, "W"),           (0.0, "J"),            (0.0, "K"),            (10.0, "W")),
-    "ear_screw_mm":        ((3.0, "W"),            (2.0, "C"),            (2.0, "K"),            (3.0, "C")),
-    "ear_screw_name":      ((_TAPS_3, "C"),        (_TAPS_2, "C"),        (_TAPS_2, "C"),        (_TAPS_3, "C")),
-    "spline_mm":           ((5.9, "B"),            (4.8, "?"),            (4.7, "K"),            (5.9, "G")),
-    "spline_teeth":        ((25, "W"),             (24, "?"),             (20, "K"),             (25, "N")),
-    "centre_screw_mm":     ((3.0, "W"),            (2.0, "?"),            (2.0, "?"),            (3.0, "?")),
-    "centre_screw_name":   (("M3 × 8", "L"),       ("M2 × 6", "?"),       ("M2 × 6", "?"),       ("M3 × 8", "?")),
-    "cable_width_mm":      ((4.0, "G"),            (4.0, "G"),            (4.0, "G"),            (4.0, "G")),
-}  # fmt: skip
+    "voltage_v": ((5.0, "D"), (6.0, "H"), (6.0, "P"), (6.0, "N")),
+    "stall_torque_nm": ((21.0 * KG_CM, "D"), (3.5 * KG_CM, "H"), (2.2 * KG_CM, "P"), (20.32 * KG_CM, "N")),
+    "no_load_speed_rad_s": ((_per_60(0.15), "D"), (_per_60(0.14), "H"), (_per_60(0.08), "P"), (_per_60(0.16), "N")),
+    "mass_g": ((67.0, "D"), (21.8, "H"), (13.4, "T"), (62.0, "N")),
+    "min_pulse_us": ((500.0, "D"), (900.0, "F"), (500.0, "Y"), (500.0, "Q")),
+    "max_pulse_us": ((2500.0, "D"), (2100.0, "F"), (2500.0, "Y"), (2500.0, "Q")),
+    "travel_rad": ((radians(270.0), "D"), (radians(120.0), "F"), (radians(180.0), "P"), (radians(180.0), "Q")),
+    "sense": ((1, "D"), (-1, "I"), (1, "Y"), (1, "?")),
+    "length_mm": ((40.0, "D"), (29.1, "J"), (22.8, "T"), (40.5, "N")),
+    "width_mm": ((20.0, "D"), (13.0, "J"), (12.4, "T"), (20.2, "N")),
+    "height_mm": ((40.5, "D"), (29.9, "J"), (28.4, "T"), (38.0, "N")),
+    "shaft_offset_mm": ((10.0, "A"), (6.55, "J"), (6.2, "K"), (10.0, "E")),
+    "ear_length_mm": ((54.0, "W"), (40.0, "J"), (32.1, "T"), (54.3, "E")),
+    "ear_bottom_mm": ((28.0, "B"), (18.5, "J"), (18.5, "T"), (27.0, "E")),
+    "ear_thickness_mm": ((2.5, "W"), (2.0, "J"), (2.5, "K"), (2.5, "E")),
+    "hole_span_mm": ((49.5, "A"), (35.6, "J"), (28.3, "K"), (48.9, "R")),
+    "hole_pitch_mm": ((10.0, "W"), (0.0, "J"), (0.0, "K"), (10.0, "W")),
+    "ear_screw_mm": ((3.0, "W"), (2.0, "C"), (2.0, "K"), (3.0, "C")),
+    "ear_screw_name": ((_TAPS_3, "C"), (_TAPS_2, "C"), (_TAPS_2, "C"), (_TAPS_3, "C")),
+    "spline_mm": ((5.9, "B"), (4.8, "?"), (4.7, "K"), (5.9, "G")),
+    "spline_teeth": ((25, "W"), (24, "?"), (20, "K"), (25, "N")),
+    "centre_screw_mm": ((3.0, "W"), (2.0, "?"), (2.0, "?"), (3.0, "?")),
+    "centre_screw_name": (("M3 × 8", "L"), ("M2 × 6", "?"), ("M2 × 6", "?"), ("M3 × 8", "?")),
+    "cable_width_mm": ((4.0, "G"), (4.0, "G"), (4.0, "G"), (4.0, "G")),
+}
 
 _KINDS: tuple[HornKind, ...] = ("disc", "cross", "cross", "cross", "disc")
 _HORN_TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
     # The HS-85MG's hub, top and thickness are those of its double arm, whose holes are 1.15 mm wide. M's arms taper,
     # from the hub's 6.9 mm to 4; of the two holes in its short arms, 1.5 mm wide, the inner one is taken.
     # field              disc, 25 teeth   cross, 25 teeth    hs85mg's cross      mg90s's cross      micro disc
-    "long_mm":         ((10.0, "V"),     (18.0, "W"),       (16.0, "?"),        (18.5, "M"),       (8.0, "?")),
-    "short_mm":        ((10.0, "V"),     (18.0, "W"),       (8.5, "?"),         (8.3, "M"),        (8.0, "?")),
-    "arm_width_mm":    ((20.0, "V"),     (7.0, "?"),        (4.5, "?"),         (6.9, "M"),        (16.0, "?")),
-    "hub_mm":          ((9.0, "V"),      (12.0, "W"),       (7.0, "J"),         (6.9, "M"),        (7.0, "?")),
-    "top_mm":          ((7.5, "?"),      (6.5, "?"),        (5.1, "J"),         (5.0, "?"),        (5.5, "?")),
-    "thickness_mm":    ((2.5, "?"),      (3.0, "W"),        (1.6, "J"),         (1.4, "M"),        (2.0, "?")),
-    "screw_radius_mm": ((7.0, "V"),      (10.4, "W"),       (6.5, "?"),         (5.0, "M"),        (5.5, "?")),
-    "screw_mm":        ((3.0, "V"),      (2.0, "W"),        (1.5, "C"),         (2.0, "C"),        (2.0, "?")),
-    "screw_name":      (("M3", "V"),     (_TAPS_2, "C"),    (_TAPS_1_5, "C"),   (_TAPS_2, "C"),    ("M2", "?")),
-}  # fmt: skip
+    "long_mm": ((10.0, "V"), (18.0, "W"), (16.0, "?"), (18.5, "M"), (8.0, "?")),
+    "short_mm": ((10.0, "V"), (18.0, "W"), (8.5, "?"), (8.3, "M"), (8.0, "?")),
+    "arm_width_mm": ((20.0, "V"), (7.0, "?"), (4.5, "?"), (6.9, "M"), (16.0, "?")),
+    "hub_mm": ((9.0, "V"), (12.0, "W"), (7.0, "J"), (6.9, "M"), (7.0, "?")),
+    "top_mm": ((7.5, "?"), (6.5, "?"), (5.1, "J"), (5.0, "?"), (5.5, "?")),
+    "thickness_mm": ((2.5, "?"), (3.0, "W"), (1.6, "J"), (1.4, "M"), (2.0, "?")),
+    "screw_radius_mm": ((7.0, "V"), (10.4, "W"), (6.5, "?"), (5.0, "M"), (5.5, "?")),
+    "screw_mm": ((3.0, "V"), (2.0, "W"), (1.5, "C"), (2.0, "C"), (2.0, "?")),
+    "screw_name": (("M3", "V"), (_TAPS_2, "C"), (_TAPS_1_5, "C"), (_TAPS_2, "C"), ("M2", "?")),
+}
 
 
 def _numbers(table: Mapping[str, tuple[tuple[Any, str], ...]], column: int) -> dict[str, Any]:
@@ -272,11 +272,19 @@ MEASURES: dict[str, str] = {
 
 EARS = "ear_bottom_mm + ear_thickness_mm"
 _SMALL_AND_LARGE = (
-    ("shaft_offset_mm", "length_mm"), ("length_mm", "hole_span_mm"), ("hole_span_mm", "ear_length_mm"),
-    ("hole_pitch_mm", "width_mm"), ("cable_width_mm", "width_mm"), (EARS, "height_mm"),
-    ("thickness_mm", "top_mm"), ("screw_radius_mm", "short_mm"), ("screw_radius_mm", "long_mm"),
-    ("hub_mm", "2 * screw_radius_mm"), ("hub_mm", "2 * short_mm"), ("hub_mm", "2 * long_mm"),
-)  # fmt: skip
+    ("shaft_offset_mm", "length_mm"),
+    ("length_mm", "hole_span_mm"),
+    ("hole_span_mm", "ear_length_mm"),
+    ("hole_pitch_mm", "width_mm"),
+    ("cable_width_mm", "width_mm"),
+    (EARS, "height_mm"),
+    ("thickness_mm", "top_mm"),
+    ("screw_radius_mm", "short_mm"),
+    ("screw_radius_mm", "long_mm"),
+    ("hub_mm", "2 * screw_radius_mm"),
+    ("hub_mm", "2 * short_mm"),
+    ("hub_mm", "2 * long_mm"),
+)
 """Of which the first is less than the second, or the measures contradict one another."""
 _EQUAL_OF_A_DISC = (("short_mm", "long_mm"), ("arm_width_mm", "2 * long_mm"))
 _SMALL_AND_LARGE_OF_A_CROSS = (("arm_width_mm", "2 * short_mm"), ("arm_width_mm", "2 * long_mm"))
@@ -328,9 +336,11 @@ def _check(measures: dict[str, float], servo: str, kind: HornKind) -> None:
     disc = kind == "disc"
     for small, large in (*_SMALL_AND_LARGE, *(() if disc else _SMALL_AND_LARGE_OF_A_CROSS)):
         if measures[small] >= measures[large]:
-            raise ServoError(f"servo {servo}: {small} is {measures[small]:g}, expected less than {large}, "
-                             f"{measures[large]:g}")
+            raise ServoError(
+                f"servo {servo}: {small} is {measures[small]:g}, expected less than {large}, {measures[large]:g}"
+            )
     for one, other in _EQUAL_OF_A_DISC if disc else ():
         if measures[one] != measures[other]:
-            raise ServoError(f"servo {servo}: {one} of its disc is {measures[one]:g}, expected {other}, "
-                             f"{measures[other]:g}")
+            raise ServoError(
+                f"servo {servo}: {one} of its disc is {measures[one]:g}, expected {other}, {measures[other]:g}"
+            )

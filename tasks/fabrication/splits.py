@@ -13,8 +13,8 @@ import numpy as np
 from shapely import LineString, Point, Polygon, affinity
 from shapely.geometry.base import BaseGeometry
 
-from tasks.fabrication.rigid import Mechanism
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.built_bodies import Mechanism
+from tasks.fabrication.kit_settings import KitSettings
 
 STEP_MM = 3.0
 """Between the cuts that are tried along a link."""
@@ -63,9 +63,7 @@ def turn_to_fit(shape: BaseGeometry, width: float, depth: float) -> float | None
     return float(fits[0]) if fits.size else None
 
 
-def split_of(
-    mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGeometry, settings: KitSettings
-) -> Split:
+def split_of(mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGeometry, settings: KitSettings) -> Split:
     """Cut a part until every piece fits the bed, or as far as that is possible.
 
     Args:

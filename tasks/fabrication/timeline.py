@@ -1,6 +1,6 @@
 """Servo timelines: what angle every joint is told to hold, frame by frame, and the pulses that tell it.
 
-The controller is the simulation's (tasks/simulation/drive.py): angle from rest = range · sin(2π f t + phase), with time
+The controller is the simulation's (tasks/simulation/controller.py): angle from rest = range · sin(2π f t + phase), with time
 stretched from simulation to bench (tasks/fabrication/scaling.py). A run begins and ends at rest: an envelope rises from
 0 to 1 and falls again, with no jump of angle, speed or acceleration.
 """
@@ -49,12 +49,15 @@ class Timeline:
         if not self.joints:
             raise TimelineError("timeline: no joint is driven, expected one or more with its motor on")
         if self.angle.ndim != 2 or self.angle.shape[1] != len(self.joints) or not len(self.angle):
-            raise TimelineError(f"timeline: angles have shape {self.angle.shape}, expected (n_frames, "
-                                f"{len(self.joints)})")
+            raise TimelineError(
+                f"timeline: angles have shape {self.angle.shape}, expected (n_frames, {len(self.joints)})"
+            )
         if not np.isfinite(self.angle).all():
             frame, column = np.argwhere(~np.isfinite(self.angle))[0]
-            raise TimelineError(f"timeline: joint {self.joints[column]} at {frame / FRAMES_PER_SECOND:.2f} s: "
-                                f"expected an angle, came {self.angle[frame, column]}")
+            raise TimelineError(
+                f"timeline: joint {self.joints[column]} at {frame / FRAMES_PER_SECOND:.2f} s: "
+                f"expected an angle, came {self.angle[frame, column]}"
+            )
 
     @property
     def time(self) -> Floats:
@@ -108,8 +111,10 @@ def pulses(timeline: Timeline, calibration: Calibration) -> Floats:
     if strangers := sorted({servo.joint for servo in calibration.servos} ^ set(timeline.joints)):
         served = ", ".join(str(servo.joint) for servo in calibration.servos)
         driven = ", ".join(map(str, timeline.joints))
-        raise TimelineError(f"joint {strangers[0]}: the timeline drives joints {driven}, the calibration has servos "
-                            f"for {served}; expected the same")
+        raise TimelineError(
+            f"joint {strangers[0]}: the timeline drives joints {driven}, the calibration has servos "
+            f"for {served}; expected the same"
+        )
     return np.stack([_pulses_of(servo, timeline) for servo in calibration.servos], axis=1)
 
 

@@ -4,7 +4,7 @@ The standardisation is folded into the first and last layers, and only the three
 only they are applied. What is left is rows @ weight + bias and ReLU, per member, in SI units.
 
 A row's result must not depend on the rows beside it, or a trial would depend on how its designs were batched. On a CPU
-that is so by construction: see tasks/simulation/networks.py. torch's matrix product picks its algorithm by shape and so
+that is so by construction: see tasks/simulation/networks/inference.py. torch's matrix product picks its algorithm by shape and so
 changes in its last bits with the number of rows; on CUDA the promise holds for batches of one size alone.
 """
 
@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from tasks.residual.observation import OBSERVATION, OBSERVED, STATE, VELOCITIES, Float32, observe
-from tasks.simulation.networks import PackedNetworks
+from tasks.simulation.networks.inference import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
 N_OUT = len(STATE[VELOCITIES])
@@ -75,7 +75,7 @@ class Ensemble:
         """How many networks there are."""
         return len(self.weights[0])
 
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Predict what the slush adds to velocities in one step: entry k of the first axis by member k.
 
         The length of the step is in the weights, from the throws. States that are not finite give changes that are
@@ -145,9 +145,7 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
     biases[0] = biases[0] - observation_mean @ weights[0]
     weights[-1] = (weights[-1] * residual_deviation)[:, VELOCITIES]
     biases[-1] = (biases[-1] * residual_deviation + residual_mean)[VELOCITIES]
-    return [
-        (weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in zip(weights, biases, strict=True)
-    ]
+    return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in zip(weights, biases, strict=True)]
 
 
 def _count_layers(arrays: Mapping[str, Float32], whose: str) -> int:

@@ -28,11 +28,11 @@ N_CURVE_POINTS = 100
 """About how many points a learning curve has."""
 
 
-class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a rollout's status)
+class TrainingDiverged(ArithmeticError):
     """The loss of a member is no longer a number; says which member and when."""
 
 
-class NoDevice(RuntimeError):  # noqa: N818 (what is the case)
+class NoDevice(RuntimeError):
     """There is no such device for torch here; says which was asked for, and what torch has."""
 
 
@@ -146,9 +146,7 @@ def train_member(
         weights=network.arrays(),
         standardisation=standardisation,
         learning_curve=curve,
-        validation=error_rows(
-            standardisation.residual(predicted), transitions.residual[to_validate], np.hypot(vx, vy)
-        ),
+        validation=error_rows(standardisation.residual(predicted), transitions.residual[to_validate], np.hypot(vx, vy)),
     )
 
 

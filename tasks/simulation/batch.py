@@ -16,37 +16,47 @@ import numpy.typing as npt
 from tasks.compiled import compiled, is_cached
 from tasks.design import body, genes
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation import contact, drive, joint, kernels, lanes, learned, networks, packing, rotation, rows, simd
-from tasks.simulation.bodies.robots import Robots
-from tasks.simulation.kernels import MOST_ABREAST, World
-from tasks.simulation.lanes import Block, widest
-from tasks.simulation.motion import GROUND_HALF_HEIGHT, Motion
-from tasks.simulation.networks import PackedNetworks
+from tasks.simulation import controller
+from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion
+from tasks.simulation.networks import coupled, inference
+from tasks.simulation.networks.inference import PackedNetworks
+from tasks.simulation.rigid_bodies.engine import Robots
+from tasks.simulation.simd import lanes, rotation, vectors
+from tasks.simulation.simd.lanes import Block, widest
+from tasks.simulation.trees import contact, joint, layout, packing, step
+from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, World
 from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, Slush
 from tasks.world import slush as slush_source
 
 Float32 = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
 
-_SOURCES = [genes, slush_source, drive, lanes, simd, rows, rotation, joint, contact, kernels]
-_advance = compiled(kernels.advance, _SOURCES, seconds=20)
-_pack_robots = compiled(packing.pack_robots, [genes, body, rows, contact, drive, packing], seconds=2)
+_SOURCES = [genes, slush_source, controller, lanes, vectors, layout, rotation, joint, contact, step]
+_advance = compiled(step.advance, _SOURCES, seconds=20)
+_pack_robots = compiled(packing.pack_robots, [genes, body, layout, contact, controller, packing], seconds=2)
 
 
 def advance_lanes_among_networks(
-    block: Any, n_groups: int, world: Any, first_step: int, n_steps: int, coupling: Any,
-    trace: Any, traced: bool, one: int,
-) -> None:  # fmt: skip
+    block: Any,
+    n_groups: int,
+    world: Any,
+    first_step: int,
+    n_steps: int,
+    coupling: Any,
+    trace: Any,
+    traced: bool,
+    one: int,
+) -> None:
     """Take steps with all robots, each in its member's medium; see learned.py and the engine's kernel.
 
     ``one`` is 1 and ``traced`` False. Were they constants here, numba would compile the engine once more for them.
     """
     for taken in range(n_steps):
-        learned.push(coupling, rows.VX, rows.VY, rows.OMEGA)
+        coupled.push(coupling, layout.VX, layout.VY, layout.OMEGA)
         _advance(block, n_groups, world, first_step + taken, one, trace, traced)
 
 
-_advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, networks, learned], seconds=15)
+_advance_among_networks = compiled(advance_lanes_among_networks, [*_SOURCES, inference, coupled], seconds=15)
 
 
 def is_compiled() -> bool:
@@ -101,14 +111,19 @@ class Groups:
         self._physics = physics
         self.n_lanes = n_lanes
         self.n_groups = -(-self.n_robots // n_lanes)
-        self._block = Block(self.n_groups * rows.N_ROWS, n_lanes)
+        self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
         self._no_trace = _no_trace(n_lanes)
-        self.blocks = self._block.rows.reshape(self.n_groups, rows.N_ROWS, n_lanes)
+        self.blocks = self._block.rows.reshape(self.n_groups, layout.N_ROWS, n_lanes)
         self._place = np.empty((len(designs), N_LINKS), np.int64)
         _pack_robots(
-            designs.table, n_members, n_lanes, physics.link_density,
-            np.float32(physics.time_step) * np.float32(physics.max_motor_torque), self.blocks, self._place,
-        )  # fmt: skip
+            designs.table,
+            n_members,
+            n_lanes,
+            physics.link_density,
+            np.float32(physics.time_step) * np.float32(physics.max_motor_torque),
+            self.blocks,
+            self._place,
+        )
 
     @cached_property
     def _robot_of_lane(self) -> Indices:
@@ -134,14 +149,14 @@ class Groups:
 
     def set_velocities(self, vx: Float32, vy: Float32, omega: Float32) -> None:
         """Write (n_robots, n_links) velocities, links numbered as the kernels do."""
-        for row, velocity in ((rows.VX, vx), (rows.VY, vy), (rows.OMEGA, omega)):
+        for row, velocity in ((layout.VX, vx), (layout.VY, vy), (layout.OMEGA, omega)):
             self._scatter(row, velocity[self._robot_of_lane])
 
     def poses(self) -> Float32:
         """Read (n_robots, n_links, 6) states, links in the designs' own order; NaN where diverged."""
-        state = np.moveaxis(self.states((rows.X, rows.Y, rows.ANGLE, rows.VX, rows.VY, rows.OMEGA)), 0, -1)
+        state = np.moveaxis(self.states((layout.X, layout.Y, layout.ANGLE, layout.VX, layout.VY, layout.OMEGA)), 0, -1)
         state = np.take_along_axis(state, self._place_of_robot()[..., None], axis=1)
-        diverged = np.isnan(self.blocks[:, rows.DIVERGENCE].reshape(-1)[: self.n_robots])
+        diverged = np.isnan(self.blocks[:, layout.DIVERGENCE].reshape(-1)[: self.n_robots])
         state[diverged] = np.nan
         return state
 
@@ -153,8 +168,8 @@ class Groups:
         """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""
         for group in range(self.n_groups if kept is not None else 1):
             n_groups = 1 if kept is not None else self.n_groups
-            trace = self._no_trace if kept is None else Block(n_steps * rows.N_TRACED, self.n_lanes)
-            block = lanes.from_row(self._block, group * rows.N_ROWS)
+            trace = self._no_trace if kept is None else Block(n_steps * layout.N_TRACED, self.n_lanes)
+            block = lanes.from_row(self._block, group * layout.N_ROWS)
             with np.errstate(all="ignore"):  # without the compiler the lanes are NumPy's, and it would warn
                 _advance(block, n_groups, world, first_step, n_steps, trace, kept is not None)
             if kept is not None:
@@ -165,7 +180,7 @@ class Groups:
 
     def advance_among(self, learned_medium: PackedNetworks, world: World, first_step: int, n_steps: int) -> None:
         """Take steps in a medium that is one network for each member: all of it in one kernel, and without a trace."""
-        coupling = learned.couple(learned_medium, self.blocks, self.n_robots)
+        coupling = coupled.couple(learned_medium, self.blocks, self.n_robots)
         with np.errstate(all="ignore"):
             _advance_among_networks(
                 self._block, self.n_groups, world, first_step, n_steps, coupling, self._no_trace, False, 1
@@ -173,9 +188,9 @@ class Groups:
 
     def push(self, medium: Medium) -> None:
         """Add a medium's velocity change to every link, as the reference engine does."""
-        states = self.states(tuple(rows.QUANTITIES.values()))
-        states = states.reshape(len(rows.QUANTITIES), self._n_members, -1, N_LINKS)
-        links = LinkStates(**dict(zip(rows.QUANTITIES, states, strict=True)))
+        states = self.states(tuple(layout.QUANTITIES.values()))
+        states = states.reshape(len(layout.QUANTITIES), self._n_members, -1, N_LINKS)
+        links = LinkStates(**dict(zip(layout.QUANTITIES, states, strict=True)))
         change = medium.velocity_change(links, self._physics)
         velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
         self.set_velocities(*(v.astype(np.float32).reshape(self.n_robots, N_LINKS) for v in velocities))
@@ -188,7 +203,7 @@ def _has_no_lanes(physics: Physics) -> bool:
 
 def n_that_fill_lanes(n_robots: int, physics: Physics) -> int:
     """Count the populations of so many robots that fill this machine's lanes, in as many groups as go abreast."""
-    return 1 if _has_no_lanes(physics) else max(1, MOST_ABREAST * widest() // n_robots)
+    return 1 if _has_no_lanes(physics) else max(1, MAX_GROUPS_AT_ONCE * widest() // n_robots)
 
 
 def roll_out(
@@ -234,9 +249,9 @@ def roll_out_on(
         if learned_medium is not None and not trace:
             groups.advance_among(learned_medium, world, first, last - first)
         elif medium is not None and not _is_built_in(medium):
-            for step in range(first, last):
+            for number in range(first, last):
                 groups.push(medium)
-                groups.advance(world, step, 1, None if kept is None else kept[:, step : step + 1])
+                groups.advance(world, number, 1, None if kept is None else kept[:, number : number + 1])
         else:
             groups.advance(world, first, last - first, None if kept is None else kept[:, first:last])
         if last == n_settle:

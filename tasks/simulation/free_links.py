@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tasks.compiled import compiled
-from tasks.simulation import lanes, rotation, simd
-from tasks.simulation.kernels import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
-from tasks.simulation.lanes import Block
-from tasks.simulation.motion import ANGLE, OMEGA, VX, VY, Y
+from tasks.simulation.box2d import ANGLE, OMEGA, VX, VY, Y
+from tasks.simulation.simd import lanes, rotation, vectors
+from tasks.simulation.simd.lanes import Block
+from tasks.simulation.trees.step import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.world import LinkStates, Medium, Physics
 
 Float32 = npt.NDArray[np.float32]
@@ -25,7 +25,7 @@ def _rotate(block: Any, n_rows: int) -> None:
         block[n_rows + row], block[2 * n_rows + row] = rotation.sincos(block[row])
 
 
-_run = compiled(_rotate, [lanes, simd, rotation], seconds=2)
+_run = compiled(_rotate, [lanes, vectors, rotation], seconds=2)
 
 
 def sines_and_cosines(angle: Float32) -> tuple[Float32, Float32]:

@@ -19,9 +19,9 @@ import numpy.typing as npt
 
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation.drive import Drive
-from tasks.simulation.motion import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, OMEGA, VX, VY, Motion, Y
-from tasks.simulation.rigid import PlacedLinks, body_change, place_links
+from tasks.simulation.box2d import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, OMEGA, VX, VY, Motion, Y
+from tasks.simulation.controller import Drive
+from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, VelocityChange
 
 Float32 = npt.NDArray[np.float32]
@@ -83,11 +83,7 @@ def _body(world: Any, pose: tuple[float, float, float]) -> Any:
 def _add_link(body: Any, box: tuple[Any, ...], physics: Physics, collides: dict[str, int]) -> None:
     """Add a link to a body: a box of half width and half height, and its centre and angle where they are not 0."""
     body.CreatePolygonFixture(
-        box=box,
-        density=physics.link_density,
-        friction=physics.friction,
-        restitution=physics.restitution,
-        **collides,
+        box=box, density=physics.link_density, friction=physics.friction, restitution=physics.restitution, **collides
     )
 
 

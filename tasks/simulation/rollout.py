@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tasks.design.genes import Designs, check
 from tasks.simulation import batch, reference
-from tasks.simulation.motion import Motion, X
+from tasks.simulation.box2d import Motion, X
 from tasks.world import Environment, Physics, ResidualSlush
 
 Engine = Literal["batch", "reference"]
@@ -73,9 +73,7 @@ def simulate(
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
     physics = physics or Physics()
-    motion = ENGINES[engine](
-        designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace
-    )
+    motion = ENGINES[engine](designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
     return _measure(motion, squeeze=not isinstance(environment, ResidualSlush))
 
 

@@ -1,7 +1,7 @@
 """Environments: a depth and a medium over one base simulator. Paper, "Simulation Environments".
 
 They differ in the medium alone. To add one: write its file beside slush.py, and give it an environment here; the README
-says where the pipeline has to know its name. Lanes in tasks/simulation/kernels.py make it faster, and are not needed.
+says where the pipeline has to know its name. Lanes in tasks/simulation/trees/step.py make it faster, and are not needed.
 """
 
 from __future__ import annotations

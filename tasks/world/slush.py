@@ -5,7 +5,7 @@ because explicit Euler diverges at the speeds at which links are thrown. Everyth
 no buoyant torque, so that nothing depends on the sign of a link's angle.
 
 The functions work in the precision of their arguments: float64 to be checked against a polygon clipper, float32 in the
-reference engine. The batch engine repeats the same operations in the same order on lanes (tasks/simulation/kernels.py).
+reference engine. The batch engine repeats the same operations in the same order on lanes (tasks/simulation/trees/step.py).
 """
 
 from __future__ import annotations

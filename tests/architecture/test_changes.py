@@ -36,9 +36,9 @@ import json, sys
 from pathlib import Path
 from small_study import run
 from pipeline.cluster import serial_cluster
-from pipeline.configuration import parse
-from pipeline.settings import Settings
-from pipeline.store import Store
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.store.store import Store
 
 settings = parse(Settings, sys.stdin.read(), name="changed")
 store = Store.open(Path("store"), create=True)
@@ -51,7 +51,7 @@ for stage, results in upstream.items():
         for manifest in manifests:
             for name in manifest.files:
                 (folder / name).write_bytes(store.read(manifest, name))
-print(json.dumps([f"{stage} {label}: {why}" for stage in upstream for label, why in upstream[stage].set_aside.items()]))
+print(json.dumps([f"{stage} {label}: {why}" for stage in upstream for label, why in upstream[stage].failed.items()]))
 """
 
 TAR = '''"""Tar: a current that carries along whatever is below y = 0."""
@@ -100,7 +100,7 @@ MEDIUM = {
         ('"single_member"]', '"single_member", "tar_pit"]'),
         ("Environment = DryLand |", f"{TAR_PIT}Environment = TarPit | DryLand |"),
     ],
-    "pipeline/settings.py": [
+    "pipeline/config/settings.py": [
         ("from tasks.world import", f"{IMPORT_TAR}from tasks.world import"),
         ("    slush: Slush", '    tar: Tar = Tar()\n    """That of the tar pit."""\n    slush: Slush'),
     ],
@@ -123,7 +123,7 @@ MEDIUM = {
             '    "single_member": Env',
             '    "tar_pit": EnvironmentStyle("Tar Pit", "T", "#333333", "#999999", "v", "in the Tar Pit"),\n'
             '    "single_member": Env',
-        ),
+        )
     ],
 }
 LEARNT = {
@@ -133,7 +133,7 @@ LEARNT = {
             '        return TrueSlush(depth=depth, slush=Slush.model_validate(spec["slush"]))\n',
             '        return TarPit(depth=depth, tar=Tar.model_validate(spec["tar"]))\n',
         ),
-    ],
+    ]
 }
 
 GENE = {

@@ -4,7 +4,7 @@ The schemas come with two packages of the dev extra: the compose specification w
 with kubernetes-validate. KubeRay's definition is in none; of a RayCluster, all but a few names is a Pod's template.
 
 What the containers run is run without them, word by word from these files: Ray's head, its workers and the driver by
-tests/torture/test_two_machines.py, MLflow's server by tests/pipeline/test_tracking_server.py. What Kubernetes runs is
+tests/torture/test_two_machines.py, MLflow's server by tests/pipeline/tracking/test_server.py. What Kubernetes runs is
 shown to be the same, here. See ONLY_PARSED for the rest.
 """
 
@@ -25,8 +25,8 @@ import yaml
 from containers import COMPOSE, DOCKER, KUBERNETES, instructions, words_of
 from sqlalchemy import make_url
 
-from pipeline.cli import INCOMPLETE, app
-from pipeline.configuration import PRESETS
+from pipeline.commands.app import INCOMPLETE, app
+from pipeline.config.loading import PRESETS
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # Ray's, about pydantic
@@ -104,7 +104,7 @@ RUN_BY = {
     "head": "torture/test_two_machines.py",
     "worker": "torture/test_two_machines.py",
     "driver": "torture/test_two_machines.py",
-    "mlflow": "pipeline/test_tracking_server.py",
+    "mlflow": "pipeline/tracking/test_server.py",
 }
 
 
@@ -132,8 +132,10 @@ def test_kubernetes_runs_what_compose_runs():
     assert driver["command"] == words_of("driver", {"head:6379": "puddle-head-svc:6379", "${PRESET}": "$PRESET"})
     spec = KUBERNETES["RayCluster"]["spec"]
     for name, group in (("head", spec["headGroupSpec"]), ("worker", spec["workerGroupSpecs"][0])):
-        given = {f"--{option}" + ("" if value == "true" else f"={value}")
-                 for option, value in group["rayStartParams"].items()}
+        given = {
+            f"--{option}" + ("" if value == "true" else f"={value}")
+            for option, value in group["rayStartParams"].items()
+        }
         by_compose = set(COMPOSE["services"][name]["command"])
         assert given <= by_compose
         lacking = by_compose - given - {"ray", "start", "--head", "--block", "--port=6379", "--address=head:6379"}

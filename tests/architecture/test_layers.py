@@ -16,9 +16,27 @@ COMPILERS_CACHE = ROOT / "tasks/compiled.py"
 """The one module that knows of a folder: where numba keeps compiled kernels. No result of a task passes through it."""
 
 FILE_MODULES = {
-    "pathlib", "io", "shutil", "tempfile", "glob", "fileinput", "mmap", "pickle", "shelve", "sqlite3", "zipfile",
-    "gzip", "csv", "subprocess", "socket", "urllib", "http", "random", "time", "datetime",
-}  # fmt: skip
+    "pathlib",
+    "io",
+    "shutil",
+    "tempfile",
+    "glob",
+    "fileinput",
+    "mmap",
+    "pickle",
+    "shelve",
+    "sqlite3",
+    "zipfile",
+    "gzip",
+    "csv",
+    "subprocess",
+    "socket",
+    "urllib",
+    "http",
+    "random",
+    "time",
+    "datetime",
+}
 """Ways to files, other machines, a clock and a global generator: a task is arrays in, arrays out."""
 
 FILE_CALLS = re.compile(

@@ -12,10 +12,10 @@ import pytest
 import typer
 
 from benchmarks.readme import PAGES, RESULTS, with_section
-from pipeline.cli import app
-from pipeline.configuration import parse
+from pipeline.commands.app import app
+from pipeline.commands.options import Chosen
+from pipeline.config.loading import parse
 from pipeline.fabrication.choices import FabricationSettings
-from pipeline.options import Chosen
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

@@ -8,9 +8,11 @@ import pytest
 from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
 
 from tasks.design import random_designs
-from tasks.simulation import batch, free_links, packing, reference, rotation
-from tasks.simulation.lanes import widest
-from tasks.simulation.motion import ANGLE
+from tasks.simulation import batch, free_links, reference
+from tasks.simulation.box2d import ANGLE
+from tasks.simulation.simd import rotation
+from tasks.simulation.simd.lanes import widest
+from tasks.simulation.trees import packing
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
 
 DEPTHS = (0.0, 0.3, 1.0, 2.5, 9.0)
@@ -100,11 +102,7 @@ def test_throws(speed: float, medium: Slush | None, same_libm: None, seed: int) 
 
 @pytest.mark.parametrize(
     ("environment", "digest"),
-    [
-        (DryLand(0.0), "c138169907dfda72"),
-        (TrueSlush(1.0), "d94970aaba544355"),
-        (TrueSlush(9.0), "24271ddac0c048bf"),
-    ],
+    [(DryLand(0.0), "c138169907dfda72"), (TrueSlush(1.0), "d94970aaba544355"), (TrueSlush(9.0), "24271ddac0c048bf")],
     ids=["dry", "shallow", "deep"],
 )
 def test_traces_are_those_of_every_other_platform_and_compiler(environment: Environment, digest: str) -> None:

@@ -9,12 +9,13 @@ import pytest
 from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
 
 from tasks.design import Morphology, kinematic_trees, random_designs, rigid_bodies
-from tasks.simulation import batch, packing, reference
-from tasks.simulation.bodies import broad_phase, polygons, robots, rows
-from tasks.simulation.drive import Drive
-from tasks.simulation.lanes import Block
-from tasks.simulation.motion import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
-from tasks.simulation.rotation import NEAR
+from tasks.simulation import batch, reference
+from tasks.simulation.box2d import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
+from tasks.simulation.controller import Drive
+from tasks.simulation.rigid_bodies import broad_phase, engine, layout, polygons
+from tasks.simulation.simd.lanes import Block
+from tasks.simulation.simd.rotation import NEAR
+from tasks.simulation.trees import packing
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
 
 VARIANTS = {
@@ -102,14 +103,17 @@ def test_residual_slush_of_networks(trace: bool, variant, same_libm: None, seed:
 
 def record(shape: Box2D.b2PolygonShape, xf: Box2D.b2Transform) -> tuple[Block, Block]:
     """A box and where it is, as the kernels have them."""
-    body, box = Block(rows.N_BODY, 1), Block(rows.N_FIXTURE, 1)
-    body.rows[[rows.P_X, rows.P_Y, rows.Q_C, rows.Q_S], 0] = *xf.position, xf.q.c, xf.q.s
-    box.rows[[rows.CENTROID_X, rows.CENTROID_Y], 0] = shape.centroid
+    body, box = Block(layout.N_BODY, 1), Block(layout.N_FIXTURE, 1)
+    body.rows[[layout.P_X, layout.P_Y, layout.Q_C, layout.Q_S], 0] = *xf.position, xf.q.c, xf.q.s
+    box.rows[[layout.CENTROID_X, layout.CENTROID_Y], 0] = shape.centroid
     corners = np.float32(shape.vertices)
     edges = np.roll(corners, -1, axis=0) - corners
     tangents = edges * (np.float32(1) / np.sqrt(edges[:, 0] * edges[:, 0] + edges[:, 1] * edges[:, 1]))[:, None]
-    for row, vectors in ((rows.VERTEX_X, corners), (rows.NORMAL_X, np.float32(shape.normals)),
-                         (rows.TANGENT_X, tangents)):  # fmt: skip
+    for row, vectors in (
+        (layout.VERTEX_X, corners),
+        (layout.NORMAL_X, np.float32(shape.normals)),
+        (layout.TANGENT_X, tangents),
+    ):
         box.rows[row : row + 8, 0] = vectors.T.ravel()
     broad_phase.orient(body, box)
     return body, box
@@ -119,20 +123,22 @@ def assert_same_manifold(a: Box2D.b2PolygonShape, xf_a, b: Box2D.b2PolygonShape,
     """Ours is b2CollidePolygons' manifold, to the bit; give its number of points."""
     theirs = Box2D.b2Manifold()
     Box2D.b2CollidePolygons(theirs, a, xf_a, b, xf_b)
-    contact = Block(rows.N_CONTACT, 1)
+    contact = Block(layout.N_CONTACT, 1)
     polygons.collide_polygons(contact, *record(a, xf_a), *record(b, xf_b), on_ground)
     ours, whole = contact.rows[:, 0], contact.rows.view(np.int32)[:, 0]
-    assert whole[rows.POINT_COUNT] == theirs.pointCount
+    assert whole[layout.POINT_COUNT] == theirs.pointCount
     if theirs.pointCount:
-        assert whole[rows.FACE_B] == (theirs.type_ == Box2D.b2Manifold.e_faceB)
-        assert tuple(ours[[rows.LOCAL_NORMAL_X, rows.LOCAL_NORMAL_Y]]) == tuple(theirs.localNormal)
-        assert tuple(ours[[rows.LOCAL_POINT_X, rows.LOCAL_POINT_Y]]) == tuple(theirs.localPoint)
-    for point, at in zip(theirs.points[: theirs.pointCount], (rows.POINTS, rows.POINTS + rows.N_POINT), strict=False):
-        assert tuple(ours[[at + rows.POINT_X, at + rows.POINT_Y]]) == tuple(point.localPoint)
+        assert whole[layout.FACE_B] == (theirs.type_ == Box2D.b2Manifold.e_faceB)
+        assert tuple(ours[[layout.LOCAL_NORMAL_X, layout.LOCAL_NORMAL_Y]]) == tuple(theirs.localNormal)
+        assert tuple(ours[[layout.LOCAL_POINT_X, layout.LOCAL_POINT_Y]]) == tuple(theirs.localPoint)
+    for point, at in zip(
+        theirs.points[: theirs.pointCount], (layout.POINTS, layout.POINTS + layout.N_POINT), strict=False
+    ):
+        assert tuple(ours[[at + layout.POINT_X, at + layout.POINT_Y]]) == tuple(point.localPoint)
         feature = point.id.cf
         number = feature.indexA + polygons.INDEX_B * feature.indexB
         number += polygons.FACE_OF_A * feature.typeA + polygons.FACE_OF_B * feature.typeB
-        assert whole[at + rows.ID] == number
+        assert whole[at + layout.ID] == number
     return int(theirs.pointCount)
 
 
@@ -147,10 +153,15 @@ def test_manifolds_are_those_of_b2_collide_polygons(seed: int) -> None:
     found = []
     for _ in range(3000):
         shapes = [
-            Box2D.b2PolygonShape(box=(*map(float, rng.uniform(0.2, 1.5, 2)), tuple(map(float, rng.normal(size=2))),
-                                      float(rng.choice([0, np.pi / 2, rng.uniform(-4, 4)]))))
+            Box2D.b2PolygonShape(
+                box=(
+                    *map(float, rng.uniform(0.2, 1.5, 2)),
+                    tuple(map(float, rng.normal(size=2))),
+                    float(rng.choice([0, np.pi / 2, rng.uniform(-4, 4)])),
+                )
+            )
             for _ in range(2)
-        ]  # fmt: skip
+        ]
         # Wherever the boxes' bodies are, the centres of the boxes are near each other.
         places = [transform(*rng.normal(size=2), rng.choice([0, np.pi, rng.uniform(-9, 9)])) for _ in range(2)]
         apart = places[0] * shapes[0].centroid - places[1] * shapes[1].centroid
@@ -180,13 +191,13 @@ def test_masses_are_those_of_b2_body(seed: int) -> None:
     physics = Physics(passive_joints="locked", link_density=1.7)
     designs = random_designs(40, np.random.default_rng(seed))
     trees, rigid = kinematic_trees(designs, density=1.7), rigid_bodies(designs, passive_joints="locked")
-    packed = robots.Robots(designs, 0.0, physics, n_members=1).blocks[..., 0]
+    packed = engine.Robots(designs, 0.0, physics, n_members=1).blocks[..., 0]
     for design in range(len(designs)):
         bodies = reference._Robot(trees, rigid, design, Drive.of(designs), 0.0, physics).bodies
         for number, body in enumerate(bodies):
-            ours = packed[design, rows.BODIES + number * rows.N_BODY :][: rows.N_BODY]
-            assert tuple(ours[[rows.CENTER_X, rows.CENTER_Y]]) == tuple(body.localCenter)
-            assert ours[rows.INVERSE_MASS] == np.float32(1) / np.float32(body.mass)
+            ours = packed[design, layout.BODIES + number * layout.N_BODY :][: layout.N_BODY]
+            assert tuple(ours[[layout.CENTER_X, layout.CENTER_Y]]) == tuple(body.localCenter)
+            assert ours[layout.INVERSE_MASS] == np.float32(1) / np.float32(body.mass)
 
 
 @pytest.mark.parametrize(

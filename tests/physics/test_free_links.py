@@ -118,12 +118,18 @@ def test_the_residual_of_a_step_is_the_mediums_velocity_change(medium_of: Callab
     s = state.astype(np.float64)
     change: VelocityChange = medium.velocity_change(
         LinkStates(
-            length_scale=lengths, mass=np.ones(n), inertia=(lengths**2 + lengths**-2) / 12,
-            y=s[:, Y], cos=np.cos(s[:, ANGLE]), sin=np.sin(s[:, ANGLE]),
-            vx=s[:, VX], vy=s[:, VY], omega=s[:, OMEGA],
+            length_scale=lengths,
+            mass=np.ones(n),
+            inertia=(lengths**2 + lengths**-2) / 12,
+            y=s[:, Y],
+            cos=np.cos(s[:, ANGLE]),
+            sin=np.sin(s[:, ANGLE]),
+            vx=s[:, VX],
+            vy=s[:, VY],
+            omega=s[:, OMEGA],
         ),
         physics,
-    )  # fmt: skip
+    )
     # Speeds up to 20 m/s are rounded when the change is formed, added, and when gravity is: a few times in each world.
     # The change itself hangs on A_s and I_s, good to some 1e-5 of the speed (test_slush.py).
     velocity_error = 20 * (8 * EPS32 + 1e-5)

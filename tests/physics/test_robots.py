@@ -24,11 +24,7 @@ def still(designs: Designs) -> Designs:
 
 def driven(designs: Designs) -> Designs:
     """All motors on, at the highest frequency."""
-    return replace(
-        designs,
-        motor_on=np.ones_like(designs.motor_on),
-        frequency=np.full_like(designs.frequency, 0.3),
-    )
+    return replace(designs, motor_on=np.ones_like(designs.motor_on), frequency=np.full_like(designs.frequency, 0.3))
 
 
 def test_motors_do_not_move_the_centre_of_mass_of_a_robot_that_falls() -> None:

@@ -10,9 +10,9 @@ from command_line import call
 from small_study import ON_DRY_LAND, run
 
 from pipeline.cluster import serial_cluster
-from pipeline.configuration import parse
-from pipeline.settings import Settings
-from pipeline.store import Store
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.store.store import Store
 
 TINY = """
 name: tiny

@@ -17,7 +17,7 @@ import numpy as np
 from tasks.design import Designs
 from tasks.residual.ensemble import Ensemble
 from tasks.simulation import batch, reference, simulate
-from tasks.simulation.motion import Motion
+from tasks.simulation.box2d import Motion
 from tasks.world import Environment, LinkStates, Physics, Slush, TrueSlush, VelocityChange
 
 OTHER_CONSTANTS: dict[str, Any] = {
@@ -129,7 +129,7 @@ PLAIN_PYTHON = """
 import numba, numpy as np
 from tasks.design import random_designs
 from tasks.simulation import batch, reference
-from tasks.simulation.lanes import widest
+from tasks.simulation.simd.lanes import widest
 from tasks.world import DryLand, Physics, TrueSlush
 assert numba.config.DISABLE_JIT
 designs = random_designs({n_designs}, np.random.default_rng(0))

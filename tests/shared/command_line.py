@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipeline.cli import main
+from pipeline.commands.app import main
 
 
 def call(*arguments: str) -> int:

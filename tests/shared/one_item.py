@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from pipeline.artifacts import key_of
-from pipeline.manifest import Manifest
-from pipeline.store import Store
+from pipeline.store.encoding import key_of
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
 
 IDENTITY = {"stage": "evolve", "version": 1, "spec": {"depth": 0.5}, "inputs": {}}
 KEY = key_of(IDENTITY)

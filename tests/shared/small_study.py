@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from pipeline.cluster import Cluster
-from pipeline.dispatch import run_stage
-from pipeline.progress import Work
-from pipeline.settings import Settings
-from pipeline.stage import Results, Stage
+from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from pipeline.store import Store
-from pipeline.study import follow, results_of
+from pipeline.store.store import Store
+from pipeline.workflow.dispatcher import run_stage
+from pipeline.workflow.graph import follow, results_of
+from pipeline.workflow.progress import Work
+from pipeline.workflow.stage import Results, Stage
 
 ON_DRY_LAND = """name: tiny
 grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 1}

@@ -9,12 +9,7 @@ from scipy import stats
 from tasks.design import GENES, Designs, Mutation
 
 seeds = st.integers(0, 2**63 - 1)
-mutations = st.builds(
-    Mutation,
-    genes_changed=st.floats(0, 37),
-    step=st.floats(1e-3, 1.0),
-    rewiring=st.floats(0, 1),
-)
+mutations = st.builds(Mutation, genes_changed=st.floats(0, 37), step=st.floats(1e-3, 1.0), rewiring=st.floats(0, 1))
 
 BODY = ("parent", *(gene.name for gene in GENES if gene.part == "body"))
 NO_REWIRING = Mutation(rewiring=0.0)

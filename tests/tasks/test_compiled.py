@@ -48,8 +48,11 @@ def run(tmp_path):
         }
         done = subprocess.run(
             [sys.executable, str(place / "outer.py"), *arguments],
-            env=environment, capture_output=True, text=True, check=True,
-        )  # fmt: skip
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         return done.stdout.split(), done.stderr.count("compiling outer (once, about 1 s)")
 
     return run

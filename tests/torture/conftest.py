@@ -23,8 +23,10 @@ class Nursery:
         self._process = subprocess.Popen(
             [*inside, sys.executable, str(HERE / "nursery.py"), size],
             env={**os.environ, "PYTHONPATH": str(HERE.parents[1]), "OMP_NUM_THREADS": "1"},
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         self.pid = self._process.pid
 
     def _answer(self) -> Any:
@@ -82,7 +84,6 @@ def place() -> Iterator[Callable[[], Path]]:
     """Give folders for stores, in memory where there is room: thousands are made."""
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(prefix="puddle-torture-", dir=memory if memory.is_dir() else None) as top:
-
         yield lambda: Path(tempfile.mkdtemp(dir=top))
 
 

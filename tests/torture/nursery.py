@@ -3,7 +3,7 @@
 Run as a script (the fixture ``nursery`` does), it reads one JSON command a line on stdin, forks a child that carries
 it out, and answers with one JSON line: what the child said, and how it ended. A command for several studies is carried
 out by a child for each, at once. The children are real drivers: they plan, read, verify and commit a whole study
-through pipeline.driver. Only the science is looked up: every piece was computed once, when its study was first asked
+through pipeline.workflow.driver. Only the science is looked up: every piece was computed once, when its study was first asked
 for, and its bytes stay the same. It holds no threads, so that forking it is sound.
 """
 
@@ -26,22 +26,22 @@ from typing import Any
 import volatile
 import yaml
 
-import pipeline.dispatch
-from pipeline import disk
-from pipeline.artifacts import digest
+import pipeline.workflow.dispatcher
 from pipeline.cluster import Cluster, serial_cluster
-from pipeline.configuration import parse
-from pipeline.driver import drive
+from pipeline.commands.gc import find_garbage, remove
+from pipeline.commands.verify import find_damage, verify_lines
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.gc import find_garbage, remove
-from pipeline.progress import Work
-from pipeline.settings import Settings
-from pipeline.stage import Stage
 from pipeline.stages import STAGES
 from pipeline.stages.report import PAGE
-from pipeline.store import Store
-from pipeline.tracking import Tracker, open_tracker
-from pipeline.verify import find_damage, verify_lines
+from pipeline.store import disk
+from pipeline.store.encoding import digest
+from pipeline.store.store import Store
+from pipeline.tracking.mirror import Tracker, open_tracker
+from pipeline.workflow.driver import drive
+from pipeline.workflow.progress import Work
+from pipeline.workflow.stage import Stage
 
 TINY = {
     "name": "tiny",
@@ -130,11 +130,11 @@ def noted(cluster: AbstractContextManager[Cluster], root: Path) -> Iterator[Clus
             def __getattr__(self, name: str) -> Any:
                 return getattr(inner, name)
 
-            def submit(self, function: Any, compute: Any, abreast: Any, jobs: Any, *rest: Any, **how: Any) -> Any:
+            def submit(self, function: Any, compute: Any, abreast: Any, jobs: Any, *rest: Any, **execution: Any) -> Any:
                 for job in jobs:
                     held = any(root.glob(f"items/*/{job.key[:2]}/{job.key}/manifest.json"))
                     print(job.key, "held" if held else "missing", file=log, flush=True)
-                return inner.submit(function, compute, abreast, jobs, *rest, **how)
+                return inner.submit(function, compute, abreast, jobs, *rest, **execution)
 
         yield Noted()
 
@@ -187,24 +187,24 @@ def collect_garbage(store: Store) -> None:
 def study(settings: Settings, root: Path, answer: dict[str, Any], *, mlflow: bool = False) -> None:
     """Be a driver."""
 
-    def looked_up(compute: Any, compute_abreast: Any, jobs: Any, *rest: Any) -> Any:
+    def looked_up(compute: Any, compute_batch: Any, jobs: Any, *rest: Any) -> Any:
         answer["computed"].extend(job.key for job in jobs)
-        return look_up(compute, compute_abreast, jobs, *rest)
+        return look_up(compute, compute_batch, jobs, *rest)
 
     def noted(store: Store, stage: str, key: str, *rest: Any, **record: Any) -> Any:
         manifest = commit(store, stage, key, *rest, **record)
         answer["committed"].append(key)
         return manifest
 
-    look_up, commit = pipeline.dispatch.compute_party, Store.commit
-    pipeline.dispatch.compute_party, Store.commit = looked_up, noted
+    look_up, commit = pipeline.workflow.dispatcher.compute_items, Store.commit
+    pipeline.workflow.dispatcher.compute_items, Store.commit = looked_up, noted
     terminal = Quiet(answer["said"])
     try:
         run_study(settings, root, terminal, tracker=open_tracker(root, None, say=terminal.say) if mlflow else None)
     except PuddleError as error:
         answer["error"] = str(error)
     finally:
-        pipeline.dispatch.compute_party, Store.commit = look_up, commit
+        pipeline.workflow.dispatcher.compute_items, Store.commit = look_up, commit
 
 
 def look_at(root: Path, answer: dict[str, Any], *, whole: bool) -> None:
@@ -249,11 +249,11 @@ def outcome(pid: int, reading: int) -> dict[str, Any]:
 
 def main(size: str) -> None:
     """Compute the study, say so, and serve commands until stdin ends."""
-    compute, cache = pipeline.dispatch.compute_party, {}
+    compute, cache = pipeline.workflow.dispatcher.compute_items, {}
 
-    def keeping(how: Any, how_abreast: Any, jobs: Any, *rest: Any) -> Any:
+    def keeping(execution: Any, how_abreast: Any, jobs: Any, *rest: Any) -> Any:
         if any(job.key not in cache for job in jobs):
-            for job, files in zip(jobs, compute(how, how_abreast, jobs, *rest)[0], strict=True):
+            for job, files in zip(jobs, compute(execution, how_abreast, jobs, *rest)[0], strict=True):
                 kept = sorted(files, key=lambda name: name != PAGE)[: N_OF_PAGE[size]] if PAGE in files else files
                 cache[job.key] = {name: files[name] for name in kept}
         return [cache[job.key] for job in jobs], 1.0
@@ -266,14 +266,14 @@ def main(size: str) -> None:
         gc.freeze()
         return settings
 
-    pipeline.dispatch.compute_party = keeping
+    pipeline.workflow.dispatcher.compute_items = keeping
     volatile.watch(disk)
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever else prints, prints elsewhere
     for line in sys.stdin:
         command = json.loads(line)
         if command.get("mlflow"):
-            import mlflow  # noqa: F401  (once, for all children)
+            import mlflow
         studies = [ready(name) for name in command.get("studies", [command.get("study", "tiny")])]
         children = [fork(command, settings) for settings in studies]
         told = [outcome(*one) for one in children]

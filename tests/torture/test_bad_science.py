@@ -18,23 +18,23 @@ import pytest
 import ray
 from command_line import call
 
-import pipeline.cli
-import pipeline.dispatch
-import pipeline.driver
+import pipeline.commands.app
+import pipeline.commands.status
 import pipeline.stages
-import pipeline.status
-import pipeline.study
-import pipeline.tracking
-from pipeline.artifacts import decode_json, decode_table
+import pipeline.tracking.mirror
+import pipeline.workflow.dispatcher
+import pipeline.workflow.driver
+import pipeline.workflow.graph
 from pipeline.cluster import Cluster
-from pipeline.configuration import load
-from pipeline.manifest import Manifest
-from pipeline.settings import Settings
-from pipeline.stage import Files, Job, Stage
+from pipeline.config.loading import load
+from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, segments
 from pipeline.stages.collect import read_transitions
 from pipeline.stages.transfer import SCORE
-from pipeline.store import Store
+from pipeline.store.encoding import decode_json, decode_table
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.workflow.stage import Files, Job, Stage
 from tasks.residual import Architecture, Training
 from tasks.residual.training import train_member
 from tasks.simulation.rollout import DIVERGED
@@ -99,10 +99,8 @@ def seconds_of_a_crash(cluster: Cluster) -> float:
 
 
 def injected(monkeypatch: pytest.MonkeyPatch, **computes) -> tuple[Stage, ...]:
-    stages = tuple(
-        dataclasses.replace(stage, compute=computes.get(stage.name, stage.compute)) for stage in STAGES
-    )
-    for module in (pipeline.stages, pipeline.driver, pipeline.status):
+    stages = tuple(dataclasses.replace(stage, compute=computes.get(stage.name, stage.compute)) for stage in STAGES)
+    for module in (pipeline.stages, pipeline.workflow.driver, pipeline.commands.status):
         monkeypatch.setattr(module, "STAGES", stages)
     return stages
 
@@ -112,9 +110,11 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
     torture, local_ray, tmp_path, monkeypatch, capsys
 ):
     injected(monkeypatch, train=train_one_on_a_nan, evolve=evolve_some_badly)
-    monkeypatch.setattr(pipeline.cli, "_cluster", lambda *_: lambda: contextlib.nullcontext(local_ray))
-    monkeypatch.setattr(pipeline.dispatch, "LEAST_PATIENCE_SECONDS", max(10.0, 8 * seconds_of_a_crash(local_ray)))
-    monkeypatch.setattr(pipeline.dispatch, "PATIENCE", 3.0)
+    monkeypatch.setattr(pipeline.commands.app, "_cluster", lambda *_: lambda: contextlib.nullcontext(local_ray))
+    monkeypatch.setattr(
+        pipeline.workflow.dispatcher, "LEAST_PATIENCE_SECONDS", max(10.0, 8 * seconds_of_a_crash(local_ray))
+    )
+    monkeypatch.setattr(pipeline.workflow.dispatcher, "PATIENCE", 3.0)
     (tmp_path / "tiny.yaml").write_text(TINY)
     options = ("--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"))
     reasons = {
@@ -146,7 +146,7 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
         assert {"member-00#0", "dry_land/1m/trial-0#0", "index.html#0"} <= done
     # The causes are mended: what was set aside is computed, and nothing else. (Another page would tell nothing new.)
     injected(monkeypatch)
-    monkeypatch.setattr(pipeline.dispatch, "LEAST_PATIENCE_SECONDS", 600.0)
+    monkeypatch.setattr(pipeline.workflow.dispatcher, "LEAST_PATIENCE_SECONDS", 600.0)
     before = {(stage, key) for stage in store.stages() for key in store.keys(stage)}
     assert call("train", *options) == 0
     assert call("evolve", *options) == 0
@@ -167,13 +167,13 @@ def some_in_a_wild_medium(monkeypatch: pytest.MonkeyPatch) -> None:
     real = segments.roll_out
     wild = Slush.model_construct(**{**Slush().model_dump(), "linear_drag": np.nan})
 
-    def roll_out(spec, how, environment, designs, **options):
-        sound = real(spec, how, environment, designs, **options)
+    def roll_out(spec, execution, environment, designs, **options):
+        sound = real(spec, execution, environment, designs, **options)
         trial = spec["identity"][-1] if "identity" in spec else 1
         lost = np.isfinite(designs.frequency) if trial == 0 else designs.frequency < SLOWEST
         if not lost.any():
             return sound
-        other = real(spec, how, TrueSlush(depth=environment.depth, slush=wild), designs, **options)
+        other = real(spec, execution, TrueSlush(depth=environment.depth, slush=wild), designs, **options)
         assert set(other.status) == {DIVERGED}
         chosen = {name: np.where(lost, getattr(other, name), getattr(sound, name)) for name in MEASURED}
         return dataclasses.replace(sound, **chosen)
@@ -197,8 +197,8 @@ def test_designs_that_diverge_are_set_aside_and_named_and_the_rest_completes(mon
     status = capsys.readouterr().out
     store = Store.open(tmp_path / "store", create=False)
     settings = load(Settings, tmp_path / "tiny.yaml", [option for option in options if "grid." in option])
-    upstream = pipeline.study.survey(settings, STAGES, store, say=print)
-    assert not any(found.set_aside or found.unfinished for found in upstream.values())
+    upstream = pipeline.workflow.graph.survey(settings, STAGES, store, say=print)
+    assert not any(found.failed or found.unfinished for found in upstream.values())
     one = "dry_land/1m/trial-1"
     evolved, (*adapted, scored) = upstream["evolve"].done[one], upstream["transfer"].done[one]
     named = {
@@ -223,7 +223,7 @@ def test_designs_that_diverge_are_set_aside_and_named_and_the_rest_completes(mon
     assert [f"{where}: {what}" in again for where, what in named.items()] == [True, True, False]
     (path,) = store.root.glob(f"items/evolve/*/{evolved[0].key}/{segments.CURVE}")
     path.write_bytes(path.read_bytes()[:-1] + b"?")  # of the same size: only who reads it can tell
-    noted = list(pipeline.status.status_lines(settings, store))
+    noted = list(pipeline.commands.status.status_lines(settings, store))
     assert segments.CURVE in noted[-1] and sum("diverged and w" in line for line in noted) == 1
 
 

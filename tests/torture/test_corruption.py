@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.configuration import load
-from pipeline.design_file import read_design
-from pipeline.driver import _differences
+from pipeline.commands.verify import damaged_items, find_damage
+from pipeline.config.loading import load
+from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.settings import Settings
-from pipeline.store import Store
-from pipeline.timeline_file import calibration_yaml, read_calibration, read_timeline, timeline_json
-from pipeline.verify import damaged_items, find_damage
+from pipeline.fabrication.timeline_file import calibration_yaml, read_calibration, read_timeline, timeline_json
+from pipeline.store.design_file import read_design
+from pipeline.store.store import Store
+from pipeline.workflow.driver import _differences
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import Timeline
 
@@ -231,11 +231,19 @@ def test_a_store_whose_mark_is_damaged_is_refused(torture, store):
 
 SERVOS = Calibration(
     servos=tuple(
-        ServoCalibration(joint=joint, channel=joint, centre_us=1500.0, direction=1, us_per_rad=640.0,
-                         min_us=700.0, max_us=2300.0, max_speed=5.0)
+        ServoCalibration(
+            joint=joint,
+            channel=joint,
+            centre_us=1500.0,
+            direction=1,
+            us_per_rad=640.0,
+            min_us=700.0,
+            max_us=2300.0,
+            max_speed=5.0,
+        )
         for joint in (2, 4)
     )
-)  # fmt: skip
+)
 MOTION = Timeline(joints=(2, 4), angle=np.linspace(-0.5, 0.5, 40).reshape(20, 2))
 
 LOOSE = {

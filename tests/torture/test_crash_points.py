@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.store import Store
-from pipeline.verify import damaged_items, find_damage
+from pipeline.commands.verify import damaged_items, find_damage
+from pipeline.store.store import Store
 
 pytestmark = pytest.mark.timeout(1800)  # a machine may have much else to do
 
@@ -97,8 +97,9 @@ def contents(disk: Path) -> dict[str, str | None]:
     """Give the SHA-256 of every file on a disk, None for its folders; locks hold nothing."""
     return {
         str(path.relative_to(disk)): None if path.is_dir() else hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in disk.rglob("*") if path.suffix != ".lock"
-    }  # fmt: skip
+        for path in disk.rglob("*")
+        if path.suffix != ".lock"
+    }
 
 
 @pytest.mark.share(2)
@@ -140,9 +141,13 @@ def disks_left(torture, nursery, top: Path, **command) -> list[Path]:
     (top / "found").mkdir()
     kinds = TAKING["large" if torture.large else "small"]
     (told,) = nursery.finish(
-        [top / "disk" / "store"], drive=False, look=False, into=str(top / "found"),
-        survey={"kinds": kinds, "seed": int(torture.rng().integers(2**32))}, **command,
-    )  # fmt: skip
+        [top / "disk" / "store"],
+        drive=False,
+        look=False,
+        into=str(top / "found"),
+        survey={"kinds": kinds, "seed": int(torture.rng().integers(2**32))},
+        **command,
+    )
     assert {"unlink", "fsync"} <= set(told["effects"])
     torture.note(f"{len(kinds) * len(told['effects'])} faults leave {len(told['disks'])} different disks")
     return [top / "found" / str(number) / "store" for number in range(len(told["disks"]))]

@@ -30,8 +30,8 @@ class Machine:
     top: Path = Path("/")
     """Its files, as these tests see them."""
 
-    def run(self, *words: str | Path, **how: Any) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([*self.inside, *words], capture_output=True, text=True, **how)
+    def run(self, *words: str | Path, **execution: Any) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([*self.inside, *words], capture_output=True, text=True, **execution)
 
     def mount(self, disk: Path, options: str, *words: str) -> None:
         done = self.run("mount", *words, "-o", options, "tmpfs", disk)
@@ -142,8 +142,8 @@ work: {throws_per_item: 1}
 """
 TURNS = """
 import subprocess, sys
-from pipeline import disk
-from pipeline.cli import main
+from pipeline.store import disk
+from pipeline.commands.app import main
 
 settings, store, undisturbed, at = sys.argv[1:]
 n_effects, codes = 0, []
@@ -185,8 +185,11 @@ def test_a_disk_that_turns_read_only_under_a_driver(torture, place):
         pytest.skip("no namespace to mount a disk in")
     ran = subprocess.run(
         [*ALONE, sys.executable, "-c", TURNS, settings, store, undisturbed, str(number)],
-        capture_output=True, text=True, cwd=ROOT, env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
     assert ran.stderr.endswith("codes: [0, 2, 0]\n"), ran.stderr
     assert "Read-only file system" in ran.stderr and "kept before is safe" in ran.stderr
     assert "Traceback" not in ran.stderr
@@ -203,9 +206,16 @@ def test_the_command_says_it_and_ends_with_2(torture, machine, tmp_path):
     machine.mount(tmp_path, "size=16k", "-t", "tmpfs")
     try:
         done = machine.run(
-            sys.executable, "-m", "pipeline", "study", "--preset=smoke", "--workers=0", "--store", tmp_path / "store",
+            sys.executable,
+            "-m",
+            "pipeline",
+            "study",
+            "--preset=smoke",
+            "--workers=0",
+            "--store",
+            tmp_path / "store",
             env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
-        )  # fmt: skip
+        )
     finally:
         machine.unmount(tmp_path)
     assert done.returncode == 2

@@ -17,10 +17,21 @@ def test_without_its_guard_every_test_fails(torture, tmp_path):
     torture.times(len(GUARDS), len(GUARDS))
     report = tmp_path / "report.xml"
     subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "without_guards", "-p", "no:cacheprovider", f"--junitxml={report}",
-         *(test for test, _ in GUARDS.values())],
-        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)}, capture_output=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-p",
+            "without_guards",
+            "-p",
+            "no:cacheprovider",
+            f"--junitxml={report}",
+            *(test for test, _ in GUARDS.values()),
+        ],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+        capture_output=True,
+    )
     cases = list(ElementTree.parse(report).iter("testcase"))
     failed = {case.get("name"): case.find("failure").text for case in cases if case.find("failure") is not None}
     for guard, (test, _) in GUARDS.items():

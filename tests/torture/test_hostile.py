@@ -23,16 +23,16 @@ from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 from nursery import tree
 
-from pipeline.artifacts import decode_arrays, decode_table, encode_sealed, encode_table, key_of
 from pipeline.cluster import session
-from pipeline.configuration import load
-from pipeline.design_file import read_design
+from pipeline.commands.gc import Garbage, find_garbage, remove
+from pipeline.commands.verify import find_damage
+from pipeline.config.loading import load
+from pipeline.config.settings import Settings
 from pipeline.errors import Irreproducible, PuddleError
-from pipeline.gc import Garbage, find_garbage, remove
-from pipeline.manifest import MANIFEST_SCHEMA, MAX_FILE_BYTES, Manifest, decode_manifest, refuse_other_content
-from pipeline.settings import Settings
-from pipeline.store import STUDY_SCHEMA, Store
-from pipeline.verify import find_damage
+from pipeline.store.design_file import read_design
+from pipeline.store.encoding import decode_arrays, decode_table, encode_sealed, encode_table, key_of
+from pipeline.store.manifest import MANIFEST_SCHEMA, MAX_FILE_BYTES, Manifest, decode_manifest, refuse_other_content
+from pipeline.store.store import STUDY_SCHEMA, Store
 
 ROOT = Path(__file__).parents[2]
 MEGABYTE = 2**20
@@ -73,14 +73,40 @@ class Bomb:
 # -- texts -----------------------------------------------------------------------------------------------------------
 
 LINES = [
-    "name: x", "name: ../../etc", "name: /etc/passwd", "name: 'a\\0b'", f"name: {'x' * 100_000}", "seed: 1", "seed: 1",
-    "evolution: {n_generations: 1e999}", "evolution: {n_generations: !!int 3}", "grid: {depths: [.inf, -.inf, .nan]}",
-    "run: !!python/object/apply:os.system ['touch SENTINEL']", "run: !!python/name:os.system", "? [1, 2]\n: 3",
-    "run: !!python/object/new:subprocess.Popen [['touch', 'SENTINEL']]", "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]",
-    "<<: {seed: 3}", "grid: {depths: " + "[" * 5000, "{" * 5000, "seed: " + "9" * 100_000, "--- \n---", "%YAML 9.9",
-    "\x00", "\ufeff", "\ud7ff", "\t- x", "key: |\n  " + "y" * 1000, "seed: 0x1F", "name: yes", "- " * 2000, "'" * 999,
-    "throws: {n_throws: 99999999999999999999}", "__class__: {__init__: 1}", "work: {engine: __import__('os')}",
-]  # fmt: skip
+    "name: x",
+    "name: ../../etc",
+    "name: /etc/passwd",
+    "name: 'a\\0b'",
+    f"name: {'x' * 100_000}",
+    "seed: 1",
+    "seed: 1",
+    "evolution: {n_generations: 1e999}",
+    "evolution: {n_generations: !!int 3}",
+    "grid: {depths: [.inf, -.inf, .nan]}",
+    "run: !!python/object/apply:os.system ['touch SENTINEL']",
+    "run: !!python/name:os.system",
+    "? [1, 2]\n: 3",
+    "run: !!python/object/new:subprocess.Popen [['touch', 'SENTINEL']]",
+    "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]",
+    "<<: {seed: 3}",
+    "grid: {depths: " + "[" * 5000,
+    "{" * 5000,
+    "seed: " + "9" * 100_000,
+    "--- \n---",
+    "%YAML 9.9",
+    "\x00",
+    "\ufeff",
+    "\ud7ff",
+    "\t- x",
+    "key: |\n  " + "y" * 1000,
+    "seed: 0x1F",
+    "name: yes",
+    "- " * 2000,
+    "'" * 999,
+    "throws: {n_throws: 99999999999999999999}",
+    "__class__: {__init__: 1}",
+    "work: {engine: __import__('os')}",
+]
 
 
 def test_settings_of_hostile_lines(torture, tmp_path, sentinel):
@@ -121,18 +147,31 @@ def test_a_hostile_design_is_refused_by_name(kind, tmp_path, sentinel):
 
 
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=20)
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(max_size=20)
     | st.sampled_from(["..", "/etc/passwd", "a/../b", "x\0y", "é" * 300, "0" * 64, -1, 5.0, True, 2**44, 10**400]),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
     max_leaves=12,
-)  # fmt: skip
+)
 
 
 IDENTITY = {"stage": "evolve", "version": 1}
 FIELDS = [
-    ("stage",), ("key",), ("identity",), ("files",), ("files", "a.json"), ("files", "a.json", "sha256"),
-    ("files", "a.json", "bytes"), ("digest",), ("environment",), ("record",), ("record", "seconds"),
-]  # fmt: skip
+    ("stage",),
+    ("key",),
+    ("identity",),
+    ("files",),
+    ("files", "a.json"),
+    ("files", "a.json", "sha256"),
+    ("files", "a.json", "bytes"),
+    ("digest",),
+    ("environment",),
+    ("record",),
+    ("record", "seconds"),
+]
 
 
 def manifest_body() -> dict:
@@ -140,9 +179,14 @@ def manifest_body() -> dict:
     entry = {"sha256": "0" * 64, "bytes": 5}
     made = {"cpu": "one", "commit": "none"}
     return {
-        "stage": "evolve", "key": key_of(IDENTITY), "identity": IDENTITY, "files": {"a.json": entry},
-        "digest": "", "environment": made, "record": {"seconds": 1.0},
-    }  # fmt: skip
+        "stage": "evolve",
+        "key": key_of(IDENTITY),
+        "identity": IDENTITY,
+        "files": {"a.json": entry},
+        "digest": "",
+        "environment": made,
+        "record": {"seconds": 1.0},
+    }
 
 
 def decoded(body: dict) -> Manifest:
@@ -251,8 +295,23 @@ def test_links_in_a_store_are_refused_and_not_followed(torture, nursery, pristin
 
 
 HOSTILE_NAMES = [
-    "..", "../../../canary", "/etc", "a/b", "a\0b", "A", "", "x" * 300, ".", "~", "évil", "-rf", 7, None, [], {}
-]  # fmt: skip
+    "..",
+    "../../../canary",
+    "/etc",
+    "a/b",
+    "a\0b",
+    "A",
+    "",
+    "x" * 300,
+    ".",
+    "~",
+    "évil",
+    "-rf",
+    7,
+    None,
+    [],
+    {},
+]
 
 
 def look_and_remove(store: Store) -> list[str]:
@@ -331,7 +390,7 @@ def test_no_hostile_name_reaches_what_writes_and_removes(pristine, place, canary
 FUZZ = """
 import sys, resource
 import numpy as np
-from pipeline.artifacts import decode_arrays, decode_table, encode_arrays, encode_table
+from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.errors import PuddleError
 resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30,) * 2)
 seed, n = map(int, sys.argv[1:])
@@ -412,5 +471,3 @@ def test_an_identity_that_is_not_its_keys(pristine):
     assert key_of(identity) != "0" * 64
     with pytest.raises(PuddleError, match="expected evolve 0000"):
         decode_manifest(data, stage="evolve", key="0" * 64, source="it")
-
-

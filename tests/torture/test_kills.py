@@ -22,8 +22,8 @@ import yaml
 from nursery import TINY, Quiet, noted, run_study, submitted_to, tree
 
 from pipeline.cluster import serial_cluster
-from pipeline.configuration import load
-from pipeline.settings import Settings
+from pipeline.config.loading import load
+from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 
 HERE = Path(__file__).parent
@@ -50,9 +50,9 @@ import sys
 from pathlib import Path
 from nursery import Quiet, noted, run_study
 from pipeline.cluster import ray_cluster
-from pipeline.configuration import load
+from pipeline.config.loading import load
 from pipeline.errors import PuddleError
-from pipeline.settings import Settings
+from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 
 settings, store = load(Settings, Path(sys.argv[1])), Path(sys.argv[2])
@@ -75,13 +75,17 @@ def settings(tmp_path_factory) -> Path:
 def serially(settings: Path, store: Path) -> dict[str, str]:
     """Bring a study to its end in this process; give the digests of its files, manifests apart."""
     run_study(
-        load(Settings, settings), store, Quiet([]), stages=ALL_BUT_THE_PAGE,
+        load(Settings, settings),
+        store,
+        Quiet([]),
+        stages=ALL_BUT_THE_PAGE,
         open_cluster=lambda: noted(serial_cluster(), store),
-    )  # fmt: skip
+    )
     return {
-        path: sha256 for path, sha256 in tree(store).items()
+        path: sha256
+        for path, sha256 in tree(store).items()
         if path.startswith("items/") and not path.endswith("manifest.json")
-    }  # fmt: skip
+    }
 
 
 @dataclass
@@ -99,10 +103,12 @@ class Killed:
 
     def start(self) -> None:
         self.driver = subprocess.Popen(
-            [sys.executable, "-c", DRIVER, str(self.settings), str(self.store)], text=True,
+            [sys.executable, "-c", DRIVER, str(self.settings), str(self.store)],
+            text=True,
             env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parents[1]}"},
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        )  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
 
     def find(self, victim: str) -> psutil.Process | None:
         """Wait for a process of the driver's, a worker with a piece before an idle one; None where the driver ends."""

@@ -19,7 +19,7 @@ import yaml
 from containers import SMALL_MEMORY, environment_of, instructions, words_of
 from nursery import TINY
 
-from pipeline.store import Store
+from pipeline.store.store import Store
 
 ROOT = Path(__file__).parents[2]
 

@@ -12,10 +12,10 @@ import pytest
 import small_study
 
 from pipeline.cluster import Cluster, Outcome, Ticket, ray_cluster, serial_cluster
-from pipeline.configuration import parse
-from pipeline.settings import Settings
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from pipeline.store import Store
+from pipeline.store.store import Store
 
 TINY = """
 name: tiny
@@ -57,7 +57,7 @@ class Shuffled:
 
 def digests(settings: Settings, store: Store, cluster: Cluster) -> dict[str, list[str]]:
     upstream = small_study.run(settings, store, cluster, STAGES[:N_STAGES], say=print)
-    assert not any(results.set_aside for results in upstream.values())
+    assert not any(results.failed for results in upstream.values())
     return small_study.digests(upstream)
 
 
@@ -121,7 +121,7 @@ def test_the_same_bytes_from_the_fast_engine_in_batches(torture, local_ray, tmp_
         for cluster, overrides in ((serial, ()), (Shuffled(local_ray, 2, rng), (cut,))):
             settings = parse(Settings, PAPER, name="paper", overrides=overrides)
             upstream = small_study.run(settings, store, cluster, STAGES[:3], say=print)
-            assert not any(results.set_aside for results in upstream.values())
+            assert not any(results.failed for results in upstream.values())
             found.append(small_study.digests(upstream))
             shutil.rmtree(store.root / "items" / "evolve")  # the networks stay
     assert found[0] == found[1] and any(label.startswith("evolve/residual_slush") for label in found[0])

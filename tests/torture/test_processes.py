@@ -27,7 +27,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from pipeline.store import Store
+from pipeline.store.store import Store
 
 ROOT = Path(__file__).parents[2]
 

@@ -33,10 +33,10 @@ import psutil
 import pytest
 from containers import SMALL_MEMORY, environment_of, words_of
 
-from pipeline.configuration import parse
-from pipeline.settings import Settings
-from pipeline.status import digest_lines
-from pipeline.store import Store
+from pipeline.commands.status import digest_lines
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.store.store import Store
 
 ROOT = Path(__file__).parents[2]
 
@@ -70,10 +70,10 @@ import sys
 from pathlib import Path
 from small_study import run
 from pipeline.cluster import serial_cluster
-from pipeline.configuration import parse
-from pipeline.settings import Settings
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from pipeline.store import Store
+from pipeline.store.store import Store
 settings = parse(Settings, sys.stdin.read(), name="two")
 with serial_cluster() as cluster:
     run(settings, Store.open(Path(sys.argv[1]), create=True), cluster, STAGES[:-1])
@@ -184,7 +184,7 @@ def on_machines_that_change(folder: Path, half_way: int) -> list[Task]:
         study = words_of("driver", {"ray start": beside, "head:6379": address, **SMALL_MEMORY})
         study[-1] += f" --settings {folder / 'two.yaml'}"  # which go before the preset
         of_driver = environment_of("driver", {**token, "PUDDLE_STORE": str(folder / "store"), "PRESET": "smoke"})
-        del of_driver["MLFLOW_TRACKING_URI"]  # tests/pipeline/test_tracking_server.py has the server
+        del of_driver["MLFLOW_TRACKING_URI"]  # tests/pipeline/tracking/test_server.py has the server
         driver = start("driver", study, {**without_token, **of_driver})
         wait_for(enough, driver, folder / "driver.log", 480)
         os.killpg(second.pid, signal.SIGKILL)

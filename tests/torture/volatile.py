@@ -1,4 +1,4 @@
-"""A disk that can be cut off: the six effects of pipeline/disk.py, struck at any one of them.
+"""A disk that can be cut off: the six effects of pipeline/store/disk.py, struck at any one of them.
 
 Besides the death of the process, which loses nothing that was written, there is the loss of power, which loses what was
 not synced. POSIX promises of a file's content what its last fsync saw, and of a folder's list of names what the

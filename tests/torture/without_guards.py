@@ -9,25 +9,28 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import pipeline.artifacts
 import pipeline.cluster.process
 import pipeline.cluster.serial
-import pipeline.items
-import pipeline.manifest
-import pipeline.store
+import pipeline.store.encoding
+import pipeline.store.items
+import pipeline.store.manifest
+import pipeline.store.store
 import tasks.evolution.afpo
 import tasks.evolution.objective
-import tasks.held
+import tasks.kernel_generators
 import tasks.residual.training
-from pipeline import disk
-from pipeline.manifest import Manifest
-from pipeline.store import Store
+from pipeline.store import disk
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
 from tasks.evolution import breeding
 
-STORE, ARTIFACTS = "tests/pipeline/test_store.py::test_", "tests/pipeline/test_artifacts.py::test_"
-PROCESS = "tests/pipeline/test_process.py::test_"
+STORE, ARTIFACTS = "tests/pipeline/store/test_store.py::test_", "tests/pipeline/store/test_encoding.py::test_"
+PROCESS = "tests/pipeline/cluster/test_process.py::test_"
 EVOLUTION = "tests/tasks/evolution/test_"
-FAULTS, REFUSALS = "tests/pipeline/test_store_faults.py::test_", "tests/pipeline/test_store_refusals.py::test_"
+FAULTS, REFUSALS = (
+    "tests/pipeline/store/test_store_faults.py::test_",
+    "tests/pipeline/store/test_store_refusals.py::test_",
+)
 
 
 def unread(store: Store, manifest: Manifest, name: str) -> bytes:
@@ -37,7 +40,7 @@ def unread(store: Store, manifest: Manifest, name: str) -> bytes:
 
 def unsealed(data: bytes, *, schema: str, version: int, source: str) -> dict:
     """Read a document as it is."""
-    value = pipeline.artifacts.decode_json(data, source)
+    value = pipeline.store.encoding.decode_json(data, source)
     return {name: inner for name, inner in value.items() if name not in ("schema", "version", "sha256")}
 
 
@@ -52,7 +55,7 @@ def every_array_is_finite() -> SimpleNamespace:
 
 def anybody_survives(patch: pytest.MonkeyPatch) -> None:
     """Select without the compiler, which knows its own NumPy."""
-    patch.setattr(tasks.held, "_held_kernel", tasks.held._Plain)
+    patch.setattr(tasks.kernel_generators, "_held_kernel", tasks.kernel_generators._Plain)
     for name, piece in list(vars(breeding).items()):
         patch.setattr(breeding, name, getattr(piece, "py_func", piece))
     patch.setattr(breeding, "np", every_array_is_finite())
@@ -70,16 +73,16 @@ def open_to_all(name: str) -> Callable[..., int | None]:
     """Take a lock whoever has it, if its file has that name. Who asks for its holder is told the truth."""
     try_lock = disk.try_lock
 
-    def take(path, *, only_ask: bool = False, **how) -> int | None:
+    def take(path, *, only_ask: bool = False, **execution) -> int | None:
         if path.name != name or only_ask:
-            return try_lock(path, only_ask=only_ask, **how)
+            return try_lock(path, only_ask=only_ask, **execution)
         return os.open(path, os.O_RDWR | os.O_CREAT)
 
     return take
 
 
 def any_name(patch: pytest.MonkeyPatch) -> None:
-    for module in (pipeline.items, pipeline.store):
+    for module in (pipeline.store.items, pipeline.store):
         patch.setattr(module, "check_name", lambda name, what: name)
 
 
@@ -95,11 +98,11 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
     ),
     "seal of a manifest": (
         REFUSALS + "no_flipped_bit_is_accepted[manifest.json]",
-        lambda patch: patch.setattr(pipeline.manifest, "decode_sealed", unsealed),
+        lambda patch: patch.setattr(pipeline.store.manifest, "decode_sealed", unsealed),
     ),
     "label of a table": (
         ARTIFACTS + "a_flipped_bit_never_changes_a_value_silently[arrays]",
-        lambda patch: patch.setattr(pipeline.artifacts, "_check_label", lambda *said: None),
+        lambda patch: patch.setattr(pipeline.store.encoding, "_check_label", lambda *said: None),
     ),
     "temporary file": (
         FAULTS + "a_study_record_is_the_old_or_the_new_one",
@@ -127,7 +130,7 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
         lambda patch: patch.setattr(pipeline.cluster.process, "resource", unbounded()),
     ),
     "bound around every task": (
-        "tests/pipeline/test_cluster.py::test_a_task_is_bounded_in_its_memory[serial]",
+        "tests/pipeline/cluster/test_cluster.py::test_a_task_is_bounded_in_its_memory[serial]",
         lambda patch: patch.setattr(pipeline.cluster.serial, "memory_bounded", contextlib.nullcontext),
     ),
     "refusal of links": (
@@ -136,7 +139,7 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
     ),
     "equality of what is computed twice": (
         STORE + "a_result_computed_twice_must_be_equal",
-        lambda patch: patch.setattr("pipeline.items.refuse_other_content", lambda kept, new: None),
+        lambda patch: patch.setattr("pipeline.store.items.refuse_other_content", lambda kept, new: None),
     ),
     "check that a training's loss is finite": (
         "tests/tasks/residual/test_training.py::test_data_that_are_not_finite_end_a_training_by_name[nan]",
@@ -152,7 +155,7 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
     ),
     "refusal of numbers that are not finite": (
         ARTIFACTS + "what_json_has_no_exact_form_for_is_refused",
-        lambda patch: patch.setattr(pipeline.artifacts, "math", everything_is_finite()),
+        lambda patch: patch.setattr(pipeline.store.encoding, "math", everything_is_finite()),
     ),
 }
 

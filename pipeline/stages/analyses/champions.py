@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.artifacts import decode_json
-from pipeline.design_file import design_from
-from pipeline.settings import EnvironmentName
-from pipeline.stage import Files, Job, Spec
+from pipeline.config.settings import EnvironmentName
 from pipeline.stages import segments
 from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.stages.assess import read_predictions
 from pipeline.stages.transfer import CHAMPION, SCORE
-from pipeline.tables import columns_of
+from pipeline.store.design_file import design_from
+from pipeline.store.encoding import decode_json
+from pipeline.store.tables import columns_of
+from pipeline.workflow.stage import Files, Job, Spec
 from tasks.analysis import Exploiter, rank_exploiters, transfer_matrix
 from tasks.design import Designs
 from tasks.design.genes import concatenate
@@ -65,7 +65,7 @@ def ensemble_of(inputs: Mapping[str, Files]) -> EnsembleMedium:
 
 def roll_out(job: Job, world: Environment, designs: Designs, *, trace: bool = False) -> Rollouts:
     """Simulate designs as a job says."""
-    return segments.roll_out(job.spec, job.how, world, designs, trace=trace)
+    return segments.roll_out(job.spec, job.execution, world, designs, trace=trace)
 
 
 # -- transfer matrix -------------------------------------------------------------------------------------------------

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.settings import RESIDUAL_ENVIRONMENTS
-from pipeline.stage import Files, Job, Spec
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.stages import segments
 from pipeline.stages.analyses.champions import Champion, champions, ensemble_of, roll_out
-from pipeline.stages.analyses.films import NOBODY, Filmed, best_of, film_at_home, home_of
+from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, best_of, film_at_home, home_of
 from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.stages.collect import TRANSITIONS, read_transitions
-from pipeline.tables import Columns, columns_of, text
+from pipeline.store.tables import Columns, columns_of, text
+from pipeline.workflow.stage import Files, Job, Spec
 from tasks.analysis import (
     SPACE,
     Disagreement,
@@ -49,7 +49,7 @@ N_TRIES = 32
 
 def transitions_of(spec: Spec, inputs: Mapping[str, Files]) -> tuple[Transitions, Transitions]:
     """Load the throws that the members learned from, and those held out."""
-    from tasks.residual.training import validation_rows  # torch takes a second to import; only workers need it
+    from tasks.residual.training import validation_rows
 
     transitions = read_transitions([inputs[name] for name in sorted(inputs) if TRANSITIONS in inputs[name]])
     held_out = validation_rows(transitions.throw, spec["held_out"], seed=spec["seed"])
@@ -80,10 +80,7 @@ def compute_members(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reas
         found = phantom_thrust(ensemble, held_out, physics, rng=rng)
         thrusts = [ThrustRow(member, thrust) for member, thrust in enumerate(found)]
         errors = member_errors(ensemble, segments.true_medium(job.spec), thrown_links(held_out, physics), physics)
-    tables = {
-        "phantom_thrust": columns_of(ThrustRow, thrusts),
-        "member_errors": columns_of(MemberError, errors),
-    }
+    tables = {"phantom_thrust": columns_of(ThrustRow, thrusts), "member_errors": columns_of(MemberError, errors)}
     return tables, dict.fromkeys(tables, why) if why else {}
 
 
@@ -157,7 +154,7 @@ def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]
     champion, traced = arm[best], in_slush.trace[best : best + 1]
     films = [Filmed(champion, "true_slush", NOBODY, champion.zero_shot, traced)] if survives else []
     if spec["environment"] != "true_slush":
-        films.append(film_at_home(spec, job.how, champion, _members(inputs)))
+        films.append(film_at_home(spec, job.execution, champion, _members(inputs)))
     seen = [_look(film, ensemble, index, physics) for film in films]
     lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
     lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
@@ -192,11 +189,11 @@ def _champion_row(
         nowhere, loss = Moved(np.nan, np.nan, np.nan), Estimate.missing(job.spec["no_networks"])
         return ChampionRow(champion.trial, best, nowhere, slush, champion.predicted, np.nan, loss, np.nan, 0, 0)
     world = home_of(job.spec, champion, _members(inputs))
-    at_home = segments.score(job.spec, job.how, world, champion.design)
+    at_home = segments.score(job.spec, job.execution, world, champion.design)
     (home,) = _moved(at_home.displacement.mean(axis=1), at_home.com_displacement.mean(axis=1))
 
     def fitness(designs: Designs) -> npt.NDArray[np.float64]:
-        return segments.score(job.spec, job.how, world, designs).fitness
+        return segments.score(job.spec, job.execution, world, designs).fitness
 
     rng = generator(job.spec["seed"], "analyse", "luck", champion.environment, champion.depth, champion.trial)
     tried = luck(champion.design, fitness, rng=rng, n_tries=N_TRIES)

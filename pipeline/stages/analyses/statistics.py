@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.artifacts import decode_json
-from pipeline.stage import Files, Job
 from pipeline.stages import segments
 from pipeline.stages.assess import read_predictions
 from pipeline.stages.transfer import SCORE
-from pipeline.tables import Columns, columns_of, text
+from pipeline.store.encoding import decode_json
+from pipeline.store.tables import Columns, columns_of, text
+from pipeline.workflow.stage import Files, Job
 from tasks.analysis import (
     Attribution,
     Contrast,
@@ -63,14 +63,14 @@ class ScoreRow:
 
 
 def score_rows(
-    trials: Sequence[tuple[str, float, int]], inputs: Mapping[str, Files], set_aside: Mapping[str, str]
+    trials: Sequence[tuple[str, float, int]], inputs: Mapping[str, Files], failed: Mapping[str, str]
 ) -> list[ScoreRow]:
     """Gather every trial's scores, or say why it has none."""
     rows = []
     for environment, depth, trial in trials:
         label = segments.trial_label(environment, depth, trial)
         scored = inputs.get(f"transfer/{label}")
-        scores = decode_json(scored[SCORE], label) if scored else {"status": set_aside.get(label, "not done")}
+        scores = decode_json(scored[SCORE], label) if scored else {"status": failed.get(label, "not done")}
         names = ("predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
         predicted, zero, zero_com, adapted, adapted_com = (
             np.nan if scores.get(name) is None else float(scores[name]) for name in names
@@ -84,7 +84,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     """Make every table that needs no rollout, and say what is missing of each."""
     spec = job.spec
     rng = generator(spec["seed"], "analyse", "statistics")
-    table = columns_of(ScoreRow, score_rows(spec["trials"], inputs, spec["set_aside"]))
+    table = columns_of(ScoreRow, score_rows(spec["trials"], inputs, spec["failed"]))
     scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
     shares = [inputs[name] for name in sorted(inputs) if name.startswith("assess/")]
     predicted, true, trial = _predictions(shares)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pipeline.configuration import parse
+from pipeline.config.loading import parse
 from pipeline.fabrication.bench import Members, _of_floating, _of_loads, _of_members, _of_scale, _of_timeline
 from pipeline.fabrication.choices import FabricationSettings
-from pipeline.fabrication.figures import worst_of_each
+from pipeline.fabrication.kit_figures import worst_of_each
 from tasks.analysis.tank import Tank
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.floating import Floating
@@ -16,8 +16,15 @@ from tasks.fabrication.timeline import Timeline
 
 
 def lying(draught: float | None, share: float = 0.5) -> Floating:
-    return Floating(mass_kg=1.0, sealed_m3=2e-3, flooded_m3=1.5e-3, sealed_share=share, flooded_share=0.7,
-                    draught_mm=draught, height_mm=400.0)  # fmt: skip
+    return Floating(
+        mass_kg=1.0,
+        sealed_m3=2e-3,
+        flooded_m3=1.5e-3,
+        sealed_share=share,
+        flooded_share=0.7,
+        draught_mm=draught,
+        height_mm=400.0,
+    )
 
 
 def test_a_robot_that_stands_on_the_floor():
@@ -31,8 +38,9 @@ def test_a_robot_that_stands_on_the_floor():
 
 @pytest.mark.parametrize(("saturated", "severity"), [(0.21, "warning"), (0.19, "note"), (0.04, None)])
 def test_torque_that_was_clipped_is_a_lower_bound(saturated, severity):
-    load = JointLoad(joint=2, peak_torque=0.1, rms_torque=0.1, peak_speed=1.0, use=0.5, stall_share=0.1,
-                     saturated=saturated)  # fmt: skip
+    load = JointLoad(
+        joint=2, peak_torque=0.1, rms_torque=0.1, peak_speed=1.0, use=0.5, stall_share=0.1, saturated=saturated
+    )
     found = _of_loads([load], servo_named("ds3225"), object(), FabricationSettings())
     assert [one.severity for one in found] == ([severity] if severity else [])
     assert ("lower bound" in "".join(one.message for one in found)) == (severity == "warning")
@@ -55,8 +63,9 @@ def chosen(*overrides: str) -> FabricationSettings:
 
 
 def asked(*, torque: float, speed: float, use: float) -> JointLoad:
-    return JointLoad(joint=2, peak_torque=torque, rms_torque=0.1, peak_speed=speed, use=use, stall_share=0.1,
-                     saturated=0.0)  # fmt: skip
+    return JointLoad(
+        joint=2, peak_torque=torque, rms_torque=0.1, peak_speed=speed, use=use, stall_share=0.1, saturated=0.0
+    )
 
 
 STALL, FASTEST = servo_named("ds3225").stall_torque_nm, servo_named("ds3225").no_load_speed_rad_s
@@ -71,10 +80,14 @@ MANY = ("scaling.law=kept_frequencies", "kit.servos_per_joint=2")
         (asked(torque=1.2 * STALL, speed=1.0, use=1.3), (), STRONGER, SLOWER),
         (asked(torque=0.6 * STALL, speed=0.6 * FASTEST, use=1.2), (), (*SLOWER, *STRONGER), ()),
         # What is chosen already is no advice.
-        (asked(torque=1.2 * STALL, speed=1.1 * FASTEST, use=2.3), MANY, (SLOWER[0], STRONGER[0]),
-         (SLOWER[1], STRONGER[1])),
+        (
+            asked(torque=1.2 * STALL, speed=1.1 * FASTEST, use=2.3),
+            MANY,
+            (SLOWER[0], STRONGER[0]),
+            (SLOWER[1], STRONGER[1]),
+        ),
     ],
-)  # fmt: skip
+)
 def test_advice_goes_by_what_the_servo_has_too_little_of(load, overrides, said, unsaid):
     (found,) = _of_loads([load], servo_named("ds3225"), object(), chosen(*overrides))
     assert found.severity == "fault" and "can't do it" in found.message
@@ -104,8 +117,9 @@ def test_heat_is_said_to_be_a_root_mean_square():
     ],
 )
 def test_a_timeline_that_is_refused(degrees, hz, said, unsaid):
-    servo = ServoCalibration(joint=2, channel=0, centre_us=1500.0, direction=1, us_per_rad=570.0, min_us=903.0,
-                             max_us=2097.0, max_speed=7.0)  # fmt: skip
+    servo = ServoCalibration(
+        joint=2, channel=0, centre_us=1500.0, direction=1, us_per_rad=570.0, min_us=903.0, max_us=2097.0, max_speed=7.0
+    )
     swing = np.radians(degrees) * np.sin(2 * np.pi * hz * np.arange(500) / 50)
     (found,) = _of_timeline(Timeline((2,), swing[:, None]), Calibration(servos=(servo,)), chosen())
     assert found.severity == "fault" and said in found.message and unsaid not in found.message

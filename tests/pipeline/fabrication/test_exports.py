@@ -22,12 +22,12 @@ from build123d import import_step
 from PIL import Image
 from shapely import LineString, Polygon, polygonize
 
-from pipeline.design_file import design_document, read_design
-from pipeline.fabrication import drawing
+from pipeline.fabrication import assembly_drawing
 from pipeline.fabrication.exports import exports
 from pipeline.fabrication.labels import Labels
+from pipeline.store.design_file import design_document, read_design
 from tasks.fabrication.kit import build_kit
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.kit_settings import KitSettings
 
 MESHED = 2e-3
 """Relative: facets miss curved faces by up to 0.05 mm, of holes of 3 mm too."""
@@ -35,11 +35,11 @@ MESHED = 2e-3
 MAKE = """
 import hashlib, json, sys
 import numpy as np
-from pipeline.design_file import design_from
+from pipeline.store.design_file import design_from
 from pipeline.fabrication.exports import exports
 from pipeline.fabrication.labels import Labels
 from tasks.fabrication.kit import build_kit
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.kit_settings import KitSettings
 design = design_from(json.load(sys.stdin), "standard input")
 files = exports(build_kit(design, KitSettings()), title="Crane", n_faults=0)
 print(json.dumps({name: hashlib.sha256(content).hexdigest() for name, content in files.items()}))
@@ -189,8 +189,8 @@ def drawn(kit, monkeypatch, n_faults: int = 0) -> tuple[str, list[Labels]]:
             super().__init__(sheet)
             views.append(self)
 
-    monkeypatch.setattr(drawing, "Labels", Kept)
-    elements = ElementTree.fromstring(drawing.assembly_drawing(kit, "Drawn", n_faults)["svg"]).iter()
+    monkeypatch.setattr(assembly_drawing, "Labels", Kept)
+    elements = ElementTree.fromstring(assembly_drawing.assembly_drawing(kit, "Drawn", n_faults)["svg"]).iter()
     return " ".join("".join(element.itertext()) for element in elements if element.tag.endswith("text")), views
 
 
@@ -224,8 +224,9 @@ def test_the_picture_shows_every_part(kit, files):
 def said_elsewhere(code: str, seed: str, given: str = "") -> str:
     """What Python says in a process of its own, under a hash seed of its own."""
     environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(Path(__file__).parents[3])}
-    done = subprocess.run([sys.executable, "-c", code], input=given, text=True, capture_output=True, env=environment,
-                          check=True)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", code], input=given, text=True, capture_output=True, env=environment, check=True
+    )
     return done.stdout
 
 
@@ -244,7 +245,7 @@ def test_a_dxf_does_not_depend_on_the_hash_seed():
 
 def test_cad_is_imported_late_and_its_absence_is_one_clear_message():
     code = (
-        "import sys\nimport pipeline.cli\nfrom tasks.fabrication.cad import require_cad\n"
+        "import sys\nimport pipeline.commands.app\nfrom tasks.fabrication.cad import require_cad\n"
         "assert not {'build123d', 'shapely', 'ezdxf'} & sys.modules.keys()\n"
         "from importlib import util\nfound = util.find_spec\n"
         "import tasks.fabrication.cad as cad\n"

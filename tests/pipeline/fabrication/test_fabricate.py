@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from command_line import call
 
-from pipeline import disk
-from pipeline.design_file import design_document, read_design
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
-from pipeline.fabrication.folder import MARK, check_place, write_kit
-from pipeline.fabrication.page import _last
-from pipeline.store import Store
-from pipeline.timeline_file import read_calibration, read_timeline
+from pipeline.fabrication.kit_folder import MARK, check_place, write_kit
+from pipeline.fabrication.kit_page import _last
+from pipeline.fabrication.timeline_file import read_calibration, read_timeline
+from pipeline.store import disk
+from pipeline.store.design_file import design_document, read_design
+from pipeline.store.store import Store
 from tasks.design import Designs
 
 
@@ -44,8 +44,19 @@ def test_a_kit_is_whole(made):
     assert held == {*mark["files"], MARK}
     for name, digest in mark["files"].items():
         assert hashlib.sha256((kit / name).read_bytes()).hexdigest() == digest
-    assert {"index.html", "robot.png", "drawing.svg", "bill.csv", "timeline.csv", "calibration.yaml", "design.json",
-            "assembly.md", "servo.md", "servo-wiring.svg", "print/part-1-left.stl"} <= held  # fmt: skip
+    assert {
+        "index.html",
+        "robot.png",
+        "drawing.svg",
+        "bill.csv",
+        "timeline.csv",
+        "calibration.yaml",
+        "design.json",
+        "assembly.md",
+        "servo.md",
+        "servo-wiring.svg",
+        "print/part-1-left.stl",
+    } <= held
     assert read_design(kit / "design.json").equals(read_design(made / "crane.json"))
     assert mark["metrics"]["n_faults"] == 0
     assert sorted(path.name for path in made.iterdir()) == ["crane.json", "kit", "store"]
@@ -89,8 +100,10 @@ def test_the_page_in_a_browser(made, browser, width):
     assert clipped == []
     assert browser.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 100)")
     for name in ("torque", "gait"):  # the legend stands above the axes, and hides no data
-        legend, axes = (f"document.querySelector('#{name} [id*={part}]').getBoundingClientRect()"
-                        for part in ("legend_1", "patch_2"))  # fmt: skip
+        legend, axes = (
+            f"document.querySelector('#{name} [id*={part}]').getBoundingClientRect()"
+            for part in ("legend_1", "patch_2")
+        )
         assert browser.evaluate(f"{legend}.bottom - {axes}.top") <= 1.0
     pixels = browser.picture(".picture img").astype(int)
     assert (pixels.max(axis=2) - pixels.min(axis=2) > 60).mean() > 0.02  # the robot's colours
@@ -105,8 +118,11 @@ def test_mlflow_holds_the_kit(made):
     runs = {run.info.run_name: run for run in client.search_runs([experiment.experiment_id])}
     run = runs["fabricate"]
     assert run.data.metrics["margin.joint_2"] > 1 and run.data.params["kit.servo"] == "ds3225"
-    logged = {file.path for name in ("kit", "kit/print", "kit/cad", "kit/profiles")
-              for file in client.list_artifacts(run.info.run_id, name)}  # fmt: skip
+    logged = {
+        file.path
+        for name in ("kit", "kit/print", "kit/cad", "kit/profiles")
+        for file in client.list_artifacts(run.info.run_id, name)
+    }
     page = (made / "kit/index.html").read_text()
     links = re.findall(r"""(?:href|src)=["']([^"'#:]+[^"'#:/])["']""", page)
     assert "print/part-1-left.stl" in links and {f"kit/{link}" for link in links} <= logged
@@ -225,13 +241,19 @@ def test_what_the_user_put_into_a_kit_outlives_it(tmp_path):
         (folder / "drive-1.parquet").write_bytes(b"log")
         lines = write_kit(folder, {"calibration.yaml": b"another guess", "design.json": b"{}"}, {"name": "new"})
     assert lines == [
-        "Kept calibration-yours-1.yaml.", "Kept calibration.yaml, which you had changed, as calibration-yours-2.yaml.",
+        "Kept calibration-yours-1.yaml.",
+        "Kept calibration.yaml, which you had changed, as calibration-yours-2.yaml.",
         "Kept drive-1.parquet.",
-    ]  # fmt: skip
+    ]
     held = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     held.pop(MARK)
-    assert held == {"calibration.yaml": b"another guess", "calibration-yours-1.yaml": b"measured",
-                    "calibration-yours-2.yaml": b"measured again", "drive-1.parquet": b"log", "design.json": b"{}"}
+    assert held == {
+        "calibration.yaml": b"another guess",
+        "calibration-yours-1.yaml": b"measured",
+        "calibration-yours-2.yaml": b"measured again",
+        "drive-1.parquet": b"log",
+        "design.json": b"{}",
+    }
 
 
 def test_places_that_are_none(tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from PIL import Image, ImageColor
 from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.film import pictures
 from pipeline.report.gif import FPS, render_gif
-from pipeline.report.lane import (
+from pipeline.report.robot_view import (
     GROUND,
     GROUND_EDGE,
     LANE_HEIGHT,
@@ -68,8 +68,7 @@ def test_slush_lies_over_the_robot_and_the_lines_alike(slush_replay):
 def test_slush_that_is_only_imagined_has_a_dashed_surface(slush_replay):
     """Dashes of 10 pixels in 16."""
     real, imagined = (
-        count(Image.open(io.BytesIO(render_gif([replace(slush_replay, imagined=of)]))), SURFACE)
-        for of in (False, True)
+        count(Image.open(io.BytesIO(render_gif([replace(slush_replay, imagined=of)]))), SURFACE) for of in (False, True)
     )
     assert real >= WIDTH
     assert imagined / real == pytest.approx(10 / 16, abs=0.05)

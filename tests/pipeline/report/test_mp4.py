@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.report.film import FPS, pictures
-from pipeline.report.lane import LANE_HEIGHT, WIDTH
 from pipeline.report.mp4 import render_mp4
+from pipeline.report.robot_view import LANE_HEIGHT, WIDTH
 
 
 def read(data: bytes) -> tuple[av.video.VideoStream, list[np.ndarray]]:

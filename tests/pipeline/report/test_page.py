@@ -146,8 +146,8 @@ def test_the_transfer_table_by_hand(html):
 def test_the_finding_says_it_in_words(html):
     assert (
         "In 9 m of True Slush, champions put there as they were moved on average 12.0 m if they evolved in True Slush, "
-        "−1.0 m (−8 %) if they evolved on Dry Land, 9.0 m (75 %) if they evolved in Residual Slush" in
-        re.sub(r" (?=[,.])", "", Page(html).text)
+        "−1.0 m (−8 %) if they evolved on Dry Land, 9.0 m (75 %) if they evolved in Residual Slush"
+        in re.sub(r" (?=[,.])", "", Page(html).text)
     )
 
 
@@ -170,7 +170,7 @@ def test_every_text_of_the_study_is_escaped(study):
             title=NASTY,
             created_with={NASTY: NASTY},
             settings_yaml=NASTY,
-            set_aside=[NASTY],
+            failed=[NASTY],
             not_possible=[NASTY],
             diverged=[NASTY],
             digests=[replace(study.digests[0], label=NASTY, stage=NASTY)],
@@ -190,7 +190,7 @@ def test_what_was_set_aside_is_named(study, drawn, html):
     failed, untried, wild = "Not everything ran", "need what is missing", "Designs diverged"
     for words in (failed, untried, wild, "failed twice"):
         assert words not in html
-    lacking = Page(render_page(replace(study, set_aside=["dry_land 9 m trial 3"]), drawn)).text
+    lacking = Page(render_page(replace(study, failed=["dry_land 9 m trial 3"]), drawn)).text
     assert f"{failed}; what is below does without it. These failed twice and were set aside. dry_land 9 m" in lacking
     assert untried not in lacking and wild not in lacking
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from pipeline.config.settings import Rollout
 from pipeline.report.replay import QUANTUM, EncodedReplay, Overlay, encode, replay_of
-from pipeline.settings import Rollout
 
 WORDS = {"title": "a walk", "environment": "", "world": "True Slush", "depth": 2.0, "has_medium": True}
 
@@ -67,9 +67,7 @@ def test_encoding_stays_within_half_a_quantum(slush_replay):
 
 
 @given(
-    frames=hnp.arrays(
-        np.float64, st.tuples(st.integers(2, 6), st.just(6), st.just(3)), elements=st.floats(-1e4, 1e4)
-    )
+    frames=hnp.arrays(np.float64, st.tuples(st.integers(2, 6), st.just(6), st.just(3)), elements=st.floats(-1e4, 1e4))
 )
 def test_encoding_any_motion_stays_within_half_a_quantum(slush_replay, frames):
     encoded = encode(replace(slush_replay, frames=frames))

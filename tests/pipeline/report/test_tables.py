@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.report.family import main_line
 from pipeline.report.findings import Candidate, Findings, TankTest
-from pipeline.report.tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
-from pipeline.report.words import interval, p_value
+from pipeline.report.lineage import main_line
+from pipeline.report.page_tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
+from pipeline.report.wording import interval, p_value
 from tasks.analysis import Crossing, Estimate, Tank
 
 
@@ -62,8 +62,10 @@ def test_luck_shows_its_interval(findings):
 def test_the_line_goes_through_the_fitter_parent(findings):
     assert [ancestor.identity for ancestor in main_line(findings.family)] == [21, 9, 3]
     assert "The champion’s line: 3 designs" in words(lineage(findings))
-    fitter = replace(findings.family, ancestors=[replace(a, fitness=9.0) if a.identity == 5 else a
-                                                 for a in findings.family.ancestors])  # fmt: skip
+    fitter = replace(
+        findings.family,
+        ancestors=[replace(a, fitness=9.0) if a.identity == 5 else a for a in findings.family.ancestors],
+    )
     assert [ancestor.identity for ancestor in main_line(fitter)] == [21, 5]
 
 

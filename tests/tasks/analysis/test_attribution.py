@@ -31,11 +31,21 @@ def test_a_worked_example():
     figures = {name: value.value for name, value in vars(found).items() if hasattr(value, "value")}
     assert figures == pytest.approx(
         {
-            "predicted": 60, "zero_shot": 2, "adapted": 7, "best": 10, "imagined": 58, "gap": 8,
-            "lost_to_controller": 5, "lost_to_body": 3, "controller_share": 5 / 8, "body_share": 3 / 8,
-            "recovered_zero_shot": 0.2, "recovered_adapted": 0.7, "recovered_of_dry_land": None,
+            "predicted": 60,
+            "zero_shot": 2,
+            "adapted": 7,
+            "best": 10,
+            "imagined": 58,
+            "gap": 8,
+            "lost_to_controller": 5,
+            "lost_to_body": 3,
+            "controller_share": 5 / 8,
+            "body_share": 3 / 8,
+            "recovered_zero_shot": 0.2,
+            "recovered_adapted": 0.7,
+            "recovered_of_dry_land": None,
         }
-    )  # fmt: skip
+    )
     assert found.recovered_of_dry_land.reason == "it is the reference"
 
 

@@ -45,11 +45,13 @@ def accuracy(mean_r=0.77, members_r=MEMBERS_R, n=2376):
     def regression(name, r, slope):
         width = 0.02
         return Regression(
-            name, n, 0,
+            name,
+            n,
+            0,
             slope=Estimate(slope, slope - width, slope + width),
             intercept=Estimate(0.0, -width, width),
             r=Estimate(r, r - width, r + width),
-        )  # fmt: skip
+        )
 
     members = [regression(f"member {k}", r, r + 0.05) for k, r in enumerate(members_r)]
     return (*members, regression("mean", mean_r, 1.26), regression("mean - 1 sd", 0.6, 0.99))

@@ -39,7 +39,9 @@ def test_the_anchors_of_every_joint_coincide_at_rest(designs: Designs) -> None:
         parent = designs.parent[:, link]
         row = np.arange(N_DESIGNS)
         on_parent = along(
-            x[row, parent], y[row, parent], angle[row, parent],
+            x[row, parent],
+            y[row, parent],
+            angle[row, parent],
             designs.parent_attachment[:, link] * designs.length_scale[row, parent] / 2,
         )
         anchor = designs.child_attachment[:, link] * designs.length_scale[:, link] / 2
@@ -193,10 +195,13 @@ def test_joints_lie_on_their_parents_body_where_they_lie_at_rest(designs: Design
     for link in range(1, 6):
         first = rigid.first_link[row, np.maximum(built.parent, 0)[:, link]]
         cos, sin = np.cos(angle[row, first]), np.sin(angle[row, first])
-        joint = np.stack([
-            x[row, first] + cos * rigid.joint_x[:, link] - sin * rigid.joint_y[:, link],
-            y[row, first] + sin * rigid.joint_x[:, link] + cos * rigid.joint_y[:, link],
-        ], axis=-1)  # fmt: skip
+        joint = np.stack(
+            [
+                x[row, first] + cos * rigid.joint_x[:, link] - sin * rigid.joint_y[:, link],
+                y[row, first] + sin * rigid.joint_x[:, link] + cos * rigid.joint_y[:, link],
+            ],
+            axis=-1,
+        )
         on_child = along(
             x[:, link], y[:, link], angle[:, link], built.child_attachment[:, link] * built.length_scale[:, link] / 2
         )
@@ -221,10 +226,17 @@ def test_a_bent_pair_of_links_has_the_inertia_that_steiner_gives_it() -> None:
     own = (2**2 + 0.5**2) / 12
     body = 2 * own + 2 * 0.5  # each centre lies √½ m from the body's, at (-½, ½)
     for name, expected in {
-        "x": [0, -1], "y": [0, 1], "angle": [0, np.pi / 2], "cos": [1, 0], "sin": [0, 1],
-        "lever_x": [0.5, -0.5], "lever_y": [-0.5, 0.5],
-        "mass_share": [0.5, 0.5], "inertia_share": [own / body] * 2, "mass_over_inertia": [1 / body] * 2,
-    }.items():  # fmt: skip
+        "x": [0, -1],
+        "y": [0, 1],
+        "angle": [0, np.pi / 2],
+        "cos": [1, 0],
+        "sin": [0, 1],
+        "lever_x": [0.5, -0.5],
+        "lever_y": [-0.5, 0.5],
+        "mass_share": [0.5, 0.5],
+        "inertia_share": [own / body] * 2,
+        "mass_over_inertia": [1 / body] * 2,
+    }.items():
         np.testing.assert_allclose(getattr(rigid, name)[0, :2], expected, rtol=HALF_ULP, atol=2 * HALF_ULP)
 
 

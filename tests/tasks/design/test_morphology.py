@@ -26,9 +26,7 @@ def rectangles(designs: Designs, design: int) -> list[shapely.Polygon]:
 def clipped_overlap(designs: Designs, design: int) -> float:
     """Largest area that two links share that no joint ties [m²]."""
     boxes, parent = rectangles(designs, design), designs.parent[design]
-    return max(
-        boxes[i].intersection(boxes[j]).area for j in range(6) for i in range(j) if parent[j] != i
-    )  # fmt: skip
+    return max(boxes[i].intersection(boxes[j]).area for j in range(6) for i in range(j) if parent[j] != i)
 
 
 @settings(max_examples=30)

@@ -11,16 +11,7 @@ from pydantic import ValidationError
 from scipy import stats
 from varied_designs import BODY, NO_REWIRING, binomial_interval, canonical, is_canonical, mutations, numbers, seeds
 
-from tasks.design import (
-    GENES,
-    N_LINKS,
-    Designs,
-    Mutation,
-    check,
-    crossover,
-    mutate,
-    random_designs,
-)
+from tasks.design import GENES, N_LINKS, Designs, Mutation, check, crossover, mutate, random_designs
 from tasks.design.genes import N_GENES, Gene
 
 sizes = st.integers(0, 40)

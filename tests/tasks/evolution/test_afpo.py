@@ -6,7 +6,7 @@ from pydantic import ValidationError
 from scipy import stats
 
 from tasks.design import GENES, check, random_designs
-from tasks.evolution import NOBODY_YET, OPERATORS, Afpo, Population, ask, select, tell
+from tasks.evolution import EMPTY_POPULATION, OPERATORS, Afpo, Population, ask, select, tell
 from tasks.evolution.breeding import CROSSOVER, MUTATION, NOBODY, RANDOM
 
 BODY = ("parent", *(gene.name for gene in GENES if gene.part == "body"))
@@ -100,9 +100,7 @@ def test_selection_agrees_with_the_definition_on_random_populations() -> None:
     for seed in range(50):
         draw = rng(seed)
         fitness, age = draw.integers(0, 12, 30).astype(float), draw.integers(0, 8, 30)
-        front = [
-            i for i in range(30) if not any(fitness[j] > fitness[i] and age[j] <= age[i] for j in range(30))
-        ]
+        front = [i for i in range(30) if not any(fitness[j] > fitness[i] and age[j] <= age[i] for j in range(30))]
         n = max(len(front), 20)
         survivors = select(fitness, age, draw, n).tolist()
         assert set(survivors[: len(front)]) == set(front)
@@ -167,7 +165,7 @@ def test_children_are_valid_and_come_from_the_population() -> None:
 
 
 def test_the_first_generation_is_random() -> None:
-    children = ask(NOBODY_YET, rng(4), Afpo())
+    children = ask(EMPTY_POPULATION, rng(4), Afpo())
     check(children.designs)
     assert (children.operator == RANDOM).all()
     assert (children.parents == NOBODY).all()
@@ -178,7 +176,7 @@ def test_the_first_generation_is_random() -> None:
 def test_all_children_get_the_frozen_body() -> None:
     body = random_designs(1, rng(5))
     afpo = Afpo(population_size=32)
-    population, draw = NOBODY_YET, rng(6)
+    population, draw = EMPTY_POPULATION, rng(6)
     for _ in range(5):
         children = ask(population, draw, afpo, body=body)
         for name in BODY:
@@ -220,7 +218,7 @@ def test_the_arguments_are_left_as_they_were() -> None:
 
 def test_after_a_generation_that_diverged_throughout_evolution_starts_again() -> None:
     afpo = Afpo(population_size=8)
-    nobody = tell(NOBODY_YET, ask(NOBODY_YET, rng(10), afpo), np.full(8, -np.inf), rng(11), afpo)
+    nobody = tell(EMPTY_POPULATION, ask(EMPTY_POPULATION, rng(10), afpo), np.full(8, -np.inf), rng(11), afpo)
     assert len(nobody.designs) == 0
     children = ask(nobody, rng(12), afpo)
     assert (children.operator == RANDOM).all()
@@ -229,8 +227,8 @@ def test_after_a_generation_that_diverged_throughout_evolution_starts_again() ->
 
 def test_who_has_no_finite_fitness_is_not_told_from_who_diverged() -> None:
     afpo = Afpo(population_size=4)
-    children = ask(NOBODY_YET, rng(13), afpo)
-    after = tell(NOBODY_YET, children, np.array([np.nan, 1.0, np.inf, -np.inf]), rng(14), afpo)
+    children = ask(EMPTY_POPULATION, rng(13), afpo)
+    after = tell(EMPTY_POPULATION, children, np.array([np.nan, 1.0, np.inf, -np.inf]), rng(14), afpo)
     assert (after.identity.tolist(), after.fitness.tolist(), after.age.tolist()) == ([1], [1.0], [1])
 
 
@@ -242,7 +240,7 @@ def test_a_negative_age_is_refused() -> None:
 def test_a_fitness_for_each_child_is_asked_for() -> None:
     afpo = Afpo(population_size=8)
     with pytest.raises(ValueError, match=r"fitness has shape \(7,\), expected \(8,\)"):
-        tell(NOBODY_YET, ask(NOBODY_YET, rng(), afpo), np.zeros(7), rng(), afpo)
+        tell(EMPTY_POPULATION, ask(EMPTY_POPULATION, rng(), afpo), np.zeros(7), rng(), afpo)
 
 
 def test_the_state_travels_as_arrays() -> None:

@@ -15,7 +15,7 @@ from safetensors.numpy import load as decode
 from safetensors.numpy import save as encode
 
 from tasks.design import Morphology, random_designs
-from tasks.evolution import NOBODY_YET, Afpo, Population, afpo, ask, select, tell
+from tasks.evolution import EMPTY_POPULATION, Afpo, Population, afpo, ask, select, tell
 from tasks.seeding import generator
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python has nothing to compare with")
@@ -39,7 +39,7 @@ def evolved(kind: str, n_generations: int) -> str:
     morphology = {"two": TWO, "two, body": TWO, "apart": APART}.get(kind, Morphology())
     body = random_designs(1, np.random.default_rng(3), morphology=morphology) if "body" in kind else None
     size = Afpo(population_size=64 if kind in ("plain", "body") else 12)
-    population, digest = NOBODY_YET, hashlib.sha256()
+    population, digest = EMPTY_POPULATION, hashlib.sha256()
     for generation in range(n_generations):
         rng = generator(1, kind, generation)
         children = ask(population, rng, size, body=body, morphology=morphology)
@@ -98,7 +98,7 @@ def test_the_front_is_what_nobody_as_young_beats(designs: list[tuple[float, int]
 def test_a_kernel_is_compiled_once_wherever_its_arrays_come_from() -> None:
     """A second time would take as long as the first, without a word."""
     for body in None, random_designs(3, np.random.default_rng(4))[[1]]:
-        population, rng, small = NOBODY_YET, np.random.default_rng(5), Afpo(population_size=6)
+        population, rng, small = EMPTY_POPULATION, np.random.default_rng(5), Afpo(population_size=6)
         for _ in range(2):
             restored = Population.from_arrays(decode(encode(population.arrays())))
             for came in population, restored, copy.deepcopy(population):

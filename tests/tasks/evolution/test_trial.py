@@ -7,8 +7,8 @@ import pytest
 
 from tasks.design import GENES, Designs, Morphology, check, links_apart, random_designs
 from tasks.evolution import (
+    EMPTY_POPULATION,
     HISTORY_UNITS,
-    NOBODY_YET,
     Afpo,
     Evaluation,
     History,
@@ -50,13 +50,11 @@ def run(
     score: Callable[[Designs], Evaluation] = long_and_fast,
 ) -> tuple[Population, History]:
     """Run a trial in pieces that end at the given generations; between them the state travels as arrays."""
-    population, histories, first = NOBODY_YET, [], 0
+    population, histories, first = EMPTY_POPULATION, [], 0
     for end in cuts:
         population = Population.from_arrays(population.arrays())
         trial = Trial(of_trial, population, body)
-        ((population, history),) = evolve(
-            [trial], score, first_generation=first, n_generations=end - first, afpo=afpo
-        )
+        ((population, history),) = evolve([trial], score, first_generation=first, n_generations=end - first, afpo=afpo)
         histories.append(history)
         first = end
     return population, {name: np.concatenate([history[name] for history in histories]) for name in histories[0]}
@@ -202,9 +200,13 @@ BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 def test_every_design_of_a_trial_keeps_to_its_morphology(frozen: bool) -> None:
     body = random_designs(1, np.random.default_rng(6), morphology=BUILDABLE) if frozen else None
     ((_, history),) = evolve(
-        [Trial(of_trial, body=body)], long_and_fast, first_generation=0, n_generations=12, afpo=AFPO,
+        [Trial(of_trial, body=body)],
+        long_and_fast,
+        first_generation=0,
+        n_generations=12,
+        afpo=AFPO,
         morphology=BUILDABLE,
-    )  # fmt: skip
+    )
     designs = Designs.from_arrays(history)
     check(designs)
     assert links_apart(designs).all()

@@ -3,7 +3,7 @@
 import pytest
 
 from tasks.fabrication.kit import Kit, build_kit
-from tasks.fabrication.settings import KitSettings
+from tasks.fabrication.kit_settings import KitSettings
 
 
 @pytest.fixture(scope="session")

@@ -26,16 +26,21 @@ def blocked(kit: Kit, order: list[str]) -> set[str]:
     in_place = [(step(part.body, "Outer parts", "Short rods"), part.solid) for part in kit.parts]
     for drive in kit.drives:  # servos and horns come with the parts that hold them
         holder = {"servo": drive.carrier, "horn": drive.driven}
-        in_place += [(step(holder[item.kind], "Outer parts", "Short rods"), item.solid) for item in kit.bought
-                     if item.kind in holder and f"joint {drive.joint.link}," in item.name]  # fmt: skip
+        in_place += [
+            (step(holder[item.kind], "Outer parts", "Short rods"), item.solid)
+            for item in kit.bought
+            if item.kind in holder and f"joint {drive.joint.link}," in item.name
+        ]
     kept_out = set()
     for body, rods in enumerate(kit.layers.rods):
         now = step(body, "Long rods", "Short rods")
         low, length = kit.layers.low_mm(body, settings), kit.layers.rod_length_mm(body, settings)
         there = [solid for when, solid in in_place if when <= now]
         for number, rod in enumerate(rods, 1):
-            ways = [Solid.make_cylinder(settings.rod_mm / 2, 2 * length, Plane((*rod, start)))
-                    for start in (low, low - length)]  # fmt: skip
+            ways = [
+                Solid.make_cylinder(settings.rod_mm / 2, 2 * length, Plane((*rod, start)))
+                for start in (low, low - length)
+            ]
             if not any(all(_apart(way, solid) for solid in there) for way in ways):
                 kept_out.add(f"rod {number} of part {body + 1}")
     return kept_out

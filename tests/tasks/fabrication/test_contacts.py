@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tasks.fabrication.built_bodies import mechanism_of
 from tasks.fabrication.contacts import passing_contacts
-from tasks.fabrication.rigid import mechanism_of
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.rods import Layers
-from tasks.fabrication.settings import KitSettings
 from tasks.simulation import simulate
-from tasks.simulation.contact import TOTAL_RADIUS
+from tasks.simulation.trees.contact import TOTAL_RADIUS
 from tasks.world import DryLand, Physics
 
 DT = 0.1
@@ -52,12 +52,16 @@ def test_links_that_a_joint_ties_and_parts_of_one_layer_are_no_news(crane):
 
 def test_a_simulated_robot_that_folds_upon_itself(crane):
     # Link 3 leans back from the end of link 2, which swings it down until it knocks on link 1.
-    folded = replace(crane, motion_range=np.array([[0.2, 0.2, 1.5, 0.2, 0.2, 0.2]]),
-                     rest_angle=np.array([[0.0, -np.pi / 2, 0.0, 2.6, 0.0, -np.pi / 2]]))  # fmt: skip
+    folded = replace(
+        crane,
+        motion_range=np.array([[0.2, 0.2, 1.5, 0.2, 0.2, 0.2]]),
+        rest_angle=np.array([[0.0, -np.pi / 2, 0.0, 2.6, 0.0, -np.pi / 2]]),
+    )
     mechanism, layers = mechanism_of(folded, KitSettings()), Layers((True, False, False), ((), (), ()))
     physics = Physics(passive_joints="locked", link_collisions=True)
-    run = simulate(folded, DryLand(depth=0.0), n_settle=60, n_measure=400, engine="reference", trace=True,
-                   physics=physics)  # fmt: skip
+    run = simulate(
+        folded, DryLand(depth=0.0), n_settle=60, n_measure=400, engine="reference", trace=True, physics=physics
+    )
     found = passing_contacts(folded, mechanism, layers, run.trace[0][:, :, :3], time_step=physics.time_step)
     (knock,) = (contact for contact in found if contact.links == (1, 3))
     assert knock.joints == (2,) and knock.parts == (0, 1)

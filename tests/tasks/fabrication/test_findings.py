@@ -9,14 +9,14 @@ import pytest
 from shapely import unary_union
 
 from tasks.design import N_LINKS, DesignError, Designs
+from tasks.fabrication.built_bodies import mechanism_of, moved
 from tasks.fabrication.checks import lag_rad
-from tasks.fabrication.drives import drives_of
 from tasks.fabrication.features import KitError, horn_features
 from tasks.fabrication.kit import Kit, build_kit
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import mesh_of, on_bed
-from tasks.fabrication.rigid import mechanism_of, moved
+from tasks.fabrication.servo_joints import drives_of
 from tasks.fabrication.servos import SERVOS
-from tasks.fabrication.settings import KitSettings
 
 SETTINGS = KitSettings()
 
@@ -70,8 +70,10 @@ def test_a_cradle_wider_than_its_link(crane):
 
 
 def test_servos_in_one_place(crane):
-    twin = build_kit(with_genes(crane, parent=np.array([[-1, 0, 0, 2, 0, 4]]),
-                                parent_attachment=np.array([[0, 0, 1, 1, 0.9, 1.0]])), SETTINGS)  # fmt: skip
+    twin = build_kit(
+        with_genes(crane, parent=np.array([[-1, 0, 0, 2, 0, 4]]), parent_attachment=np.array([[0, 0, 1, 1, 0.9, 1.0]])),
+        SETTINGS,
+    )
     (finding,) = found(twin, "servos in one place")
     assert finding.severity == "fault" and "7.0 mm apart on part 1" in finding.message  # 0.1 · 70 mm
 
@@ -98,8 +100,9 @@ def test_necks(crane):
 def test_parts_that_collide(crane):
     # Clockwise turns bring part 2 down and counter-clockwise ones bring part 3 up, towards one another.
     for phase, severity, said in ((0.0, "warning", "miss one another in the gait"), (pi, "fault", "meet in the gait")):
-        far = with_genes(crane, motion_range=np.array([[0, 0.2, 1.2, 0.2, 1.2, 0.2]]),
-                         phase=np.array([[0, 0, 0, 0, phase, 0]]))  # fmt: skip
+        far = with_genes(
+            crane, motion_range=np.array([[0, 0.2, 1.2, 0.2, 1.2, 0.2]]), phase=np.array([[0, 0, 0, 0, phase, 0]])
+        )
         (finding,) = found(build_kit(far, SETTINGS), "parts collide")
         assert (finding.severity, finding.where) == (severity, "part 2 and part 3")
         assert said in finding.message and "joint 2 and joint 4" in finding.message
@@ -111,10 +114,15 @@ def test_parts_that_collide(crane):
 
 def test_no_room_for_rods(crane):
     # Two equal links joined at their middles, each of which sweeps over all of the other.
-    flat = with_genes(crane, parent=np.array([[-1, 0, 0, 0, 0, 0]]), parent_attachment=np.zeros((1, 6)),
-                      child_attachment=np.zeros((1, 6)), rest_angle=np.array([[0, 0, 0, 0, 0, pi / 2]]),
-                      motor_on=np.array([[False] * 5 + [True]]),
-                      motion_range=np.array([[0, 0.2, 0.2, 0.2, 0.2, pi / 2]]))  # fmt: skip
+    flat = with_genes(
+        crane,
+        parent=np.array([[-1, 0, 0, 0, 0, 0]]),
+        parent_attachment=np.zeros((1, 6)),
+        child_attachment=np.zeros((1, 6)),
+        rest_angle=np.array([[0, 0, 0, 0, 0, pi / 2]]),
+        motor_on=np.array([[False] * 5 + [True]]),
+        motion_range=np.array([[0, 0.2, 0.2, 0.2, 0.2, pi / 2]]),
+    )
     kit = build_kit(flat, SETTINGS)
     (finding,) = found(kit, "no room for rods")
     assert finding.severity == "fault" and sorted(map(len, kit.layers.rods)) == [0, 2]
@@ -151,9 +159,13 @@ def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane):
         for a, b in pairwise(split.pieces):
             assert a.distance(b) >= small.split_clearance_mm - 1e-6
         # A dovetail holds: drawn apart along the link, the pieces meet.
-        assert any(moved(a, np.array([1, 0, 0, 1, dx, dy])).intersects(b)
-                   for a in split.pieces for b in split.pieces if a is not b
-                   for dx, dy in ((2, 0), (-2, 0), (0, 2), (0, -2)))  # fmt: skip
+        assert any(
+            moved(a, np.array([1, 0, 0, 1, dx, dy])).intersects(b)
+            for a in split.pieces
+            for b in split.pieces
+            if a is not b
+            for dx, dy in ((2, 0), (-2, 0), (0, 2), (0, -2))
+        )
 
 
 def test_a_part_that_no_cut_makes_fit_is_refused_with_the_reason(crane):
@@ -173,8 +185,9 @@ def test_settings_that_no_part_can_be_made_with(crane):
     (drive, _) = drives_of(mechanism_of(crane, SETTINGS), SETTINGS)
     with pytest.raises(KitError, match=r"thickness_mm is 15: the horn of servo wide needs at least 25"):
         tall = replace(SERVOS["ds3225"].horns[0], top_mm=21.0)
-        horn_features(replace(drive, horn=tall, servo=replace(SERVOS["ds3225"], name="wide")),
-                      KitSettings(thickness_mm=15.0))  # fmt: skip
+        horn_features(
+            replace(drive, horn=tall, servo=replace(SERVOS["ds3225"], name="wide")), KitSettings(thickness_mm=15.0)
+        )
     # Two layers of 100 mm and their gap of 1 on either side leave less than nothing of 300 + 100.
     with pytest.raises(KitError, match=r"pitch_mm is 300: .* leave -2\.0 mm"):
         build_kit(crane, KitSettings(thickness_mm=100.0, servo="mg90s"))

@@ -8,10 +8,10 @@ import pytest
 from build123d import GeomType
 from shapely import Point
 
+from tasks.fabrication.built_bodies import Pose, mechanism_of, moved
 from tasks.fabrication.kit import Kit, build_kit
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import mesh_of, on_bed
-from tasks.fabrication.rigid import Pose, mechanism_of, moved
-from tasks.fabrication.settings import KitSettings
 
 SETTINGS = KitSettings()
 LINK = 140.0 * 35.0
@@ -111,8 +111,11 @@ def test_places_of_holes(kit):
 def test_servos_go_left_and_right_by_turns_and_pins_stand_for_the_others(kit, crane):
     kinds = sorted(item.name for item in kit.bought if item.kind in ("servo", "pin"))
     assert kinds == [
-        "pin of joint 2, right", "pin of joint 4, left", "servo of joint 2, left", "servo of joint 4, right",
-    ]  # fmt: skip
+        "pin of joint 2, right",
+        "pin of joint 4, left",
+        "servo of joint 2, left",
+        "servo of joint 4, right",
+    ]
     both = build_kit(crane, SETTINGS.model_copy(update={"servos_per_joint": 2}))
     assert sum(item.kind == "servo" for item in both.bought) == 4 and not any(b.kind == "pin" for b in both.bought)
     assert not any(finding.name == "rods give way" for finding in both.findings)
@@ -202,14 +205,18 @@ def test_the_bill(kit):
     printed = part(kit, "part-2-right")
     shell = printed.solid.area * 0.8
     assert printed.mass_g == pytest.approx(1.24e-3 * (shell + 0.45 * (printed.volume_mm3 - shell)))
-    assert kit.mass_g == pytest.approx(sum(p.mass_g for p in kit.parts) + 2 * 67 + sum(
-        line.mass_g for line in kit.bill if line.kind in ("rod", "pin")
-    ))
+    assert kit.mass_g == pytest.approx(
+        sum(p.mass_g for p in kit.parts) + 2 * 67 + sum(line.mass_g for line in kit.bill if line.kind in ("rod", "pin"))
+    )
     # What docs/assembly.md and docs/servo.md ask for; an O-ring for each servo's spline.
     assert [(line.item, line.count) for line in kit.bill if line.kind in ("supplies", "electronics")] == [
-        ("glue", 1), ("silicone sealant", 1), ("marine grease", 1), ("O-ring for a 5.9 mm shaft", 2),
-        ("Pololu Maestro", 1), ("5 V supply", 1),
-    ]  # fmt: skip
+        ("glue", 1),
+        ("silicone sealant", 1),
+        ("marine grease", 1),
+        ("O-ring for a 5.9 mm shaft", 2),
+        ("Pololu Maestro", 1),
+        ("5 V supply", 1),
+    ]
 
 
 def test_parts_lie_on_the_bed(kit):

@@ -6,9 +6,9 @@ import numpy as np
 
 from tasks.design import N_LINKS, Designs, links_apart, random_designs
 from tasks.fabrication.kit import Kit, build_kit
+from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import mesh_of
 from tasks.fabrication.servos import SERVOS
-from tasks.fabrication.settings import KitSettings
 
 SETTINGS = KitSettings()
 FEW, MANY = 3, 200

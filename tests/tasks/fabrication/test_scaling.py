@@ -34,7 +34,13 @@ def test_loads_of_a_known_run():
     torque = np.array([[30.0, 3.0], [-15.0, 4.0]])
     speed = np.array([[0.0, 1.0], [0.5, -1.0]])
     first, second = joint_loads(
-        (2, 4), torque, speed, scales=scales, servo=SERVO, servos_per_joint=2, max_motor_torque=30.0,
+        (2, 4),
+        torque,
+        speed,
+        scales=scales,
+        servo=SERVO,
+        servos_per_joint=2,
+        max_motor_torque=30.0,
         commanded_speed=(0.2, 0.3),
     )
     assert (first.joint, second.joint) == (2, 4)
@@ -50,8 +56,16 @@ def test_a_servo_must_keep_up_with_its_timeline():
     # At rest throughout, though told to swing by 0.8 rad at 0.2 Hz: amplitude · 2π f, twice that on the bench.
     commanded = 0.8 * 2 * np.pi * 0.2
     scales, still = Scales(length=0.1, time=0.5, mass=0.2), np.zeros((3, 1))
-    (load,) = joint_loads((2,), still, still, scales=scales, servo=SERVO, servos_per_joint=1, max_motor_torque=30.0,
-                          commanded_speed=(commanded,))  # fmt: skip
+    (load,) = joint_loads(
+        (2,),
+        still,
+        still,
+        scales=scales,
+        servo=SERVO,
+        servos_per_joint=1,
+        max_motor_torque=30.0,
+        commanded_speed=(commanded,),
+    )
     assert load.peak_speed == pytest.approx(2 * commanded)
     assert load.use == pytest.approx(2 * commanded / SERVO.no_load_speed_rad_s)
 
@@ -69,16 +83,26 @@ def arm(angle: float):
     rest[0, 5] = angle
     on = np.zeros((1, 6), dtype=bool)
     on[0, 5] = True
-    return replace(one, length_scale=np.ones((1, 6)), parent=parent, parent_attachment=above, child_attachment=child,
-                   rest_angle=rest, phase=zeros, motion_range=np.full((1, 6), 0.2), motor_on=on,
-                   frequency=np.zeros(1))  # fmt: skip
+    return replace(
+        one,
+        length_scale=np.ones((1, 6)),
+        parent=parent,
+        parent_attachment=above,
+        child_attachment=child,
+        rest_angle=rest,
+        phase=zeros,
+        motion_range=np.full((1, 6), 0.2),
+        motor_on=on,
+        frequency=np.zeros(1),
+    )
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, np.pi / 3])
 def test_a_pendulum_held_still_takes_m_g_r(angle: float):
     physics = Physics(passive_joints="locked")
-    rollouts = simulate(arm(angle), DryLand(depth=0.0), n_settle=600, n_measure=60, engine="reference", trace=True,
-                        physics=physics)  # fmt: skip
+    rollouts = simulate(
+        arm(angle), DryLand(depth=0.0), n_settle=600, n_measure=60, engine="reference", trace=True, physics=physics
+    )
     torque, trace = rollouts.motor_torque[0], rollouts.trace[0]
     assert np.abs(trace[-60:, :, 5]).max() < 1e-3  # it stands still
     assert (torque[:, :5] == 0).all()

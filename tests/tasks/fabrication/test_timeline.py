@@ -12,8 +12,16 @@ from tasks.design import random_designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import Playback, Timeline, TimelineError, envelope, pulses, timeline_of
 
-SERVO = {"joint": 1, "channel": 0, "centre_us": 1500.0, "direction": 1, "us_per_rad": 600.0, "min_us": 900.0,
-         "max_us": 2100.0, "max_speed": 6.0}  # fmt: skip
+SERVO = {
+    "joint": 1,
+    "channel": 0,
+    "centre_us": 1500.0,
+    "direction": 1,
+    "us_per_rad": 600.0,
+    "min_us": 900.0,
+    "max_us": 2100.0,
+    "max_speed": 6.0,
+}
 
 
 def servo(**changes) -> ServoCalibration:

@@ -60,9 +60,7 @@ def test_equals_each_member_s_own_network(architecture):
         assert np.abs(got[k] - expected).max() < 1e-6 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize(
-    ("hidden_layers", "width"), [(1, 7), (2, 32), (2, 64), (3, 64), (3, 100), (3, 128), (4, 256)]
-)
+@pytest.mark.parametrize(("hidden_layers", "width"), [(1, 7), (2, 32), (2, 64), (3, 64), (3, 100), (3, 128), (4, 256)])
 def test_a_row_does_not_depend_on_the_rows_beside_it(hidden_layers, width):
     arrays = members(Architecture(hidden_layers=hidden_layers, width=width))[1]
     ensemble = Ensemble.from_members(arrays)

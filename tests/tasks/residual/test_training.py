@@ -141,9 +141,13 @@ def test_minibatches_are_drawn_with_replacement():
         seen = []
         training = Training(batch_size=batch_size, n_iterations=n_iterations, **still)
         train_member(
-            data, Architecture(hidden_layers=1, width=4, dropout=0.0), training, seed=0, member=0,
+            data,
+            Architecture(hidden_layers=1, width=4, dropout=0.0),
+            training,
+            seed=0,
+            member=0,
             on_progress=lambda done, loss: seen.append((done, loss)),
-        )  # fmt: skip
+        )
         assert [done for done, _ in seen] == list(range(1, n_iterations + 1))
         return np.array([loss for _, loss in seen])
 
@@ -212,9 +216,18 @@ def test_a_learning_rate_that_explodes_ends_a_training_by_name():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"n_iterations": 0}, {"learning_rate": 0.0}, {"loss": "huber"}, {"held_out": 0.0}, {"held_out": 1.0},
-     {"focal_gamma": 0.5}, {"min_learning_rate": 1e-2}, {"batch_size": 0}, {"unknown": 1}],
-)  # fmt: skip
+    [
+        {"n_iterations": 0},
+        {"learning_rate": 0.0},
+        {"loss": "huber"},
+        {"held_out": 0.0},
+        {"held_out": 1.0},
+        {"focal_gamma": 0.5},
+        {"min_learning_rate": 1e-2},
+        {"batch_size": 0},
+        {"unknown": 1},
+    ],
+)
 def test_wrong_settings_are_refused(wrong):
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         Training(**wrong)

@@ -6,10 +6,11 @@ import pytest
 from both_engines import Slushes, assert_equal_in_plain_python, networks, peaks_of_memory
 
 from tasks.design import N_LINKS, Designs, concatenate, random_designs
-from tasks.simulation import DIVERGED, OK, batch, contact, kernels, packing, simulate
-from tasks.simulation.lanes import widest
-from tasks.simulation.motion import Motion
-from tasks.simulation.rows import N_ROWS, OMEGA, VERTEX_1, VERTEX_2, VX
+from tasks.simulation import DIVERGED, OK, batch, simulate
+from tasks.simulation.box2d import Motion
+from tasks.simulation.simd.lanes import widest
+from tasks.simulation.trees import contact, packing, step
+from tasks.simulation.trees.layout import N_ROWS, OMEGA, VERTEX_1, VERTEX_2, VX
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python")
@@ -42,7 +43,7 @@ def whole(designs: Designs, environment: Environment) -> np.ndarray:
 
 
 def test_as_many_populations_go_side_by_side_as_the_groups_abreast_hold():
-    room = kernels.MOST_ABREAST * widest()
+    room = step.MAX_GROUPS_AT_ONCE * widest()
     for n_robots in range(1, room + 1):
         n = batch.n_that_fill_lanes(n_robots, PHYSICS)
         assert n * n_robots <= room < (n + 1) * n_robots

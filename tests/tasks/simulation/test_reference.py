@@ -10,7 +10,7 @@ import shapely
 
 from tasks.design import Designs, Morphology, kinematic_trees, random_designs, rigid_bodies
 from tasks.simulation import reference, simulate
-from tasks.simulation.drive import Drive
+from tasks.simulation.controller import Drive
 from tasks.world import DryLand, Physics, TrueSlush
 
 DT, G = 1 / 60, 9.8
@@ -100,11 +100,14 @@ def obvious_script(designs: Designs, design: int, depth: float, n_steps: int) ->
     for link in range(1, 6):
         parent = int(designs.parent[design, link])
         joints[link] = world.CreateRevoluteJoint(
-            bodyA=links[parent], bodyB=links[link],
+            bodyA=links[parent],
+            bodyB=links[link],
             localAnchorA=(0, float(trees.parent_anchor[design, link])),
             localAnchorB=(0, float(trees.child_anchor[design, link])),
-            enableMotor=bool(designs.motor_on[design, link]), maxMotorTorque=100, referenceAngle=0,
-        )  # fmt: skip
+            enableMotor=bool(designs.motor_on[design, link]),
+            maxMotorTorque=100,
+            referenceAngle=0,
+        )
     states = []
     for step in range(n_steps):
         for link, joint in joints.items():
@@ -130,10 +133,7 @@ def obvious_script(designs: Designs, design: int, depth: float, n_steps: int) ->
             body.linearVelocity, body.angularVelocity = (float(v[0]), float(v[1])), float(omega)
         world.Step(DT, 8, 3)
         states.append(
-            [
-                (*links[i].position, links[i].angle, *links[i].linearVelocity, links[i].angularVelocity)
-                for i in range(6)
-            ]
+            [(*links[i].position, links[i].angle, *links[i].linearVelocity, links[i].angularVelocity) for i in range(6)]
         )
     return np.array(states)
 

@@ -139,10 +139,9 @@ def test_order_and_company_do_not_matter(designs: Designs, environment: Environm
     np.testing.assert_array_equal(trace_of(short(designs[4], environment)), np.take(together, [4], axis=axis))
     crowd = concatenate([random_designs(9, np.random.default_rng(52)), designs])
     np.testing.assert_array_equal(
-        trace_of(short(crowd, environment)), np.concatenate(
-            [trace_of(short(crowd[:9], environment)), together], axis=axis
-        )
-    )  # fmt: skip
+        trace_of(short(crowd, environment)),
+        np.concatenate([trace_of(short(crowd[:9], environment)), together], axis=axis),
+    )
 
 
 def test_the_same_call_gives_the_same_bits(designs: Designs) -> None:
@@ -161,7 +160,6 @@ def test_a_kind_of_slush_may_do_otherwise_than_slush(designs, engine):
     worlds = OtherSlush(1.0, Weightless()), DryLand(1.0)
     in_slush, on_land = (simulate(designs, world, n_settle=40, n_measure=60, engine=engine) for world in worlds)
     assert (in_slush.displacement == on_land.displacement).all()
-
 
 
 @pytest.mark.parametrize("what", ["vx", "vy", "omega"])

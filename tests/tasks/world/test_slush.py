@@ -165,11 +165,7 @@ def added(links: LinkStates, change: VelocityChange) -> LinkStates:
     return LinkStates(**{**vars(links), **moved})
 
 
-@given(
-    seed=st.integers(0, 2**32),
-    exponent=st.integers(-6, 6),
-    factor=st.sampled_from([1.0, 500.0]),
-)
+@given(seed=st.integers(0, 2**32), exponent=st.integers(-6, 6), factor=st.sampled_from([1.0, 500.0]))
 def test_drag_slows_and_never_reverses(seed: int, exponent: int, factor: float) -> None:
     links = link_states(50, np.random.default_rng(seed), dtype=np.float32)
     fast = {name: getattr(links, name) * np.float32(10.0**exponent) for name in ("vx", "vy", "omega")}

@@ -1,0 +1,413 @@
+"""The assembly drawing, on a sheet of A3: the robot from its side and from above, its joints, parts and rods.
+
+Lengths on the sheet are to scale when it is printed at its own size. The same kit gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+from math import atan2, cos, degrees, sin
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Arc, Circle, PathPatch, Rectangle
+from matplotlib.path import Path as MplPath
+from shapely import LineString, Point, Polygon, unary_union
+from shapely import box as shapely_box
+from shapely.geometry.base import BaseGeometry
+
+from pipeline.fabrication.labels import Labels, around
+from tasks.fabrication.kit import Kit
+from tasks.fabrication.parts import SIDES, placement
+from tasks.fabrication.servo_joints import Drive
+
+SHEET_MM = (420.0, 297.0)
+MARGIN_MM = 8.0
+SIDE_VIEW = (20.0, 26.0, 232.0, 236.0)
+"""Room on the sheet for the view from the side, without its dimensions: left, bottom, width, height [mm]."""
+COLUMN_X, COLUMN_WIDTH = 284.0, 122.0
+"""Of the tables and the view from above."""
+TITLE_HEIGHT = 30.0
+SCALES = (2.0, 1.0, 0.5, 0.4, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01)
+INK, FAINT = "#1d2129", "#8a919c"
+PART_COLOURS = ("#d67a48", "#5c8ebe", "#78aa60", "#aa78b4", "#c9a43c", "#6f7f8f")
+STYLE: dict[str, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "puddle",
+    "pdf.fonttype": 42,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 7.0,
+    "text.color": INK,
+    "lines.linewidth": 0.6,
+    "patch.linewidth": 0.6,
+    "hatch.linewidth": 0.3,
+}
+SMALL, LARGE = 6.0, 13.0
+GRID_MM = 4.0
+"""Between the places that are tried for a part's name."""
+ASIDE_MM = 5.0
+"""From one dimension to the next beside it."""
+SHORT_MM = 12.0
+"""A dimension in which its own text has no room."""
+SHARES = (0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6, 0.05, 0.95)
+"""Of a part's length in the view from above: places for its number."""
+DIMENSION: dict[str, Any] = {
+    "arrowstyle": "<|-|>",
+    "color": INK,
+    "lw": 0.5,
+    "shrinkA": 0,
+    "shrinkB": 0,
+    "mutation_scale": 5,
+}
+
+
+def assembly_drawing(kit: Kit, title: str, n_faults: int) -> dict[str, bytes]:
+    """Draw a kit.
+
+    Args:
+        kit: what to draw.
+        title: of the sheet.
+        n_faults: that speak against building it, of its parts and of the bench.
+
+    Returns:
+        The same sheet as ``svg``, ``pdf`` and ``png``.
+    """
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(SHEET_MM[0] / 25.4, SHEET_MM[1] / 25.4), facecolor="white")
+        sheet = figure.add_axes((0, 0, 1, 1))
+        sheet.set(xlim=(0, SHEET_MM[0]), ylim=(0, SHEET_MM[1]))
+        sheet.axis("off")
+        sheet.add_patch(
+            Rectangle(
+                (MARGIN_MM, MARGIN_MM),
+                SHEET_MM[0] - 2 * MARGIN_MM,
+                SHEET_MM[1] - 2 * MARGIN_MM,
+                fill=False,
+                ec=INK,
+                lw=0.9,
+            )
+        )
+        low, high = _bounds([profile.polygon for profile in kit.profiles])
+        scale = _side_view(sheet, kit, low, high)
+        end = _tables(sheet, kit, n_faults)
+        _top_view(sheet, kit, low, high, end - 14.0)
+        _title_block(sheet, kit, title, scale)
+        return {
+            "svg": _saved(figure, "svg", {"Creator": None, "Date": None, "Format": None, "Type": None}),
+            "pdf": _saved(figure, "pdf", {"Creator": None, "Producer": None, "CreationDate": None}),
+            "png": _saved(figure, "png", {"Software": None}),
+        }
+
+
+def _saved(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=form, metadata=metadata, dpi=150)
+    return buffer.getvalue()
+
+
+def _bounds(outlines: Sequence[Polygon]) -> tuple[Any, Any]:
+    bounds = np.array([outline.bounds for outline in outlines])
+    return bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
+
+
+def _scale(size: Any, room: Any) -> float:
+    """Give the largest of the usual scales at which something fits."""
+    return next((scale for scale in SCALES if (scale * np.array(size) <= np.array(room)).all()), SCALES[-1])
+
+
+def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
+    """Draw a pontoon's parts in their plane, seen from the right: x forward, y up. Give the scale."""
+    left, bottom, *room = SIDE_VIEW
+    scale = _scale(high - low, room)
+    corner = np.array([left, bottom]) + (np.array(room) - scale * (high - low)) / 2
+
+    def put(points: Iterable[Sequence[float]]) -> Any:
+        return (np.array(list(points), dtype=float) - low) * scale + corner
+
+    sheet.text(left - 4, SHEET_MM[1] - 18, "From the right, at rest; both pontoons alike", fontsize=9, weight="bold")
+    order = sorted(range(len(kit.profiles)), key=lambda body: kit.layers.outer[body])
+    for body in order:
+        outer = kit.layers.outer[body]
+        for piece in kit.splits[body].pieces:
+            sheet.add_patch(
+                _patch(
+                    piece,
+                    put,
+                    fc=PART_COLOURS[body % 6],
+                    ec=INK,
+                    alpha=0.45 if outer else 0.8,
+                    zorder=3 if outer else 2,
+                )
+            )
+        for link in kit.mechanism.bodies[body].links:
+            dashed = _patch(kit.mechanism.links[link], put, fill=False, ec=FAINT, lw=0.25, ls=(0, (12, 8)), zorder=4)
+            sheet.add_patch(dashed)
+    for drive in kit.drives:
+        for hollow in (drive.pocket, drive.recess):
+            sheet.add_patch(_patch(hollow, put, fill=False, ec=INK, lw=0.4, ls=(0, (12, 8)), zorder=5))
+    (x0, y0), (x1, y1) = put([low, high])
+    labels = _labelled(sheet, kit, put, scale)
+    _dimension(sheet, labels, (x0, y0 - 7), (x1, y0 - 7), f"{high[0] - low[0]:.1f}")
+    _dimension(sheet, labels, (x1 + 8, y0), (x1 + 8, y1), f"{high[1] - low[1]:.1f}")
+    return scale
+
+
+def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
+    """Mark joints and rods, and name them, the parts and the ways between joints, so that nothing hides another."""
+    labels = Labels(sheet)
+    joints = [tuple(put([drive.joint.at])[0]) for drive in kit.drives]
+    rods = {
+        f"R{body + 1}.{number}": tuple(put([rod])[0])
+        for body, rods in enumerate(kit.layers.rods)
+        for number, rod in enumerate(rods, 1)
+    }
+    labels.keep_off(*(Point(joint).buffer(2.5) for joint in joints), *(Point(rod).buffer(1.2) for rod in rods.values()))
+    for drive in kit.drives:
+        arc = _joint(sheet, drive, kit.mechanism.link_centre[drive.joint.link], put, scale)
+        labels.keep_off(arc.buffer(0.4))
+    for name, rod in rods.items():
+        sheet.add_patch(Circle(rod, max(kit.settings.rod_mm / 2 * scale, 0.5), fc="white", ec=INK, zorder=6))
+        labels.put(name, around(rod, (3.6, 5.0, 8.0, 12.0)), of=rod, fontsize=5.5)
+    for drive, joint in zip(kit.drives, joints, strict=True):
+        reach = max(drive.recess_radius_mm * scale, 3.0) + 6.0
+        labels.put(
+            f"joint {drive.joint.link}",
+            around(joint, (reach, reach + 4, reach + 9, reach + 15)),
+            of=joint,
+            color="#b0123c",
+            weight="bold",
+            fontsize=7.0,
+        )
+    for body in range(len(kit.profiles)):
+        places = [tuple(place) for place in put(_inside(kit, body))]
+        labels.put(f"part {body + 1}", places, weight="bold", fontsize=7.0)
+    ways = [
+        (put([a.joint.at])[0], put([b.joint.at])[0], float(np.hypot(*np.subtract(a.joint.at, b.joint.at))))
+        for a, b in combinations(kit.drives, 2)
+        if {a.carrier, a.driven} & {b.carrier, b.driven}
+    ]
+    for number, (start, end, apart) in enumerate(sorted(ways, key=lambda way: way[2])):
+        _aside(sheet, labels, start, end, f"{apart:.1f}", number)
+    return labels
+
+
+def _inside(kit: Kit, body: int) -> list[tuple[float, float]]:
+    """Give places for a part's name: in it, those that no other part covers and that are deepest in it first."""
+    own = kit.profiles[body].polygon
+    others = unary_union([profile.polygon for index, profile in enumerate(kit.profiles) if index != body])
+    low_x, low_y, high_x, high_y = own.bounds
+    grid = [(float(x), float(y)) for x in np.arange(low_x, high_x, GRID_MM) for y in np.arange(low_y, high_y, GRID_MM)]
+    inside = [place for place in grid if own.contains(Point(place))]
+    if not inside:
+        point = own.representative_point()
+        return [(point.x, point.y)]
+    depth = {place: own.boundary.distance(Point(place)) for place in inside}
+    return sorted(inside, key=lambda place: (others.covers(Point(place)), -round(depth[place]), place))
+
+
+def _aside(sheet: Axes, labels: Labels, start: Any, end: Any, text: str, number: int) -> None:
+    """Draw a distance beside the line that it measures, with lines that lead there; each further out than the last."""
+    along = np.subtract(end, start)
+    length = float(np.hypot(*along))
+    across = np.array([-along[1], along[0]]) / max(length, 1e-9)
+    if across[0] > 0:
+        across = -across
+    out = ASIDE_MM * (number + 2) * across
+    for point in (start, end):
+        tip = point + out * (1 + 1.5 / np.hypot(*out))
+        sheet.plot([point[0], tip[0]], [point[1], tip[1]], color=INK, lw=0.3, zorder=7)
+        labels.keep_off(LineString([point, tip]).buffer(0.2))
+    _dimension(sheet, labels, start + out, end + out, text)
+
+
+def _joint(sheet: Axes, drive: Drive, child: Sequence[float], put: Any, scale: float) -> LineString:
+    """Mark a joint's axis, and the sector that its child link's middle sweeps about rest. Give the sector's arc."""
+    (x, y), (child_x, child_y) = put([drive.joint.at, child])
+    reach = max(drive.recess_radius_mm * scale, 3.0) + 4.0
+    direction = atan2(child_y - y, child_x - x)
+    swing = drive.joint.motion_range
+    ends = (direction - swing, direction + swing)
+    sheet.add_patch(
+        Arc(
+            (x, y),
+            2 * reach,
+            2 * reach,
+            theta1=degrees(ends[0]),
+            theta2=degrees(ends[1]),
+            ec="#b0123c",
+            lw=0.8,
+            zorder=7,
+        )
+    )
+    for at in ends:
+        sheet.plot(
+            [x + 0.55 * reach * cos(at), x + reach * cos(at)],
+            [y + 0.55 * reach * sin(at), y + reach * sin(at)],
+            color="#b0123c",
+            lw=0.5,
+            zorder=7,
+        )
+    for dx, dy in ((2.2, 0.0), (0.0, 2.2)):
+        sheet.plot([x - dx, x + dx], [y - dy, y + dy], color=INK, lw=0.5, zorder=7)
+    return LineString([(x + reach * cos(at), y + reach * sin(at)) for at in np.linspace(*ends, 24)])
+
+
+def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
+    """Draw both pontoons from above: x forward, the right pontoon at the bottom; parts by their extent."""
+    settings = kit.settings
+    deep = settings.pitch_mm + settings.thickness_mm
+    out = max((drive.servo.height_mm - settings.thickness_mm for drive in kit.drives), default=0.0)  # behind a part
+    room = (COLUMN_WIDTH - 40.0, top - MARGIN_MM - TITLE_HEIGHT - 12.0)
+    scale = _scale((high[0] - low[0], deep + 2 * out), room)
+    corner = np.array([COLUMN_X + 12.0, top - 6.0 - (deep + out) * scale])
+
+    def put(x: float, z: float) -> Any:
+        return np.array([(x - low[0]) * scale + corner[0], (deep - z) * scale + corner[1]])
+
+    sheet.text(COLUMN_X, top, f"From above, 1 : {1 / scale:g}", fontsize=9, weight="bold")
+    for body, rods in enumerate(kit.layers.rods):
+        start, length = kit.layers.low_mm(body, settings), kit.layers.rod_length_mm(body, settings)
+        for rod in rods:
+            a, b = put(rod[0], start), put(rod[0], start + length)
+            sheet.plot(
+                [a[0], b[0]],
+                [a[1], b[1]],
+                color=FAINT,
+                lw=max(1.0, settings.rod_mm * scale * 2.83),
+                zorder=2,
+                solid_capstyle="butt",
+            )
+    labels, names = Labels(sheet), {}
+    for body, profile in enumerate(kit.profiles):
+        x0, _, x1, _ = profile.polygon.bounds
+        for side in SIDES:
+            _, up = placement(body, side, kit.layers, settings)
+            a, b = put(x0, up + settings.thickness_mm), put(x1, up)
+            sheet.add_patch(Rectangle(a, *(b - a), fc=PART_COLOURS[body % 6], ec=INK, alpha=0.85, zorder=3))
+            names[f"{body + 1}", (a[1] + b[1]) / 2] = (a[0], b[0])
+    for item in kit.bought:
+        if item.kind == "servo":
+            box = item.solid.bounding_box()
+            a, b = put(box.min.X, box.max.Z), put(box.max.X, box.min.Z)
+            sheet.add_patch(Rectangle(a, *(b - a), fc="#3c3c42", ec=INK, alpha=0.8, zorder=5))
+            labels.keep_off(shapely_box(*np.minimum(a, b), *np.maximum(a, b)))
+    for (name, y), (start, end) in names.items():  # parts of one layer may lie over one another
+        labels.put(name, [(start + share * (end - start), y) for share in SHARES], fontsize=SMALL)
+    x_end = put(high[0], 0.0)[0]
+    left, right = put(low[0], 0.0)[1], put(low[0], settings.pitch_mm)[1]
+    _dimension(sheet, labels, (x_end + 7, right), (x_end + 7, left), f"{settings.pitch_mm:g}")
+    left_middle = put(low[0], settings.thickness_mm / 2)[1]
+    sheet.text(corner[0] - 3, left_middle, "left", ha="right", va="center", fontsize=SMALL)
+    right_middle = put(low[0], deep - settings.thickness_mm / 2)[1]
+    sheet.text(corner[0] - 3, right_middle, "right", ha="right", va="center", fontsize=SMALL)
+    thick = f"{settings.thickness_mm:g} thick,\nlayers {settings.layer_gap_mm:g} apart"
+    sheet.text(x_end + 11, put(0.0, deep)[1], thick, va="bottom", fontsize=SMALL)
+
+
+def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
+    """List joints, parts and what to buy on the right; give where the tables end."""
+    x, y = COLUMN_X, SHEET_MM[1] - 18.0
+    joints = [["joint", "turns", "rest", "range", "servo in", "longer pulse"]]
+    for drive in kit.drives:
+        for side in drive.sides(kit.settings.servos_per_joint):
+            sense = "+" if kit.direction(drive.joint.link, side) > 0 else "−"
+            joints.append(
+                [
+                    f"{drive.joint.link}",
+                    f"part {drive.joint.child + 1} on {drive.joint.parent + 1}",
+                    f"{degrees(drive.joint.rest_angle):+.1f}°",
+                    f"±{degrees(drive.joint.motion_range):.1f}°",
+                    f"part {drive.carrier + 1}, {side}",
+                    f"{sense} angle",
+                ]
+            )
+    y = _table(sheet, x, y, "Joints", joints, (10, 25, 19, 18, 25, 25))
+    printed: dict[int, float] = {}
+    for part in kit.parts:
+        printed[part.body] = printed.get(part.body, 0.0) + part.mass_g
+    rows = [["part", "links", "layer", "pieces", "size", "both copies"]]
+    for body in kit.mechanism.bodies:
+        x0, y0, x1, y1 = kit.profiles[body.index].polygon.bounds
+        rows.append(
+            [
+                f"{body.index + 1}",
+                ", ".join(map(str, body.links)),
+                "outer" if kit.layers.outer[body.index] else "inner",
+                f"2 × {len(kit.splits[body.index].pieces)}",
+                f"{x1 - x0:.0f} × {y1 - y0:.0f}",
+                f"{printed[body.index]:.0f} g",
+            ]
+        )
+    y = _table(sheet, x, y - 6, "Parts", rows, (10, 25, 19, 18, 25, 25))
+    bought = [["count", "item", "each [mm]", "note"]]
+    bought += [
+        [f"{line.count}", line.item, "" if line.length_mm is None else f"{line.length_mm:.1f}", line.note]
+        for line in kit.bill
+        if line.kind != "print"
+    ]
+    y = _table(sheet, x, y - 6, "To buy", bought, (10, 43, 14, 55))
+    if n_faults:
+        y -= 8
+        said = f"{n_faults} fault{'s' * (n_faults > 1)} found: read the findings before you print."
+        sheet.text(x, y, said, color="#b0123c", weight="bold")
+    return y
+
+
+def _table(sheet: Axes, x: float, y: float, title: str, rows: list[list[str]], widths: Sequence[float]) -> float:
+    """Write a table downward from y; give where it ends."""
+    sheet.text(x, y, title, fontsize=9, weight="bold")
+    for number, row in enumerate(rows):
+        y -= 4.6
+        at = x
+        for cell, width in zip(row, widths, strict=True):
+            fits = int(width / 1.24)
+            sheet.text(
+                at,
+                y,
+                cell if len(cell) <= fits else cell[: fits - 1] + "…",
+                fontsize=SMALL,
+                color=FAINT if number == 0 else INK,
+            )
+            at += width
+        if number == 0:
+            sheet.plot([x, x + sum(widths)], [y - 1.2, y - 1.2], color=FAINT, lw=0.4)
+    return y
+
+
+def _title_block(sheet: Axes, kit: Kit, title: str, scale: float) -> None:
+    width, height = SHEET_MM[0] - MARGIN_MM - COLUMN_X + 6.0, TITLE_HEIGHT
+    x, y = SHEET_MM[0] - MARGIN_MM - width, MARGIN_MM
+    sheet.add_patch(Rectangle((x, y), width, height, fc="white", ec=INK, lw=0.9))
+    ratio = f"1 : {1 / scale:g}"
+    sheet.text(x + 4, y + height - 8, title, fontsize=LARGE, weight="bold")
+    lines = (
+        f"Assembly. Millimetres. Scale {ratio} on A3. {kit.settings.scale_mm_per_m:g} mm per metre of simulation.",
+        f"PLA at {kit.settings.infill:.0%} infill; about {kit.mass_g:.0f} g with servos and steel.",
+        "Dashed: links, servo pockets and horn recesses. R: rods. Red: the range about rest.",
+    )
+    for number, line in enumerate(lines):
+        sheet.text(x + 4, y + 13 - 5 * number, line, fontsize=SMALL)
+
+
+def _dimension(sheet: Axes, labels: Labels, a: Sequence[float], b: Sequence[float], text: str) -> None:
+    """Draw a distance with arrows, and its length on it or, if it is short, at one of its ends."""
+    sheet.annotate("", (a[0], a[1]), (b[0], b[1]), arrowprops=DIMENSION, zorder=8)
+    along = np.subtract(b, a)
+    slope = degrees(atan2(along[1], along[0]))
+    upright = slope - 180.0 if slope > 90.0 else slope + 180.0 if slope <= -90.0 else slope
+    places = [tuple(a + share * along) for share in (0.5, 0.4, 0.6, 0.3, 0.7)]
+    if (length := float(np.hypot(*along))) < SHORT_MM:
+        places = [tuple(end + sign * SHORT_MM / 2 * along / max(length, 1e-9)) for end, sign in ((b, 1), (a, -1))]
+    labels.put(text, places, rotation=upright, fontsize=7.0)
+
+
+def _patch(shape: BaseGeometry, put: Any, **style: Any) -> PathPatch:
+    rings = [ring for part in getattr(shape, "geoms", [shape]) for ring in (part.exterior, *part.interiors)]
+    path = MplPath.make_compound_path(*(MplPath(put(ring.coords), closed=True) for ring in rings))
+    return PathPatch(path, **style)

@@ -1,0 +1,271 @@
+"""Items: what was computed, by the key of the work that made it.
+
+An item is a folder of files, and a manifest that says what they are. The manifest is written last, and every read
+checks the SHA-256 that it gives: an item is there whole, or it never happened. Where items lie: see store.py.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.store import disk
+from pipeline.store.encoding import Json, canonical_json, decode_json, digest, key_of
+from pipeline.store.manifest import (
+    MANIFEST,
+    MAX_FILE_BYTES,
+    FileEntry,
+    Manifest,
+    are_file_names,
+    decode_manifest,
+    encode_manifest,
+    refuse_other_content,
+)
+from pipeline.store.provenance import environment
+
+NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
+KEY = re.compile(r"[0-9a-f]{64}")
+
+
+def check_name(name: str, what: str) -> str:
+    """Return a name of a study or a stage, or refuse it.
+
+    Raises:
+        PuddleError: where it is not made of a-z, 0-9, _ and -, 1 to 64 of them, the first a letter or a digit.
+    """
+    if not NAME.fullmatch(name):
+        raise PuddleError(f"{what} {name!r}: expected 1 to 64 of a-z, 0-9, _ and -, beginning with a letter or a digit")
+    return name
+
+
+@dataclass(frozen=True)
+class Items:
+    """The items of a store that exists."""
+
+    root: Path
+
+    def commit(
+        self,
+        stage: str,
+        key: str,
+        identity: Mapping[str, Json],
+        files: Mapping[str, bytes],
+        *,
+        record: Mapping[str, Json],
+    ) -> Manifest:
+        """Keep an item: all of it, or nothing.
+
+        Args:
+            stage: the stage that it belongs to.
+            key: ``key_of(identity)``.
+            identity: what determines it.
+            files: their contents by name.
+            record: what else is worth keeping; not part of the digest.
+
+        Returns:
+            Its manifest: the first one, where the item was there already.
+
+        Raises:
+            Irreproducible: where it was there with other contents, which stay.
+            PuddleError: where the disk is full, read-only or failing, or a file is too long to be read again.
+        """
+        if key != key_of(identity):
+            raise ValueError(f"{stage} {key}: expected the key of its identity, {key_of(identity)}")
+        if not files or not are_file_names(files):
+            raise ValueError(f"{stage} {key}: expected file names like weights.safetensors, came {sorted(files)}")
+        for name, data in files.items():
+            if len(data) > MAX_FILE_BYTES:
+                raise PuddleError(
+                    f"{stage} {key}: expected at most {MAX_FILE_BYTES} bytes of {name}, came {len(data)}. Cut the "
+                    f"study's work into smaller pieces."
+                )
+        manifest = Manifest(
+            stage=check_name(stage, "stage"),
+            key=key,
+            identity=decode_json(canonical_json(identity), "identity"),  # as it will be read: tuples become lists
+            files={name: FileEntry(digest(data), len(data)) for name, data in sorted(files.items())},
+            environment=environment(),
+            record=decode_json(canonical_json(record), "record"),
+        )
+        folder = self._item(stage, key)
+        with disk.explained(f"keeping {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
+            if kept := self._kept(stage, key):
+                refuse_other_content(kept, manifest)
+                return kept
+            disk.make_folders(self.root, folder)
+            self._clear(folder)
+            for name, data in sorted(files.items()):
+                disk.place(folder / name, data)
+            disk.place(folder / MANIFEST, encode_manifest(manifest))
+        return manifest
+
+    def _kept(self, stage: str, key: str) -> Manifest | None:
+        """Return the manifest of a whole item. A damaged one counts as none: its successor is in the caller's hand."""
+        try:
+            return self._verified(stage, key)
+        except DamagedArtifact:
+            return None
+
+    def _verified(self, stage: str, key: str) -> Manifest | None:
+        """Return an item's manifest, its files hashed and found whole; of damage, each file that has some is named."""
+        manifest = self.listing(stage, key)
+        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
+            wrong = list(self._bad_files(manifest)) if manifest is not None else []
+            if wrong:
+                raise DamagedArtifact("; ".join(wrong))
+        return manifest
+
+    def _bad_files(self, manifest: Manifest) -> Iterator[str]:
+        """Hash an item's files; say of each that is not what was committed what was expected and what came."""
+        for name, entry in manifest.files.items():
+            path = disk.inside(self._item(manifest.stage, manifest.key), name)
+            if problem := _other_length(path, entry):
+                yield problem
+            elif (came := disk.digest_of(path, at_most=entry.n_bytes)) != entry.sha256:
+                yield f"{path}: expected SHA-256 {entry.sha256}, came {came}"
+
+    def manifest(self, stage: str, key: str) -> Manifest | None:
+        """Return an item's manifest, or None where the item was never committed.
+
+        The manifest itself is verified, and that its files are there in their full length; their contents are
+        verified when they are read.
+
+        Raises:
+            DamagedArtifact: names the path. The item must be neither trusted nor forgotten: say so, discard it and
+                compute it again.
+        """
+        manifest = self.listing(stage, key)
+        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
+            for name, entry in manifest.files.items() if manifest is not None else ():
+                if problem := _other_length(disk.inside(self._item(stage, key), name), entry):
+                    raise DamagedArtifact(problem)
+        return manifest
+
+    def listing(self, stage: str, key: str) -> Manifest | None:
+        """Return an item's manifest, verified, whatever has become of its files; otherwise as :meth:`manifest`."""
+        path = self.manifest_path(stage, key)
+        with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
+            try:
+                data = disk.read_document(path)
+            except FileNotFoundError:
+                return None
+            except disk.NotAFileError as error:
+                raise DamagedArtifact(f"{path}: expected a manifest, came {error.strerror}") from error
+            return decode_manifest(data, stage=stage, key=key, source=str(path))
+
+    def read(self, manifest: Manifest, name: str) -> bytes:
+        """Return a file's content, verified.
+
+        Raises:
+            DamagedArtifact: where it is not what was committed.
+        """
+        path = disk.inside(self._item(manifest.stage, manifest.key), name)
+        entry = manifest.files[name]
+        with disk.explained(f"reading {name}", self.root), self._damage(manifest.stage, manifest.key):
+            try:
+                data = disk.read(path, at_most=entry.n_bytes)
+            except (FileNotFoundError, disk.NotAFileError) as error:
+                raise DamagedArtifact(f"{path}: expected {entry.n_bytes} bytes, came {error.strerror}") from error
+            if digest(data) != entry.sha256:
+                raise DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, came {digest(data)}")
+        return data
+
+    def discard(self, stage: str, key: str) -> None:
+        """Forget an item, so that it is computed again. What depends on it stays: it depends on the content."""
+        folder = self._item(stage, key)
+        with disk.explained(f"discarding {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
+            self._clear(folder)
+
+    def remove(self, stage: str, key: str) -> None:
+        """Discard an item and its folder, for good. The caller holds the store alone; see :meth:`Store.lock_all`."""
+        folder = self._item(stage, key)
+        with disk.explained(f"removing {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
+            self._clear(folder)
+            disk.rmdir(folder)
+            disk.fsync(folder.parent)
+
+    @staticmethod
+    def _clear(folder: Path) -> None:
+        """Empty an item's folder, its manifest first: a half discarded item never happened either."""
+        if folder.is_dir():
+            for path in sorted(folder.iterdir(), key=lambda path: (path.name != MANIFEST, path.name)):
+                remove = disk.rmdir if _is_folder(path) else disk.unlink
+                remove(path)
+                disk.fsync(folder)
+
+    def stages(self) -> list[str]:
+        """Return the names of the stages that have items."""
+        return self._names("items")
+
+    def keys(self, stage: str, *, committed: bool = True) -> Iterator[str]:
+        """Iterate over the keys of a stage's items in their order, damaged ones included.
+
+        Args:
+            stage: its name.
+            committed: whether to give those that were committed, or those whose commit never came to its end.
+        """
+        for prefix in self._names("items", check_name(stage, "stage")):
+            for key in self._names("items", stage, prefix):
+                if not (KEY.fullmatch(key) and key.startswith(prefix)):
+                    continue
+                if os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
+                    yield key
+
+    def item_bytes(self, stage: str, key: str) -> int:
+        """Return the length of an item's files together."""
+        return disk.size_bytes(self._item(stage, key))
+
+    def computed_again(self) -> str:
+        """Say what is safe where an item is damaged or gone, and how it is computed again."""
+        discard = shlex.join(["puddle", "verify", "--discard", "--store", str(self.root)])
+        return (
+            f"It has to be computed again; nothing else is lost. A study that meets it does so itself; otherwise "
+            f"`{discard}` forgets what is damaged, and `puddle study` with the study's settings makes it again."
+        )
+
+    @contextlib.contextmanager
+    def _damage(self, stage: str, key: str) -> Iterator[None]:
+        """Say of any damage in which item it is."""
+        try:
+            yield
+        except DamagedArtifact as damage:
+            message = f"{damage}. Item {stage} {key[:12]} is damaged. {self.computed_again()}"
+            raise DamagedArtifact(message, stage=stage, key=key) from damage
+
+    # -- paths ---------------------------------------------------------------------------------------------------------
+
+    def manifest_path(self, stage: str, key: str) -> Path:
+        """Return where an item's manifest is, whether or not it was committed."""
+        return disk.inside(self._item(stage, key), MANIFEST)
+
+    def _item(self, stage: str, key: str) -> Path:
+        if not KEY.fullmatch(key):
+            raise PuddleError(f"{stage}: expected a key of 64 hexadecimal digits, came {key!r}")
+        return disk.inside(self.root, "items", check_name(stage, "stage"), key[:2], key)
+
+    def _names(self, *parts: str) -> list[str]:
+        """Return the names in a folder that could be ours, in their order."""
+        folder = disk.inside(self.root, *parts)
+        with disk.explained("listing", folder):
+            try:
+                return sorted(path.name for path in folder.iterdir() if NAME.fullmatch(path.name) and _is_folder(path))
+            except FileNotFoundError:
+                return []
+
+
+def _other_length(path: Path, entry: FileEntry) -> str | None:
+    """Say what is there where a file of a certain length is expected; None where it is."""
+    n_bytes = path.stat().st_size if path.is_file() else None
+    if n_bytes == entry.n_bytes:
+        return None
+    return f"{path}: expected {entry.n_bytes} bytes, came {'no file' if n_bytes is None else f'{n_bytes} bytes'}"
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()

@@ -1,0 +1,54 @@
+"""Where a result was made: recorded in every manifest, part of no key and no digest."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import platform
+import subprocess
+from pathlib import Path
+
+_PACKAGES = ("puddle", "Box2D", "mlflow", "numba", "numpy", "pyarrow", "ray", "safetensors", "scipy", "torch")
+
+
+@functools.cache
+def environment() -> dict[str, str]:
+    """Return the versions of Python and the packages, the commit of the code, the system and the CPU's model."""
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return {
+        **versions,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "cpu": _cpu_model(),
+        "commit": _commit(Path(__file__).resolve().parents[2]),
+    }
+
+
+def _commit(checkout: Path) -> str:
+    """Return the commit that is checked out, with ``-dirty`` where files differ from it."""
+    if not (checkout / ".git").exists():  # an installed package may lie inside somebody else's checkout
+        return "not a checkout"
+    try:
+        told = subprocess.run(
+            ["git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"],
+            cwd=checkout,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return told.stdout.strip()
+
+
+def _cpu_model() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor() or platform.machine()

@@ -1,0 +1,102 @@
+"""Links and the rigid bodies that they make up: what a body's state says of its links, and their pushes of the body.
+
+A body's state is that of Box2D: the place of its origin (its first link's centre), its angle, the velocity of its
+centre of mass, its angular velocity. Everything is float32, operation by operation as it is written here, so that the
+batch engine can repeat it; brackets are part of it. A link that is a body by itself keeps every bit of its state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tasks.design.body import RigidBodies
+from tasks.design.genes import N_LINKS
+from tasks.simulation.box2d import ANGLE, OMEGA, VX, VY, X, Y
+from tasks.world import VelocityChange
+
+Floats = npt.NDArray[np.floating]
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedLinks:
+    """Links where their bodies put them; leading axes are (n_members, n_designs, n_links)."""
+
+    state: npt.NDArray[np.float32]
+    """(..., 6) x, y [m], angle [rad], vx, vy [m/s] of the link's own centre, omega [rad/s]."""
+    cos: Floats
+    """(...) of the link's angle."""
+    sin: Floats
+    """(...) of the link's angle."""
+    lever_x: Floats
+    """(...) the link's centre less its body's centre of mass, in the world's directions [m]."""
+    lever_y: Floats
+    """(...) [m]"""
+
+
+def place_links(rigid: RigidBodies, body: npt.NDArray[np.float32], cos: Floats, sin: Floats) -> PlacedLinks:
+    """Place links by the states of their bodies.
+
+    With (c, s) the rotation of the body, R = (c, -s; s, c), p the link's centre and d its lever in the body's frame:
+
+        place = origin + R p      angle = body's + own      r = R d      v = v_body + ω × r = (vx - ω r_y, vy + ω r_x)
+
+    Args:
+        rigid: of n_designs designs.
+        body: (n_members, n_designs, n_links, 6) the state of each link's body.
+        cos: (n_members, n_designs, n_links) of the body's angle, as Box2D has it.
+        sin: the same.
+    """
+    lever_x = cos * rigid.lever_x - sin * rigid.lever_y
+    lever_y = sin * rigid.lever_x + cos * rigid.lever_y
+    state = np.empty_like(body)
+    state[..., X] = body[..., X] + (cos * rigid.x - sin * rigid.y)
+    state[..., Y] = body[..., Y] + (sin * rigid.x + cos * rigid.y)
+    state[..., ANGLE] = body[..., ANGLE] + rigid.angle
+    state[..., VX] = body[..., VX] - body[..., OMEGA] * lever_y
+    state[..., VY] = body[..., VY] + body[..., OMEGA] * lever_x
+    state[..., OMEGA] = body[..., OMEGA]
+    return PlacedLinks(
+        state=state,
+        cos=cos * rigid.cos - sin * rigid.sin,
+        sin=sin * rigid.cos + cos * rigid.sin,
+        lever_x=lever_x,
+        lever_y=lever_y,
+    )
+
+
+def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: VelocityChange) -> VelocityChange:
+    """Add up what a medium does to the links of each body, as momenta.
+
+    A link i of mass m_i and inertia I_i whose velocities change by dv_i and dω_i, at r_i from the body's centre of
+    mass, changes the body of mass M and inertia I by
+
+        dv += (m_i / M) dv_i      dω += (m_i / I) (r_x dv_y - r_y dv_x) + (I_i / I) dω_i
+
+    summed from 0 over the body's links in the order of their indices.
+
+    Args:
+        rigid: of n_designs designs.
+        lever_x: (n_members, n_designs, n_links) r_x, as :class:`PlacedLinks` has it [m].
+        lever_y: (n_members, n_designs, n_links) r_y [m].
+        change: of the links' velocities; arrays of that shape.
+
+    Returns:
+        Arrays of the links' shape: for a body's first link the body's change, 0 for all others.
+    """
+    turn = rigid.mass_over_inertia * (lever_x * change.vy - lever_y * change.vx) + rigid.inertia_share * change.omega
+    return VelocityChange(
+        vx=_summed(rigid, rigid.mass_share * change.vx),
+        vy=_summed(rigid, rigid.mass_share * change.vy),
+        omega=_summed(rigid, turn),
+    )
+
+
+def _summed(rigid: RigidBodies, quantity: Floats) -> Floats:
+    total = np.zeros_like(quantity)
+    design = np.arange(len(rigid.first_link))
+    for link in range(N_LINKS):
+        total[:, design, rigid.first_link[:, link]] += quantity[:, :, link]
+    return total

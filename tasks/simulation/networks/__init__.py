@@ -1,0 +1,1 @@
+"""Inference of residual networks on a CPU, alone and coupled with an engine's steps."""

@@ -1,0 +1,1 @@
+"""SIMD inside numba: vectors of float32, one robot per lane."""

@@ -1,0 +1,111 @@
+"""Sine and cosine on lanes: the very bits of the C library's sincosf, which Box2D calls.
+
+Follows glibc 2.28 and later (sysdeps/ieee754/flt-32/s_sincosf.h, by Arm; the variant with fused multiply-adds that it
+picks on every processor of the last ten years): the angle is reduced and a polynomial evaluated in double precision.
+Without the fused operations one value in a million differs. Where the platform's own sincosf is another function, the
+two engines differ and the tests say so.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from tasks.compiled import inline
+from tasks.simulation.simd.lanes import (
+    any_lane,
+    count_lanes,
+    fma,
+    lane,
+    select,
+    to_double,
+    to_single,
+    truncate,
+    with_lane,
+)
+
+NEAR = 120.0
+"""Angles below this [rad] are reduced by one multiply-add, the others by integers."""
+TWO_OVER_PI_SCALED = float.fromhex("0x1.45F306DC9C883p+23")  # 2/π · 2^24
+HALF_PI = float.fromhex("0x1.921FB54442D18p0")
+PI_63 = float.fromhex("0x1.921FB54442D18p-62")  # 2π · 2^-64
+C1 = float.fromhex("-0x1.ffffffd0c621cp-2")
+C2 = float.fromhex("0x1.55553e1068f19p-5")
+C3 = float.fromhex("-0x1.6c087e89a359dp-10")
+C4 = float.fromhex("0x1.99343027bf8c3p-16")
+S1 = float.fromhex("-0x1.555545995a603p-3")
+S2 = float.fromhex("0x1.1107605230bc4p-7")
+S3 = float.fromhex("-0x1.994eb3774cf24p-13")
+FOUR_OVER_PI = np.array(
+    [
+        0xA2,
+        0xA2F9,
+        0xA2F983,
+        0xA2F9836E,
+        0xF9836E4E,
+        0x836E4E44,
+        0x6E4E4415,
+        0x4E441529,
+        0x441529FC,
+        0x1529FC27,
+        0x29FC2757,
+        0xFC2757D1,
+        0x2757D1F5,
+        0x57D1F534,
+        0xD1F534DD,
+        0xF534DDC0,
+        0x34DDC0DB,
+        0xDDC0DB62,
+        0xC0DB6295,
+        0xDB629599,
+        0x6295993C,
+        0x95993C43,
+        0x993C4390,
+        0x3C439041,
+    ],
+    np.uint64,
+)
+"""Bits of 4/π, 32 at a time, each 8 further on than the one before."""
+
+
+@inline
+def _reduce_large(angle: Any) -> Any:
+    """Reduce |angle| to quadrant n and the rest x in [-π/4, π/4], by fixed-point multiplication with 4/π."""
+    bits = np.int64(np.float32(angle).view(np.int32)) & 0xFFFFFFFF
+    first = (bits >> 26) & 15
+    mantissa = np.uint64(((bits & 0xFFFFFF) | 0x800000) << ((bits >> 23) & 7)) & np.uint64(0xFFFFFFFF)
+    high = (mantissa * FOUR_OVER_PI[first]) << np.uint64(32)
+    low = (mantissa * FOUR_OVER_PI[first + 8]) >> np.uint64(32)
+    turns = (high | low) + mantissa * FOUR_OVER_PI[first + 4]
+    n = (turns + np.uint64(1 << 61)) >> np.uint64(62)
+    rest = turns - (n << np.uint64(62))
+    return np.float64(np.int64(rest)) * PI_63, np.int32(n)
+
+
+@inline
+def sincos(angle: Any) -> Any:
+    """Sine and cosine of lanes of angles [rad]."""
+    near = abs(angle) < NEAR
+    x = to_double(select(near, angle, 0.0))
+    n = (truncate(x * TWO_OVER_PI_SCALED) + 0x800000) >> 24
+    x = fma(to_double(n), -HALF_PI, x)
+    signs = n
+    if any_lane(~near):
+        for i in range(count_lanes(angle)):
+            one = lane(angle, i)
+            if not abs(one) < NEAR:
+                rest, quadrant = _reduce_large(one)
+                x = with_lane(x, i, rest if abs(one) < np.inf else np.nan)
+                n = with_lane(n, i, quadrant)
+                signs = with_lane(signs, i, quadrant + (1 if one < 0.0 else 0))
+
+    x2 = x * x
+    x3 = x2 * x
+    x4 = x2 * x2
+    s = to_single(fma(x3 * x2, fma(x2, S3, S2), fma(x3, S1, x)))
+    c = to_single(fma(x4 * x2, fma(x2, C4, C3), fma(x4, C2, fma(x2, C1, 1.0))))
+    s = select(((signs + 1) & 2) == 2, -s, s)
+    c = select((signs & 2) == 2, -c, c)
+    odd = (n & 1) == 1
+    return select(odd, c, s), select(odd, s, c)

@@ -1,0 +1,422 @@
+"""Lanes under the compiler: numba's types for them, and the instructions that their operators and functions become.
+
+Importing this module teaches numba what lanes.py defines. Each operator has a typing rule and a lowering to LLVM's own
+vectors, which it splits or widens to whatever registers the machine has.
+"""
+
+# mypy: disallow-untyped-decorators=False, disallow-subclassing-any=False, warn-return-any=False
+# (numba and llvmlite come without types)
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.imputils import lower_builtin, lower_cast
+from numba.extending import NativeValue, models, register_model, type_callable, typeof_impl, unbox
+
+from tasks.simulation.simd.lanes import (
+    ALIGNMENT,
+    Block,
+    any_lane,
+    count_lanes,
+    count_parts,
+    floor,
+    fma,
+    from_row,
+    lane,
+    load_whole,
+    n_parts,
+    part,
+    select,
+    sqrt,
+    store_whole,
+    to_double,
+    to_single,
+    truncate,
+    with_lane,
+)
+
+FLOAT, DOUBLE, INT, BIT = ir.FloatType(), ir.DoubleType(), ir.IntType(32), ir.IntType(1)
+_ELEMENTS = {"float32": FLOAT, "float64": DOUBLE, "int32": INT, "bool": BIT}
+_SCALARS = {"float32": types.float32, "float64": types.float64, "int32": types.int32}
+
+
+class Lanes(types.Type):
+    """numba's type of a vector."""
+
+    def __init__(self, element: str, count: int) -> None:
+        self.element, self.count = element, count
+        super().__init__(name=f"Lanes({element}, {count})")
+
+    def of(self, element: str) -> Lanes:
+        """Return as many lanes of another element."""
+        return Lanes(element, self.count)
+
+
+class BlockType(types.Type):
+    """numba's type of a :class:`Block` with a given number of lanes, or of some lanes of a wider one."""
+
+    def __init__(self, count: int, apart: int = 1) -> None:
+        """Tell apart by the number of lanes, and by how many times as many lie between the starts of two rows."""
+        self.count, self.apart = count, apart
+        super().__init__(name=f"Block({count}, {apart})")
+
+    @property
+    def n_parts(self) -> int:
+        """Parts of :func:`part`."""
+        return n_parts(self.count)
+
+    @property
+    def part(self) -> BlockType:
+        """What :func:`part` gives."""
+        return BlockType(self.count // self.n_parts, self.apart * self.n_parts)
+
+
+def _vector(lanes: Lanes) -> ir.VectorType:
+    return ir.VectorType(_ELEMENTS[lanes.element], lanes.count)
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Lanes) -> None:
+        super().__init__(dmm, fe_type, _vector(fe_type))
+
+
+@register_model(BlockType)
+class _BlockModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: BlockType) -> None:
+        super().__init__(dmm, fe_type, ir.VectorType(FLOAT, fe_type.count).as_pointer())
+
+
+@typeof_impl.register(Block)
+def _typeof_block(block: Block, context: Any) -> BlockType:
+    return BlockType(block.n_lanes, block.rows.strides[0] // (4 * block.n_lanes))
+
+
+@unbox(BlockType)
+def _unbox_block(block_type: BlockType, block: Any, c: Any) -> NativeValue:
+    address = c.pyapi.object_getattr_string(block, "address")
+    pointer = c.pyapi.long_as_voidptr(address)
+    c.pyapi.decref(address)
+    pointer_type = c.context.get_value_type(block_type)
+    return NativeValue(c.builder.bitcast(pointer, pointer_type), is_error=c.pyapi.c_api_error())
+
+
+def _splat(builder: ir.IRBuilder, number: ir.Value, vector: ir.VectorType) -> ir.Value:
+    if isinstance(number, ir.Constant):
+        return ir.Constant(vector, [number.constant] * vector.count)
+    first = builder.insert_element(ir.Constant(vector, ir.Undefined), number, ir.Constant(INT, 0))
+    return builder.shuffle_vector(
+        first, ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(INT, vector.count), [0] * vector.count)
+    )
+
+
+def _as_lanes(context: Any, builder: ir.IRBuilder, value: ir.Value, of: types.Type, lanes: Lanes) -> ir.Value:
+    """Bring a number, or lanes, to the type of some lanes."""
+    if isinstance(of, Lanes):
+        return value
+    scalar = _SCALARS[lanes.element]
+    return _splat(builder, context.cast(builder, value, of, scalar), _vector(lanes))
+
+
+def _is_number(of: Any) -> bool:
+    return isinstance(of, types.Number | types.Boolean)
+
+
+def _common(a: Any, b: Any) -> Lanes | None:
+    """Type of the lanes that two operands have in common; None if that is not for us."""
+    if isinstance(a, Lanes) and (a == b or _is_number(b)):
+        return a
+    if isinstance(b, Lanes) and _is_number(a):
+        return b
+    return None
+
+
+_Emit = Callable[[ir.IRBuilder, ir.Value, ir.Value], ir.Value]
+
+
+def _binary(function: Any, emit: dict[str, _Emit], *, compares: bool = False) -> None:
+    """Teach numba an operator of two operands, for each kind of element."""
+
+    @type_callable(function)
+    def _type(context: Any) -> Any:
+        def typer(a: Any, b: Any) -> Any:
+            lanes = _common(a, b)
+            if lanes is None or lanes.element not in emit:
+                return None
+            return lanes.of("bool") if compares else lanes
+
+        return typer
+
+    def lower(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+        lanes = _common(*signature.args)
+        assert lanes is not None
+        left, right = (_as_lanes(context, builder, x, of, lanes) for x, of in zip(args, signature.args, strict=True))
+        return emit[lanes.element](builder, left, right)
+
+    for operands in ((Lanes, Lanes), (Lanes, types.Number), (types.Number, Lanes)):
+        lower_builtin(function, *operands)(lower)
+
+
+def _floats(method: str) -> dict[str, _Emit]:
+    def emit(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
+        return getattr(builder, method)(a, b)
+
+    return {"float32": emit, "float64": emit}
+
+
+def _integers(method: str, element: str = "int32") -> dict[str, _Emit]:
+    return {element: lambda builder, a, b: getattr(builder, method)(a, b)}
+
+
+def _comparison(sign: str) -> dict[str, _Emit]:
+    def floats(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
+        # Against NaN all are false but "unlike", as in C.
+        return builder.fcmp_unordered(sign, a, b) if sign == "!=" else builder.fcmp_ordered(sign, a, b)
+
+    return {"float32": floats, "float64": floats, "int32": lambda builder, a, b: builder.icmp_signed(sign, a, b)}
+
+
+_binary(operator.add, _floats("fadd") | _integers("add"))
+_binary(operator.sub, _floats("fsub") | _integers("sub"))
+_binary(operator.mul, _floats("fmul") | _integers("mul"))
+_binary(operator.truediv, _floats("fdiv"))
+_binary(operator.and_, _integers("and_") | _integers("and_", "bool"))
+_binary(operator.or_, _integers("or_") | _integers("or_", "bool"))
+_binary(operator.rshift, _integers("ashr"))
+for _function, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+    (operator.ne, "!="),
+):
+    _binary(_function, _comparison(_sign), compares=True)
+
+
+def _unary(function: Any, emit: Callable[[ir.IRBuilder, ir.Value, Lanes], ir.Value], gives: dict[str, str]) -> None:
+    """Teach numba a function of one operand: the element it gives for each element that it takes."""
+
+    @type_callable(function)
+    def _type(context: Any) -> Any:
+        def typer(a: Any) -> Any:
+            return a.of(gives[a.element]) if isinstance(a, Lanes) and a.element in gives else None
+
+        return typer
+
+    @lower_builtin(function, Lanes)
+    def _lower(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+        return emit(builder, args[0], signature.return_type)
+
+
+def _call_intrinsic(builder: ir.IRBuilder, name: str, lanes: Lanes, values: list[ir.Value]) -> ir.Value:
+    vector = _vector(lanes)
+    full_name = f"llvm.{name}.v{lanes.count}{_ELEMENTS[lanes.element].intrinsic_name}"
+    function_type = ir.FunctionType(vector, [vector] * len(values))
+    return builder.call(cgutils.get_or_insert_function(builder.module, function_type, full_name), values)
+
+
+def _intrinsic(name: str) -> Callable[[ir.IRBuilder, ir.Value, Lanes], ir.Value]:
+    return lambda builder, value, gives: _call_intrinsic(builder, name, gives, [value])
+
+
+_SAME_FLOAT = {"float32": "float32", "float64": "float64"}
+_unary(abs, _intrinsic("fabs"), _SAME_FLOAT)
+_unary(sqrt, _intrinsic("sqrt"), _SAME_FLOAT)
+_unary(floor, _intrinsic("floor"), _SAME_FLOAT)
+_unary(operator.neg, lambda builder, value, gives: builder.fneg(value), _SAME_FLOAT)
+_unary(operator.invert, lambda builder, value, gives: builder.not_(value), {"bool": "bool"})
+_unary(to_single, lambda builder, value, gives: builder.fptrunc(value, _vector(gives)), {"float64": "float32"})
+_unary(truncate, lambda builder, value, gives: builder.fptosi(value, _vector(gives)), {"float64": "int32"})
+
+
+def _widen(builder: ir.IRBuilder, value: ir.Value, gives: Lanes) -> ir.Value:
+    convert = builder.sitofp if value.type.element == INT else builder.fpext
+    return convert(value, _vector(gives))
+
+
+_unary(to_double, _widen, {"float32": "float64", "int32": "float64"})
+
+
+@type_callable(select)
+def _type_select(context: Any) -> Any:
+    def typer(mask: Any, yes: Any, no: Any) -> Any:
+        if not isinstance(mask, Lanes) or mask.element != "bool":
+            return None
+        return mask.of("float32") if _is_number(yes) and _is_number(no) else _common(yes, no)
+
+    return typer
+
+
+@lower_builtin(select, Lanes, types.Any, types.Any)
+def _lower_select(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    yes, no = (
+        _as_lanes(context, builder, value, of, signature.return_type)
+        for value, of in zip(args[1:], signature.args[1:], strict=True)
+    )
+    return builder.select(args[0], yes, no)
+
+
+@type_callable(any_lane)
+def _type_any(context: Any) -> Any:
+    return lambda mask: types.boolean if isinstance(mask, Lanes) and mask.element == "bool" else None
+
+
+@lower_builtin(any_lane, Lanes)
+def _lower_any(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    bits = ir.IntType(signature.args[0].count)
+    return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
+
+
+@type_callable(fma)
+def _type_fma(context: Any) -> Any:
+    def typer(a: Any, b: Any, c: Any) -> Any:
+        return a if isinstance(a, Lanes) and all(x == a or _is_number(x) for x in (b, c)) else None
+
+    return typer
+
+
+@lower_builtin(fma, Lanes, types.Any, types.Any)
+def _lower_fma(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    lanes = signature.return_type
+    values = [_as_lanes(context, builder, x, of, lanes) for x, of in zip(args, signature.args, strict=True)]
+    return _call_intrinsic(builder, "fma", lanes, values)
+
+
+@type_callable(lane)
+def _type_lane(context: Any) -> Any:
+    return lambda lanes, index: _SCALARS[lanes.element] if isinstance(lanes, Lanes) else None
+
+
+@lower_builtin(lane, Lanes, types.Integer)
+def _lower_lane(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    return builder.extract_element(args[0], args[1])
+
+
+@type_callable(with_lane)
+def _type_with_lane(context: Any) -> Any:
+    return lambda lanes, index, number: lanes if isinstance(lanes, Lanes) else None
+
+
+@lower_builtin(with_lane, Lanes, types.Integer, types.Number)
+def _lower_with_lane(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    number = context.cast(builder, args[2], signature.args[2], _SCALARS[signature.args[0].element])
+    return builder.insert_element(args[0], number, args[1])
+
+
+@type_callable(count_lanes)
+def _type_count(context: Any) -> Any:
+    return lambda lanes: types.intp if isinstance(lanes, Lanes) else None
+
+
+@lower_builtin(count_lanes, Lanes)
+def _lower_count(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    return context.get_constant(types.intp, signature.args[0].count)
+
+
+@type_callable(operator.getitem)
+def _type_load(context: Any) -> Any:
+    def typer(block: Any, row: Any) -> Any:
+        ours = isinstance(block, BlockType) and isinstance(row, types.Integer)
+        return Lanes("float32", block.count) if ours else None
+
+    return typer
+
+
+def _align(n_lanes: int) -> int:
+    """Bytes at which every row of a block is sure to begin."""
+    n_bytes = 4 * n_lanes
+    return min(ALIGNMENT, n_bytes & -n_bytes)
+
+
+def _row(builder: ir.IRBuilder, of: BlockType, block: ir.Value, row: ir.Value) -> ir.Value:
+    """Point at a row of a block."""
+    return builder.gep(block, [builder.mul(row, ir.Constant(row.type, of.apart))])
+
+
+@lower_builtin(operator.getitem, BlockType, types.Integer)
+def _lower_load(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    of = signature.args[0]
+    return builder.load(_row(builder, of, *args), align=_align(of.count))
+
+
+@type_callable(operator.setitem)
+def _type_store(context: Any) -> Any:
+    def typer(block: Any, row: Any, lanes: Any) -> Any:
+        ours = isinstance(block, BlockType) and isinstance(row, types.Integer)
+        return types.none if ours and _common(Lanes("float32", block.count), lanes) else None
+
+    return typer
+
+
+@lower_builtin(operator.setitem, BlockType, types.Integer, types.Any)
+def _lower_store(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    of = signature.args[0]
+    value = _as_lanes(context, builder, args[2], signature.args[2], Lanes("float32", of.count))
+    builder.store(value, _row(builder, of, *args[:2]), align=_align(of.count))
+    return context.get_dummy_value()
+
+
+@type_callable(from_row)
+def _type_from_row(context: Any) -> Any:
+    return lambda block, row: block if isinstance(block, BlockType) else None
+
+
+@lower_builtin(from_row, BlockType, types.Integer)
+def _lower_from_row(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    return _row(builder, signature.args[0], *args)
+
+
+@type_callable(count_parts)
+def _type_count_parts(context: Any) -> Any:
+    return lambda block: types.intp if isinstance(block, BlockType) else None
+
+
+@lower_builtin(count_parts, BlockType)
+def _lower_count_parts(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    return context.get_constant(types.intp, signature.args[0].n_parts)
+
+
+@type_callable(part)
+def _type_part(context: Any) -> Any:
+    return lambda block, index: block.part if isinstance(block, BlockType) else None
+
+
+@lower_builtin(part, BlockType, types.Integer)
+def _lower_part(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    halves = builder.bitcast(args[0], context.get_value_type(signature.return_type))
+    return builder.gep(halves, [args[1]])
+
+
+@type_callable(load_whole)
+def _type_load_whole(context: Any) -> Any:
+    return lambda block, row: types.int64 if isinstance(block, BlockType) and block.count == 1 else None
+
+
+@lower_builtin(load_whole, BlockType, types.Integer)
+def _lower_load_whole(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    pointer = builder.bitcast(_row(builder, signature.args[0], *args), INT.as_pointer())
+    return builder.sext(builder.load(pointer, align=4), ir.IntType(64))
+
+
+@type_callable(store_whole)
+def _type_store_whole(context: Any) -> Any:
+    return lambda block, row, number: types.none if isinstance(block, BlockType) and block.count == 1 else None
+
+
+@lower_builtin(store_whole, BlockType, types.Integer, types.Integer)
+def _lower_store_whole(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+    pointer = builder.bitcast(_row(builder, signature.args[0], *args[:2]), INT.as_pointer())
+    number = context.cast(builder, args[2], signature.args[2], types.int32)
+    builder.store(number, pointer, align=4)
+    return context.get_dummy_value()
+
+
+@lower_cast(Lanes, Lanes)
+def _cast_lanes(context: Any, builder: ir.IRBuilder, from_type: Any, to_type: Any, value: ir.Value) -> ir.Value:
+    return value

@@ -1,0 +1,1 @@
+"""The engine for articulated robots: Box2D's step of trees of links, one robot per lane."""

@@ -1,0 +1,339 @@
+"""The two clusters keep one contract; Ray's processes are pinned, closed to strangers, and gone when the study is."""
+
+import contextlib
+import os
+import resource
+import socket
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+import ray
+
+import pipeline.cluster.preflight
+from pipeline.cluster import Cluster, Done, Outcome, TaskFailed, Ticket, ray_cluster, serial_cluster, spread
+from pipeline.cluster.preflight import check_reachable
+from pipeline.cluster.watchdog import NODE_DEAD
+from pipeline.errors import PuddleError
+
+ROOT = Path(__file__).parents[3]
+
+ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # the workers can't import a test
+
+
+@pytest.fixture(params=["serial", "ray"])
+def cluster(request: pytest.FixtureRequest):
+    if request.param == "ray":
+        yield request.getfixturevalue("local_ray")
+    else:
+        with serial_cluster() as serial:
+            yield serial
+
+
+def outcomes(cluster: Cluster) -> dict[Ticket, Outcome]:
+    taken = {}
+    while (done := cluster.next_done(timeout=60)) is not None:
+        taken[done[0]] = done[1]
+    assert cluster.n_running == 0
+    return taken
+
+
+def in_order(cluster: Cluster) -> list[Outcome]:
+    return [outcome for _, outcome in sorted(outcomes(cluster).items(), key=lambda item: item[0].number)]
+
+
+def only(cluster: Cluster) -> Outcome:
+    (outcome,) = outcomes(cluster).values()
+    return outcome
+
+
+def walk(seed: int, steps: np.ndarray) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(3, steps.size)) @ np.outer(steps, steps)
+
+
+def reciprocal(x: float) -> float:
+    return 1 / x
+
+
+def nested(items: list[float], scale: float) -> list[float]:
+    return spread(lambda x, scale: scale * reciprocal(x), items, scale)
+
+
+def test_the_same_results_serially_and_on_ray(local_ray):
+    results = []
+    with serial_cluster() as serial:
+        for cluster in (serial, local_ray):
+            shared = cluster.share(np.linspace(0, 1, 50))
+            tickets = [cluster.submit(walk, seed, shared, name=f"walk {seed}") for seed in range(6)]
+            assert cluster.n_running == 6
+            by_ticket = outcomes(cluster)
+            assert {ticket.name for ticket in by_ticket} == {f"walk {seed}" for seed in range(6)}
+            results.append([by_ticket[ticket].result for ticket in tickets])
+    assert all(np.array_equal(one, other) for one, other in zip(*results, strict=True))
+    assert len({result.tobytes() for result in results[0]}) == 6
+
+
+def test_a_failure_is_an_outcome_and_the_rest_goes_on(cluster):
+    for x in (1.0, 0.0, 4.0):
+        cluster.submit(reciprocal, x, name=f"reciprocal of {x}")
+    first, failed, last = in_order(cluster)
+    assert (first, last) == (Done(1.0), Done(0.25))
+    assert isinstance(failed, TaskFailed) and isinstance(failed, PuddleError)
+    assert str(failed) == "reciprocal of 0.0: ZeroDivisionError: float division by zero"
+    assert "return 1 / x" in failed.remote_traceback and "\x1b" not in failed.remote_traceback
+    assert isinstance(failed.__cause__, ZeroDivisionError)
+    assert not failed.infrastructure
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the bound is Linux's")
+def test_a_task_is_bounded_in_its_memory(cluster):
+    cluster.submit(lambda: resource.getrlimit(resource.RLIMIT_DATA)[0])
+    assert only(cluster).result != resource.RLIM_INFINITY
+
+
+def test_nothing_submitted_is_nothing_due(cluster):
+    assert cluster.next_done(timeout=None) is None
+
+
+def test_a_call_is_named_after_its_function(cluster):
+    assert cluster.submit(reciprocal, 1.0).name == "reciprocal"
+    assert cluster.submit(partial(reciprocal, 2.0)).name == "reciprocal"
+    outcomes(cluster)
+
+
+def test_spread_keeps_the_order_of_its_items(cluster):
+    cluster.submit(nested, [1.0, 2.0, 4.0, 8.0], 16.0, n_cores=0)
+    assert only(cluster) == Done([16.0, 8.0, 4.0, 2.0])
+
+
+def test_a_failure_in_a_spread_is_its_tasks_failure(cluster):
+    cluster.submit(nested, [1.0, 0.0, 2.0], 1.0, n_cores=0, name="generation 7")
+    failed = only(cluster)
+    assert isinstance(failed, TaskFailed) and not failed.infrastructure
+    assert str(failed).startswith("generation 7: ") and "ZeroDivisionError" in str(failed)
+    assert "return 1 / x" in failed.remote_traceback
+
+
+def test_spread_on_ray_uses_other_processes(local_ray):
+    def pids() -> tuple[int, list[int]]:
+        return os.getpid(), spread(lambda _: os.getpid(), range(4))
+
+    local_ray.submit(pids, n_cores=0)
+    outer, inner = only(local_ray).result
+    assert outer not in inner
+    assert spread(lambda _: os.getpid(), range(4)) == [os.getpid()] * 4  # the driver is no worker
+
+
+def test_a_spread_within_every_core_does_not_wait_for_itself(local_ray):
+    for _ in range(4):
+        local_ray.submit(nested, [1.0, 2.0], 1.0, n_cores=1)
+    assert in_order(local_ray) == [Done([1.0, 0.5])] * 4
+
+
+def test_a_killed_worker_is_tried_again_once_then_reported(local_ray, tmp_path, capfd):
+    def die(log: Path) -> None:
+        with log.open("a") as file:
+            file.write("tried\n")
+        os._exit(1)
+
+    local_ray.submit(die, tmp_path / "log", name="the dying one")
+    local_ray.submit(reciprocal, 2.0)
+    failed, done = in_order(local_ray)
+    assert isinstance(failed, TaskFailed) and failed.infrastructure
+    assert "the dying one" in str(failed) and "WorkerCrashedError" in str(failed)
+    assert (tmp_path / "log").read_text() == "tried\n" * 2
+    assert done == Done(0.5)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_exception_is_not_tried_again(local_ray, tmp_path):
+    def fail(log: Path) -> None:
+        with log.open("a") as file:
+            file.write("tried\n")
+        raise ValueError("no")
+
+    local_ray.submit(fail, tmp_path / "log")
+    assert isinstance(only(local_ray), TaskFailed)
+    assert (tmp_path / "log").read_text() == "tried\n"
+
+
+def test_cancelled_calls_stop_and_give_nothing(local_ray, tmp_path):
+    def write_soon(path: Path) -> None:
+        (path.parent / "started").touch()
+        time.sleep(1.5)
+        path.touch()
+
+    local_ray.submit(write_soon, tmp_path / "done")
+    assert local_ray.next_done(timeout=0) is None
+    deadline = time.monotonic() + 30
+    while not (tmp_path / "started").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    local_ray.cancel_all()
+    assert local_ray.n_running == 0
+    assert local_ray.next_done(timeout=None) is None
+    time.sleep(2.5)
+    assert not (tmp_path / "done").exists()
+    local_ray.submit(reciprocal, 4.0)
+    assert only(local_ray) == Done(0.25)
+
+
+def test_what_waits_for_a_core_has_not_begun(local_ray, tmp_path):
+    def wait(path: Path) -> None:
+        while not path.exists():
+            time.sleep(0.02)
+
+    def begun(n: int) -> set[Ticket]:
+        deadline = time.monotonic() + 60
+        while len(found := local_ray.begun()) < n:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        return found
+
+    tickets = [local_ray.submit(wait, tmp_path / "end", name=f"wait {n}") for n in range(3)]
+    found = begun(2)
+    time.sleep(0.5)
+    assert local_ray.begun() == found and len(found) == 2  # of three, on two cores
+    last = local_ray.submit(wait, tmp_path / "end", n_cores=0)
+    assert begun(3) == found | {last}
+    (tmp_path / "end").touch()
+    assert set(outcomes(local_ray)) == {*tickets, last}
+    assert local_ray.begun() == set()
+
+
+def test_a_worker_has_one_thread_in_every_library(local_ray):
+    def threads() -> dict[str, int]:
+        import numba
+        import threadpoolctl
+        import torch
+
+        pools = {pool["filepath"]: pool["num_threads"] for pool in threadpoolctl.threadpool_info()}
+        return pools | {"torch": torch.get_num_threads(), "numba": numba.get_num_threads()}
+
+    local_ray.submit(threads)
+    found = only(local_ray).result
+    assert len(found) > 2  # numpy's BLAS is among them
+    assert set(found.values()) == {1}, found
+
+
+def test_a_stranger_without_the_token_is_refused(local_ray, monkeypatch):
+    token = Path(os.environ["RAY_AUTH_TOKEN_PATH"])
+    assert token.stat().st_mode & 0o777 == 0o600
+    assert token.parent.stat().st_mode & 0o777 == 0o700
+    address = ray.get_runtime_context().gcs_address
+    monkeypatch.setattr(pipeline.cluster.preflight, "CONNECT_SECONDS", 4.0)
+    monkeypatch.delenv("RAY_AUTH_TOKEN_PATH")
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "0" * 64)
+    with pytest.raises(PuddleError, match="InvalidAuthToken") as refused:
+        check_reachable(address)
+    assert address in str(refused.value) and "RAY_AUTH_TOKEN" in str(refused.value)
+
+
+def test_an_existing_cluster_is_sent_the_packages(local_ray, tmp_path):
+    """A driver elsewhere finds the cluster by RAY_ADDRESS; its workers import what it sent.
+
+    Where its own node dies, that is said of the cluster's node and not of a Ray of its own, which has --workers.
+    """
+    driver = """
+import ray
+from pipeline.cluster import ray_cluster
+def dead(_):
+    raise ray.exceptions.LocalRayletDiedError
+def where():
+    import pipeline.cluster, tasks.design.genes
+    return pipeline.cluster.__file__, tasks.design.genes.__file__
+with ray_cluster() as cluster:
+    cluster.submit(where)
+    print(*cluster.next_done()[1].result, cluster.n_cores, sep="\\n")
+    cluster.submit(where)
+    ray.get = dead
+    try:
+        cluster.next_done()
+    except Exception as error:
+        print(error)
+"""
+    address = ray.get_runtime_context().gcs_address
+    environment = os.environ | {"RAY_ADDRESS": address, "PYTHONPATH": os.pathsep.join(sys.path)}
+    ran = subprocess.run(
+        [sys.executable, "-c", driver], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
+    )
+    assert ran.returncode == 0, ran.stderr
+    ours, science, n_cores, *died = ran.stdout.splitlines()
+    assert "py_modules_files" in ours and "py_modules_files" in science
+    assert float(n_cores) == 2.0
+    assert "\n".join(died) == NODE_DEAD.format(address=address)
+    assert ran.stderr == ""
+
+
+def closed_port() -> str:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{listener.getsockname()[1]}"
+
+
+@pytest.mark.parametrize("where", ["ray://head:10001", "nowhere", "host:99999", "http://host:80"])
+def test_what_is_no_address_of_a_cluster_is_refused(where: str):
+    """``ray://`` is Ray Client's, which is not among what is installed."""
+    with pytest.raises(PuddleError, match="expected host:port or auto") as refused, ray_cluster(where):
+        pass
+    assert where in str(refused.value) and "--address" in str(refused.value)
+
+
+def test_an_address_where_nothing_answers_is_said_at_once():
+    where = closed_port()
+    begin = time.monotonic()
+    with pytest.raises(PuddleError) as unreachable, ray_cluster(where):
+        pass
+    assert time.monotonic() - begin < 5
+    assert where in str(unreachable.value) and "--address" in str(unreachable.value)
+
+
+def test_a_port_that_is_not_rays_is_given_up_on(monkeypatch):
+    monkeypatch.setattr(pipeline.cluster.preflight, "CONNECT_SECONDS", 1.0)
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        begin = time.monotonic()
+        with pytest.raises(PuddleError, match="did not let us in within 1 s"):
+            check_reachable(f"127.0.0.1:{listener.getsockname()[1]}")
+        assert time.monotonic() - begin < 60  # Ray itself takes two minutes
+
+
+def test_a_process_that_asks_a_cluster_ends_with_a_driver_that_is_killed():
+    """The cluster takes its call and never answers."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(60)
+        program = "import sys; from pipeline.cluster.preflight import check_reachable; check_reachable(sys.argv[1])"
+        words = [sys.executable, "-c", program, f"127.0.0.1:{listener.getsockname()[1]}"]
+        on_loopback = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}  # else Ray calls this machine by another address
+        driver = subprocess.Popen(words, cwd=ROOT, env=os.environ | on_loopback)
+        try:
+            calls = [listener.accept()[0] for _ in range(2)]  # the driver's own, and the one of the process that asks
+            (asking,) = psutil.Process(driver.pid).children()
+        finally:
+            driver.kill()
+            driver.wait()
+        try:
+            asking.wait(timeout=15)
+        finally:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                asking.kill()
+            for call in calls:
+                call.close()
+
+
+def test_a_slow_import_does_not_count_against_the_cluster(monkeypatch, tmp_path):
+    (tmp_path / "ray.py").write_text("import time; time.sleep(3.0)\ndef init(**_): pass")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(pipeline.cluster.preflight, "CONNECT_SECONDS", 2.5)
+    check_reachable("auto")
+
+
+def test_no_workers_is_refused():
+    with pytest.raises(PuddleError, match="workers: expected 1 or more, got 0"), ray_cluster("local", n_workers=0):
+        pass

@@ -1,0 +1,156 @@
+"""Signals wait for what must not be cut in two, but not for ever; a task that allocates without end fails by itself."""
+
+import errno
+import io
+import os
+import pty
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.cluster.process import memory_bounded, signals_held, signals_unwind
+from pipeline.commands.app import _interruptible
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_is_held_until_the_end_and_then_comes_through(number):
+    class Came(Exception):
+        pass
+
+    def come(*_):
+        raise Came
+
+    before = signal.signal(number, come)
+    reached = []
+    try:
+        with pytest.raises(Came), signals_held():
+            os.kill(os.getpid(), number)
+            time.sleep(0.01)  # bytecode for the interpreter to deliver it at
+            os.kill(os.getpid(), number)
+            reached.append("the end")
+        assert reached == ["the end"]
+        assert signal.getsignal(number) is come
+        timers = [thread for thread in threading.enumerate() if isinstance(thread, threading.Timer)]
+        assert all(timer.finished.is_set() for timer in timers)  # the last resort is called off
+    finally:
+        signal.signal(number, before)
+
+
+def test_without_a_signal_nothing_happens():
+    before = signal.getsignal(signal.SIGTERM)
+    with signals_held():
+        assert signal.getsignal(signal.SIGTERM) is not before
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_what_does_not_end_is_ended_with_the_signals_code():
+    program = """
+import time
+from pipeline.cluster.process import signals_held
+with signals_held():
+    print("held", flush=True)
+    while True:
+        time.sleep(0.01)
+"""
+    child = subprocess.Popen(
+        [sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout.readline() == "held\n"
+    child.send_signal(signal.SIGTERM)
+    _, said = child.communicate(timeout=60)
+    assert child.returncode == 128 + signal.SIGTERM
+    assert "What is done is kept: the same command goes on from there." in said
+
+
+def test_what_is_ended_at_once_leaves_a_terminal_its_cursor():
+    program = "from pipeline.cluster.process import end_at_once; end_at_once('why', 7)"
+    ours, terminal = pty.openpty()
+    ended = subprocess.run([sys.executable, "-c", program], cwd=ROOT, stderr=terminal)
+    assert ended.returncode == 7
+    assert os.read(ours, 1000) == b"\x1b[?25h\r\nwhy\r\n"
+    os.close(ours)
+    os.close(terminal)
+    piped = subprocess.run([sys.executable, "-c", program], cwd=ROOT, stderr=subprocess.PIPE)
+    assert (piped.returncode, piped.stderr) == (7, b"\nwhy\n")
+
+
+def test_signals_unwind_through_every_finally_with_their_code():
+    unwound = []
+    with pytest.raises(SystemExit) as ended, signals_unwind():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(1)
+        finally:
+            unwound.append(True)
+    assert ended.value.code == 128 + signal.SIGTERM and unwound
+
+
+def stopped_by(number: int) -> None:
+    """Run a command that a signal stops."""
+    before = signal.signal(number, signal.SIG_DFL)  # whoever runs the tests may ignore it
+    try:
+        with _interruptible(), signals_unwind():
+            os.kill(os.getpid(), number)
+            time.sleep(1)
+    finally:
+        signal.signal(number, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_whoever_stops_a_command_is_told_how_it_goes_on(number, capsys, monkeypatch):
+    with pytest.raises(SystemExit) as ended:
+        stopped_by(number)
+    assert ended.value.code == 128 + number
+    said = capsys.readouterr().err
+    assert said == "\nStopped. What is done is kept: the same command goes on from there.\n"
+
+    class Closed(io.StringIO):
+        """A terminal that is gone."""
+
+        def write(self, _: str) -> int:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(sys, "stderr", Closed())
+    with pytest.raises(SystemExit) as ended:
+        stopped_by(number)
+    assert ended.value.code == 128 + number
+
+
+@pytest.mark.parametrize("taking", [signals_unwind, signals_held])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_is_ignored_stays_so(number, taking):
+    """`nohup puddle study &` outlives its terminal; Ray, which takes signals without a question, changes nothing."""
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        with taking() as take_back:
+            assert signal.getsignal(number) == signal.SIG_IGN
+            signal.signal(number, signal.SIG_DFL)
+            if take_back is not None:
+                take_back()
+                os.kill(os.getpid(), number)
+        assert signal.getsignal(number) == signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the bound is Linux's")
+def test_a_task_that_allocates_without_end_fails_and_the_bound_goes_with_it():
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    hoard = []
+    with pytest.raises(MemoryError), memory_bounded():
+        assert resource.getrlimit(resource.RLIMIT_DATA)[0] > 0
+        while len(hoard) < 10_000:
+            hoard.append(np.zeros(2**27))  # never touched: addresses count, and the machine does not suffer
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+    hoard.clear()
+    with memory_bounded():
+        assert np.ones(2**20).sum() == 2**20  # what is usual goes through

@@ -1,0 +1,95 @@
+"""A driver whose existing cluster is gone ends, and says so; one whose cluster was away for a moment goes on."""
+
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+
+from pipeline.cluster import watchdog
+from pipeline.cluster.watchdog import GONE
+
+RAYS_OWN_SECONDS = 60.0
+"""After which Ray ends a driver whose cluster is silent."""
+
+DRIVER = """
+import sys, threading
+from pipeline.cluster import watchdog
+watchdog.GONE_SECONDS, watchdog.SECONDS_BETWEEN_LOOKS = 2.0, 0.05
+over = threading.Event()
+looks = threading.Thread(target=watchdog.end_if_gone, args=("head:6379", "127.0.0.1", int(sys.argv[1]), over))
+looks.start()
+print("up", flush=True)
+sys.stdin.read()
+over.set()
+looks.join()
+"""
+
+
+def server(port: int = 0) -> socket.socket:
+    return socket.create_server(("127.0.0.1", port), backlog=100)
+
+
+def driving(port: int) -> subprocess.Popen[str]:
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    driver = subprocess.Popen([sys.executable, "-c", DRIVER, str(port)], text=True, **pipes)
+    assert driver.stdout is not None
+    assert driver.stdout.readline() == "up\n"
+    return driver
+
+
+def test_a_driver_ends_when_its_cluster_is_gone():
+    with server() as listening:
+        driver = driving(listening.getsockname()[1])
+        time.sleep(0.5)
+        assert driver.poll() is None
+    assert driver.wait(timeout=30) == 2
+    _, said = driver.communicate()
+    assert said == f"\npuddle: {GONE.format(address='head:6379', seconds=2.0)}\n"
+
+
+def test_a_driver_goes_on_when_its_cluster_comes_back():
+    with server() as listening:
+        port = listening.getsockname()[1]
+        driver = driving(port)
+    time.sleep(0.5)
+    with server(port):
+        time.sleep(3.0)
+        assert driver.poll() is None
+        assert driver.communicate(timeout=30) == ("", "")
+    assert driver.returncode == 0
+
+
+def test_a_way_to_a_cluster_that_swallows_what_is_sent_is_told_before_ray_ends_the_driver(monkeypatch):
+    """Connections are refused at first, and later nothing comes back at all: time passes in both, and in waits."""
+    now = 0.0
+
+    class Over:
+        def wait(self, seconds: float) -> bool:
+            nonlocal now
+            now += seconds
+            return False
+
+        def is_set(self) -> bool:
+            return False
+
+    class Ended(Exception):
+        pass
+
+    def connect(server: tuple[str, int], timeout: float) -> socket.socket:
+        nonlocal now
+        if now < watchdog.GONE_SECONDS - 1.0:
+            raise ConnectionRefusedError
+        now += timeout
+        raise TimeoutError
+
+    def end(message: str, code: int) -> None:
+        raise Ended
+
+    monkeypatch.setattr(watchdog.time, "monotonic", lambda: now)
+    monkeypatch.setattr(watchdog.socket, "create_connection", connect)
+    monkeypatch.setattr(watchdog, "end_at_once", end)
+    with pytest.raises(Ended):
+        watchdog.end_if_gone("head:6379", "head", 6379, Over())
+    assert watchdog.GONE_SECONDS < now < RAYS_OWN_SECONDS - 5.0

@@ -1,0 +1,332 @@
+"""The command line as a person uses it: each mistake gives one clear message and exit code 2, never a traceback."""
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call
+
+from pipeline.cluster import serial_cluster
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
+from pipeline.store.design_file import design_document
+from tasks.design import random_designs
+
+SETTINGS = """name: tiny
+throws: {n_throws: 4, n_steps: 20}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 20, batch_size: 64}
+ensemble: {n_members: 2}
+grid:
+  depths: [1.0]
+  single_member_depths: []
+  n_trials: 1
+rollout: {n_settle: 5, n_measure: 20}
+work: {engine: reference, generations_per_item: 2}
+evolution: {n_generations: 2, afpo: {population_size: 4}}
+transfer: {n_generations: 2}
+"""
+
+
+@pytest.fixture
+def settings(tmp_path) -> Path:
+    path = tmp_path / "tiny.yaml"
+    path.write_text(SETTINGS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A finished study: its settings file and its store."""
+    folder = tmp_path_factory.mktemp("study")
+    (folder / "tiny.yaml").write_text(SETTINGS)
+    options = ["--settings", str(folder / "tiny.yaml"), "--store", str(folder / "store")]
+    assert call("study", "--workers", "0", *options) == 0
+    return options
+
+
+@pytest.fixture
+def design(tmp_path) -> Path:
+    path = tmp_path / "design.json"
+    path.write_text(json.dumps(design_document(random_designs(1, np.random.default_rng(3)))))
+    return path
+
+
+def refused(capsys, *arguments: str) -> str:
+    assert call(*arguments) == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    return said
+
+
+def test_a_study_from_the_command_line(study, capsys, tmp_path):
+    assert call("status", *study) == 0
+    said = capsys.readouterr().out
+    assert "no process is driving it" in said
+    for stage in ("collect", "train", "evolve", "transfer", "report"):
+        assert f"  {stage:<9} done" in said
+    assert call("study", "--workers", "0", *study) == 0
+    assert call("status", "--digests", *study) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum("history.parquet" in line for line in lines) == 6
+    items = [json.loads(path.read_text()) for path in Path(study[-1]).glob("items/train/*/*/manifest.json")]
+    assert {f"{item['digest']}  train/{item['record']['label']}/0" for item in items} <= set(lines)
+    page = Path(study[-1]) / "studies" / "tiny" / "report" / "index.html"
+    assert page.read_text().lower().startswith("<!doctype html>")
+
+
+def test_simulate_reports_every_world_and_films(study, design, capsys, tmp_path):
+    for world in ("dry_land", "true_slush", "residual_slush"):
+        film = "mp4" if world == "residual_slush" else "gif"
+        out = tmp_path / f"{world}.{film}"
+        arguments = (str(design), "--environment", world, "--depth", "1", "--out", str(out))
+        assert call("simulate", *arguments, *study) == 0
+        said = capsys.readouterr().out
+        assert "root" in said and "whole robot" in said and str(out) in said
+        assert out.read_bytes()[:12].endswith(b"ftypisom") if film == "mp4" else out.read_bytes().startswith(b"GIF89a")
+    assert "members" in said  # of the last world
+
+
+def test_simulate_tells_the_seconds_of_the_simulation(study, design, capsys):
+    arguments = (str(design), "--environment", "dry_land", "--depth", "1", "--set", "physics.time_step=0.05")
+    assert call("simulate", *arguments, *study) == 0
+    assert "Dry Land, 1 m deep, 1 s:" in capsys.readouterr().out  # 20 steps
+
+
+def test_a_page_of_one_design_shows_what_networks_say_of_it(study, design, capsys, tmp_path):
+    for world, depth in (("dry_land", "1"), ("true_slush", "1"), ("residual_slush", "1")):
+        out = tmp_path / f"{world}.html"
+        arguments = (str(design), "--environment", world, "--depth", depth, "--out", str(out))
+        assert call("simulate", *arguments, *study) == 0
+        (replay,) = json.loads(re.search(r'id="replays">(.*?)</script>', out.read_text()).group(1))
+        assert [overlay["unit"] for overlay in replay["overlays"]] == ["m/s²", "× usual"]
+        assert bool(replay["push"]) == (world != "dry_land")
+    alone = tmp_path / "alone.html"
+    arguments = (str(design), "--environment", "dry_land", "--depth", "1", "--out", str(alone))
+    capsys.readouterr()
+    assert call("simulate", *arguments, "--store", str(tmp_path / "none")) == 0
+    assert "shown without what networks say of it" in capsys.readouterr().out
+    assert "<canvas" in alone.read_text()
+
+
+def test_simulate_names_a_damaged_network(study, design, capsys, tmp_path):
+    store = tmp_path / "damaged"
+    shutil.copytree(study[-1], store)
+    network = min(store.glob("items/train/*/*/*.safetensors"))
+    os.truncate(network, 100)
+    arguments = (str(design), "--environment", "residual_slush", "--depth", "1", *study[:-1], str(store))
+    assert str(network) in refused(capsys, "simulate", *arguments)
+
+
+NO_NETWORKS = ("--set", "grid.environments=[true_slush]", "--set", "grid.single_member_depths=[]")
+
+
+def test_simulate_says_where_settings_train_no_networks(design, settings, capsys, tmp_path):
+    """No command would make them: the advice to run the study would be in vain."""
+    options = ("--depth", "1", "--settings", str(settings), "--store", str(tmp_path / "none"), *NO_NETWORKS)
+    said = refused(capsys, "simulate", str(design), "--environment", "residual_slush", *options)
+    assert "study tiny trains no networks" in said and "grid.environments" in said and "puddle study" not in said
+    out = tmp_path / "alone.html"
+    assert call("simulate", str(design), "--environment", "dry_land", "--out", str(out), *options) == 0
+    said = capsys.readouterr().out
+    assert "shown without what networks say of it: study tiny trains no networks" in said and "puddle study" not in said
+
+
+def test_forecast_prices_what_is_left(study, settings, capsys, tmp_path):
+    arguments = ("--settings", str(settings), "--cores", "64")
+    assert call("forecast", *arguments, "--store", str(tmp_path / "none")) == 0
+    said = capsys.readouterr().out
+    assert "64 cores" in said and "evolve" in said and "6 generations" in said
+    assert call("forecast", *study) == 0
+    assert "0 generations" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("stage", ["train", "evolve", "assess"])
+def test_a_stage_whose_inputs_are_missing(stage, settings, capsys, tmp_path):
+    options = ("--settings", str(settings), "--store", str(tmp_path / "store"), "--workers", "0")
+    said = refused(capsys, stage, *options)
+    assert f"{stage} needs the results of collect" in said
+    assert f"puddle collect --settings {settings} --store {tmp_path / 'store'}" in said
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("wobble: 3", "wobble"),
+        ("seed: many", "seed"),
+        ("grid: {depths: [-1.0]}", "depths"),
+        ("grid: {depths: [deep]}", "depths"),
+        ("grid: {depths: [.nan]}", "depths"),
+        ("grid: {environments: [true_mud]}", "true_slush"),
+        ("work: {engine: warp}", "batch"),
+        ("evolution: {afpo: {random_share: 0.9}}", "random_share"),
+    ],
+)
+def test_settings_mistakes_name_file_line_and_field(line, expected, capsys, tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"name: mine\n{line}\n")
+    said = refused(capsys, "study", "--settings", str(path), "--store", str(tmp_path / "store"))
+    assert f"{path}:2" in said and expected in said
+    assert not (tmp_path / "store").exists()
+
+
+def test_unknown_words(capsys, tmp_path, design):
+    assert "laptop, paper, pontoon, row, smoke" in refused(capsys, "study", "--preset", "desktop")
+    assert "No such command" in refused(capsys, "evolv")
+    said = refused(capsys, "study", "--set", "grid.depth=[1]", "--store", str(tmp_path / "store"))
+    assert "--set grid.depth" in said and "depths" in said
+    said = refused(capsys, "simulate", str(design), "--environment", "mud", "--depth", "1")
+    assert "true_slush, dry_land, residual_slush" in said
+
+
+@pytest.mark.parametrize("depth", ["-1", "nan", "inf", "deep", "1e39", "1000.1"])
+def test_depths_that_are_none(depth, design, capsys):
+    reference = ("--set", "work.engine=reference")
+    said = refused(capsys, "simulate", str(design), "--environment", "dry_land", "--depth", depth, *reference)
+    assert "depth" in said
+
+
+def test_designs_that_are_none(capsys, tmp_path, design):
+    def refusal(text: str) -> str:
+        path = tmp_path / "bad.json"
+        path.write_text(text)
+        said = refused(capsys, "simulate", str(path), "--environment", "dry_land", "--depth", "1")
+        assert str(path) in said
+        return said
+
+    good = json.loads(design.read_text())
+    assert "JSON" in refusal("{")
+    assert "not a design" in refusal("[]")
+    assert "version" in refusal(json.dumps({**good, "version": 2}))
+    assert "unknown field wings" in refusal(json.dumps({**good, "wings": 2}))
+    assert "missing field phase" in refusal(json.dumps({k: v for k, v in good.items() if k != "phase"}))
+    assert "length_scale" in refusal(json.dumps({**good, "length_scale": [1, 2]}))
+    assert "parent of link 1" in refusal(json.dumps({**good, "parent": [-1, 4, 0, 0, 0, 0]}))
+    assert "parent" in refusal(json.dumps({**good, "parent": [-1, 10**30, 0, 0, 0, 0]}))
+    assert "frequency is 7.0" in refusal(json.dumps({**good, "frequency": 7.0}))
+    assert "motor_on" in refusal(json.dumps({**good, "motor_on": [0, 1, 1, 1, 1, 1]}))
+    said = refused(capsys, "simulate", str(tmp_path / "none.json"), "--environment", "dry_land", "--depth", "1")
+    assert "can't be read" in said
+    said = refused(
+        capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.mp5")
+    )
+    assert "--out" in said
+    (tmp_path / "x.gif").mkdir()
+    said = refused(
+        capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.gif")
+    )
+    assert "--out" in said and "Is a directory" in said and "store" not in said and "kept" not in said
+
+
+def test_a_store_that_is_none_or_too_new(study, capsys, tmp_path):
+    settings = study[:2]
+    assert "expected a store" in refused(capsys, "status", *settings, "--store", str(tmp_path / "nowhere"))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").write_text("mine")
+    assert "thesis.tex" in refused(capsys, "study", *settings, "--store", str(tmp_path / "full"))
+    newer = tmp_path / "newer"
+    shutil.copytree(study[-1], newer)
+    document = json.loads((newer / "store.json").read_text())
+    (newer / "store.json").write_text(json.dumps({**document, "version": 99}))
+    assert "99" in refused(capsys, "study", *settings, "--store", str(newer))
+
+
+def test_damaged_weights_are_made_again(study, capsys, tmp_path):
+    store = tmp_path / "store"
+    shutil.copytree(study[-1], store)
+    options = ("--workers", "0", *study[:2], "--store", str(store))
+    weights = sorted(store.glob("items/train/*/*/weights.safetensors"))[0]
+    intact = weights.read_bytes()
+    weights.write_bytes(intact[:100] + bytes([intact[100] ^ 1]) + intact[101:])
+    # Longer trials read the weights, find the damage, and have them made again.
+    assert call("study", *options, "--set", "evolution.n_generations=4") == 0
+    assert "weights.safetensors" in "".join(capsys.readouterr())
+    assert weights.read_bytes() == intact
+
+
+def test_a_manifest_that_is_not_ours_is_made_again(study, capsys, tmp_path):
+    store = tmp_path / "store"
+    shutil.copytree(study[-1], store)
+    manifest = sorted(store.glob("items/collect/*/*/manifest.json"))[0]
+    intact = json.loads(manifest.read_text())
+    manifest.write_text("{}")
+    assert call("study", "--workers", "0", *study[:2], "--store", str(store)) == 0
+    assert str(manifest) in "".join(capsys.readouterr())
+    assert json.loads(manifest.read_text())["digest"] == intact["digest"]
+
+
+def test_a_database_that_mlflow_cannot_use_is_told_before_its_ui_starts(study, capsys, tmp_path):
+    store = tmp_path / "store"
+    shutil.copytree(study[-1], store)
+    (store / "mlflow.db").write_bytes(b"no database at all" * 100)
+    said = refused(capsys, "ui", "--store", str(store))
+    assert "mlflow.db" in said and "delete it" in said
+
+
+def test_a_refused_element_is_one_mistake(capsys, tmp_path):
+    said = refused(capsys, "study", "--set", "grid.depths=[-1]", "--store", str(tmp_path / "store"))
+    assert len(said.splitlines()) == 1
+
+
+def test_single_members_evolve_only_at_depths_of_the_grid():
+    grid = parse(Settings, "grid: {depths: [3.0], n_trials: 1}", name="three").grid
+    assert {depth for _, depth, _ in grid.trials()} == {3.0}
+
+
+@pytest.mark.parametrize(
+    ("grid", "said"),
+    [
+        ("depths: [2.0, 1.0, 2.0]", "depths repeats a value, expected each once"),
+        ("depths: [2.0, 1.0, 3.0, 1.0000001]", "depths holds 1.0 and 1.0000001, and both are called 1 m"),
+        ("single_member_depths: [123.4567, 123.4568]", "single_member_depths holds 123.4567 and 123.4568, and both"),
+    ],
+)
+def test_depths_that_go_by_one_name_are_refused(grid, said):
+    """Results go by it: one trial's would stand for the other's."""
+    with pytest.raises(PuddleError, match=re.escape(said)):
+        parse(Settings, f"grid: {{{grid}}}", name="mine")
+    assert parse(Settings, "grid: {depths: [123.456, 123.457]}", name="mine").grid.depths == (123.456, 123.457)
+
+
+def test_workers_here_and_a_cluster_elsewhere_are_not_chosen_together(study, monkeypatch, capsys):
+    for workers in ("0", "4"):
+        assert call("study", *study, "--workers", workers, "--address", "head:6379") == 2
+        assert f"came --workers {workers} with --address head:6379" in capsys.readouterr().err
+    monkeypatch.setenv("RAY_ADDRESS", "head:6379")
+    assert call("study", *study, "--workers", "0") == 0  # all is done; what the environment says, an option overrides
+    assert call("study", *study, "--workers", "2", "--address", "local") == 0
+
+
+@pytest.mark.parametrize(
+    ("variable", "options", "expected"),
+    [
+        ("head:6379", [], {"address": "head:6379", "n_workers": None}),
+        ("head:6379", ["--workers", "2"], {"address": "local", "n_workers": 2}),
+        ("head:6379", ["--address", "auto"], {"address": "auto", "n_workers": None}),
+        ("", ["--workers", "2"], {"address": "local", "n_workers": 2}),
+    ],
+)
+def test_workers_are_this_machines_whatever_the_environment_says(
+    variable, options, expected, settings, monkeypatch, tmp_path
+):
+    asked = []
+    monkeypatch.setattr("pipeline.commands.app.ray_cluster", lambda **where: asked.append(where) or serial_cluster())
+    monkeypatch.setenv("RAY_ADDRESS", variable)
+    assert call("collect", "--settings", str(settings), "--store", str(tmp_path / "store"), *options) == 0
+    assert asked == [expected]
+
+
+def test_a_defect_of_ours_shows_where_and_is_no_study_that_is_done(settings, capsys, monkeypatch, tmp_path):
+    def defective(*given, **execution):
+        raise ZeroDivisionError("of ours")
+
+    monkeypatch.setattr("pipeline.workflow.driver.drive", defective)
+    code = call("study", "--settings", str(settings), "--store", str(tmp_path / "store"))
+    assert code == 70
+    said = capsys.readouterr().err
+    assert said.startswith("Traceback") and "in defective" in said and said.endswith("ZeroDivisionError: of ours\n")

@@ -1,0 +1,37 @@
+"""Every setting written out: it says why, and reads back as what it was."""
+
+import pytest
+
+from pipeline.commands.app import main
+from pipeline.config.annotated import annotated_lines
+from pipeline.config.loading import load, parse, preset_names, preset_path
+from pipeline.config.settings import Settings
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_reads_back_as_it_was(name):
+    settings = load(Settings, preset_path(name))
+    assert parse(Settings, "\n".join(annotated_lines(settings)), name=name) == settings
+
+
+def test_names_that_look_like_something_else_read_back_too():
+    for name in ("true", "null", "1e3", "9", "a-b_c", "no"):
+        settings = Settings(name=name)
+        assert parse(Settings, "\n".join(annotated_lines(settings)), name=name) == settings
+
+
+def test_every_setting_has_its_reason_above_it_and_its_default_beside_it():
+    lines = annotated_lines(Settings(name="mine"))
+    for number, line in enumerate(lines):
+        if ":" in line and not line.lstrip().startswith("#"):
+            assert lines[number - 1].lstrip().startswith("# "), line
+    assert "name: mine  # default: paper" in lines
+    assert any("One of: uniform, log_uniform." in line for line in lines)
+    assert all(len(line) <= 120 for line in lines)
+
+
+def test_the_command_lists_what_was_chosen(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["settings", "--preset", "smoke", "--set", "seed=7"])
+    assert not ended.value.code
+    assert "seed: 7  # default: 1" in capsys.readouterr().out

@@ -1,0 +1,332 @@
+"""Settings files and --set: what is meant arrives, and every mistake is told with its place, in one line."""
+
+import time
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import hypothesis.strategies as st
+import pytest
+import yaml
+from hypothesis import given, settings
+from pydantic import Field, model_validator
+
+from pipeline.config import loading
+from pipeline.config.loading import load, parse, preset_names, preset_path
+from pipeline.errors import PuddleError
+from tasks.parameters import Parameters
+
+
+class Slush(Parameters):
+    density: float = Field(default=1000.0, gt=0.0, le=2000.0)
+    """[kg/m³]"""
+
+
+class Grid(Parameters):
+    depths: tuple[float, ...] = Field(default=(0.0, 9.0), min_length=1)
+    """[m]"""
+    environments: tuple[Literal["dry_land", "true_slush"], ...] = ("dry_land",)
+    """Where."""
+    n_trials: int = Field(default=10, ge=1)
+    """How often."""
+    media: tuple[Slush, ...] = ()
+    """A list of groups."""
+    by_name: dict[str, Slush] = Field(default_factory=dict)
+    """Groups by name."""
+
+
+class Study(Parameters):
+    name: str = Field(default="paper", pattern="^[a-z]+$")
+    """Its name."""
+    seed: int = Field(default=1, ge=0, lt=2**63)
+    """Of all randomness."""
+    resume: bool = True
+    """A flag."""
+    batch: int | None = None
+    """An option."""
+    grid: Grid = Grid()
+    """The trials."""
+    slush: Slush | None = None
+    """A group or none."""
+
+    @model_validator(mode="after")
+    def _agree(self) -> Self:
+        if self.seed == 13:
+            raise ValueError("seed is 13, expected a luckier one")
+        return self
+
+
+def read(text: str, *overrides: str) -> Study:
+    return parse(Study, text, name="lab.yaml", overrides=overrides)
+
+
+def refused(text: str, *overrides: str) -> list[str]:
+    with pytest.raises(PuddleError) as told:
+        read(text, *overrides)
+    return str(told.value).splitlines()
+
+
+# -- what is meant arrives -------------------------------------------------------------------------------------------
+
+
+def test_a_file_changes_what_it_names_and_nothing_else() -> None:
+    study = read("grid:\n  depths: [0, 0.5, 1e-3, 5E0]\n  environments:\n  - true_slush\nseed: 5\n")
+    assert study == Study(seed=5, grid=Grid(depths=(0.0, 0.5, 0.001, 5.0), environments=("true_slush",)))
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "---\n", "{}", "\ufeffseed: 1"])
+def test_an_empty_file_is_the_defaults(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(text, encoding="utf-8")
+    assert load(Study, path) == Study()
+
+
+@pytest.mark.parametrize(
+    ("word", "number"),
+    [("1e-3", 0.001), ("1E3", 1000.0), (".5", 0.5), ("5.", 5.0), ("+2", 2.0), ("010", 10.0), ("1.5e+2", 150.0)],
+)
+def test_numbers_are_read_as_a_physicist_writes_them(word: str, number: float) -> None:
+    density = read(f"slush: {{density: {word}}}").slush.density
+    assert density == number and type(density) is float
+
+
+def test_a_whole_number_may_be_written_with_an_exponent() -> None:
+    assert read("seed: 5e4").seed == 50_000
+    assert type(read("seed: 5e4").seed) is int
+    assert read("seed: 9223372036854775807").seed == 2**63 - 1
+
+
+@pytest.mark.parametrize("word", ["no", "off", "y", "on", "NO"])
+def test_words_are_words_and_no_flags(word: str) -> None:
+    expected = [f'lab.yaml:1: resume: expected true or false, came "{word}"']
+    assert refused(f"resume: {word}") == expected
+    if word.islower():
+        assert read(f"name: {word}").name == word
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False, min_value=1e-300, max_value=2000.0))
+def test_every_float_arrives_exactly(number: float) -> None:
+    assert read(f"slush:\n  density: {number!r}").slush.density == number
+    assert read("", f"slush.density={number!r}").slush.density == number
+
+
+SETTINGS = st.fixed_dictionaries(
+    {},
+    optional={
+        "seed": st.integers(0, 2**63 - 1).filter(lambda seed: seed != 13),
+        "name": st.text("abcxyz", min_size=1).filter(lambda name: name != "y"),
+        "resume": st.booleans(),
+        "batch": st.none() | st.integers(),
+        "grid": st.fixed_dictionaries(
+            {}, optional={"depths": st.lists(st.floats(0, 100), min_size=1), "n_trials": st.integers(1, 99)}
+        ),
+    },
+)
+
+
+@given(SETTINGS)
+def test_what_yaml_writes_is_read_back(chosen: dict[str, Any]) -> None:
+    assert read(yaml.safe_dump(chosen)) == Study.model_validate(chosen)
+
+
+# -- overrides -------------------------------------------------------------------------------------------------------
+
+
+def test_overrides_win_over_the_file_and_later_ones_over_earlier() -> None:
+    overrides = ("seed=3", "grid.depths=[1, 2e0]", "name=abc", "seed=4", "resume=false", "batch=null")
+    study = read("seed: 2\ngrid: {n_trials: 3}", *overrides)
+    assert study == Study(seed=4, name="abc", resume=False, grid=Grid(depths=(1.0, 2.0), n_trials=3))
+    assert read("", "grid={n_trials: 4}", "grid.environments=[true_slush]").grid == Grid(
+        n_trials=4, environments=("true_slush",)
+    )
+    assert read("", "grid.by_name.oil.density=900").grid.by_name == {"oil": Slush(density=900.0)}
+    assert read("", "name='a'").name == "a"
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("grid.n_trials=ten", 'grid.n_trials: expected a whole number, came "ten"'),
+        ("grid.n_trials=0", "grid.n_trials: expected a number greater than or equal to 1, came 0"),
+        (
+            "grid.n_trails=3",
+            "grid.n_trails: unknown setting; did you mean n_trials?; known: by_name, depths, "
+            "environments, media, n_trials",
+        ),
+        ("grid.depths=[1, x]", 'grid.depths[1]: expected a number, came "x"'),
+        ("grid.depths=", "grid.depths: expected a list, came null"),
+        ("grid=3", "grid: expected a group of settings, came 3"),
+        ("seed", "expected a setting's name, = and its value, such as grid.n_trials=3"),
+        ("=3", "expected a setting's name, = and its value, such as grid.n_trials=3"),
+        ("grid..n_trials=3", "expected a setting's name, = and its value, such as grid.n_trials=3"),
+        ("name=a: b", "expected a value, a list [..] or a group {..}, came a colon (quote it)"),
+        ("grid.depths=[1", "while parsing a flow sequence, expected ',' or ']', but got '<stream end>'"),
+        ("seed=&a 1", "expected plain values, came an anchor or an alias"),
+        ("seed=!!int 1", "expected plain values, came the tag tag:yaml.org,2002:int"),
+        ("grid={n_trials: 1, n_trials: 2}", "'n_trials' appears twice"),
+    ],
+)
+def test_a_mistake_in_an_override_names_the_override(override: str, message: str) -> None:
+    assert refused("seed: 1\n", override) == [f"--set {override}: {message}"]
+
+
+def test_values_that_do_not_go_together_are_placed_where_they_may_have_come_from() -> None:
+    said = "seed is 13, expected a luckier one"
+    assert refused("name: a\nseed: 13\n") == [f"lab.yaml: {said}"]
+    assert refused("name: a\n", "seed=13") == [f"lab.yaml with --set seed=13: {said}"]
+    twice = "grid.depths=[2, 3]", "seed=13"
+    assert refused("grid: {n_trials: 3}\n", *twice) == [f"lab.yaml with --set {twice[0]} with --set {twice[1]}: {said}"]
+
+
+def test_an_override_below_a_value_says_where_the_value_is() -> None:
+    assert refused("name: a\nseed: 1\n", "seed.x=3") == [
+        "--set seed.x=3: seed: expected a group of settings, came 1 at lab.yaml:2"
+    ]
+    assert refused("", "seed=1\nname: b") == ["--set seed=1", "name: b: expected a value on one line"]
+
+
+# -- mistakes --------------------------------------------------------------------------------------------------------
+
+
+def test_all_mistakes_are_told_each_with_its_line() -> None:
+    text = (
+        "seed: -1\n"
+        "grid:\n"
+        "  depths: [0.5,\n"
+        "    deep, true]\n"
+        "  environments: [dry_land, moon]\n"
+        "  media:\n"
+        "  - density: 1\n"
+        "  - density: 0\n"
+        "  n_trails: 3\n"
+        "batch: '3'\n"
+        "slush: [1]\n"
+        "nmae: x\n"
+    )
+    assert sorted(refused(text)) == sorted(
+        [
+            "lab.yaml:1: seed: expected a number greater than or equal to 0, came -1",
+            'lab.yaml:4: grid.depths[1]: expected a number, came "deep"',
+            "lab.yaml:4: grid.depths[2]: expected a number, came true",
+            "lab.yaml:5: grid.environments[1]: expected 'dry_land' or 'true_slush', came \"moon\"",
+            "lab.yaml:8: grid.media[1].density: expected a number greater than 0, came 0",
+            "lab.yaml:9: grid.n_trails: unknown setting; did you mean n_trials?; known: by_name, depths, environments, "
+            "media, n_trials",
+            'lab.yaml:10: batch: expected a whole number, came "3"',
+            "lab.yaml:11: slush: expected a group of settings, came [1]",
+            "lab.yaml:12: nmae: unknown setting; did you mean name?; known: batch, grid, name, resume, seed, slush",
+        ]
+    )
+
+
+def test_settings_that_do_not_go_together() -> None:
+    assert refused("seed: 13\n") == ["lab.yaml: seed is 13, expected a luckier one"]
+
+
+def test_known_settings_are_those_of_the_group_within_an_optional_one() -> None:
+    assert refused("slush:\n  densty: 1\n") == [
+        "lab.yaml:2: slush.densty: unknown setting; did you mean density?; known: density"
+    ]
+
+
+def test_long_values_are_cut() -> None:
+    (line,) = refused(f"seed: {'x' * 500}")
+    assert line.startswith('lab.yaml:1: seed: expected a whole number, came "xxx') and len(line) < 140
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: 1\nb:\n  c: 1\n  c: 2\n", "lab.yaml:4: 'c' appears twice, first at lab.yaml:3"),
+        ("a: &x [1]\nb: *x\n", "lab.yaml:1: expected plain values, came an anchor or an alias"),
+        ("a: 1\nb: *x\n", "lab.yaml:2: expected plain values, came an anchor or an alias"),
+        (
+            "a:\n  !!python/object/apply:os.system [ls]",
+            "lab.yaml:2: expected plain values, came the tag tag:yaml.org,2002:python/object/apply:os.system",
+        ),
+        ("seed: 1\n<<: {name: a}\n", "lab.yaml:2: <<: unknown setting; known: batch, grid, name, resume, seed, slush"),
+        ("seed: 1\n---\nseed: 2\n", "lab.yaml:2: expected a single document in the stream, but found another document"),
+        (
+            "seed: 1\n\tname: a\n",
+            "lab.yaml:2: while scanning for the next token, found character '\\t' that cannot start any token",
+        ),
+        ("seed: 1\nname: a\x07\n", "lab.yaml:2: expected text, came the character '\\x07'"),
+        ("- 1\n", "lab.yaml:1: expected settings like `name: value`, came [1]"),
+        ("hello", 'lab.yaml:1: expected settings like `name: value`, came "hello"'),
+        ("seed: 1\n? [1]\n: 2\n", "lab.yaml:2: expected a name before the colon, came a list or a group"),
+        ("seed: .nan", 'lab.yaml:1: seed: expected a whole number, came ".nan"'),
+        ("seed: 1e999", 'lab.yaml:1: expected a number below 1e308, came "1e999"'),
+        ("seed: 2020-01-01", 'lab.yaml:1: seed: expected a whole number, came "2020-01-01"'),
+        ("seed: 1:30", 'lab.yaml:1: seed: expected a whole number, came "1:30"'),
+        ("seed: 1.5", "lab.yaml:1: seed: expected a whole number, came 1.5"),
+        ("seed: true", "lab.yaml:1: seed: expected a whole number, came true"),
+        (
+            "seed: 9223372036854775808",
+            "lab.yaml:1: seed: expected a number less than 9223372036854775808, came 9223372036854775808",
+        ),
+        ("grid:\n", "lab.yaml:1: grid: expected a group of settings, came null"),
+    ],
+)
+def test_bad_yaml_is_refused_with_its_line(text: str, message: str) -> None:
+    assert refused(text) == [message]
+
+
+def test_bombs_are_refused_at_once() -> None:
+    laughs = "a0: &a0 [x]\n" + "".join(f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]\n" for i in range(9))
+    start = time.monotonic()
+    deep = ("[" * 2**20, "a: " + "{b: " * 50_000, "- " * 50_000)
+    for bomb in (laughs, *deep, "seed: " + "0" * 5000, "seed: " + "9" * 10**5):
+        (line,) = refused(bomb)
+        assert line.startswith("lab.yaml:") and len(line) < 200
+    assert time.monotonic() - start < 20.0
+
+
+@settings(max_examples=500)
+@given(st.text(max_size=60) | st.text("ab:[]{}-,&*!|>'\"%@`#?\n\t 01e.~<", max_size=60))
+def test_any_text_is_read_or_refused_in_lines(text: str) -> None:
+    try:
+        study = read(text)
+    except PuddleError as error:
+        assert all(line.startswith("lab.yaml") for line in str(error).split("\n"))  # not splitlines: text is free
+    else:
+        assert study == Study()
+
+
+# -- files and presets -----------------------------------------------------------------------------------------------
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    with pytest.raises(PuddleError, match=f"{path}: expected a settings file, came: No such file"):
+        load(Study, path)
+    with pytest.raises(PuddleError, match=f"{tmp_path}: expected a settings file, came: Is a directory"):
+        load(Study, tmp_path)
+    path.write_bytes(b"seed: 1\nname: \xff\n")
+    with pytest.raises(PuddleError, match=f"{path}:2: expected UTF-8 text, came the byte 0xff"):
+        load(Study, path)
+    path.write_bytes(b"#" * (2**20 + 1))
+    with pytest.raises(PuddleError, match=f"{path}: expected at most 1048576 bytes"):
+        load(Study, path)
+    path.write_text("grid:\n  n_trials: 0\n")
+    with pytest.raises(PuddleError, match=rf"{path}:2: grid\.n_trials: expected a number"):
+        load(Study, path)
+    assert load(Study, path, ["grid.n_trials=2"]).grid.n_trials == 2
+
+
+def test_presets_are_the_files_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loading, "PRESETS", tmp_path)
+    with pytest.raises(PuddleError, match=f"expected a file of {tmp_path}, which holds none"):
+        preset_path("smoke")
+    for name in ("smoke.yaml", "laptop.yaml", "notes.txt"):
+        (tmp_path / name).touch()
+    assert preset_names() == ["laptop", "smoke"]
+    assert preset_path("smoke") == tmp_path / "smoke.yaml"
+    with pytest.raises(PuddleError, match="preset 'smok': expected one of laptop, smoke; did you mean smoke"):
+        preset_path("smok")
+    for name in ("../smoke", "smoke.yaml", "", "/etc/passwd", "*"):
+        with pytest.raises(PuddleError, match="expected one of laptop, smoke"):
+            preset_path(name)
+
+
+def test_the_presets_of_this_checkout_are_found() -> None:
+    assert {"smoke", "laptop", "row", "paper", "pontoon"} <= set(preset_names())
+    assert all(preset_path(name).is_file() for name in preset_names())

@@ -1,0 +1,165 @@
+"""A Maestro that is not there: a real pty, and a thread that speaks the controller's side of the protocol."""
+
+import os
+import pty
+import select
+import threading
+import time
+import tty
+from collections.abc import Iterator
+
+import pytest
+
+from pipeline.servo import maestro
+from tasks.fabrication.calibration import Calibration, ServoCalibration
+
+DATA_BYTES = {0x84: 3, 0x87: 3, 0x89: 3, 0x90: 1, 0xA1: 0, 0xA2: 0}
+"""Data bytes of the commands that the user's guide gives, by command byte."""
+
+TIMED_OUT = 1 << 5
+PROTOCOL_ERROR = 1 << 4
+
+
+class FakeMaestro:
+    """Speaks the compact protocol, keeps what it is told, and misbehaves on demand."""
+
+    def __init__(self, *, unplug_after: int | None = None, timeout: float | None = None) -> None:
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        self.path = os.ttyname(self._slave)
+        self.unplug_after = unplug_after
+        self.timeout = timeout
+        self.answer = lambda honest: honest  # what it makes of an honest answer
+        self.channel_range = (256, 10_000)  # its own limits [quarter µs]
+        self.errors = 0
+        self.n_bytes = 0
+        self.baud_indications = 0
+        self.commands: list[tuple[int, ...]] = []
+        self.targets: list[tuple[int, float]] = []  # channel, µs, as they came
+        self.on: dict[int, float] = {}  # channel -> µs, while pulsing
+        self.speeds: dict[int, int] = {}
+        self._partial: list[int] = []
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        heard = time.monotonic()
+        while True:
+            try:
+                ready, _, _ = select.select([self._master], [], [], 0.02)
+                if not ready:
+                    if self._closing.is_set():
+                        return
+                    if self.timeout is not None and time.monotonic() - heard > self.timeout and self.on:
+                        self.errors |= TIMED_OUT
+                        self.on.clear()
+                    continue
+                heard = time.monotonic()
+                for byte in os.read(self._master, 4096):
+                    if self.n_bytes == self.unplug_after:
+                        os.close(self._master)
+                        return
+                    self.n_bytes += 1
+                    self._take(byte)
+            except OSError:
+                return
+
+    def _take(self, byte: int) -> None:
+        if byte & 0x80:
+            if self._partial or byte not in DATA_BYTES:
+                self.errors |= PROTOCOL_ERROR if byte != 0xAA or self._partial else 0
+                self.baud_indications += byte == 0xAA
+                self._partial = []
+                if byte not in DATA_BYTES:
+                    return
+            self._partial = [byte]
+        elif not self._partial:
+            self.errors |= PROTOCOL_ERROR
+            return
+        else:
+            self._partial.append(byte)
+        if len(self._partial) == 1 + DATA_BYTES[self._partial[0]]:
+            command, self._partial = tuple(self._partial), []
+            self.commands.append(command)
+            self._obey(*command)
+
+    def _obey(self, command: int, channel: int = 0, low: int = 0, high: int = 0) -> None:
+        value = low + 128 * high
+        if command == 0x84:
+            self.targets.append((channel, value / 4))
+            if value:
+                self.on[channel] = min(max(value, self.channel_range[0]), self.channel_range[1]) / 4
+            else:
+                self.on.pop(channel, None)
+        elif command == 0x87:
+            self.speeds[channel] = value
+        elif command == 0x90:
+            self._say(round(4 * self.on.get(channel, 0.0)))
+        elif command == 0xA1:
+            errors, self.errors = self.errors, 0
+            self._say(errors)
+        elif command == 0xA2:
+            self.on.clear()
+
+    def _say(self, value: int) -> None:
+        os.write(self._master, self.answer(value.to_bytes(2, "little")))
+
+    def finish(self) -> None:
+        """Take what is still in the line, and end."""
+        self._closing.set()
+        self._thread.join(5.0)
+        assert not self._thread.is_alive()
+
+    def close(self) -> None:
+        self.finish()
+        os.close(self._slave)
+        if self.unplug_after is None or self.n_bytes < self.unplug_after:
+            os.close(self._master)
+
+    def pulses(self, channel: int) -> list[float]:
+        return [pulse for where, pulse in self.targets if where == channel]
+
+
+@pytest.fixture
+def plug(monkeypatch) -> Iterator[type[FakeMaestro]]:
+    """Plug fake controllers in; they are unplugged at the test's end."""
+    monkeypatch.setattr(maestro, "PATIENCE", 1.0)  # a fake is a thread, and a busy machine may let it wait for 0.1 s
+    plugged = []
+
+    def make(**execution) -> FakeMaestro:
+        plugged.append(FakeMaestro(**execution))
+        return plugged[-1]
+
+    yield make
+    for fake in plugged:
+        fake.close()
+
+
+class SteppedClock:
+    """Time passes in sleep alone, so that a run takes as long as its bytes, and never has a busy machine's lateness."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, duration: float) -> None:
+        self.time += duration
+
+
+@pytest.fixture
+def clock() -> SteppedClock:
+    return SteppedClock()
+
+
+@pytest.fixture(scope="session")
+def calibration() -> Calibration:
+    common = {"us_per_rad": 600.0, "min_us": 900.0, "max_us": 2100.0, "max_speed": 3.0}
+    return Calibration(
+        servos=(
+            ServoCalibration(joint=2, channel=0, centre_us=1500.0, direction=1, **common),
+            ServoCalibration(joint=4, channel=3, centre_us=1480.5, direction=-1, **common),
+        )
+    )

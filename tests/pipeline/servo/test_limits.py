@@ -1,0 +1,94 @@
+"""The one last function: 100,000 commands of all sorts, and none gets past a limit."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.servo.controller import DryRun
+from pipeline.servo.limits import LONGEST_STEP, Outlet, clamp
+from tasks.fabrication.calibration import ServoCalibration
+
+
+class Recorder(DryRun):
+    def __init__(self) -> None:
+        self.sent: list[dict[int, float]] = []
+
+    def send(self, pulses_us) -> None:
+        self.sent.append(dict(pulses_us))
+
+
+def random_servo(rng: np.random.Generator) -> ServoCalibration:
+    low, centre, high = np.sort(rng.uniform(400.0, 2600.0, 3)).tolist()
+    return ServoCalibration(
+        joint=1,
+        channel=int(rng.integers(24)),
+        centre_us=centre,
+        direction=int(rng.choice([-1, 1])),
+        us_per_rad=float(rng.uniform(100, 1200)),
+        min_us=low,
+        max_us=high,
+        max_speed=float(rng.uniform(0.001, 50)),
+    )
+
+
+def test_none_of_100_000_random_commands_gets_past_a_limit():
+    rng = np.random.default_rng(20)
+    wild = [math.nan, math.inf, -math.inf, 1e308, -1e308, 0.0, -1.0]
+    n = 0
+    while n < 100_000:
+        servo, recorder, now = random_servo(rng), Recorder(), 0.0
+        outlet, before = Outlet(recorder, [servo]), None
+        for _ in range(1000):
+            elapsed = float(rng.choice([0.0, rng.exponential(0.02), rng.uniform(0, 10), -1.0]))
+            wanted = float(rng.choice(wild)) if rng.random() < 0.1 else float(rng.uniform(-1000, 5000))
+            now += elapsed
+            outlet.send({servo.channel: wanted}, now)
+            sent = recorder.sent[-1][servo.channel]
+            if servo.max_us - servo.min_us >= 0.5:  # there is a quarter of a microsecond between
+                assert servo.min_us <= sent <= servo.max_us
+            assert sent * 4 == round(sent * 4)
+            if before is None:
+                assert abs(sent - servo.centre_us) <= 0.25
+            else:
+                assert abs(sent - before) <= servo.max_rate_us * min(max(elapsed, 0.0), LONGEST_STEP) + 1e-6
+            before = sent
+            n += 1
+
+
+@given(wanted=st.floats(allow_nan=True, allow_infinity=True), last=st.floats(900.0, 2100.0))
+def test_a_wish_that_is_no_number_moves_nothing(wanted: float, last: float):
+    servo = ServoCalibration(
+        joint=1, channel=0, centre_us=1500.0, direction=1, us_per_rad=600.0, min_us=900.0, max_us=2100.0, max_speed=1.0
+    )
+    last = round(last * 4) / 4
+    assert clamp(math.nan, last, 1.0, servo) == last
+    assert clamp(wanted, last, 0.0, servo) == last
+    assert clamp(wanted, None, 1.0, servo) == 1500.0
+
+
+def test_within_the_limits_a_wish_is_met_to_a_quarter_of_a_microsecond():
+    servo = ServoCalibration(
+        joint=1, channel=0, centre_us=1500.0, direction=1, us_per_rad=600.0, min_us=900.0, max_us=2100.0, max_speed=2.0
+    )
+    # 2 rad/s · 600 µs/rad · 0.02 s = 24 µs a frame
+    assert clamp(1510.1, 1500.0, 0.02, servo) == 1510.0
+    assert clamp(1510.2, 1500.0, 0.02, servo) == 1510.25
+    assert clamp(1700.0, 1500.0, 0.02, servo) == 1524.0
+    assert clamp(1300.0, 1500.0, 0.02, servo) == 1476.0
+    assert clamp(1700.0, 1500.0, 3600.0, servo) == 1548.0
+    assert clamp(5000.0, 2095.0, 0.02, servo) == 2100.0
+
+
+def test_what_was_switched_off_starts_at_neutral_again(calibration):
+    recorder = Recorder()
+    outlet = Outlet(recorder, calibration.servos)
+    outlet.send({0: 1500.0}, 0.0)
+    outlet.send({0: 1520.0}, 0.02)
+    assert outlet.sent == {0: pytest.approx(1520.0)}
+    outlet.off()
+    assert outlet.sent == {}
+    outlet.send({0: 2000.0}, 0.04)
+    assert recorder.sent[-1] == {0: 1500.0}

@@ -1,0 +1,188 @@
+"""The physical variant from throws to the robot that is proposed: the preset itself, made small enough for seconds."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from small_study import run
+
+from pipeline.cluster import serial_cluster
+from pipeline.commands.simulate import simulate_design
+from pipeline.config.loading import load, parse, preset_path
+from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
+from pipeline.stages import analyse, evolve, report
+from pipeline.stages.analyse import read_table, tank_label
+from pipeline.store.design_file import design_from
+from pipeline.store.encoding import decode_table
+from pipeline.store.store import Store
+from tasks.design import Designs, links_apart
+from tasks.evolution import OPERATORS
+
+SMALL = (
+    "throws.n_throws=6",
+    "throws.n_steps=20",
+    "network.hidden_layers=1",
+    "network.width=4",
+    "training.n_iterations=20",
+    "training.batch_size=64",
+    "ensemble.n_members=2",
+    "grid.n_trials=3",
+    "rollout.n_settle=30",
+    "rollout.n_measure=60",
+    "evolution.n_generations=3",
+    "evolution.afpo.population_size=6",
+    "work.generations_per_item=2",
+    "transfer.adapted_environments=[residual_slush]",
+    "transfer.n_generations=2",
+    "tank.seconds=0.5",
+    "work.engine=reference",
+)
+"""As a user would vary the preset; the adaptation is there to see that it keeps the motors.
+The reference engine has nothing to compile."""
+ARM = "residual_slush/2m"
+
+
+@pytest.fixture(scope="module")
+def pontoon() -> Settings:
+    return load(Settings, preset_path("pontoon"), SMALL)
+
+
+@pytest.fixture(scope="module")
+def built(pontoon, tmp_path_factory):
+    store = Store.open(tmp_path_factory.mktemp("pontoon") / "store", create=True)
+    with serial_cluster() as cluster:
+        upstream = run(pontoon, store, cluster)
+    assert not any(results.failed for results in upstream.values())
+    return store, upstream
+
+
+@pytest.fixture(scope="module")
+def tank(built):
+    store, upstream = built
+    (done,) = upstream["analyse"].done[tank_label("residual_slush", 2.0)]
+    return read_table({name: store.read(done, name) for name in done.files}, "tank")
+
+
+def test_the_preset_is_what_the_paper_built():
+    settings = load(Settings, preset_path("pontoon"))
+    assert settings.grid.trials() == [("residual_slush", 2.0, trial) for trial in range(16)]
+    assert (settings.rollout.n_settle, settings.rollout.n_measure) == (1000, 5000)
+    physics, morphology = settings.physics, settings.evolution.morphology
+    assert (physics.max_motor_torque, physics.passive_joints, physics.link_collisions) == (30, "locked", True)
+    assert (morphology.n_actuated, morphology.unjoined_links) == (2, "apart")
+    tank = settings.tank
+    assert (tank.length, tank.depth, tank.scale, tank.seconds) == (1.17, 0.15, 0.07, 150)
+
+
+def test_locked_joints_need_a_number_of_motors():
+    with pytest.raises(PuddleError, match=r"passive_joints is locked.*expected evolution\.morphology\.n_actuated"):
+        parse(Settings, "physics: {passive_joints: locked}", name="mine")
+
+
+def test_a_tank_needs_a_step_of_settling():
+    with pytest.raises(PuddleError, match=r"rollout\.n_settle is 0.*tank.*expected 1 or more"):
+        parse(Settings, "rollout: {n_settle: 0}\ntank: {}", name="mine")
+    assert parse(Settings, "rollout: {n_settle: 0}", name="mine").tank is None
+
+
+def test_everything_that_evolves_can_be_built(built):
+    store, upstream = built
+    for stage in ("evolve", "transfer"):
+        for label, segments in upstream[stage].done.items():
+            for segment in segments:
+                if "history.parquet" not in segment.files:
+                    continue
+                history = decode_table(
+                    store.read(segment, "history.parquet"), schema="history", version=1, source=label
+                )
+                designs = Designs.from_arrays(history)
+                assert links_apart(designs).all()
+                assert (designs.motor_on.sum(axis=1) == 2).all()
+
+
+def test_an_adapted_controller_keeps_the_body_and_its_motors(built):
+    store, upstream = built
+    for chain in upstream["transfer"].done.values():
+        before, after = (json.loads(store.read(chain[-1], f"{name}.json")) for name in ("champion", "adapted"))
+        for name in ("parent", "length_scale", "rest_angle", "motor_on"):
+            assert before[name] == after[name]
+        assert before["frequency"] != after["frequency"]
+
+
+def test_the_share_of_rejected_draws_is_told(pontoon, built):
+    store, upstream = built
+    summary = evolve.summarise(pontoon, upstream["evolve"], store)
+    told = "\n".join(summary.lines)
+    drawn, rejected = (dict.fromkeys(OPERATORS, 0) for _ in range(2))
+    for label, segments in upstream["evolve"].done.items():
+        for segment in segments:
+            history = decode_table(store.read(segment, "history.parquet"), schema="history", version=1, source=label)
+            for code, operator in enumerate(OPERATORS):
+                mine = history["n_draws"][history["operator"] == code]
+                drawn[operator] += mine.sum()
+                rejected[operator] += (mine - 1).sum()
+    assert summary.metrics["rejected_share.random"] > 0.99
+    for operator in OPERATORS:
+        share = rejected[operator] / drawn[operator]
+        assert summary.metrics.get(f"rejected_share.{operator}", 0.0) == pytest.approx(share)
+        assert not rejected[operator] or f"{share:.1%} of {drawn[operator]:,} by {operator}" in told
+
+
+def test_the_champion_nearest_the_mean_is_proposed(built, tank):
+    store, upstream = built
+    scores = [
+        json.loads(store.read(chain[-1], "score.json"))["zero_shot"] for chain in upstream["transfer"].done.values()
+    ]
+    np.testing.assert_array_equal(tank["zero_shot"], scores)
+    distance = np.abs(np.array(scores) - np.mean(scores))
+    assert tank["proposed"].sum() == 1
+    assert distance[tank["proposed"]][0] == distance.min()
+    for where in ("wet", "dry"):
+        assert not tank[f"{where}_crossed"].any()  # no one goes 10 m in 0.5 s / √0.07
+        assert np.isfinite(tank[f"{where}_travelled"]).all()
+        expected = 1.17 / 0.07 - tank[f"{where}_length"]
+        np.testing.assert_allclose(tank[f"{where}_distance"], expected)
+    assert np.isfinite(tank["dry_land"]).all()
+    assert (tank["dry_land"] != tank["zero_shot"]).all()
+
+
+def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, tank, tmp_path):
+    store, upstream = built
+    (trial,) = tank["trial"][tank["proposed"]].tolist()
+    told = "\n".join(analyse.summarise(pontoon, upstream["analyse"], store).lines)
+    assert f"to build: the champion of trial {trial}," in told
+    (way,) = re.findall(r"in the tank of 16.7 m x 2.14 m of simulation it (.+) in 0.5 s \(.*\) as built;", told)
+    came, expected = (tank[f"wet_{name}"][tank["proposed"]][0] for name in ("travelled", "distance"))
+    assert way == f"comes {7 * came:z.1f} of {7 * expected:.1f} cm"  # as built, as its seconds are: 0.07 m for a metre
+    summary = report.summarise(pontoon, upstream["report"], store)
+    (path,) = (line.removesuffix(": a robot to build") for line in summary.lines if line.endswith("a robot to build"))
+    page = summary.artifacts[report.PAGE].decode()
+    text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
+    assert f"✓ trial {trial}" in text
+    assert "Residual Slush, 2 m: 0 of 3 cross, 0 on the dry floor" in text
+    assert "To build: evolved in Residual Slush" in page  # its films
+    assert re.search(r"did were drawn again: 100 % of [\d,]+ by random, \d+ % of [\d,]+ by mutation", text)
+    assert "as far to the right as they can in 1 seconds" in text
+    # What is handed over is a design file like any other, of the champion itself.
+    (champion,) = (store.read(upstream["transfer"].done[f"{ARM}/trial-{trial}"][-1], "champion.json"),)
+    written = store.root / "studies" / "pontoon" / "report" / "proposed-residual_slush-2m.json"
+    assert str(written) == path
+    assert written.read_bytes() == champion
+    design_from(json.loads(champion), "proposed")
+    film = tmp_path / "film.gif"
+    lines = simulate_design(
+        written, "true_slush", 2.0, film, settings=pontoon, open_store=lambda: store, how_to_run=lambda name: name
+    )
+    moved = float(re.search(r"root ([+-][\d.]+) m", "\n".join(lines))[1])
+    assert moved == pytest.approx(tank["zero_shot"][tank["proposed"]][0], abs=5e-4)
+    assert film.read_bytes().startswith(b"GIF89a")
+
+
+def test_a_study_without_a_tank_proposes_nobody(settings, study):
+    store, upstream = study
+    assert not [label for label in upstream["analyse"].done if label.startswith("tank/")]
+    summary = report.summarise(settings, upstream["report"], store)
+    assert len(summary.lines) == 1
+    assert 'id="tank"' not in summary.artifacts[report.PAGE].decode()

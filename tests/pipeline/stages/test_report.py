@@ -1,0 +1,151 @@
+"""report on a real study: who is filmed where, what is laid over, and what people get."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.stages import report
+from pipeline.stages.analyse import read_table
+from pipeline.stages.report import PAGE
+from pipeline.stages.report_findings import findings
+from pipeline.stages.report_replays import replays_of
+from pipeline.stages.transfer import SCORE
+from pipeline.store.encoding import decode_json, encode_json
+from pipeline.workflow.stage import NOT_POSSIBLE
+
+HOW = {"engine": "batch"}
+
+
+def inputs_of(store, item):
+    return {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
+
+
+@pytest.fixture(scope="module")
+def page(study, settings):
+    """Specification and inputs of the page's work."""
+    store, upstream = study
+    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == PAGE)
+    item = report.STAGE.item(settings, chain, 0, None, upstream)
+    return {**item.spec["settings"], "trials": item.spec["trials"]}, inputs_of(store, item)
+
+
+def by_world(replays):
+    return {(replay.environment, replay.world): replay for replay in replays}
+
+
+def test_every_arm_is_filmed_in_true_slush_and_where_it_evolved(page):
+    spec, inputs = page
+    found = by_world(replays_of(spec, HOW, inputs))
+    worlds = {
+        environment: read_table(inputs[f"analyse/instruments/{environment}/1m"], "worlds")
+        for environment in ("dry_land", "residual_slush", "single_member")
+    }
+    median = {name: f"Residual Slush (member {table['member'][1]})" for name, table in worlds.items()}
+    assert set(found) == {
+        ("true_slush", "True Slush"),
+        ("dry_land", "True Slush"),
+        ("dry_land", "Dry Land"),
+        ("residual_slush", "True Slush"),
+        ("residual_slush", median["residual_slush"]),
+        ("single_member", "True Slush"),
+        ("single_member", median["single_member"]),
+    }
+    for (environment, world), replay in found.items():
+        moved = replay.frames[-1, 0, 0] - replay.frames[0, 0, 0]
+        if environment != "true_slush":
+            row = 0 if world == "True Slush" else 1
+            assert moved == pytest.approx(worlds[environment]["displacement"][row], abs=1e-5)
+        assert replay.imagined == world.startswith("Residual") and (replay.push is None) == (world == "Dry Land")
+        assert [overlay.unit for overlay in replay.overlays] == ["m/s²", "× usual"]
+    home, slush = found["residual_slush", median["residual_slush"]], found["residual_slush", "True Slush"]
+    assert home.title == slush.title and not np.array_equal(home.push, slush.push)
+
+
+def test_the_member_filmed_promises_the_median(page):
+    """The lower of two members: the one that promises less."""
+    _, inputs = page
+    table = read_table(inputs["analyse/instruments/residual_slush/1m"], "worlds")
+    ranked = read_table(inputs["analyse/exploiters"], "exploiters")
+    mine = (ranked["kind"] == "champion") & (ranked["environment"] == "residual_slush")
+    by_member = ranked["by_member"][mine & (ranked["trial"] == table["trial"][1])][0]
+    assert table["member"][1] == np.argmin(by_member)
+    assert table["displacement"][1] == by_member.min()
+
+
+def test_without_networks_and_analysis_there_is_what_needs_none(page):
+    spec, inputs = page
+    bare = {name: files for name, files in inputs.items() if not name.startswith(("member-", "analyse/"))}
+    found = by_world(replays_of(spec, HOW, bare))
+    assert set(found) == {
+        ("dry_land", "Dry Land"),
+        *((name, "True Slush") for name in ("true_slush", "dry_land", "residual_slush", "single_member")),
+    }
+    assert not any(replay.overlays for replay in found.values())
+
+
+def test_films_and_throws_take_as_long_as_in_the_simulation(page, settings):
+    spec, inputs = page
+    slow = {**spec, "physics": {**spec["physics"], "time_step": 0.05}}
+    for replay in replays_of(slow, HOW, inputs):
+        assert replay.duration == pytest.approx(spec["rollout"]["n_measure"] * 0.05)
+    found = findings(inputs, assessed_depth=1.0, tank=None, time_step=0.05)
+    assert found.throws.seconds == pytest.approx(settings.throws.n_steps * 0.05)
+
+
+def test_champions_that_no_true_slush_has_seen_are_filmed_where_they_evolved(page):
+    spec, inputs = page
+    unseen = {}
+    for name, files in inputs.items():
+        if name.startswith("transfer/"):
+            scores = decode_json(files[SCORE], name) | {"zero_shot": None, "zero_shot_com": None}
+            files = {**files, SCORE: encode_json(scores)}
+        unseen[name] = files
+    assert {world for _, world in by_world(replays_of(spec, HOW, unseen))} & {"True Slush"} == set()
+    assert len(replays_of(spec, HOW, unseen)) == 3
+
+
+def test_each_replay_is_a_gif_and_an_mp4_and_mlflow_gets_the_small_ones(study, settings):
+    store, upstream = study
+    summary = report.STAGE.summarise(settings, upstream["report"], store)
+    folder = store.export_path(settings.name)
+    elsewhere = ("dry_land", "residual_slush", "single_member")
+    names = [f"replay-{name}-1m{home}" for name in elsewhere for home in ("", "-at-home")]
+    names += ["replay", "replay-true_slush-1m"]
+    assert {path.name for path in folder.glob("*.gif")} == {f"{name}.gif" for name in names}
+    assert {path.name for path in folder.glob("*.mp4")} == {f"{name}.mp4" for name in names}
+    assert {name for name in summary.artifacts if name.endswith(".gif")} == {"replay.gif"}
+    assert {f"{name}.mp4" for name in names} | {PAGE} <= set(summary.artifacts)
+    listed = [json.loads(path.read_text()) for path in folder.glob("films-*.json")]
+    assert sorted(name for listing in listed for name in listing) == sorted(names)
+
+
+def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings):
+    store, upstream = study
+    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == "films/residual_slush/1m")
+    item = report.STAGE.item(settings, chain, 0, None, upstream)
+    none = {SCORE: encode_json({"status": "no champion: every design of the trial diverged"})}
+    inputs = {name: none if name.startswith("transfer/") else files for name, files in inputs_of(store, item).items()}
+    assert report.STAGE.compute(item.job, inputs) == {"films-residual_slush-1m.json": encode_json({})}
+
+
+def test_what_a_page_lacks_is_told_apart(study, settings):
+    _, upstream = study
+    lost = {"a": "set aside after 2 attempts at a: not possible: so it says", "b": f"{NOT_POSSIBLE}evolve of a is gone"}
+    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == PAGE)
+    upstream = {**upstream, "transfer": replace(upstream["transfer"], failed=lost)}
+    spec = report.STAGE.item(settings, chain, 0, None, upstream).spec
+    assert spec["failed"] == [f"transfer: a {lost['a']}"]
+    assert spec["not_possible"] == [f"transfer: b {lost['b']}"]
+
+
+def test_segments_of_a_very_long_trial_stay_in_their_order(study, settings):
+    """The curve's parts are put together in the order of their names."""
+    _, upstream = study
+    label, segments = next(iter(upstream["evolve"].done.items()))
+    long = replace(upstream["evolve"], done={label: segments[:1] * 10_001})
+    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == PAGE)
+    inputs = report.STAGE.item(settings, chain, 0, None, {**upstream, "evolve": long}).inputs
+    names = [name for name in inputs if name.startswith(f"evolve/{label}/")]
+    assert len(names) == 10_001 and names == sorted(names)

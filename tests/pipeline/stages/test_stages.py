@@ -1,0 +1,133 @@
+"""The contract that every stage keeps (pipeline/workflow/stage.py), and what the stages of this study promise beyond it."""
+
+import json
+
+import duckdb
+import numpy as np
+import polars
+import pyarrow.parquet
+import pytest
+
+from pipeline.config.loading import load, preset_names, preset_path
+from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.stages.segments import mean_and_deviation
+from pipeline.store.encoding import canonical_json
+from pipeline.workflow.stage import Item
+from tasks.design import Designs, check
+from tasks.evolution import OPERATORS
+
+
+def items_of(stage, settings, upstream) -> list[Item]:
+    """Every item of a finished stage, specified anew."""
+    items = []
+    for chain in stage.plan(settings):
+        manifests = upstream[stage.name].done[chain.label]
+        for index in range(chain.n_items):
+            previous = manifests[index - 1] if index else None
+            items.append(stage.item(settings, chain, index, previous, upstream))
+    return items
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_contract(stage, settings, study):
+    store, upstream = study
+    names = [other.name for other in STAGES]
+    assert all(names.index(name) < names.index(stage.name) for name in stage.reads(settings))
+    chains = stage.plan(settings)
+    assert chains == stage.plan(settings)
+    assert len({chain.label for chain in chains}) == len(chains)
+    items = items_of(stage, settings, upstream)
+    assert len({item.key for item in items}) == len(items)
+    for item in items:
+        canonical_json(item.identity)  # plain JSON, or it raises
+        assert item.stage == stage.name and item.version == stage.version
+        assert any(item.spec.items() >= chain.spec.items() for chain in chains)  # by which `puddle gc` knows it
+        assert {source.manifest.stage for source in item.inputs.values()} <= {stage.name, *stage.reads(settings)}
+        manifest = store.manifest(item.stage, item.key)
+        inputs = {
+            name: {file: store.read(source.manifest, file) for file in source.files}
+            for name, source in item.inputs.items()
+        }
+        files = stage.compute(item.job, inputs)
+        assert {name: store.read(manifest, name) for name in manifest.files} == files  # pure: the same bytes again
+    summary = stage.summarise(settings, upstream[stage.name], store)
+    assert summary.lines
+    assert all(np.isfinite(value) for value in summary.metrics.values())
+
+
+def test_trials_are_summed_up_by_their_sample_deviation():
+    """Of 1 and 3 that is √2, as on the page; one trial deviates from nothing."""
+    assert mean_and_deviation([1.0, 3.0]).split() == ["2.00", "±", "1.41"]
+    assert mean_and_deviation([1.0]).split() == ["1.00"]
+    assert mean_and_deviation([]) == "-"
+
+
+def test_histories_hold_every_design_and_other_readers_read_them(settings, study, tmp_path):
+    store, upstream = study
+    for label, n_members in (("true_slush/1m/trial-0", 1), ("residual_slush/1m/trial-1", 2)):
+        rows = []
+        for index, segment in enumerate(upstream["evolve"].done[label]):
+            path = tmp_path / f"{index}.parquet"
+            path.write_bytes(store.read(segment, "history.parquet"))
+            frame = polars.read_parquet(path)
+            counted = duckdb.sql(f"select count(*), max(fitness) from '{path}'").fetchall()
+            assert counted == [(len(frame), frame["fitness"].max())]
+            rows.append(frame)
+        history = polars.concat(rows)
+        n_generations, n_designs = settings.evolution.n_generations, settings.evolution.afpo.population_size
+        assert history["generation"].to_list() == [g for g in range(n_generations) for _ in range(n_designs)]
+        assert history["identity"].to_list() == list(range(n_generations * n_designs))
+        assert set(history["operator"]) <= set(range(len(OPERATORS)))
+        said = json.loads(pyarrow.parquet.read_schema(path).metadata[b"puddle"])
+        assert said["units"]["operator"] == "0 random, 1 mutation, 2 crossover"  # so that a reader needs no source
+        displacement = history["displacement"].to_numpy()
+        assert displacement.shape == history["com_displacement"].to_numpy().shape == (len(history), n_members)
+        expected = displacement.mean(axis=1) - settings.ensemble.disagreement_penalty * displacement.std(axis=1)
+        np.testing.assert_allclose(history["fitness"].to_numpy(), expected, rtol=1e-12)
+        check(Designs.from_arrays({name: history[name].to_numpy() for name in history.columns}))
+
+
+def test_transfer_scores_champions_and_adapts_only_where_it_should(study):
+    store, upstream = study
+    for label, chain in upstream["transfer"].done.items():
+        scores = json.loads(store.read(chain[-1], "score.json"))
+        adapted = label.startswith("dry_land")
+        assert ("adapted" in scores) == ("adapted.json" in chain[-1].files) == adapted
+        if label.startswith("true_slush"):
+            assert scores["zero_shot"] == scores["predicted"]
+        if adapted:
+            before = json.loads(store.read(chain[-1], "champion.json"))
+            after = json.loads(store.read(chain[-1], "adapted.json"))
+            body = ("length_scale", "parent", "parent_attachment", "child_attachment", "rest_angle")
+            assert all(before[name] == after[name] for name in body)
+            assert any(before[name] != after[name] for name in ("phase", "motion_range", "frequency"))
+
+
+def test_paper_preset_is_the_paper():
+    paper = load(Settings, preset_path("paper"))
+    assert paper.grid.depths == (0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4, 9)
+    assert paper.grid.environments == ("true_slush", "dry_land", "residual_slush")
+    assert (paper.grid.n_trials, paper.grid.single_member_depths) == (10, (9.0,))
+    assert (paper.evolution.n_generations, paper.transfer.n_generations) == (1000, 1000)
+    afpo = paper.evolution.afpo
+    assert (afpo.population_size, *afpo.shares) == (64, 0.15, 0.65, 0.20)
+    assert (paper.throws.n_throws, paper.throws.n_steps, paper.throws.length_scales) == (500, 200, (1, 2, 3))
+    assert (paper.network.hidden_layers, paper.network.width, paper.network.dropout) == (4, 256, 0.001)
+    training = paper.training
+    assert (training.n_iterations, training.batch_size) == (50_000, 262_144)
+    assert (training.learning_rate, training.min_learning_rate) == (1e-3, 1e-6)
+    assert (training.loss, training.focal_alpha, training.focal_s, training.focal_gamma) == ("focal", 1, 100, 2)
+    assert (paper.ensemble.n_members, paper.ensemble.disagreement_penalty) == (8, 1)
+    assert (paper.assessed_depth, paper.assess.n_designs) == (9, 2376)
+    assert (paper.rollout.n_settle, paper.rollout.n_measure) == (200, 1200)
+    assert (paper.physics.max_motor_torque, paper.physics.gravity) == (100, 9.8)
+    assert (paper.slush.density, paper.slush.linear_drag, paper.slush.angular_drag) == (1.25, 10, 20)
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_every_preset_plans_every_stage(name):
+    settings = load(Settings, preset_path(name))
+    assert settings.name == name
+    for stage in STAGES:
+        assert all(chain.n_items >= 1 for chain in stage.plan(settings))

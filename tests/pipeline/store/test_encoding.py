@@ -1,0 +1,412 @@
+"""Artifacts come back as they went, always as the same bytes, and never damaged without a word."""
+
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+
+import duckdb
+import hypothesis.strategies as st
+import numpy as np
+import polars
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import safetensors.numpy
+from hypothesis import given
+from hypothesis.extra.numpy import arrays as numpy_arrays
+
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.store.encoding import (
+    canonical_json,
+    check_format,
+    decode_arrays,
+    decode_json,
+    decode_sealed,
+    decode_table,
+    digest,
+    encode_arrays,
+    encode_json,
+    encode_sealed,
+    encode_table,
+    key_of,
+)
+
+FORMAT = {"schema": "test.format", "version": 3}
+NUMBERS = ("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float32", "float64")
+
+
+def example_columns(n_rows: int = 40) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(5)
+    return {
+        "fitness": np.where(rng.random(n_rows) < 0.2, np.nan, rng.normal(size=n_rows)),
+        "parent": rng.integers(-1, 5, (n_rows, 6)),
+        "motor_on": rng.random((n_rows, 6)) < 0.5,
+        "mass": rng.random((n_rows, 3)).astype(np.float32),
+        "operator": np.array(["mutation", "crossover", "μ"])[rng.integers(0, 3, n_rows)],
+        "diverged": rng.random(n_rows) < 0.5,
+        "age": np.arange(n_rows, dtype=np.uint16),
+    }
+
+
+def example_table() -> bytes:
+    return encode_table(example_columns(), **FORMAT, producer="k" * 64, units={"fitness": "m", "mass": "kg"})
+
+
+def example_arrays() -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(6)
+    weights = {f"layer{i}.weight": rng.normal(size=(4, 3)).astype(np.float32) for i in range(3)}
+    return {**weights, "scale": np.float64(2.5), "none": np.zeros((0, 7), np.int8), "on": np.array([True, False])}
+
+
+def same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+    """Whether names, types, shapes and bits agree; NaN equals NaN."""
+    return a.keys() == b.keys() and all(
+        np.shape(a[name]) == b[name].shape and np.asarray(a[name]).tobytes() == b[name].tobytes() for name in a
+    )
+
+
+# -- tables ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_table_comes_back_as_it_went_in_arrays_of_its_own() -> None:
+    columns = example_columns()
+    came = decode_table(example_table(), **FORMAT, source="history.parquet")
+    assert list(came) == list(columns)
+    for name, array in came.items():
+        assert array.dtype == columns[name].dtype
+        assert array.flags.writeable and array.flags.c_contiguous
+    assert same(columns, came)
+
+
+@given(data=st.data(), dtype=st.sampled_from(NUMBERS), n_rows=st.integers(0, 9), k=st.none() | st.integers(1, 4))
+def test_numbers_of_every_type_and_shape_come_back(data: st.DataObject, dtype: str, n_rows: int, k: int | None) -> None:
+    column = data.draw(numpy_arrays(dtype, (n_rows,) if k is None else (n_rows, k)))
+    came = decode_table(encode_table({"x": column}, **FORMAT, producer=""), **FORMAT, source="t")["x"]
+    assert came.dtype == column.dtype and came.shape == column.shape
+    np.testing.assert_array_equal(came, column)
+
+
+@given(st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])), min_size=1, max_size=5))
+def test_any_text_comes_back(words: list[str]) -> None:
+    came = decode_table(encode_table({"x": np.array(words)}, **FORMAT, producer=""), **FORMAT, source="t")["x"]
+    assert came.tolist() == words
+
+
+def test_a_table_of_several_row_groups_comes_back() -> None:
+    columns = {"x": np.arange(2_200_000).reshape(-1, 2)}  # pyarrow begins another group after 2^20 rows
+    data = encode_table(columns, **FORMAT, producer="")
+    assert pq.ParquetFile(io.BytesIO(data)).num_row_groups == 2
+    assert same(columns, decode_table(data, **FORMAT, source="t"))
+
+
+def test_strided_and_big_endian_columns_are_the_values_they_show() -> None:
+    grid = np.arange(12.0).reshape(4, 3)
+    plain = encode_table({"x": grid.T.copy(), "y": grid[0]}, **FORMAT, producer="")
+    assert encode_table({"x": grid.T, "y": grid[0].astype(">f8")}, **FORMAT, producer="") == plain
+
+
+def test_duckdb_and_polars_read_lists_and_the_label(tmp_path) -> None:
+    path = tmp_path / "history.parquet"
+    path.write_bytes(example_table())
+    columns = example_columns()
+    rows = duckdb.sql(f"select parent, motor_on, operator, mass[2], fitness from '{path}'").fetchall()
+    assert [row[0] for row in rows] == columns["parent"].tolist()
+    assert [row[1] for row in rows] == columns["motor_on"].tolist()
+    assert [row[2] for row in rows] == columns["operator"].tolist()
+    assert [row[3] for row in rows] == columns["mass"][:, 1].tolist()
+    np.testing.assert_array_equal([row[4] for row in rows], columns["fitness"])
+    frame = polars.read_parquet(path)
+    np.testing.assert_array_equal(frame["parent"].to_numpy(), columns["parent"])
+    np.testing.assert_array_equal(frame["mass"].to_numpy(), columns["mass"])
+    said = duckdb.sql(f"select value from parquet_kv_metadata('{path}') where key = 'puddle'").fetchall()
+    label = json.loads(bytes(said[0][0]))
+    assert (label["schema"], label["version"], label["producer"]) == ("test.format", 3, "k" * 64)
+    assert label["units"] == {"fitness": "m", "mass": "kg"}
+
+
+@pytest.mark.parametrize(
+    ("columns", "error"),
+    [
+        ({}, ValueError),
+        ({"x": np.zeros(2), "y": np.zeros(3)}, ValueError),
+        ({"x": np.zeros((2, 2, 2))}, ValueError),
+        ({"x": np.zeros((2, 0))}, ValueError),
+        ({"x": np.float64(1.0)}, ValueError),
+        ({"x": np.array([None, "a"])}, TypeError),
+        ({"x": np.zeros(2, np.complex128)}, TypeError),
+        ({"x": np.array([["a"]])}, TypeError),
+        ({"x": np.array(["2020-01-01"], "datetime64[D]")}, TypeError),
+    ],
+)
+def test_what_parquet_would_change_is_refused(columns: dict[str, np.ndarray], error: type[Exception]) -> None:
+    with pytest.raises(error, match=r"x|columns"):
+        encode_table(columns, **FORMAT, producer="")
+
+
+def test_a_unit_of_no_column_is_refused() -> None:
+    with pytest.raises(ValueError, match="mas"):
+        encode_table({"mass": np.zeros(2)}, **FORMAT, producer="", units={"mas": "kg"})
+
+
+# -- arrays ----------------------------------------------------------------------------------------------------------
+
+
+def test_arrays_come_back_in_order_of_name_with_their_metadata() -> None:
+    arrays = example_arrays()
+    came, metadata = decode_arrays(
+        encode_arrays(arrays, {"activation": "relu", "z": "µ"}, **FORMAT, producer="k"), **FORMAT, source="w"
+    )
+    assert list(came) == sorted(arrays)
+    assert all(array.flags.writeable for array in came.values())
+    assert same(dict(sorted(arrays.items())), came)
+    assert metadata == {"activation": "relu", "z": "µ"}
+
+
+def test_text_and_odd_types_are_no_weights() -> None:
+    for array in (np.array(["a"]), np.zeros(2, np.float16), np.array([object()])):
+        with pytest.raises(TypeError, match="'w'"):
+            encode_arrays({"w": array}, **FORMAT, producer="")
+
+
+def test_other_tools_read_the_weights() -> None:
+    arrays = example_arrays()
+    loaded = safetensors.numpy.load(encode_arrays(arrays, **FORMAT, producer=""))
+    assert same(arrays, {name: loaded[name] for name in arrays})
+
+
+# -- the same bytes, always ------------------------------------------------------------------------------------------
+
+
+def all_kinds() -> dict[str, bytes]:
+    arrays = example_arrays()
+    backwards = dict(reversed(arrays.items()))
+    metadata = {f"m{i}": str(i) for i in range(9)}
+    assert encode_arrays(arrays, metadata, **FORMAT, producer="k") == encode_arrays(
+        backwards, dict(reversed(metadata.items())), **FORMAT, producer="k"
+    )
+    return {
+        "table": example_table(),
+        "arrays": encode_arrays(arrays, metadata, **FORMAT, producer="k"),
+        "json": encode_json({"b": [1, 2.5, None], "a": {"é": True}}),
+        "sealed": encode_sealed({"b": [1, 2.5, None], "a": {"é": True}}, **FORMAT),
+    }
+
+
+def test_another_process_makes_the_same_bytes() -> None:
+    code = (
+        "import importlib.util, sys\n"
+        f"spec = importlib.util.spec_from_file_location('t', {__file__!r})\n"
+        "t = importlib.util.module_from_spec(spec); sys.modules['t'] = t; spec.loader.exec_module(t)\n"
+        "print(*(t.digest(data) for data in t.all_kinds().values()))"
+    )
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.split() == [digest(data) for data in all_kinds().values()]
+
+
+# -- damage ----------------------------------------------------------------------------------------------------------
+
+DECODE: dict[str, Callable[[bytes], object]] = {
+    "table": lambda data: decode_table(data, **FORMAT, source="the file"),
+    "arrays": lambda data: decode_arrays(data, **FORMAT, source="the file"),
+    "sealed": lambda data: decode_sealed(data, **FORMAT, source="the file"),
+}
+
+
+def content(kind: str, decoded: object) -> object:
+    if kind == "sealed":
+        return decoded
+    columns, metadata = decoded if isinstance(decoded, tuple) else (decoded, None)
+    return [(name, array.dtype, array.shape, array.tobytes()) for name, array in columns.items()], metadata
+
+
+@pytest.mark.parametrize("kind", DECODE)
+def test_a_flipped_bit_never_changes_a_value_silently(kind: str) -> None:
+    """Bits that carry no value (Parquet's statistics, the writer's name) may flip: the store's SHA-256 sees those."""
+    good = all_kinds()[kind]
+    expected = content(kind, DECODE[kind](good))
+    rng = np.random.default_rng(7)
+    bits = rng.permutation(8 * len(good))[:1500]
+    n_refused = 0
+    for bit in bits:
+        bad = bytearray(good)
+        bad[bit // 8] ^= 1 << (bit % 8)
+        try:
+            came = content(kind, DECODE[kind](bytes(bad)))
+        except PuddleError as error:
+            n_refused += 1
+            assert "the file" in str(error)
+        else:
+            assert came == expected, f"bit {bit}"
+    # A small table is mostly footer, and much of that (a quarter of this file's bits) only helps to plan a query.
+    assert n_refused == len(bits) if kind != "table" else n_refused > 0.7 * len(bits)
+
+
+def test_pages_carry_checksums_that_other_readers_can_verify() -> None:
+    data = bytearray(encode_table({"x": np.random.default_rng(9).random(1000)}, **FORMAT, producer=""))
+    chunk = pq.ParquetFile(io.BytesIO(data)).metadata.row_group(0).column(0)
+    data[chunk.data_page_offset + chunk.total_compressed_size // 2] ^= 1
+    with pytest.raises(OSError, match="CRC checksum verification failed"):
+        pq.read_table(io.BytesIO(data), page_checksum_verification=True)
+    with pytest.raises(PuddleError, match=r"the file: .*CRC checksum verification failed"):
+        DECODE["table"](bytes(data))
+
+
+@pytest.mark.parametrize("kind", DECODE)
+def test_a_truncated_or_extended_file_is_refused(kind: str) -> None:
+    good = all_kinds()[kind]
+    lengths = np.unique(np.linspace(0, len(good) - 1, 150).astype(int))
+    for bad in [good[:length] for length in lengths] + [b"\0" * len(good), good + b"\0"]:
+        with pytest.raises(PuddleError, match="the file"):
+            DECODE[kind](bad)
+
+
+@pytest.mark.parametrize("kind", DECODE)
+@given(data=st.binary(max_size=300))
+def test_any_bytes_are_refused(kind: str, data: bytes) -> None:
+    with pytest.raises(PuddleError, match="the file"):
+        DECODE[kind](data)
+
+
+def test_a_header_that_claims_more_than_there_is_takes_no_memory() -> None:
+    header = json.dumps({"w": {"dtype": "F32", "shape": [2**40], "data_offsets": [0, 2**42]}}).encode()
+    for length in (len(header), 2**62):
+        with pytest.raises(PuddleError, match="the file"):
+            DECODE["arrays"](length.to_bytes(8, "little") + header)
+
+
+@pytest.mark.parametrize("texts", [["x" * 100_000] + ["y"] * 199, ["x" * 100_000] * 200], ids=["longest", "same"])
+def test_text_that_would_fill_the_memory_is_refused_before_it_does(texts: list[str], monkeypatch) -> None:
+    """Every text takes the room of the longest in memory; in the file each is there once, compressed."""
+    data = encode_table({"word": np.array(texts)}, **FORMAT, producer="")
+    monkeypatch.setattr("pipeline.store.encoding.MAX_TABLE_BYTES", 2**20)
+    usual, pool = pa.default_memory_pool(), pa.proxy_memory_pool(pa.default_memory_pool())
+    pa.set_memory_pool(pool)
+    try:
+        with pytest.raises(PuddleError, match=r"the file: .* it would take 80000000 bytes of memory, 1048576 at most"):
+            DECODE["table"](data)
+    finally:
+        pa.set_memory_pool(usual)
+    assert len(data) < 2000 and pool.max_memory() < 2**20
+
+
+@pytest.mark.parametrize("kind", [pa.binary(), pa.large_string(), pa.list_(pa.string(), 1), pa.list_(pa.int8())])
+def test_columns_of_kinds_that_are_never_written_are_refused_unread(kind: pa.DataType, monkeypatch) -> None:
+    label = canonical_json({"schema": FORMAT["schema"], "version": FORMAT["version"]}).decode()
+    sink = io.BytesIO()
+    pq.write_table(pa.table({"x": pa.array([None], kind)}).replace_schema_metadata({"puddle": label}), sink)
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *arguments, **options: pytest.fail("it was read"))
+    with pytest.raises(PuddleError, match=r"the file: .* column 'x' is of "):
+        DECODE["table"](sink.getvalue())
+
+
+def test_foreign_files_are_named_as_such() -> None:
+    sink = io.BytesIO()
+    pq.write_table(pa.table({"x": [1, 2]}), sink)
+    with pytest.raises(PuddleError, match=r"expected 'test.format' version 3, came a file that puddle did not write"):
+        DECODE["table"](sink.getvalue())
+    with pytest.raises(PuddleError, match="puddle did not write"):
+        DECODE["arrays"](safetensors.numpy.save({"w": np.zeros(3, np.float32)}))
+    with pytest.raises(PuddleError, match="puddle did not write"):
+        DECODE["sealed"](b'{"schema": 3}')
+    with pytest.raises(PuddleError, match="puddle did not write"):
+        DECODE["sealed"](b"[1]")
+
+
+@pytest.mark.parametrize("kind", DECODE)
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [
+        ({"schema": "test.other", "version": 3}, "expected 'test.format' version 3, came 'test.other'"),
+        ({"schema": "test.format", "version": 4}, "came version 4. A newer puddle wrote it: upgrade puddle"),
+        ({"schema": "test.format", "version": 2}, "came version 2. An older puddle wrote it: make it again"),
+    ],
+)
+def test_other_formats_and_versions_are_refused(kind: str, found: dict[str, object], message: str) -> None:
+    data = {
+        "table": lambda: encode_table({"x": np.zeros(2)}, **found, producer=""),
+        "arrays": lambda: encode_arrays({"x": np.zeros(2)}, **found, producer=""),
+        "sealed": lambda: encode_sealed({}, **found),
+    }[kind]()
+    with pytest.raises(PuddleError, match=f"the file: .*{message}"):
+        DECODE[kind](data)
+
+
+def test_a_version_is_a_whole_number() -> None:
+    for version in (True, "3", 3.0, None):
+        with pytest.raises(PuddleError, match="right file"):
+            check_format({"schema": "test.format", "version": version}, **FORMAT, source="s")
+
+
+# -- JSON ------------------------------------------------------------------------------------------------------------
+
+TEXT = st.text(st.characters(codec="utf-8"))
+PLAIN = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | TEXT,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(TEXT, inner, max_size=4),
+    max_leaves=20,
+)
+
+
+@given(PLAIN)
+def test_json_comes_back_and_is_canonical(value: object) -> None:
+    document = encode_json(value)
+    assert document.endswith(b"\n") and not document.endswith(b"\n\n")
+    came = decode_json(document, "s")
+    assert came == value
+    assert canonical_json(came) == canonical_json(value) and encode_json(came) == document
+
+
+@given(st.dictionaries(TEXT, PLAIN), st.randoms())
+def test_a_key_does_not_depend_on_the_order_of_names(identity: dict[str, object], random) -> None:
+    pairs = list(identity.items())
+    random.shuffle(pairs)
+    assert key_of(dict(pairs)) == key_of(identity)
+
+
+def test_the_key_is_the_sha256_of_the_canonical_text() -> None:
+    identity = {"stage": "evolve", "depth": 0.1, "seed": 2**63, "é": [1.0, -0.0, 1e-7, (True, None)]}
+    text = '{"depth":0.1,"seed":9223372036854775808,"stage":"evolve","é":[1.0,-0.0,1e-07,[true,null]]}'
+    assert canonical_json(identity).decode() == text
+    # printf '%s' TEXT | sha256sum
+    assert key_of(identity) == "e55a31d855056735c7e1295aed9794f965927e2c50472375cac49a4085649efb"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "named"),
+    [
+        ({"a": {"b": [0.0, np.float64(1.0)]}}, TypeError, r"\.a\.b\[1\] is a numpy.float64"),
+        ({"n": np.int64(1)}, TypeError, r"\.n is a numpy.int64"),
+        ({"n": np.bool_(True)}, TypeError, r"\.n is a numpy.bool"),
+        ({"n": np.zeros(2)}, TypeError, r"\.n is a numpy.ndarray"),
+        ({"n": {1, 2}}, TypeError, r"\.n is a builtins.set"),
+        ({1: "a"}, TypeError, "the key 1"),
+        ({"a": [float("nan")]}, ValueError, r"\.a\[0\] is nan"),
+        (float("inf"), ValueError, "is inf"),
+        ("\ud800", ValueError, "surrogates"),
+    ],
+)
+def test_what_json_has_no_exact_form_for_is_refused(value: object, error: type[Exception], named: str) -> None:
+    for encode in (canonical_json, encode_json):
+        with pytest.raises(error, match=named):
+            encode(value)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{", "[1,]", "1 2", '{"a": 1, "a": 2}', "NaN", "[1e999]", '"\\ud800"', "9" * 5000, "[" * 10**5, "\xff"]
+)
+def test_bad_json_is_refused_by_name(text: str) -> None:
+    with pytest.raises(PuddleError, match=r"champion\.json: expected a JSON document"):
+        decode_json(text.encode("latin-1"), "champion.json")
+
+
+def test_a_sealed_document_tells_damage_from_a_foreign_one() -> None:
+    good = encode_sealed({"seconds": 1.5}, **FORMAT)
+    assert decode_sealed(good, **FORMAT, source="s") == {"seconds": 1.5}
+    with pytest.raises(DamagedArtifact, match="expected SHA-256"):
+        decode_sealed(good.replace(b"1.5", b"1.7"), **FORMAT, source="s")
+    with pytest.raises(DamagedArtifact, match="expected SHA-256"):
+        decode_sealed(good.replace(b"\n ", b"\n  ", 1), **FORMAT, source="s")
+    with pytest.raises(DamagedArtifact, match="version 3, came version 7 and another SHA-256 than it says"):
+        decode_sealed(good.replace(b'"version": 3', b'"version": 7'), **FORMAT, source="s")

@@ -1,0 +1,325 @@
+"""The store keeps what was committed, of items and studies, whoever works beside it. See also test_store_faults.py."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from one_item import FILES, IDENTITY, KEY, RECORD, commit, item, tree
+
+from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
+from pipeline.store.encoding import digest, encode_sealed, key_of
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store, StudyItem
+
+# -- what it is for --------------------------------------------------------------------------------------------------
+
+
+def test_a_committed_item_is_found_and_read_by_another_store_object(store: Store) -> None:
+    assert store.manifest("evolve", KEY) is None
+    committed = commit(store)
+    found = Store.open(store.root, create=False).manifest("evolve", KEY)
+    assert found == committed
+    assert {name: store.read(found, name) for name in found.files} == FILES
+    assert found.identity == IDENTITY and found.record == RECORD
+    assert list(store.keys("evolve")) == [KEY] and store.stages() == ["evolve"]
+    assert store.verify() == []
+
+
+def test_the_digest_is_of_names_and_contents_only(store: Store, tmp_path: Path) -> None:
+    other = Store.open(tmp_path / "other", create=True)
+    again = other.commit("evolve", KEY, IDENTITY, dict(reversed(FILES.items())), record={"seconds": 99})
+    assert again.digest == commit(store).digest
+    text = json.dumps([[name, digest(data)] for name, data in sorted(FILES.items())], separators=(",", ":"))
+    assert again.digest == digest(text.encode())
+    third = {**IDENTITY, "version": 2}
+    assert store.commit("evolve", key_of(third), third, {**FILES, "log": b"x"}, record={}).digest != again.digest
+
+
+def test_a_manifest_says_where_the_item_was_made(store: Store) -> None:
+    made = json.loads((item(store) / "manifest.json").read_text()) if commit(store) else {}
+    assert made["environment"]["numpy"] == np.__version__
+    assert made["environment"]["python"] == sys.version.split()[0]
+    assert made["environment"]["cpu"] and made["environment"]["commit"]
+    assert (
+        made["schema"] == "puddle.manifest"
+        and made["digest"]
+        and made["files"]["log"] == {"bytes": 0, "sha256": digest(b"")}
+    )
+
+
+def test_a_result_computed_twice_must_be_equal(store: Store) -> None:
+    first = commit(store)
+    before = tree(store.root)
+    assert store.commit("evolve", KEY, IDENTITY, FILES, record={"seconds": 7.0}) == first
+    other = {**FILES, "log": b"other"}
+    with pytest.raises(Irreproducible) as told:
+        commit(store, other)
+    new = digest(json.dumps([[n, digest(d)] for n, d in sorted(other.items())], separators=(",", ":")).encode())
+    assert first.digest in str(told.value) and new in str(told.value) and "in log:" in str(told.value)
+    assert tree(store.root) == before
+
+
+def test_a_discarded_item_is_computed_again_to_the_same_bytes(store: Store) -> None:
+    commit(store)
+    before = tree(store.root)
+    store.discard("evolve", KEY)
+    assert store.manifest("evolve", KEY) is None and list(store.keys("evolve")) == []
+    store.discard("evolve", KEY)
+    commit(store)
+    assert tree(store.root) == before
+
+
+def test_size_is_that_of_all_files(store: Store) -> None:
+    commit(store)
+    assert store.size_bytes() == sum(len(data) for data in tree(store.root).values())
+
+
+def test_a_folder_that_vanishes_meanwhile_holds_nothing(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where `puddle gc --remove` is at work beside it."""
+    commit(store)
+    size, empty = store.size_bytes(), store.root / "items" / "train"
+    plain = os.scandir
+
+    def scandir(path: object) -> object:
+        if os.fspath(path) == str(empty):
+            empty.rmdir()
+        return plain(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    for look, found in (store.size_bytes, size), (store.links, []):
+        empty.mkdir()
+        assert look() == found and not empty.exists()
+
+
+def test_a_key_that_is_not_of_its_identity_and_bad_file_names_are_defects(store: Store) -> None:
+    with pytest.raises(ValueError, match=f"expected the key of its identity, {KEY}"):
+        store.commit("evolve", "0" * 64, IDENTITY, FILES, record={})
+    for name in ("manifest.json", "../x", "a/b", ".hidden", "a.b.c", "A.json", "x\n", "", "x" * 65):
+        with pytest.raises(ValueError, match="expected file names like"):
+            store.commit("evolve", KEY, IDENTITY, {name: b""}, record={})
+    with pytest.raises(ValueError, match="expected file names like"):
+        store.commit("evolve", KEY, IDENTITY, {}, record={})
+
+
+# -- several processes -----------------------------------------------------------------------------------------------
+
+RACE = """
+import sys
+from pathlib import Path
+from pipeline.store.encoding import key_of
+from pipeline.store.store import Store
+print("ready", flush=True)
+sys.stdin.readline()
+store = Store.open(Path(sys.argv[1]), create=True)
+for n in range(60):
+    identity = {"n": n}
+    store.commit("evolve", key_of(identity), identity, {"a": b"%d" % n * 999, "b": b"b"}, record={"by": sys.argv[2]})
+"""
+
+
+def test_processes_that_make_and_fill_one_store_at_once(tmp_path: Path) -> None:
+    root = tmp_path / "store"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    racers = [subprocess.Popen([sys.executable, "-c", RACE, str(root), f"racer{i}"], **pipes) for i in range(3)]
+    for racer in racers:
+        assert racer.stdout.readline() == "ready\n"
+    for racer in racers:
+        racer.stdin.write("\n")
+        racer.stdin.flush()
+    assert [racer.wait(60) for racer in racers] == [0, 0, 0]
+    for racer in racers:
+        racer.stdin.close()
+        racer.stdout.close()
+    store = Store.open(root, create=False)
+    assert len(list(store.keys("evolve"))) == 60 and store.verify() == []
+    assert not [name for name in tree(root) if name.endswith(".tmp")]
+
+
+def test_threads_that_differ_leave_one_result_whole(store: Store) -> None:
+    outcomes: list[str] = []
+
+    def work(n: int) -> None:
+        try:
+            outcomes.append(commit(store, {"a": b"%d" % n * 10_000, "b": b"%d" % n}).digest)
+        except Irreproducible:
+            outcomes.append("refused")
+
+    threads = [threading.Thread(target=work, args=(n,)) for n in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert outcomes.count("refused") == 5
+    assert store.verify() == [] and store.manifest("evolve", KEY).digest in outcomes
+
+
+# -- studies ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_study_record_comes_back(store: Store) -> None:
+    assert store.read_study("laptop") is None and store.studies() == []
+    items = [StudyItem("collect", "throws 0..99", KEY), StudyItem("evolve", "dry_land 9 m, trial 3", KEY)]
+    store.write_study("laptop", {"seed": 1, "grid": {"depths": (0.0, 9.0)}}, items)
+    record = store.read_study("laptop")
+    assert record.items == tuple(items) and record.name == "laptop"
+    assert record.settings == {"seed": 1, "grid": {"depths": [0.0, 9.0]}}
+    assert store.studies() == ["laptop"]
+
+
+def test_a_damaged_study_record_is_told(store: Store) -> None:
+    store.write_study("laptop", {"seed": 1}, [])
+    path = store.root / "studies" / "laptop" / "study.json"
+    path.write_bytes(path.read_bytes().replace(b'"seed": 1', b'"seed": 2'))
+    (wrong,) = store.verify()
+    assert str(path) in str(wrong) and "running the study again writes the file anew" in str(wrong)
+    path.write_bytes(encode_sealed({"name": "laptop", "items": [3]}, schema="puddle.study", version=1))
+    with pytest.raises(DamagedArtifact, match="expected a study's name, settings and items"):
+        store.read_study("laptop")
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
+def test_what_took_the_place_of_a_study_record_is_damage_and_gives_way(store: Store, make: Callable) -> None:
+    store.write_study("laptop", {"seed": 1}, [])
+    path = store.study_path("laptop") / "study.json"
+    path.unlink()
+    make(path)
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected a study's record, came not a regular file. .* anew"):
+        store.read_study("laptop")
+    store.write_study("laptop", {"seed": 1}, [])
+    assert store.read_study("laptop").settings == {"seed": 1}
+
+
+def test_a_folder_in_the_place_of_a_study_record_that_holds_something_is_left_alone(store: Store) -> None:
+    path = store.study_path("laptop") / "study.json"
+    path.mkdir(parents=True)
+    (path / "theirs").touch()
+    with pytest.raises(PuddleError, match=f"not empty.*{path}"):
+        store.write_study("laptop", {"seed": 1}, [])
+    assert (path / "theirs").exists()
+
+
+DRIVER = """
+import sys
+from pathlib import Path
+from pipeline.store.store import Store
+with Store.open(Path(sys.argv[1]), create=False).lock_study("laptop"):
+    print("driving", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def test_a_study_has_one_driver_which_is_named_to_a_second(store: Store) -> None:
+    assert store.driver_of("laptop") is None
+    command = [sys.executable, "-c", DRIVER, str(store.root)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as driver:
+        assert driver.stdout.readline() == "driving\n"
+        assert f"process {driver.pid} on {os.uname().nodename} since 20" in store.driver_of("laptop")
+        refused = pytest.raises(PuddleError, match=f"study laptop is driven by process {driver.pid} .*Wait for its end")
+        with refused, store.lock_study("laptop"):
+            raise AssertionError("two drivers")
+        with store.lock_study("paper"):
+            assert f"process {os.getpid()} " in store.driver_of("paper")
+        assert commit(store)  # another study goes on beside it
+        driver.kill()
+    assert store.driver_of("laptop") is None
+    with store.lock_study("laptop"):
+        assert f"process {os.getpid()} " in store.driver_of("laptop")
+
+
+def test_a_driver_whose_command_is_no_unicode_is_named(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["puddle", "study", "--store", os.fsdecode(b"st\xf6re")])
+    with store.lock_study("laptop"):
+        assert "(puddle study --store st\\udcf6re)" in store.driver_of("laptop")
+
+
+def test_asking_who_drives_is_never_in_the_drivers_way(store: Store) -> None:
+    with store.lock_study("laptop"):
+        pass
+    stop = threading.Event()
+
+    def ask() -> None:
+        while not stop.is_set():
+            store.driver_of("laptop")
+
+    asker = threading.Thread(target=ask)
+    asker.start()
+    try:
+        for _ in range(200):
+            with store.lock_study("laptop"):
+                pass
+    finally:
+        stop.set()
+        asker.join()
+
+
+def test_nothing_is_removed_while_somebody_reads(store: Store) -> None:
+    with store.lock_to_read():  # nobody ever drove it: there is nothing to lock
+        assert not (store.root / "use.lock").exists()
+    with store.lock_study("laptop"), store.lock_to_read(), store.lock_to_read():
+        pass
+    with store.lock_to_read(), pytest.raises(PuddleError, match="is in use"), store.lock_all():
+        raise AssertionError("removed what is read")
+    with store.lock_all(), pytest.raises(PuddleError, match="`puddle gc` is removing"), store.lock_to_read():
+        raise AssertionError("read what is removed")
+    with store.lock_all():
+        pass
+
+
+def test_the_lock_is_let_go_when_the_study_fails(store: Store) -> None:
+    with pytest.raises(ZeroDivisionError), store.lock_study("laptop"):
+        raise ZeroDivisionError
+    assert store.driver_of("laptop") is None
+
+
+def commit_report(store: Store, files: dict[str, bytes]) -> Manifest:
+    identity = {"stage": "report", "files": sorted(files)}
+    return store.commit("report", key_of(identity), identity, files, record={})
+
+
+def test_reports_are_exported_in_place_of_earlier_ones(store: Store) -> None:
+    """Films of arms that are gone go; what a person put there, or edited, stays."""
+    films = {name: name.encode() * 9 for name in ("replay-a.gif", "replay-b.gif", "replay-c.gif")}
+    commit_report(store, {"index.html": b"old", "kept.svg": b"<svg/>"})
+    other = commit_report(store, films)
+    store.export("laptop", {"index.html": b"old", "kept.svg": b"<svg/>", **films})
+    folder = store.export_path("laptop")
+    assert folder == store.root / "studies" / "laptop" / "report"
+    mine = {"notes.txt": b"mine", "copy-of-a.gif": films["replay-a.gif"], "replay-c.gif": b"mine, now"}
+    for name, data in mine.items():
+        (folder / name).write_bytes(data)
+    (folder / "kept").mkdir()
+    assert store.export("laptop", {"index.html": b"new", "kept.svg": b"<svg/>"}) == folder
+    assert tree(folder) == {"index.html": b"new", "kept.svg": b"<svg/>", **mine}
+    assert (folder / "kept").is_dir()
+    store.manifest_path("report", other.key).write_bytes(b"{}")  # so it can't be told what is ours: all stays
+    store.export("laptop", films)
+    store.export("laptop", {"index.html": b"newer"})
+    assert set(tree(folder)) == {"index.html", *films, *mine}
+
+
+def test_what_is_on_its_way_is_known_by_its_name(store: Store) -> None:
+    """What else a person puts there, however it is called, is theirs."""
+    commit_report(store, {"index.html": b"page"})
+    store.write_study("laptop", {"seed": 1}, [])
+    folder = store.export("laptop", {"index.html": b"page"})
+    ours = [folder.parent / ".study.json.tmp", folder / ".index.html.tmp"]
+    theirs = [folder.parent / ".index.html.tmp", folder / ".notes.tmp", folder / "old" / ".index.html.tmp"]
+    (folder / "old").mkdir()
+    for path in (*ours, *theirs):
+        path.write_bytes(b"half")
+    assert store.temporary() == ours
+    ours[1].unlink()
+    ours[1].mkdir()
+    assert store.temporary() == ours[:1]
+
+
+def test_names_of_exported_files_are_checked(store: Store) -> None:
+    for name in ("../study.json", "a/b.html", ".x"):
+        with pytest.raises(ValueError, match="expected file names like"):
+            store.export("laptop", {name: b""})

@@ -1,0 +1,253 @@
+"""The store refuses what is damaged, foreign or hostile: bits, files, folders, names, links."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from one_item import FILES, IDENTITY, KEY, commit, item, tree
+
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.store import disk
+from pipeline.store.encoding import digest, encode_sealed, key_of
+from pipeline.store.store import Store
+
+# -- damage ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*FILES, "manifest.json"])
+def test_no_flipped_bit_is_accepted(store: Store, name: str) -> None:
+    commit(store)
+    path = item(store) / name
+    good = path.read_bytes()
+    bits = np.random.default_rng(8).permutation(8 * len(good))[:400]
+    for bit in bits:
+        bad = bytearray(good)
+        bad[bit // 8] ^= 1 << (bit % 8)
+        path.write_bytes(bad)
+        with pytest.raises(PuddleError) as told:
+            for file in store.manifest("evolve", KEY).files:
+                store.read(store.manifest("evolve", KEY), file)
+        assert str(path) in str(told.value)
+    path.write_bytes(good)
+    assert store.verify() == []
+
+
+@pytest.mark.parametrize("name", ["history.parquet", "manifest.json"])
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "gone", "folder", "pipe"])
+def test_damage_is_found_named_and_mended_by_discarding(store: Store, name: str, damage: str) -> None:
+    commit(store)
+    undisturbed = tree(store.root)
+    path = item(store) / name
+    good = path.read_bytes()
+    path.unlink()
+    match damage:
+        case "flip":
+            path.write_bytes(good.replace(b"0", b"1", 1) if name == "manifest.json" else b"R" + good[1:])
+        case "cut":
+            path.write_bytes(good[: len(good) // 2])
+        case "empty":
+            path.write_bytes(b"")
+        case "folder":
+            path.mkdir()
+        case "pipe":
+            os.mkfifo(path)
+    if (name, damage) == ("manifest.json", "gone"):  # then it never happened
+        assert store.manifest("evolve", KEY) is None and store.verify() == []
+    else:
+        (wrong,) = store.verify()
+        assert str(path) in str(wrong)
+        assert isinstance(wrong, DamagedArtifact) and (wrong.stage, wrong.key) == ("evolve", KEY)
+        if damage == "folder":  # one that holds something is somebody's
+            (path / "theirs").touch()
+            with pytest.raises(PuddleError, match="not empty"):
+                store.discard("evolve", KEY)
+            (path / "theirs").unlink()
+        store.discard("evolve", KEY)
+    commit(store)
+    assert tree(store.root) == undisturbed
+
+
+def test_every_damaged_file_of_an_item_is_named(store: Store) -> None:
+    commit(store)
+    paths = [item(store) / name for name in FILES]
+    for path in paths[:2]:
+        path.write_bytes(b"R" + path.read_bytes()[1:])
+    paths[2].unlink()
+    (wrong,) = store.verify()
+    assert all(str(path) in str(wrong) for path in paths)
+    assert (wrong.stage, wrong.key) == ("evolve", KEY) and str(wrong).count("computed again") == 1
+
+
+def test_a_file_that_is_too_long_to_be_read_again_is_not_kept(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.store.items.MAX_FILE_BYTES", 399)
+    with pytest.raises(PuddleError, match=r"expected at most 399 bytes of history\.parquet, came 400\. Cut"):
+        commit(store)
+    assert not item(store).exists()
+    commit(store, {name: data[:399] for name, data in FILES.items()})
+
+
+def test_a_missing_or_cut_file_is_noticed_before_it_is_read(store: Store) -> None:
+    """A study plans by manifests alone: work whose result is gone must not look done."""
+    commit(store)
+    path = item(store) / "history.parquet"
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, came 399 bytes"):
+        store.manifest("evolve", KEY)
+    path.unlink()
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, came no file"):
+        store.manifest("evolve", KEY)
+
+
+def test_a_commit_leaves_no_stray_files(store: Store) -> None:
+    disk.make_folders(store.root, item(store))
+    (item(store) / ".history.parquet.tmp").write_bytes(b"half of it")
+    (item(store) / "old").write_bytes(b"of a commit that died")
+    commit(store)
+    assert {path.name for path in item(store).iterdir()} == {*FILES, "manifest.json"}
+
+
+def test_a_disk_that_writes_other_bytes_is_found_out(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = disk.write
+    monkeypatch.setattr(disk, "write", lambda path, data: write(path, data.replace(b"rows", b"cows")))
+    with pytest.raises(PuddleError, match=r"history\.parquet: expected the bytes just written, came others\. They"):
+        commit(store)
+    assert store.manifest("evolve", KEY) is None
+
+
+def test_a_commit_replaces_a_damaged_item(store: Store) -> None:
+    commit(store)
+    undisturbed = tree(store.root)
+    for name in ("state.safetensors", "manifest.json"):
+        path = item(store) / name
+        path.write_bytes(b"x" * len(path.read_bytes()))
+        commit(store)
+        assert tree(store.root) == undisturbed
+
+
+def test_a_manifest_in_another_items_place_is_refused(store: Store) -> None:
+    commit(store)
+    other = {**IDENTITY, "version": 2}
+    store.commit("evolve", key_of(other), other, FILES, record={})
+    where = store.root / "items" / "evolve" / key_of(other)[:2] / key_of(other) / "manifest.json"
+    where.write_bytes((item(store) / "manifest.json").read_bytes())
+    with pytest.raises(DamagedArtifact, match=f"expected evolve {key_of(other)}, came evolve {KEY}"):
+        store.manifest("evolve", key_of(other))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"files": {"../../../../secret": {"sha256": digest(b""), "bytes": 0}}},
+        {"files": {}},
+        {"files": [1]},
+        {"files": {"log": 3}},
+        *({"files": {"log": {"sha256": digest(b""), "bytes": n}}} for n in (0.0, True, "0", -1, 2**44, 10**400, None)),
+        *({"files": {"log": {"sha256": word, "bytes": 0}}} for word in ("", digest(b"").upper(), [], None, "é" * 64)),
+        *({"record": {"seconds": seconds}} for seconds in (10**400, -1, "nan", True, [])),
+        {"record": None, "identity": 3},
+    ],
+)
+def test_a_well_sealed_manifest_with_odd_content_is_refused(store: Store, change: dict[str, object]) -> None:
+    commit(store)
+    path = item(store) / "manifest.json"
+    body = {**json.loads(path.read_text()), **change}
+    body.pop("sha256")
+    path.write_bytes(encode_sealed(body, schema="puddle.manifest", version=1))
+    with pytest.raises(DamagedArtifact, match=r"manifest\.json: expected"):
+        store.manifest("evolve", KEY)
+
+
+def test_a_manifest_of_a_newer_puddle_is_neither_used_nor_lost(store: Store) -> None:
+    commit(store)
+    path = item(store) / "manifest.json"
+    newer = encode_sealed({"all": "new"}, schema="puddle.manifest", version=2)
+    path.write_bytes(newer)
+    for use in (lambda: store.manifest("evolve", KEY), lambda: commit(store)):
+        with pytest.raises(PuddleError, match=r"came version 2\. A newer puddle wrote it: upgrade puddle") as told:
+            use()
+        assert not isinstance(told.value, DamagedArtifact)
+    assert path.read_bytes() == newer
+
+
+# -- opening ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_place_that_is_no_store_is_refused_and_left_alone(tmp_path: Path) -> None:
+    with pytest.raises(PuddleError, match=r"expected a store .*found none"):
+        Store.open(tmp_path / "nothing", create=False)
+    assert not (tmp_path / "nothing").exists()
+    home = tmp_path / "home"
+    home.mkdir()
+    for name in "abcd":
+        (home / name).write_text(name)
+    before = tree(tmp_path)
+    with pytest.raises(PuddleError, match=r"found a, b, c and more\. Choose another folder"):
+        Store.open(home, create=True)
+    for place in (home / "a", home / "a" / "deep"):
+        with pytest.raises(PuddleError, match=f"{home / 'a'} is a file. Choose another folder"):
+            Store.open(place, create=True)
+    assert tree(tmp_path) == before
+
+
+def test_a_store_of_a_newer_puddle_or_a_damaged_one_is_refused(tmp_path: Path) -> None:
+    store = Store.open(tmp_path / "store", create=True)
+    path = store.root / "store.json"
+    good = path.read_bytes()
+    path.write_bytes(encode_sealed({}, schema="puddle.store", version=2))
+    with pytest.raises(PuddleError, match=r"expected 'puddle\.store' version 1, came version 2\. A newer puddle"):
+        Store.open(store.root, create=True)
+    for bad in (good[:-3], b"", good.replace(b'"sha256": "', b'"sha256": "0')):
+        path.write_bytes(bad)
+        with pytest.raises(PuddleError, match=r"store\.json.*Copy any other store's"):
+            Store.open(store.root, create=True)
+    path.write_text('{"schema": "somebody.else", "version": 1}')
+    with pytest.raises(PuddleError, match=r"came 'somebody\.else'"):
+        Store.open(store.root, create=False)
+
+
+# -- names and links -------------------------------------------------------------------------------------------------
+
+HOSTILE = ["", ".", "..", "../x", "/etc", "a/b", "a\\b", "A", "-a", "_a", "a.b", "a\n", "a\0b", "é", "x" * 65, "a b"]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_names_are_refused(store: Store, name: str) -> None:
+    before = tree(store.root)
+    for use in (
+        lambda: store.manifest(name, KEY),
+        lambda: store.commit(name, KEY, IDENTITY, FILES, record={}),
+        lambda: store.discard(name, KEY),
+        lambda: list(store.keys(name)),
+        lambda: store.write_study(name, {}, []),
+        lambda: store.read_study(name),
+        lambda: store.driver_of(name),
+        lambda: store.export(name, {"index.html": b""}),
+        lambda: store.lock_study(name).__enter__(),
+        lambda: store.manifest("evolve", name),
+    ):
+        with pytest.raises(PuddleError, match="expected"):
+            use()
+    assert tree(store.root) == before
+
+
+@pytest.mark.parametrize("depth", range(5))
+def test_symbolic_links_are_refused_at_every_level(store: Store, tmp_path: Path, depth: int) -> None:
+    committed = commit(store)
+    place = [*item(store).relative_to(store.root).parts, "log"][: depth + 1]
+    path = store.root.joinpath(*place)
+    elsewhere = tmp_path / "elsewhere"
+    path.rename(elsewhere)
+    path.symlink_to(elsewhere)
+    for use in (lambda: store.manifest("evolve", KEY), lambda: store.read(committed, "log")):
+        with pytest.raises(PuddleError, match=f"{path}: expected a file or a folder, came a symbolic link"):
+            use()
+    (wrong,) = store.verify()
+    assert f"{path}: expected" in str(wrong)
+
+
+def test_a_link_to_the_store_itself_is_the_users_choice(store: Store, tmp_path: Path) -> None:
+    commit(store)
+    (tmp_path / "link").symlink_to(store.root)
+    assert Store.open(tmp_path / "link", create=True) == store

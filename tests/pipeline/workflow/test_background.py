@@ -1,0 +1,62 @@
+"""Work beside the rest: in order, and waited for at the end unless that is an error."""
+
+import threading
+import time
+
+import pytest
+
+from pipeline.workflow.background import SECONDS_OF_SILENCE, Background
+
+
+def test_everything_is_done_in_order_before_the_end():
+    done = []
+    with Background("waiting", say=pytest.fail) as background:
+        for number in range(100):
+            background.do(lambda number=number: done.append((number, threading.get_ident())))
+    numbers, threads = zip(*done, strict=True)
+    assert numbers == tuple(range(100))
+    assert len(set(threads)) == 1 and threads[0] != threading.get_ident()
+
+
+def test_the_caller_goes_on_meanwhile():
+    gone_on = threading.Event()
+    with Background("waiting", say=pytest.fail) as background:
+        background.do(lambda: gone_on.wait(60) or pytest.fail("the caller was kept waiting"))
+        gone_on.set()
+
+
+def test_a_long_wait_is_explained():
+    said = []
+    with Background("bringing it up to date", say=said.append) as background:
+        background.do(lambda: time.sleep(SECONDS_OF_SILENCE + 0.5))
+    assert said == ["bringing it up to date"]
+
+
+@pytest.mark.parametrize("error", [ArithmeticError, SystemExit])
+def test_what_went_wrong_is_raised_at_the_end_and_the_rest_is_done(error):
+    def go_wrong():
+        raise error
+
+    done = []
+    with pytest.raises(error), Background("waiting", say=pytest.fail) as background:
+        background.do(go_wrong)
+        background.do(lambda: done.append("the rest"))
+    assert done == ["the rest"]
+
+
+@pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt])
+def test_what_ends_in_an_error_does_not_wait(error):
+    never = threading.Event()
+    with pytest.raises(error), Background("waiting", say=pytest.fail) as background:
+        background.do(never.wait)
+        background.do(lambda: 1 / 0)
+        raise error
+    never.set()
+
+
+def test_there_is_a_thread_only_while_there_is_work():
+    before = threading.active_count()
+    with Background("waiting", say=pytest.fail) as background:
+        assert threading.active_count() == before
+        background.do(lambda: None)
+    assert threading.active_count() == before

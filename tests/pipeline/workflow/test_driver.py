@@ -1,0 +1,187 @@
+"""The driver: what it does about damage that it meets half-way, and about a name whose study had other settings."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from small_study import NoBar, digests
+
+from pipeline.cluster import serial_cluster
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
+from pipeline.store.store import Store
+from pipeline.workflow.driver import drive
+from pipeline.workflow.stage import Results, Stage
+from tasks.simulation import batch
+
+SETTINGS = """
+name: tiny
+grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 2}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 2, afpo: {population_size: 4}}
+transfer: {n_generations: 2}
+work: {generations_per_item: 2, engine: reference}
+"""
+TO_EVOLVE = STAGES[:3]
+TO_TRANSFER = STAGES[:4]
+
+
+class Terminal:
+    """A terminal and a tracker in one, which keep what was said."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
+
+    @contextlib.contextmanager
+    def stage(self, *arguments, **options):
+        yield NoBar()
+
+    def mirror(self, *runs) -> None: ...
+
+
+def run(
+    store: Store,
+    stages: Sequence[Stage] = TO_TRANSFER,
+    *overrides: str,
+    terminal: Terminal | None = None,
+    open_cluster=serial_cluster,
+) -> dict[str, Results]:
+    terminal = terminal or Terminal()
+    return drive(
+        parse(Settings, SETTINGS, name="tiny", overrides=overrides),
+        stages,
+        store=store,
+        open_cluster=open_cluster,
+        tracker=terminal,
+        progress=terminal,
+        how_to_run=lambda name: f"puddle {name}",
+    )
+
+
+def flip_a_bit(path: Path) -> None:
+    """Damage a file as only its SHA-256 can tell."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def test_mlflow_hears_of_a_stage_while_the_next_one_runs(store: Store) -> None:
+    class Slow(Terminal):
+        """Its MLflow has not heard of a stage before the next one has begun."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.begun = {name: threading.Event() for name in ("evolve", "transfer")}
+            self.heard: list[tuple[str, bool]] = []
+
+        def stage(self, name, **options):
+            self.begun[name].set()
+            return super().stage(name, **options)
+
+        def mirror(self, study, stage, trials) -> None:
+            self.heard.append((stage.name, stage.name != "evolve" or self.begun["transfer"].wait(60)))
+
+    terminal = Slow()
+    run(store, terminal=terminal)
+    assert terminal.heard[-2:] == [("evolve", True), ("transfer", True)]
+
+
+def test_a_signal_ends_the_wait_for_mlflow_through_every_finally(tmp_path: Path) -> None:
+    """The cluster is closed by then, whose own handlers unwind while there is one."""
+    script = """
+import sys, time
+from pathlib import Path
+from test_driver import TO_EVOLVE, Terminal, run
+from pipeline.store.store import Store
+class Slow(Terminal):
+    def say(self, line):
+        print(line, flush=True)
+    def mirror(self, *runs):
+        time.sleep(600)
+try:
+    run(Store.open(Path(sys.argv[1]), create=True), TO_EVOLVE, terminal=Slow())
+finally:
+    print("unwound", flush=True)
+"""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    words = [sys.executable, "-c", script, str(tmp_path / "store")]
+    with subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, text=True) as driver:
+        assert driver.stdout is not None
+        for line in driver.stdout:
+            if line == "bringing the record of runs and curves up to date\n":
+                driver.send_signal(signal.SIGTERM)
+                break
+        assert driver.stdout.read() == "unwound\n"
+    assert driver.returncode == 128 + signal.SIGTERM
+
+
+def test_damage_met_while_other_work_is_under_way_is_mended(store: Store) -> None:
+    """Trial 1's population is read when trial 0 has been submitted: nobody waits for that call's outcome any more."""
+    evolved = run(store, TO_EVOLVE)["evolve"].done["dry_land/1m/trial-1"][-1]
+    folder = store.root / "items" / "evolve" / evolved.key[:2] / evolved.key
+    flip_a_bit(folder / "population.safetensors")
+    terminal = Terminal()
+    found = run(store, terminal=terminal)
+    assert sum("expected SHA-256" in line for line in terminal.said) == 1
+    undisturbed = Store.open(store.root.parent / "undisturbed", create=True)
+    assert digests(found) == digests(run(undisturbed))
+    assert store.verify() == []
+
+
+@contextlib.contextmanager
+def stopped_after(n_pieces: int):
+    """Give this process as a cluster until so many pieces are done; then somebody presses Ctrl-C."""
+    with serial_cluster() as cluster:
+        next_done = cluster.next_done
+        left = iter(range(n_pieces))
+
+        def next_or_stop(timeout: float | None = None):
+            if next(left, None) is None:
+                raise KeyboardInterrupt
+            return next_done(timeout)
+
+        cluster.next_done = next_or_stop
+        yield cluster
+
+
+def test_a_study_keeps_its_record_until_its_new_settings_have_a_result(store: Store) -> None:
+    """What stands there is what `puddle gc` keeps: who stops in time, as the message says, has lost nothing."""
+    run(store)
+    before = store.read_study("tiny")
+    longer = "transfer.n_generations=4"  # evolution is done: that alone is no result of the new settings
+    terminal = Terminal()
+    with pytest.raises(KeyboardInterrupt):
+        run(store, TO_TRANSFER, longer, terminal=terminal, open_cluster=lambda: stopped_after(0))
+    assert "To keep both reports, stop (Ctrl-C) before" in terminal.said[0]
+    assert store.read_study("tiny") == before
+    with pytest.raises(KeyboardInterrupt):
+        run(store, TO_TRANSFER, longer, open_cluster=lambda: stopped_after(1))
+    after = store.read_study("tiny")
+    assert after.settings["transfer"]["n_generations"] == 4
+    assert [item for item in after.items if item.stage == "evolve"] == [i for i in before.items if i.stage == "evolve"]
+
+
+def test_settings_that_have_nothing_left_to_compute_are_put_on_record_too(store: Store) -> None:
+    run(store)
+    before = store.read_study("tiny")
+    run(store, TO_TRANSFER, "seed=2")
+    assert store.read_study("tiny").settings["seed"] == 2
+    run(store)
+    assert store.read_study("tiny") == before
+
+
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_who_waits_for_the_compiler_is_told(store: Store, monkeypatch: pytest.MonkeyPatch, is_compiled: bool) -> None:
+    monkeypatch.setattr(batch, "is_compiled", lambda: is_compiled)
+    run(store, TO_EVOLVE, terminal=(terminal := Terminal()))
+    assert any("compiles the kernels" in line for line in terminal.said) == (not is_compiled)

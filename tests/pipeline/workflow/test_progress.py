@@ -1,0 +1,174 @@
+"""The time left is honest, and both kinds of terminal are told of it."""
+
+import io
+import os
+import pty
+import subprocess
+import sys
+import time
+
+import pytest
+from rich.console import Console
+
+import pipeline.workflow.progress
+from pipeline.workflow.progress import NOTHING, Pace, Work, progress
+
+
+class Clock:
+    """A clock that the test moves."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def even(units: float) -> Work:
+    """Return work of which each unit costs as much."""
+    return Work(units, cost=units)
+
+
+def pace(total: Work, found: Work = NOTHING) -> tuple[Pace, Clock]:
+    clock = Clock()
+    return Pace("evolve", "generations", total, found, clock=clock), clock
+
+
+def test_rate_and_time_left_by_hand():
+    evolve, clock = pace(total=even(1000))
+    clock.now += 20
+    evolve.done += even(200)
+    assert evolve.rate == 10.0
+    assert evolve.seconds_left == 80.0
+    assert str(evolve) == "20%, 200/1,000 generations, 10/s, 0:01:20 left"
+
+
+def test_units_are_counted_and_costs_tell_the_time():
+    """Of two worlds' generations, those of one cost four times those of the other, and the dear ones come first."""
+    evolve, clock = pace(total=Work(200, cost=100 * 1.6 + 100 * 0.4), found=Work(50, cost=50 * 1.6))
+    clock.now += 10
+    evolve.done += Work(10, cost=10 * 1.6)
+    assert evolve.seconds_left == pytest.approx((200 - 96) / 1.6)
+    assert str(evolve) == "48%, 60/200 generations, 1/s, 0:01:05 left"
+
+
+def test_what_was_found_done_is_not_work_done_now():
+    evolve, clock = pace(total=even(1000), found=even(800))
+    clock.now += 10
+    assert (evolve.rate, evolve.seconds_left, evolve.fraction) == (0.0, None, 0.8)
+    assert str(evolve) == "80%, 800/1,000 generations, 0:00:10 so far"
+    evolve.done += even(50)
+    assert evolve.rate == 5.0
+    assert evolve.seconds_left == 30.0
+
+
+def test_a_finished_stage_says_how_long_it_took():
+    evolve, clock = pace(total=even(50))
+    clock.now += 100
+    evolve.done = even(50)
+    assert str(evolve) == "100%, 50/50 generations, 0.5/s, took 0:01:40"
+
+
+def test_a_stage_without_work_is_done():
+    empty, clock = pace(total=even(0))
+    clock.now += 1
+    assert empty.fraction == 1.0
+    assert "took" in str(empty)
+
+
+def test_lines_come_now_and_then(monkeypatch):
+    monkeypatch.setattr(pipeline.workflow.progress, "SECONDS_BETWEEN_LINES", 0.3)
+    out = io.StringIO()
+    with progress(Console(file=out)) as show, show.stage("evolve", unit="generations", total=even(100)) as bar:
+        for _ in range(10):
+            time.sleep(0.05)
+            bar.advance(even(10))
+        show.say("a word [in brackets] " + "that is long " * 20)
+    lines = out.getvalue().splitlines()
+    progressing = [line for line in lines if line.startswith("evolve: ")]
+    assert 3 <= len(progressing) <= 4  # at the start, once or twice in 0.5 s, at the end
+    assert progressing[0].startswith("evolve: 0%, 0/100 generations")
+    assert " left" in progressing[1]
+    assert progressing[-1].startswith("evolve: 100%, 100/100 generations")
+    assert "a word [in brackets] " + "that is long " * 20 in lines  # neither interpreted nor wrapped
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_a_stage_that_stops_short_says_where_and_lets_the_error_pass(error):
+    out = io.StringIO()
+    with pytest.raises(error), progress(Console(file=out)) as show:
+        with show.stage("evolve", unit="generations", total=even(100), done=even(20)) as bar:
+            bar.advance(even(30))
+            raise error
+    assert out.getvalue().splitlines()[-1].startswith("evolve: 50%, 50/100 generations")
+
+
+SCRIPT = """
+import time
+from pipeline.workflow.progress import Work, progress
+with progress() as show:
+    with show.stage("evolve", unit="generations", total=Work(8, cost=8)) as bar:
+        for k in range(8):
+            if k == 4:
+                show.say("half way")
+            time.sleep(0.2)
+            bar.advance(Work(1, cost=1))
+print("result")
+"""
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "TERM": "xterm-256color", "COLUMNS": "120"}
+
+
+def test_without_a_terminal_plain_lines_on_stderr():
+    ran = subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment(), capture_output=True, text=True, timeout=60, check=True
+    )
+    assert ran.stdout == "result\n"
+    assert "\x1b" not in ran.stderr and "\r" not in ran.stderr
+    first, said, last = ran.stderr.splitlines()
+    assert first.startswith("evolve: 0%, 0/8 generations")
+    assert said == "half way"
+    assert last.startswith("evolve: 100%, 8/8 generations, ") and "took 0:00:0" in last
+
+
+def test_on_a_terminal_a_bar_that_is_redrawn():
+    terminal, inner = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT], env=environment(), stdin=inner, stdout=subprocess.PIPE, stderr=inner
+    )
+    os.close(inner)
+    shown = b""
+    while True:
+        try:
+            piece = os.read(terminal, 4096)
+        except OSError:  # the other end is closed
+            break
+        if not piece:
+            break
+        shown += piece
+    out, _ = process.communicate(timeout=60)
+    os.close(terminal)
+    text = shown.decode()
+    assert process.returncode == 0
+    assert out == b"result\n"
+    assert text.count("━") > 30 and "─" in text
+    assert text.count(" left") >= 3  # drawn again and again
+    assert "half way" in text
+    assert "\x1b[?25l" in text and text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")  # the cursor is given back
+    assert "100%, 8/8 generations" in text.splitlines()[-1] + text.splitlines()[-2]
+
+
+def test_weighted_units_that_do_not_add_up_exactly_are_a_whole_stage():
+    """Ten tenths of a stage are a rounding error short of it: it is done all the same, at 100 %, with no time left."""
+    evolve, clock = pace(total=even(1.0))
+    clock.now += 10
+    for _ in range(10):
+        evolve.done += even(0.1)
+    assert evolve.done.cost != 1.0
+    assert str(evolve) == "100%, 1/1 generations, 0.1/s, took 0:00:10"
+    evolve.done = even(1.0 + 1e-12)  # and as little beyond
+    assert evolve.fraction == 1.0 and evolve.seconds_left == 0.0
+    assert "took" in str(evolve)
+    evolve.done = even(0.999)
+    assert "left" in str(evolve)

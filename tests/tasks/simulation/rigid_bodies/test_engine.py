@@ -1,0 +1,156 @@
+"""Rigid bodies in the batch engine by themselves: nothing but the clock depends on batches, teams or neighbours.
+
+See also tests/parity.
+"""
+
+import numba
+import numpy as np
+import pytest
+from both_engines import Slushes, assert_equal_in_plain_python, peaks_of_memory
+
+from tasks.design import Designs, random_designs, rigid_bodies
+from tasks.simulation import DIVERGED, OK, batch, simulate
+from tasks.simulation.rigid_bodies import engine, layout, packing, step
+from tasks.simulation.simd.lanes import Block, load_whole, store_whole
+from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
+
+compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python")
+PHYSICS = Physics(passive_joints="locked", link_collisions=True)
+N_DESIGNS = 4 * step.TEAM + 3
+
+
+@pytest.fixture(scope="module")
+def designs() -> Designs:
+    return random_designs(N_DESIGNS, np.random.default_rng(8))
+
+
+class Members(Slushes):
+    """Slushes of three densities, of which one kills links that whirl."""
+
+    def __init__(self) -> None:
+        super().__init__(0.6, 1.25, 2.0)
+
+    def velocity_change(self, links, physics):
+        change = super().velocity_change(links, physics)
+        change.omega[2, (links.length_scale[2] > 2.7) & (abs(links.omega[2]) > 1.5)] = np.inf
+        return change
+
+
+@pytest.fixture(params=[DryLand(0.0), TrueSlush(1.0), ResidualSlush(1.0, Members())], ids=lambda e: type(e).__name__)
+def environment(request: pytest.FixtureRequest) -> Environment:
+    return request.param
+
+
+def roll_out(designs: Designs, environment: Environment, *, trace: bool = True):
+    return batch.roll_out(designs, environment, PHYSICS, n_settle=20, n_measure=130, trace=trace)
+
+
+@compiled_only
+def test_every_order_and_size_of_a_batch_gives_the_same_bits(designs, environment):
+    whole = roll_out(designs, environment).trace
+    order = np.random.default_rng().permutation(N_DESIGNS)
+    np.testing.assert_array_equal(roll_out(designs[order], environment).trace, whole[:, order])
+    for n in (1, step.TEAM - 1, step.TEAM + 1):
+        np.testing.assert_array_equal(roll_out(designs[-n:], environment).trace, whole[:, -n:])
+
+
+@compiled_only
+def test_without_a_trace_the_ends_are_the_same(designs, environment):
+    whole, ends = roll_out(designs, environment), roll_out(designs, environment, trace=False)
+    assert ends.trace is None
+    np.testing.assert_array_equal(ends.settled, whole.trace[:, :, 19])
+    np.testing.assert_array_equal(ends.final, whole.trace[:, :, -1])
+
+
+@compiled_only
+@pytest.mark.parametrize("poison", [np.nan, np.inf, 3e38])
+@pytest.mark.parametrize("row", [layout.V_X, layout.W, layout.A])
+def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, row):
+    world = batch.shared_world(TrueSlush(0.5), PHYSICS)
+    clean, spoiled = (engine.Robots(designs, 0.5, PHYSICS, n_members=1) for _ in range(2))
+    for each in (clean, spoiled):
+        each.advance(world, 0, 60, None)
+    victim = step.TEAM + 1
+    spoiled.blocks[victim, layout.BODIES + row, 0] = poison
+    for each in (clean, spoiled):
+        each.advance(world, 60, 90, None)
+    others = np.arange(N_DESIGNS) != victim
+    assert np.isfinite(clean.poses()).all()
+    assert np.isnan(spoiled.poses()[victim]).all() or np.isfinite(poison)
+    np.testing.assert_array_equal(spoiled.poses()[others], clean.poses()[others])
+
+
+@compiled_only
+def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_engine(designs):
+    ours, theirs = (
+        simulate(
+            designs,
+            ResidualSlush(0.5, Members()),
+            n_settle=30,
+            n_measure=90,
+            engine=engine,
+            trace=True,
+            physics=Physics(link_collisions=True),
+        )
+        for engine in ("batch", "reference")
+    )
+    for name in ("status", "displacement", "com_displacement", "trace"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    assert set(ours.status.flat) == {OK, DIVERGED}
+
+
+@compiled_only
+def test_memory_does_not_grow_with_steps():
+    peaks = peaks_of_memory(random_designs(2000, np.random.default_rng(4)), PHYSICS)
+    assert peaks[0] < 120e6  # bytes: 7 kB a robot, a few times over while packing
+    assert peaks[1] < 1.01 * peaks[0]
+
+
+def test_pairs_come_in_the_order_in_which_fixtures_are_made():
+    designs = random_designs(1, np.random.default_rng(1))
+    star = Designs(
+        **{
+            **dict(designs.arrays()),
+            "parent": np.array([[-1, 0, 0, 1, 1, 3]]),
+            "motor_on": np.array([[False, False, True, True, False, False]]),
+        }
+    )
+    # Bodies {0, 1, 4}, {2}, {3, 5}; they are made from the last: links 3, 5; 2; 0, 1, 4.
+    rigid = rigid_bodies(star, passive_joints="locked")
+    assert rigid.first_link.tolist() == [[0, 0, 2, 3, 0, 3]]
+    a, b, n = packing.fixture_pairs(star, rigid, PHYSICS)
+    pairs = list(zip(a[0].tolist(), b[0].tolist(), strict=True))[: n[0]]
+    ground = [(layout.GROUND, link) for link in (3, 5, 2, 0, 1, 4)]
+    # Not 3 and 1, nor 2 and 0, which joints tie; nor links of one body.
+    assert pairs == [*ground, (3, 2), (3, 0), (3, 4), (5, 2), (5, 0), (5, 1), (5, 4), (2, 1), (2, 4)]
+    a, b, n = packing.fixture_pairs(star, rigid, Physics(passive_joints="locked"))
+    assert list(zip(a[0].tolist(), b[0].tolist(), strict=True))[: n[0]] == ground
+
+
+def test_the_mass_of_a_box_anywhere_in_the_frame():
+    # Closed forms: m = ρ w h at the centre; I = m (w² + h²) / 12 + m r² about the frame's origin.
+    vertices, _ = packing.boxes(np.float32([0.25]), np.float32([1.0]))
+    mass, center, inertia = packing.compute_mass(vertices + np.float32([2.0, -1.5]), 3.0)
+    np.testing.assert_allclose(mass, 3.0, rtol=1e-6)
+    np.testing.assert_allclose(center, [[2.0, -1.5]], rtol=1e-6)
+    np.testing.assert_allclose(inertia, 3.0 * ((0.5**2 + 2**2) / 12 + 2.0**2 + 1.5**2), rtol=1e-6)
+
+
+@numba.njit
+def swap(block):
+    first = load_whole(block, 0)
+    store_whole(block, 0, load_whole(block, 1))
+    store_whole(block, 1, first)
+
+
+@pytest.mark.parametrize("exchange", [swap, swap.py_func] if not numba.config.DISABLE_JIT else [swap])
+def test_whole_numbers_lie_in_blocks_of_one_lane(exchange):
+    block = Block(2, 1)
+    store_whole(block, 0, -7)
+    store_whole(block, 1, 2**31 - 1)
+    exchange(block)
+    assert (load_whole(block, 0), load_whole(block, 1)) == (2**31 - 1, -7)
+
+
+def test_the_kernels_are_plain_python_too():
+    assert_equal_in_plain_python(2, PHYSICS, (5, 3))

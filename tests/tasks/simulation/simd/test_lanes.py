@@ -1,0 +1,251 @@
+"""Lanes under the compiler against NumPy's float32, lane by lane and bit by bit, for several numbers of lanes."""
+
+from fractions import Fraction
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numba.core.errors import TypingError
+
+from tasks.compiled import inline
+from tasks.simulation.simd import vectors
+from tasks.simulation.simd.lanes import (
+    ALIGNMENT,
+    Block,
+    aligned,
+    any_lane,
+    count_lanes,
+    count_parts,
+    floor,
+    fma,
+    from_row,
+    lane,
+    load_whole,
+    part,
+    select,
+    sqrt,
+    store_whole,
+    to_double,
+    to_single,
+    truncate,
+    widest,
+    with_lane,
+)
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="these are the compiled lanes")
+
+WIDTHS = (1, 2, 4, 8, 16, 32)
+N_RESULTS = 16
+
+
+@inline
+def calculate(x, y):
+    low = select(x < y, x, y)
+    wide = to_double(x)
+    whole = truncate(to_double(select(abs(x) < 1e6, x, 0.0)))
+    return (
+        x + y,
+        x - y,
+        x * y,
+        x / y,
+        x * y + 0.1,
+        1 - x,
+        -x,
+        abs(x),
+        sqrt(abs(y)),
+        floor(x),
+        low,
+        select((x <= y) & ~(y == 0.0) | (x != x), 1.0, -1.0),
+        select((x > 0.5) | (y >= 3), x, 2),
+        to_single(wide * wide + 0.1),
+        to_single(to_double((whole + 5) >> 1)),
+        to_single(to_double(whole & 3)),
+    )
+
+
+def kernel(block, out):
+    results = calculate(block[0], block[1])
+    for row in range(N_RESULTS):
+        out[row] = results[row]
+
+
+compiled_kernel = numba.njit(error_model="numpy")(kernel)
+
+numbers = st.floats(width=32, allow_nan=True, allow_infinity=True, allow_subnormal=True)
+
+
+@settings(max_examples=60)
+@given(arrays(np.float32, (2, 32), elements=numbers))
+def test_every_operation_equals_numpy_s_in_every_lane(numbers):
+    with np.errstate(all="ignore"):
+        expected = np.stack([np.broadcast_to(r, 32) for r in calculate.py_func(*numbers)]).astype(np.float32)
+    for width in WIDTHS:
+        block, out = Block(2, width), Block(N_RESULTS, width)
+        block.rows[:] = numbers[:, :width]
+        compiled_kernel(block, out)
+        np.testing.assert_array_equal(out.rows, expected[:, :width])
+
+
+@inline
+def square_and_add(x, y):
+    return x * x + y
+
+
+@numba.njit
+def nothing_contracted(block):
+    block[2] = square_and_add(block[0], block[1])
+
+
+def test_a_product_is_rounded_before_it_is_added():
+    # (1 + 2^-12)² = 1 + 2^-11 + 2^-24: rounded to even on its own it loses the last term, fused it would not.
+    block = Block(3, 16)
+    block.rows[0], block.rows[1] = 1 + 2.0**-12, -(1 + 2.0**-11)
+    nothing_contracted(block)
+    assert (block.rows[2] == 0).all()
+
+
+@numba.njit
+def fused(block, out):
+    a, b, c = to_double(block[0]) / 3.0, to_double(block[1]) / 7.0, to_double(block[2]) / 11.0
+    excess = fma(a, b, c) - (a * b + c)
+    out[0] = to_single(excess * 2.0**60)
+
+
+@settings(max_examples=50)
+@given(arrays(np.float32, (3, 16), elements=st.floats(-8, 8, width=32)))
+def test_fma_rounds_once(numbers):
+    block, out = Block(3, 16), Block(1, 16)
+    block.rows[:] = numbers
+    fused(block, out)
+    for i, (a, b, c) in enumerate(zip(*(numbers.astype(np.float64) / [[3], [7], [11]]), strict=True)):
+        exact = float(Fraction(a) * Fraction(b) + Fraction(c))
+        assert out.rows[0, i] == np.float32((exact - (a * b + c)) * 2.0**60)
+        assert fma(np.array([a]), b, c)[0] == exact
+
+
+@numba.njit
+def one_by_one(block):
+    x = block[0]
+    for i in range(count_lanes(x)):
+        x = with_lane(x, i, lane(x, i) + i)
+    block[1] = x
+    tail = from_row(block, 2)
+    tail[0] = 7.0
+    return any_lane(block[0] > 2.5), any_lane(block[0] > 3.5)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_single_lanes_and_views(width):
+    block = Block(3, width)
+    block.rows[0] = 3.0
+    assert one_by_one(block) == (True, False)
+    assert (block.rows[1] == 3 + np.arange(width)).all()
+    assert (block.rows[2] == 7).all()
+
+
+@numba.njit
+def by_parts(block):
+    for index in range(count_parts(block)):
+        some = part(block, index)
+        tail = from_row(some, 2)
+        some[1] = some[0] + 100.0 * index
+        tail[0] = select(some[0] > 2.5, 1.0, 0.0) * (2.0 if any_lane(some[0] > 3.5) else 1.0)
+        tail[1] = 0.0 * some[0] + count_lanes(some[0])
+
+
+@pytest.mark.parametrize("run", [by_parts, by_parts.py_func], ids=["compiled", "plain"])
+@pytest.mark.parametrize("width", [1, 2, 4, 8, 16, 32])
+def test_parts_are_halves_of_more_lanes_than_a_register_has(width, run):
+    n_parts = 2 if width > widest() // 2 else 1
+    block = Block(5, width)
+    block.rows[0] = numbers = np.arange(width)
+    block.rows[4] = -1.0
+    run(block)
+    size = width // n_parts
+    which = numbers // size
+    np.testing.assert_array_equal(block.rows[0], numbers)
+    np.testing.assert_array_equal(block.rows[1], numbers + 100 * which)
+    any_above = np.array([(numbers[which == index] > 3.5).any() for index in range(n_parts)])
+    np.testing.assert_array_equal(block.rows[2], (numbers > 2.5) * np.where(any_above[which], 2, 1))
+    assert (block.rows[3] == size).all()
+    assert (block.rows[4] == -1).all()
+
+
+@numba.njit
+def of_parts(block):
+    """The kernel's own order, a row and then its part; and the one part of a part."""
+    for row in range(2):
+        for index in range(count_parts(block)):
+            some = part(from_row(block, row), index)
+            some[0] = some[0] + 100.0 * row
+            same = part(some, count_parts(some) - 1)
+            same[2] = same[0] + 10.0 * index
+
+
+@pytest.mark.parametrize("run", [of_parts, of_parts.py_func], ids=["compiled", "plain"])
+@pytest.mark.parametrize("width", [4, widest()])
+def test_a_part_of_later_rows_and_a_part_of_a_part(width, run):
+    block = Block(4, width)
+    block.rows[:2, width - 1] = np.nan  # stays in its lane
+    run(block)
+    expected = np.where(np.arange(width) < width - 1, [[0.0], [100.0]], np.nan)
+    np.testing.assert_array_equal(block.rows[:2], expected)
+    half = np.arange(width) // (widest() // 2)
+    np.testing.assert_array_equal(block.rows[2:], expected + 10 * half)
+
+
+@numba.njit
+def move_whole(block):
+    one = from_row(block, 1)
+    one[1] = one[0]
+    number = load_whole(one, 1)
+    store_whole(one, 2, number + 1)
+    return number
+
+
+@pytest.mark.parametrize("run", [move_whole, move_whole.py_func], ids=["compiled", "plain"])
+def test_whole_numbers(run):
+    block = Block(4, 1)
+    block.rows.view(np.int32)[:2, 0] = 5, 7
+    assert run(block) == 7
+    assert block.rows.view(np.int32)[:, 0].tolist() == [5, 7, 7, 8]
+
+
+def test_a_part_made_in_python_is_a_part_in_a_kernel():
+    half = widest() // 2
+    block = Block(3, 2 * half)
+    add_rows(part(block, 1))
+    assert block.rows[:, :half].max() == 0 and (block.rows[:2, half:] == [[1], [2]]).all()
+
+
+@numba.njit
+def add_rows(block):
+    block[0] = block[0] + 1.0
+    block[1] = block[1] + 2.0
+
+
+@pytest.mark.parametrize("n_lanes", [0, 3, 12])
+def test_a_number_of_lanes_that_is_no_power_of_two_is_refused(n_lanes):
+    with pytest.raises(ValueError, match=f"a block has {n_lanes} lanes, expected a power of two"):
+        Block(1, n_lanes)
+
+
+def test_in_place_operators_are_refused_because_an_array_would_change_under_all_its_names():
+    @numba.njit
+    def add(block):
+        x = block[0]
+        x += 1.0
+        block[0] = x
+
+    with pytest.raises(TypingError, match="iadd"):
+        add(Block(1, 4))
+
+
+@pytest.mark.parametrize("shape", [(1,), (3, 5), (7, 16)])
+def test_memory_begins_on_a_cache_line(shape):
+    for _ in range(5):
+        array = aligned(shape)
+        assert array.ctypes.data % ALIGNMENT == 0 and array.shape == shape and not array.any()

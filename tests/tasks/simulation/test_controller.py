@@ -1,0 +1,77 @@
+"""The controller: a sine good to its stated error, and θ*(t) = rest + range · sin(2π f t + phase)."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tasks.design import random_designs
+from tasks.simulation.controller import Drive, sine_of_turns
+
+DT = 1 / 60
+EPS32 = 2.0**-24
+"""Relative rounding of float32."""
+
+
+def test_the_sine_is_as_good_as_stated() -> None:
+    turns = np.concatenate([np.linspace(-2, 2, 400_001), np.random.default_rng(41).uniform(-100, 100, 200_000)])
+    turns = turns.astype(np.float32)
+    sine = sine_of_turns(turns)
+    assert sine.dtype == np.float32
+    # Whole turns come off exactly, so that the error is the polynomial's at any number of turns.
+    assert np.abs(sine - np.sin(2 * np.pi * turns.astype(np.float64))).max() < 3e-7
+
+
+def test_the_sine_at_quarters() -> None:
+    np.testing.assert_allclose(
+        sine_of_turns(np.float32([0, 0.25, 0.5, 0.75, 1, -0.25, 7.25])), [0, 1, 0, -1, 0, -1, 1], rtol=0, atol=3e-7
+    )
+
+
+@given(st.floats(-1000, 1000, width=32))
+def test_the_sine_is_odd_and_bounded(turns: float) -> None:
+    there, back = sine_of_turns(np.float32([turns, -turns]))
+    # At half a turn both signs are rounded to the same representative, where the sine is 0 within its error.
+    assert there == -back or abs(there) < 3e-7
+    assert abs(there) <= 1 + 3e-7
+
+
+def test_the_target_angle() -> None:
+    designs = random_designs(50, np.random.default_rng(42))
+    drive = Drive.of(designs)
+    for step in (0, 1, 199, 1399, 5999):
+        expected = designs.rest_angle + designs.motion_range * np.sin(
+            2 * np.pi * designs.frequency[:, None] * step * DT + designs.phase
+        )
+        # Turns are counted up to f t + 1, rounded in f, in dt, in their products and in the sum: five times. The rest
+        # is the sine's own error and the rounding of two numbers up to 5 rad.
+        turns = designs.frequency[:, None] * step * DT + 1
+        tolerance = np.pi / 2 * (2 * np.pi * 5 * EPS32 * turns + 3e-7) + 3 * EPS32 * 5
+        assert (np.abs(drive.target_angle(step, DT) - expected)[:, 1:] <= tolerance).all()
+
+
+def test_targets_are_single_precision_and_shaped_by_link() -> None:
+    angle = Drive.of(random_designs(7, np.random.default_rng(43))).target_angle(3, DT)
+    assert angle.shape == (7, 6)
+    assert angle.dtype == np.float32
+
+
+def test_the_range_is_an_amplitude() -> None:
+    # science.md: with half of it for an amplitude, robots got half as far as the paper's.
+    designs = random_designs(20, np.random.default_rng(44))
+    drive = Drive.of(designs)
+    period = int(60 / designs.frequency.min()) + 1
+    angles = np.stack([drive.target_angle(step, DT) for step in range(period)]).astype(np.float64)
+    swing = (angles.max(axis=0) - angles.min(axis=0))[:, 1:]
+    # The extreme between two steps is missed by at most range · (π f dt)² / 2.
+    reached = 2 * designs.motion_range[:, 1:] * (1 - (np.pi * designs.frequency[:, None] * DT) ** 2 / 2)
+    assert (swing <= 2 * designs.motion_range[:, 1:] + 1e-6).all()
+    assert (swing >= reached - 1e-6).all()
+
+
+def test_a_root_has_no_motor() -> None:
+    designs = replace(random_designs(5, np.random.default_rng(45)), motor_on=np.ones((5, 6), dtype=bool))
+    on = Drive.of(designs).motor_on
+    assert not on[:, 0].any()
+    assert on[:, 1:].all()
