@@ -36,7 +36,7 @@ AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torq
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
 
-def designs(morphology: Morphology = Morphology()) -> Designs:
+def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it is frozen)
     """Draw a generation of designs, always the same."""
     return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
 

@@ -1,5 +1,7 @@
 """Networks on one core: our kernel against torch and against the core's own peak."""
 
+# ruff: noqa: ARG001 (numba gives every intrinsic its context)
+
 from __future__ import annotations
 
 from itertools import pairwise

@@ -9,7 +9,7 @@ class PuddleError(Exception):
     """
 
 
-class DamagedArtifact(PuddleError):
+class DamagedArtifact(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
     """Something in the store is not what was committed.
 
     Attributes:
@@ -23,9 +23,9 @@ class DamagedArtifact(PuddleError):
         self.key = key
 
 
-class OtherVersion(PuddleError):
+class OtherVersion(PuddleError):  # noqa: N818
     """A document of our own, of a version that this puddle does not read."""
 
 
-class Irreproducible(PuddleError):
+class Irreproducible(PuddleError):  # noqa: N818
     """The same work gave other bytes than before: a defect, and reported as one."""

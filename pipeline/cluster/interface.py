@@ -33,7 +33,7 @@ class Done:
     result: Any
 
 
-class TaskFailed(PuddleError):
+class TaskFailed(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
     """A call that gave no result.
 
     Attributes:

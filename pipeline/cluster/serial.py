@@ -40,14 +40,19 @@ class _Serial:
     def share(self, value: Any) -> Handle:
         return Handle(value)
 
-    def submit(  # n_cores, n_gpus: a call has what there is
-        self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
+    def submit(
+        self,
+        function: Callable[..., Any],
+        *args: Any,
+        n_cores: float = 1.0,  # noqa: ARG002 (a call has what there is)
+        n_gpus: float = 0.0,  # noqa: ARG002
+        name: str = "",
     ) -> Ticket:
         ticket = Ticket(next(self._numbers), name or name_of(function))
         self._waiting.append((ticket, function, references(args)))
         return ticket
 
-    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
+    def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:  # noqa: ARG002
         if not self._waiting:
             return None
         ticket, function, args = self._waiting.popleft()

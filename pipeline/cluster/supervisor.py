@@ -88,7 +88,7 @@ def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> Node:
         include_dashboard=False,
         include_log_monitor=False,
         no_monitor=True,  # the autoscaler's
-        temp_dir=os.path.join(folder, "ray"),
+        temp_dir=os.path.join(folder, "ray"),  # noqa: PTH118 (Ray wants a string)
     )
     return Quiet(parameters, head=True, shutdown_at_exit=False, spawn_reaper=True)
 

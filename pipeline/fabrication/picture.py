@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
+from tasks.arrays import Float64
 from tasks.fabrication.parts import Mesh
 
-Floats = npt.NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 WIDTH, HEIGHT = 1600, 1000
@@ -80,7 +80,7 @@ def picture(shown: Sequence[Shown], legend: Sequence[tuple[str, Colour]]) -> byt
     return buffer.getvalue()
 
 
-def _projected(points: Floats) -> Floats:
+def _projected(points: Float64) -> Float64:
     """Give the place on the picture, right and up, and the depth from the eye. (n, 3) to (n, 3)."""
     back = TOWARDS_EYE / np.linalg.norm(TOWARDS_EYE)
     right = np.cross([0.0, 1.0, 0.0], back)
@@ -91,7 +91,7 @@ def _projected(points: Floats) -> Floats:
     return np.column_stack([seen[:, 0] / away, seen[:, 1] / away, away])
 
 
-def _nearest(corners: Floats, width: int, height: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+def _nearest(corners: Float64, width: int, height: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
     """Find the depth and the index of the nearest triangle at every pixel; infinite and -1 where there is none.
 
     Args:
@@ -123,8 +123,8 @@ def _nearest(corners: Floats, width: int, height: int) -> tuple[npt.NDArray[np.f
 def _shaded(
     depth: npt.NDArray[np.float32],
     nearest: npt.NDArray[np.int32],
-    facing: Floats,
-    colours: Floats,
+    facing: Float64,
+    colours: Float64,
     owner: npt.NDArray[np.int64],
 ) -> npt.NDArray[np.uint8]:
     """Colour every pixel by its triangle, and draw a line where thing, depth or direction changes."""

@@ -72,7 +72,7 @@ class Missing:
     reason: str
 
 
-class NothingToDraw(Exception):
+class NothingToDraw(Exception):  # noqa: N818 (what it is, not that it went wrong)
     """Raised by a figure that has no data; its message is the reason, for a reader."""
 
 

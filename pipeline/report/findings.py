@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-import numpy.typing as npt
-
 from tasks.analysis import (
     Attribution,
     Contrast,
@@ -22,8 +19,7 @@ from tasks.analysis import (
     Tank,
     TransferMatrix,
 )
-
-Float64 = npt.NDArray[np.float64]
+from tasks.arrays import Float64
 
 
 @dataclass(frozen=True, eq=False)

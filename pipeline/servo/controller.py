@@ -8,11 +8,11 @@ from typing import Protocol
 from pipeline.errors import PuddleError
 
 
-class PortLost(PuddleError):
+class PortLost(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
     """The port is gone, or takes no more bytes: nothing can be said to the controller."""
 
 
-class ControllerFault(PuddleError):
+class ControllerFault(PuddleError):  # noqa: N818
     """The controller reports an error, answers nonsense or does not answer. It may still listen."""
 
 
@@ -67,7 +67,7 @@ class DryRun:
     def send(self, pulses_us: Mapping[int, float]) -> None:
         """Nobody is told."""
 
-    def position(self, channel: int) -> float | None:
+    def position(self, channel: int) -> float | None:  # noqa: ARG002
         """Nothing is known."""
         return None
 

@@ -54,7 +54,7 @@ NOT_SWITCHED_OFF = (
 )
 
 
-class LateHost(PuddleError):
+class LateHost(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
     """The computer fell too far behind the timeline."""
 
 
@@ -88,7 +88,7 @@ class Stop:
 
     asked: int = 0
 
-    def ask(self, signum: int, frame: FrameType | None) -> None:
+    def ask(self, signum: int, frame: FrameType | None) -> None:  # noqa: ARG002
         """Ask once more: a signal's handler."""
         self.asked += 1
 

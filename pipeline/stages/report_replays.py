@@ -42,7 +42,7 @@ def replays_of(spec: Spec, execution: Spec, inputs: Mapping[str, Files]) -> list
 
     Args:
         spec: physics, rollout, what True Slush and the worlds where they evolved are made of, and trials.
-        how: the engine.
+        execution: the engine.
         inputs: ``transfer/<trial>``, every ``member-<n>`` or none, and ``analyse/<arm>`` where there is something to
             lay over.
     """

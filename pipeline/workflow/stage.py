@@ -36,7 +36,7 @@ NOT_POSSIBLE = "not possible: "
 """How the reason begins where a chain was never tried, since what it needs was set aside."""
 
 
-class MissingInputs(PuddleError):
+class MissingInputs(PuddleError):  # noqa: N818 (what is the case, not what went wrong)
     """A piece of work needs results that are not there; says which, and how to get them."""
 
 

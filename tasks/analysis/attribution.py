@@ -20,7 +20,8 @@ from numpy.random import Generator
 
 from tasks.analysis.comparison import ratio
 from tasks.analysis.scores import EvolvedIn, Scores
-from tasks.analysis.uncertainty import Estimate, Float64, Floats, bootstrap, finite, mean
+from tasks.analysis.uncertainty import Estimate, bootstrap, finite, mean
+from tasks.arrays import Float64, Floats
 
 NO_GAP = "there is no gap to take shares of"
 

@@ -19,17 +19,8 @@ from numpy.random import Generator
 from scipy import special, stats
 
 from tasks.analysis.scores import EvolvedIn, Quantity, Scores
-from tasks.analysis.uncertainty import (
-    LEVEL,
-    RESOLUTION,
-    Estimate,
-    Float64,
-    Floats,
-    bootstrap,
-    finite,
-    is_constant,
-    mean,
-)
+from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
+from tasks.arrays import Float64, Floats
 
 EXACT = 20
 """Values in both groups up to which Mann-Whitney's p is exact, unless values are tied."""

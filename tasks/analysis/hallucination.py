@@ -15,14 +15,11 @@ from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from tasks.analysis.uncertainty import Float64, Floats
+from tasks.arrays import Float32, Float64, Floats
 from tasks.design import Designs, kinematic_trees
 from tasks.residual import STATE
 from tasks.world import EnsembleMedium, LinkStates, Medium, Physics
-
-Float32 = npt.NDArray[np.float32]
 
 
 def link_states(designs: Designs, trace: Floats, physics: Physics) -> LinkStates:

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.analysis.uncertainty import Estimate, Float64, Floats, mean
+from tasks.analysis.uncertainty import Estimate, mean
+from tasks.arrays import Float64, Floats
 from tasks.design import Designs, concatenate
 
 JITTER = 1e-4

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.random import Generator
 
 from tasks.analysis.hallucination import acceleration, member_accelerations
-from tasks.analysis.uncertainty import Estimate, Float64, bootstrap
+from tasks.analysis.uncertainty import Estimate, bootstrap
+from tasks.arrays import Float64
 from tasks.residual import Transitions
 from tasks.residual.error_report import BANDS, LOW_SPEED
 from tasks.world import EnsembleMedium, LinkStates, Medium, Physics

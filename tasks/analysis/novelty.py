@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from tasks.analysis.uncertainty import Float64, Floats
+from tasks.arrays import Float64, Floats
 from tasks.residual import OBSERVATION, observe
 from tasks.world import LinkStates
 

@@ -27,7 +27,8 @@ from numpy.random import Generator
 from tasks.analysis.comparison import BEST, Arm, difference, ratio, student
 from tasks.analysis.prediction import Figure, MembersRange, Regression, mean_less_deviations
 from tasks.analysis.scores import Scores
-from tasks.analysis.uncertainty import RESOLUTION, Estimate, Float64, bootstrap, finite, is_constant, mean
+from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
+from tasks.arrays import Float64
 
 Verdict = Literal["agrees", "differs", "not comparable"]
 Claim = Literal["less", "greater", "no difference"]

@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.analysis.uncertainty import RESOLUTION, Estimate, Float64, Floats, bootstrap, is_constant
+from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_constant
+from tasks.arrays import Float64, Floats
 from tasks.evolution.objective import penalised_mean
 
 Figure = Literal["r", "slope"]

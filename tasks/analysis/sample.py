@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-Int64 = npt.NDArray[np.int64]
+from tasks.arrays import Int64
 
 
 def spread_evenly(n_designs: int, n_trials: int) -> list[int]:

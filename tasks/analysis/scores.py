@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from tasks.analysis.uncertainty import Float64
+from tasks.arrays import Float64
 from tasks.world.environment import EnvironmentName
 
 EvolvedIn = EnvironmentName

@@ -18,15 +18,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts
 from tasks.world import froude_time
-
-Floats = npt.NDArray[np.float64]
 
 
 class Tank(Parameters):
@@ -122,7 +120,7 @@ def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int
     ]
 
 
-def _crossing(length: float, travelled: Floats, distance: float, time_step: float) -> Crossing:
+def _crossing(length: float, travelled: Float64, distance: float, time_step: float) -> Crossing:
     """Find where (n_steps + 1,) distances, 0 at first, reach one [m]."""
     there = np.flatnonzero(travelled >= distance) if distance > 0 else np.array([], dtype=np.int64)
     last = int(there[0]) if there.size else len(travelled) - 1
@@ -137,7 +135,7 @@ def _crossing(length: float, travelled: Floats, distance: float, time_step: floa
     )
 
 
-def nearest_the_mean(scores: Floats) -> int | None:
+def nearest_the_mean(scores: Float64) -> int | None:
     """Choose the champion that the paper builds: the one whose score is nearest the champions' mean; the first of two.
 
     Args:

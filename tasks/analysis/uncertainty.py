@@ -17,12 +17,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from numpy.random import Generator
 from scipy import stats
 
-Floats = npt.NDArray[np.floating]
-Float64 = npt.NDArray[np.float64]
+from tasks.arrays import Float64, Floats
 
 LEVEL = 0.95
 """Probability with which an interval is to hold the truth."""

@@ -15,12 +15,10 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Float32, Float64
 from tasks.compiled import compiled
 from tasks.design import genes
 from tasks.design.genes import COLUMNS, N_LINKS, PARENT, Designs, Table
-
-Floats = npt.NDArray[np.float64]
-Float32 = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +57,7 @@ REST_X, REST_Y, REST_ANGLE, REST_SINE, REST_COSINE, PARENT_ANCHOR, CHILD_ANCHOR 
 centres of parent and link [m], 0 for the root."""
 
 
-def hang_links(table: Table) -> Floats:
+def hang_links(table: Table) -> Float64:
     """Place links by their rest angles, the root upright at the origin.
 
     Args:
@@ -88,7 +86,7 @@ def hang_links(table: Table) -> Floats:
 _hang_links = compiled(hang_links, [genes], seconds=1)  # in NumPy it takes longer than 64 designs are worth
 
 
-def rest_pose(designs: Designs) -> tuple[Floats, Floats, Floats]:
+def rest_pose(designs: Designs) -> tuple[Float64, Float64, Float64]:
     """Place the links by their rest angles, the root upright with its centre at the origin.
 
     Args:

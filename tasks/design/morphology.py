@@ -16,12 +16,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from tasks.arrays import Float64, Int64
 from tasks.design.body import rest_pose
 from tasks.design.genes import N_LINKS, DesignError, Designs, Table
 from tasks.parameters import Parameters
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 
 TOUCHING = 1e-9
 """Overlap up to which links merely touch [m]: the rounding of places within metres, and no more."""
@@ -52,7 +50,7 @@ class Drawn:
 
     table: Table
     """(n_designs, N_COLUMNS)"""
-    n_draws: Ints
+    n_draws: Int64
     """(n_designs,) how many were drawn for each, itself among them: n_draws - 1 were rejected."""
 
     @property
@@ -87,7 +85,7 @@ def links_apart(designs: Designs) -> npt.NDArray[np.bool_]:
     return apart
 
 
-def separation(one: Floats, other: Floats) -> Floats:
+def separation(one: Float64, other: Float64) -> Float64:
     """Largest gap between two rectangles along an edge of either; negative where they overlap.
 
     Args:
@@ -107,12 +105,12 @@ def separation(one: Floats, other: Floats) -> Floats:
     along_other = np.maximum(
         np.abs(c2 * dx + s2 * dy) - (w2 + w1 * cos + h1 * sin), np.abs(c2 * dy - s2 * dx) - (h2 + w1 * sin + h1 * cos)
     )
-    gap: Floats = np.maximum(along_one, along_other)
+    gap: Float64 = np.maximum(along_one, along_other)
     return gap
 
 
 def until_apart(
-    first: Table, draw: Callable[[Ints], Table], *, max_draws: int = MAX_DRAWS, otherwise: Table | None = None
+    first: Table, draw: Callable[[Int64], Table], *, max_draws: int = MAX_DRAWS, otherwise: Table | None = None
 ) -> Drawn:
     """Draw those designs again whose unjoined links overlap.
 

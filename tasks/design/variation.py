@@ -16,10 +16,11 @@ import numpy as np
 from numpy.random import Generator
 from pydantic import Field
 
+from tasks.arrays import Int64
 from tasks.compiled import compiled
 from tasks.design import genes, variation_kernels
 from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, Gene, Part, Table
-from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Ints, Morphology, until_apart
+from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, until_apart
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
 from tasks.parameters import Parameters
 
@@ -86,7 +87,7 @@ def _part_of(gene: Gene, n_actuated: int | None) -> Part:
     return "body" if gene.name == MOTOR and n_actuated is not None else gene.part
 
 
-def _body_columns(n_actuated: int | None) -> Ints:
+def _body_columns(n_actuated: int | None) -> Int64:
     names = ["parent", *(gene.name for gene in GENES if _part_of(gene, n_actuated) == "body")]
     return np.concatenate([np.arange(N_COLUMNS)[COLUMNS[name]] for name in names])
 
@@ -140,7 +141,7 @@ def draw_random(
     """
     variation = variation_of(morphology, body=body)
 
-    def draw(which: Ints) -> Table:
+    def draw(which: Int64) -> Table:
         table: Table = random_kernel(len(which), rng, variation)
         return table
 
@@ -148,7 +149,7 @@ def draw_random(
 
 
 def _drawn(
-    draw: Callable[[Ints], Table],
+    draw: Callable[[Int64], Table],
     n_designs: int,
     first: Table | None,
     apart: bool,
@@ -200,7 +201,7 @@ def draw_mutants(
     """Mutate designs, given as their table, as :func:`mutate` does, and count the draws; see :func:`draw_random`."""
     variation = variation_of(morphology, mutation=mutation, parts=parts)
 
-    def draw(which: Ints) -> Table:
+    def draw(which: Int64) -> Table:
         mutants = table[which]
         mutate_kernel(mutants, rng, variation)
         return mutants
@@ -238,7 +239,7 @@ def draw_recombinations(
     """Recombine designs, given as tables, as :func:`crossover` does, and count the draws; see :func:`draw_random`."""
     variation = variation_of(morphology)
 
-    def draw(which: Ints) -> Table:
+    def draw(which: Int64) -> Table:
         child = one[which]
         recombine_kernel(child, other[which], rng, variation)
         return child

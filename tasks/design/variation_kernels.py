@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
+from tasks.arrays import Float64, Int64
 from tasks.compiled import inline
 from tasks.design.genes import (
     COLUMNS,
@@ -31,8 +32,6 @@ from tasks.design.genes import (
     Table,
 )
 
-Floats = npt.NDArray[np.float64]
-Ints = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
 MOTOR = "motor_on"
@@ -51,10 +50,10 @@ IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])
 class Numbers(NamedTuple):
     """The numbers that some genes are in a table of designs; every field is (n_numbers,)."""
 
-    column: Ints
-    low: Floats
+    column: Int64
+    low: Float64
     """In the gene's unit, as ``high``."""
-    high: Floats
+    high: Float64
     is_angle: Flags
     is_flag: Flags
     is_motor: Flags
@@ -65,7 +64,7 @@ class Variation(NamedTuple):
 
     body: Table
     """(1, N_COLUMNS) the design whose body all have; (0, N_COLUMNS) if bodies vary."""
-    body_columns: Ints
+    body_columns: Int64
     """Columns that are of the body."""
     n_actuated: int
     """Joints whose motor is on; ANY_NUMBER for however many there happen to be."""
@@ -118,7 +117,7 @@ def random_table(n_designs: int, rng: Generator, variation: Variation) -> Table:
 
 
 @inline
-def _switch_on_highest(flags: Floats, score: Floats, n: int) -> None:
+def _switch_on_highest(flags: Float64, score: Float64, n: int) -> None:
     """Switch on the n flags of the highest scores, the first of equals, and the others off."""
     for this in range(len(flags)):
         n_before = 0

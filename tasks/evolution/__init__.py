@@ -6,8 +6,8 @@ from tasks.evolution.objective import Evaluation, evaluate, penalised_mean
 from tasks.evolution.trial import HISTORY_UNITS, History, Trial, evolve
 
 __all__ = [
-    "HISTORY_UNITS",
     "EMPTY_POPULATION",
+    "HISTORY_UNITS",
     "OPERATORS",
     "Afpo",
     "Children",

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
+from tasks.arrays import Int64
 from tasks.compiled import compiled
 from tasks.design import (
     ANY_BODY,
@@ -35,8 +36,6 @@ from tasks.evolution import breeding
 from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Children, Population
 from tasks.kernel_generators import hold
 from tasks.parameters import Parameters
-
-Ints = npt.NDArray[np.int64]
 
 _breed = compiled(breeding.breed, [*SOURCES, variation, breeding], seconds=10)
 _survive = compiled(breeding.survive, [genes, breeding], seconds=4)
@@ -146,7 +145,7 @@ def tell(
     return survivors
 
 
-def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_survivors: int) -> Ints:
+def select(fitness: npt.NDArray[np.float64], age: Int64, rng: Generator, n_survivors: int) -> Int64:
     """Choose survivors: the non-dominated by decreasing fitness, then a uniform sample of the dominated.
 
     Args:
@@ -163,5 +162,5 @@ def select(fitness: npt.NDArray[np.float64], age: Ints, rng: Generator, n_surviv
     """
     if len(age) and age.min() < 0:
         raise ValueError(f"age of design {age.argmin()} is {age.min()}, expected 0 or more generations")
-    survivors: Ints = _select(fitness, age, hold(rng).held, n_survivors)
+    survivors: Int64 = _select(fitness, age, hold(rng).held, n_survivors)
     return survivors

@@ -12,13 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Float64, Int64
 from tasks.compiled import inline
 from tasks.design.genes import N_COLUMNS, Designs, Table
 from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel
 from tasks.design.variation_kernels import Variation
-
-Ints = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 
 OPERATORS = ("random", "mutation", "crossover")
 """How a design came about, in the order of their codes."""
@@ -33,11 +31,11 @@ class Population(NamedTuple):
 
     table: Table
     """(n_designs, N_COLUMNS) their genes; fewer than the population's size only if too many diverged."""
-    fitness: Floats
+    fitness: Float64
     """(n_designs,) finite [m]"""
-    age: Ints
+    age: Int64
     """(n_designs,) generations since the oldest ancestor was drawn at random."""
-    identity: Ints
+    identity: Int64
     """(n_designs,) running number within the trial, in order of evaluation."""
     n_evaluated: int
     """Designs evaluated in the trial so far."""
@@ -78,17 +76,17 @@ class Children(NamedTuple):
 
     table: Table
     """(n_children, N_COLUMNS) their genes, not to be changed once ``designs`` was read."""
-    age: Ints
+    age: Int64
     """(n_children,) generations: that of the older parent; 0 where there is none."""
-    identity: Ints
+    identity: Int64
     """(n_children,) running number within the trial."""
-    operator: Ints
+    operator: Int64
     """(n_children,) index into OPERATORS."""
-    places: Ints
+    places: Int64
     """(n_children, 2) the parents' places in the population; NOBODY where there is none."""
-    parents: Ints
+    parents: Int64
     """(n_children, 2) the parents' identities; NOBODY where there is none."""
-    n_draws: Ints
+    n_draws: Int64
     """(n_children,) how often its operator drew until the morphology allowed the design."""
 
     @property
@@ -148,7 +146,7 @@ def breed(
 
 
 @inline
-def _parents(population: Population, operator: Ints, wanted: int, place: Ints) -> tuple[Ints, Table]:
+def _parents(population: Population, operator: Int64, wanted: int, place: Int64) -> tuple[Int64, Table]:
     """List the children of an operator, and copy the genes of their parents at given places in the population."""
     children = np.empty(len(operator), dtype=np.int64)
     n = 0
@@ -168,7 +166,7 @@ def _copy_genes(one: Table, to: Table) -> None:
         to[column] = one[column]
 
 
-def survive(population: Population, children: Children, fitness: Floats, held: Any, n_survivors: int) -> Population:
+def survive(population: Population, children: Children, fitness: Float64, held: Any, n_survivors: int) -> Population:
     """Select the survivors among all, who then are a generation older.
 
     Args:
@@ -200,13 +198,13 @@ def survive(population: Population, children: Children, fitness: Floats, held: A
     return Population(table, of_survivors, age, identity, population.n_evaluated + len(fitness))
 
 
-def select(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
+def select(fitness: Float64, age: Int64, held: Any, n_survivors: int) -> Int64:
     """Choose survivors as :func:`tasks.evolution.select` does, drawing from ``held.rng``."""
     return _choose(fitness, age, held, n_survivors)
 
 
 @inline
-def _choose(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
+def _choose(fitness: Float64, age: Int64, held: Any, n_survivors: int) -> Int64:
     front, dominated = _front_and_dominated(fitness, age)
     n_front = min(n_survivors, len(front))
     n_more = min(n_survivors - n_front, len(dominated))
@@ -220,7 +218,7 @@ def _choose(fitness: Floats, age: Ints, held: Any, n_survivors: int) -> Ints:
 
 
 @inline
-def _front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
+def _front_and_dominated(fitness: Float64, age: Int64) -> tuple[Int64, Int64]:
     """Tell the non-dominated, by decreasing fitness, the first of equals first, from those that others beat.
 
     A design is beaten by one of its age or younger. One whose fitness is not finite is neither.
@@ -255,7 +253,7 @@ def _front_and_dominated(fitness: Floats, age: Ints) -> tuple[Ints, Ints]:
 
 
 @inline
-def _sample(n: int, n_drawn: int, held: Any) -> Ints:
+def _sample(n: int, n_drawn: int, held: Any) -> Int64:
     """Draw some of the numbers below n, in random order, as NumPy's ``choice`` without replacement does.
 
     Floyd's algorithm, then Fisher and Yates' shuffle.

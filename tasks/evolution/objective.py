@@ -5,26 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tasks.arrays import Float64
 from tasks.simulation import Rollouts
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
     """What evolution learns of n_designs designs; worlds without an ensemble have one member."""
 
-    fitness: Floats
+    fitness: Float64
     """(n_designs,) [m]; -inf where any rollout diverged."""
-    displacement: Floats
+    displacement: Float64
     """(n_designs, n_members) of the root [m]; NaN where diverged."""
-    com_displacement: Floats
+    com_displacement: Float64
     """(n_designs, n_members) of the whole robot's centre of mass [m]; NaN where diverged."""
 
 
-def penalised_mean(displacement: Floats, *, disagreement_penalty: float) -> Floats:
+def penalised_mean(displacement: Float64, *, disagreement_penalty: float) -> Float64:
     """Aggregate over members: μ - k σ, σ the deviation of these members (not an estimate for others).
 
     Args:

@@ -15,12 +15,11 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
+from tasks.arrays import Floats
 from tasks.design import Designs
 from tasks.fabrication.built_bodies import Mechanism
 from tasks.fabrication.rods import Layers
 from tasks.simulation.trees.contact import TOTAL_RADIUS
-
-Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from tasks.arrays import Floats
 from tasks.fabrication.servos import Servo
 from tasks.parameters import Parameters
 from tasks.world import froude_time
-
-Floats = npt.NDArray[np.floating]
 
 Law = Literal["froude", "kept_frequencies"]
 

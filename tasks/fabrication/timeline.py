@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
+from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.parameters import Parameters
-
-Floats = npt.NDArray[np.float64]
 
 FRAMES_PER_SECOND = 50.0
 """Analogue servos take a pulse every 20 ms; more often is of no use to them."""
@@ -42,7 +40,7 @@ class Timeline:
 
     joints: tuple[int, ...]
     """The driven joints, each by the number of its child link."""
-    angle: Floats
+    angle: Float64
     """(n_frames, n_joints) from rest [rad]."""
 
     def __post_init__(self) -> None:
@@ -60,22 +58,22 @@ class Timeline:
             )
 
     @property
-    def time(self) -> Floats:
+    def time(self) -> Float64:
         """(n_frames,) since the beginning [s]."""
         return np.arange(len(self.angle)) / FRAMES_PER_SECOND
 
     @property
-    def speed(self) -> Floats:
+    def speed(self) -> Float64:
         """(n_frames - 1, n_joints) between frames [rad/s]."""
-        change: Floats = np.diff(self.angle, axis=0)
+        change: Float64 = np.diff(self.angle, axis=0)
         return change * FRAMES_PER_SECOND
 
 
-def envelope(time: Floats, *, duration: float, ramp: float) -> Floats:
+def envelope(time: Float64, *, duration: float, ramp: float) -> Float64:
     """Rise from 0 to 1 and fall again, each within ``ramp`` (or half the duration), by 6 s⁵ - 15 s⁴ + 10 s³."""
     ramp = min(ramp, duration / 2)
     s = np.clip(np.minimum(time, duration - time) / ramp, 0.0, 1.0)
-    risen: Floats = s**3 * (10 + s * (6 * s - 15))
+    risen: Float64 = s**3 * (10 + s * (6 * s - 15))
     return risen
 
 
@@ -99,7 +97,7 @@ def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Ti
     return Timeline(joints=joints, angle=rise[:, None] * swing[:, list(joints)])
 
 
-def pulses(timeline: Timeline, calibration: Calibration) -> Floats:
+def pulses(timeline: Timeline, calibration: Calibration) -> Float64:
     """Turn angles into pulse widths.
 
     Returns:
@@ -118,10 +116,10 @@ def pulses(timeline: Timeline, calibration: Calibration) -> Floats:
     return np.stack([_pulses_of(servo, timeline) for servo in calibration.servos], axis=1)
 
 
-def _pulses_of(servo: ServoCalibration, timeline: Timeline) -> Floats:
+def _pulses_of(servo: ServoCalibration, timeline: Timeline) -> Float64:
     column = timeline.joints.index(servo.joint)
     angle, speed = timeline.angle[:, column], timeline.speed[:, column]
-    pulse: Floats = servo.centre_us + servo.direction * servo.us_per_rad * angle
+    pulse: Float64 = servo.centre_us + servo.direction * servo.us_per_rad * angle
     name = f"joint {servo.joint} (channel {servo.channel})"
     outside = np.flatnonzero((pulse < servo.min_us) | (pulse > servo.max_us))
     if outside.size:

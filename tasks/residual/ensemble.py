@@ -19,7 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tasks.residual.observation import OBSERVATION, OBSERVED, STATE, VELOCITIES, Float32, observe
+from tasks.arrays import Float32
+from tasks.residual.observation import OBSERVATION, OBSERVED, STATE, VELOCITIES, observe
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
@@ -75,7 +76,7 @@ class Ensemble:
         """How many networks there are."""
         return len(self.weights[0])
 
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
         """Predict what the slush adds to velocities in one step: entry k of the first axis by member k.
 
         The length of the step is in the weights, from the throws. States that are not finite give changes that are

@@ -11,11 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tasks.arrays import Floats
 from tasks.residual.observation import STATE
-
-Floats = npt.NDArray[np.floating]
 
 BANDS = (
     ("all", 0.0, math.inf),

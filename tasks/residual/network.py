@@ -10,8 +10,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from tasks.arrays import Float32
 from tasks.residual.hyperparameters import Architecture
-from tasks.residual.observation import OBSERVATION, STATE, Float32
+from tasks.residual.observation import OBSERVATION, STATE
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-Float32 = npt.NDArray[np.float32]
+from tasks.arrays import Float32
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")
 """A link's state [m, m, rad, m/s, m/s, rad/s], and the residual of one step, component by component."""

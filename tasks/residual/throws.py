@@ -14,13 +14,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
+from tasks.arrays import Float32, Float64, Int64
 from tasks.parameters import Parameters
-from tasks.residual.observation import STATE, Float32, observe
+from tasks.residual.observation import STATE, observe
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
-
-Int64 = npt.NDArray[np.int64]
-Float64 = npt.NDArray[np.float64]
 
 
 class Throws(Parameters):

@@ -17,22 +17,23 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from tasks.arrays import Float32, Int64
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import ResidualNetwork, Standardisation
-from tasks.residual.observation import OBSERVATION, Float32
-from tasks.residual.throws import Int64, Transitions
+from tasks.residual.observation import OBSERVATION
+from tasks.residual.throws import Transitions
 from tasks.seeding import generator
 
 N_CURVE_POINTS = 100
 """About how many points a learning curve has."""
 
 
-class TrainingDiverged(ArithmeticError):
+class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a rollout's status)
     """The loss of a member is no longer a number; says which member and when."""
 
 
-class NoDevice(RuntimeError):
+class NoDevice(RuntimeError):  # noqa: N818 (what is the case)
     """There is no such device for torch here; says which was asked for, and what torch has."""
 
 

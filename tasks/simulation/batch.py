@@ -11,8 +11,8 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled, is_cached
 from tasks.design import body, genes
 from tasks.design.genes import N_LINKS, Designs
@@ -27,9 +27,6 @@ from tasks.simulation.trees import contact, joint, layout, packing, step
 from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, World
 from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, Slush
 from tasks.world import slush as slush_source
-
-Float32 = npt.NDArray[np.float32]
-Indices = npt.NDArray[np.int64]
 
 _SOURCES = [genes, slush_source, controller, lanes, vectors, layout, rotation, joint, contact, step]
 _advance = compiled(step.advance, _SOURCES, seconds=20)
@@ -126,7 +123,7 @@ class Groups:
         )
 
     @cached_property
-    def _robot_of_lane(self) -> Indices:
+    def _robot_of_lane(self) -> Int64:
         """(n_groups · n_lanes,) numbers; lanes left over at the end hold copies of the last robot."""
         return np.minimum(np.arange(self.n_groups * self.n_lanes), self.n_robots - 1)
 
@@ -160,7 +157,7 @@ class Groups:
         state[diverged] = np.nan
         return state
 
-    def _place_of_robot(self) -> Indices:
+    def _place_of_robot(self) -> Int64:
         """(n_robots, n_links) numbers that the kernels give to the designs' links."""
         return np.tile(self._place, (self._n_members, 1))
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-Float32 = npt.NDArray[np.float32]
+from tasks.arrays import Float32
 
 GROUND_HALF_WIDTH = 10_000.0
 """[m]. Far wider than any robot gets in a rollout."""

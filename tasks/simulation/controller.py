@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Float32
 from tasks.design.genes import Designs
-
-Float32 = npt.NDArray[np.float32]
 
 TURN = 2 * np.pi
 """[rad]"""

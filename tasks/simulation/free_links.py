@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Float32
 from tasks.compiled import compiled
 from tasks.simulation.box2d import ANGLE, OMEGA, VX, VY, Y
 from tasks.simulation.simd import lanes, rotation, vectors
 from tasks.simulation.simd.lanes import Block
 from tasks.simulation.trees.step import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.world import LinkStates, Medium, Physics
-
-Float32 = npt.NDArray[np.float32]
 
 N_LANES = 16
 

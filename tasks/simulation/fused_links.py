@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Floats
 from tasks.design.body import RigidBodies
 from tasks.design.genes import N_LINKS
 from tasks.simulation.box2d import ANGLE, OMEGA, VX, VY, X, Y
 from tasks.world import VelocityChange
-
-Floats = npt.NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,14 +17,13 @@ import Box2D
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Float32
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, OMEGA, VX, VY, Motion, Y
 from tasks.simulation.controller import Drive
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, VelocityChange
-
-Float32 = npt.NDArray[np.float32]
 
 MEETS_THE_GROUND_ALONE = {"groupIndex": -1}
 """Filter of links that pass through one another: things of a negative group never collide; the ground is not of it."""

@@ -13,8 +13,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from tasks.arrays import Floats
 from tasks.parameters import Parameters
-from tasks.world.medium import Floats, LinkStates, VelocityChange
+from tasks.world.medium import LinkStates, VelocityChange
 from tasks.world.physics import Physics
 
 TINY = 1e-30

@@ -70,7 +70,7 @@ class Tar(Parameters):
     pull: float = Field(default=3.0, ge=0.0, le=10.0)
     """[m/s²]"""
 
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
         """Pull to the right."""
         still = np.zeros_like(links.y)
         return VelocityChange(np.where(links.y < 0, self.pull * physics.time_step, still), still, still)

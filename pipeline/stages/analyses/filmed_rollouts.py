@@ -52,7 +52,7 @@ def film_arm(spec: Spec, execution: Spec, arm: Sequence[Champion], networks: Map
 
     Args:
         spec: physics, rollout, and what True Slush and the world where they evolved are made of.
-        how: the engine.
+        execution: the engine.
         arm: its champions; none, no film.
         networks: every member's files by name; where they are missing, worlds made of them are left out.
     """

@@ -34,7 +34,7 @@ from tasks.analysis import (
 from tasks.analysis.comparison import CONTRASTS
 from tasks.analysis.paper import DEPTH, name_of
 from tasks.analysis.prediction import mean_less_deviations
-from tasks.analysis.uncertainty import Float64
+from tasks.arrays import Float64
 from tasks.seeding import generator
 
 Tables = dict[str, Columns]

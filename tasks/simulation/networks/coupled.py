@@ -17,20 +17,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Float32, Int64
 from tasks.compiled import inline
 from tasks.design.genes import N_LINKS
 from tasks.simulation.networks.inference import N_LANES, PackedNetworks, run_networks
 from tasks.simulation.simd.lanes import Block, as_block
 from tasks.simulation.trees import layout
 
-Float32 = npt.NDArray[np.float32]
-Indices = npt.NDArray[np.int64]
-
 
 class Ties(NamedTuple):
     """Links of robots in an engine's blocks tied to rows of networks, as many at once as the blocks here have lanes."""
 
-    places: Indices
+    places: Int64
     """(n, 3) where a tie's numbers lie in the three blocks: of the first quantity, input and change."""
     robots: Block
     """The engine's blocks."""
@@ -51,10 +49,10 @@ class Coupling(NamedTuple):
     """Where N_LANES links lie side by side in both."""
     single: Ties
     """All others."""
-    observed: Indices
+    observed: Int64
     """(n_inputs,) the engine's first rows of the quantities that networks read."""
-    layers: Indices
-    sizes: Indices
+    layers: Int64
+    sizes: Int64
     x: Float32
     out: Float32
     between: Float32

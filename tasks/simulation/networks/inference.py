@@ -8,6 +8,7 @@ the cache.
 """
 
 # mypy: disallow-untyped-decorators=False, warn-return-any=False
+# ruff: noqa: ARG001 (numba gives every intrinsic its context)
 
 from __future__ import annotations
 
@@ -23,11 +24,10 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from tasks.arrays import Float32
 from tasks.compiled import compiled
 from tasks.simulation.simd import lanes
 from tasks.simulation.simd.lanes import aligned, widest
-
-Float32 = npt.NDArray[np.float32]
 
 N_LANES = widest() // 2
 """Of a vector register."""

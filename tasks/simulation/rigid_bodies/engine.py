@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from tasks.arrays import Float32
 from tasks.compiled import compiled
 from tasks.design import genes
 from tasks.design.body import kinematic_trees, rigid_bodies
@@ -25,8 +25,6 @@ from tasks.simulation.trees import step as tree_step
 from tasks.simulation.trees.step import World
 from tasks.world import LinkStates, Medium, Physics
 from tasks.world import slush as slush_source
-
-Float32 = npt.NDArray[np.float32]
 
 _SOURCES = [
     genes,

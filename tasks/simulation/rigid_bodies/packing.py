@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Float32, Int64
 from tasks.design.body import KinematicTrees, RigidBodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
@@ -15,9 +16,6 @@ from tasks.simulation.free_links import sines_and_cosines
 from tasks.simulation.rigid_bodies import layout as body_rows
 from tasks.simulation.trees import layout
 from tasks.world import Physics
-
-Float32 = npt.NDArray[np.float32]
-Indices = npt.NDArray[np.int64]
 
 GROUND = body_rows.GROUND
 
@@ -118,13 +116,13 @@ def reset_mass_data(
     return inverse_mass, inverse_inertia, local
 
 
-def body_number(rigid: RigidBodies) -> Indices:
+def body_number(rigid: RigidBodies) -> Int64:
     """(n_designs, n_links) number of the body that each link belongs to: in the order of their first links."""
     number = np.cumsum(rigid.is_first, axis=1) - 1
     return np.take_along_axis(number, rigid.first_link, axis=1)
 
 
-def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tuple[Indices, Indices, Indices]:
+def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tuple[Int64, Int64, Int64]:
     """List the pairs of fixtures that may collide, in the order of their proxies' numbers.
 
     Proxies are numbered as the fixtures were made: the ground's; then, from the body with the last first link to the

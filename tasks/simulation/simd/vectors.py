@@ -5,6 +5,7 @@ vectors, which it splits or widens to whatever registers the machine has.
 """
 
 # mypy: disallow-untyped-decorators=False, disallow-subclassing-any=False, warn-return-any=False
+# ruff: noqa: ARG001 (numba calls every rule and lowering with the same arguments)
 # (numba and llvmlite come without types)
 
 from __future__ import annotations

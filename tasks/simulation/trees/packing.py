@@ -11,17 +11,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from tasks.arrays import Float32, Int64
 from tasks.compiled import inline
 from tasks.design.body import JOINT_ANGLE, LENGTH, spawn_kernel
 from tasks.design.genes import COLUMNS, N_LINKS, PARENT, Table
 from tasks.simulation.controller import TURN
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.contact import NO_VERTEX
-
-Float32 = npt.NDArray[np.float32]
-Indices = npt.NDArray[np.int64]
 
 HALF, QUARTER, ZERO, ONE = np.float32(0.5), np.float32(0.25), np.float32(0.0), np.float32(1.0)
 THIRD = np.float32(1.0) / np.float32(3.0)
@@ -79,7 +76,7 @@ def pack_robots(
     density: float,
     max_motor_impulse: np.float32,
     blocks: Float32,
-    place: Indices,
+    place: Int64,
 ) -> None:
     """Spawn n_members robots of each of n_designs designs, and fill the lanes of blocks with them.
 

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_is_held_until_the_end_and_then_comes_through(number):
-    class Came(Exception):
+    class Came(Exception):  # noqa: N818
         pass
 
     def come(*_):

@@ -74,7 +74,7 @@ def test_a_way_to_a_cluster_that_swallows_what_is_sent_is_told_before_ray_ends_t
         def is_set(self) -> bool:
             return False
 
-    class Ended(Exception):
+    class Ended(Exception):  # noqa: N818
         pass
 
     def connect(server: tuple[str, int], timeout: float) -> socket.socket:

@@ -64,7 +64,7 @@ def test_the_doctor_refuses_a_disk_whose_locks_do_not_lock(tmp_path, monkeypatch
 def test_the_doctor_finds_a_store_that_may_not_be_written_to(store, tmp_path, monkeypatch):
     """Permissions alone would not keep root out."""
 
-    def refuse(*, prefix: str, dir: Path) -> None:
+    def refuse(*, prefix: str, dir: Path) -> None:  # noqa: A002
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(dir / prefix))
 
     monkeypatch.setattr(doctor, "tempfile", SimpleNamespace(TemporaryDirectory=refuse))

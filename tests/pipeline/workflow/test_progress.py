@@ -95,7 +95,7 @@ def test_lines_come_now_and_then(monkeypatch):
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
 def test_a_stage_that_stops_short_says_where_and_lets_the_error_pass(error):
     out = io.StringIO()
-    with pytest.raises(error), progress(Console(file=out)) as show:
+    with pytest.raises(error), progress(Console(file=out)) as show:  # noqa: SIM117
         with show.stage("evolve", unit="generations", total=even(100), done=even(20)) as bar:
             bar.advance(even(30))
             raise error

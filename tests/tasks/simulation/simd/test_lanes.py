@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 from numba.core.errors import TypingError
 
 from tasks.compiled import inline
-from tasks.simulation.simd import vectors
 from tasks.simulation.simd.lanes import (
     ALIGNMENT,
     Block,
