@@ -1,7 +1,4 @@
-"""Make the tables of performance from a run of `make bench`: `python -m benchmarks.readme [bench.json]`.
-
-The README has the figures that something was promised of, docs/performance.md all of them.
-"""
+"""Write the table of docs/performance.md from a run of `make bench`: `python -m benchmarks.readme [bench.json]`."""
 
 from __future__ import annotations
 
@@ -13,14 +10,13 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results.json"
-"""The run that they show."""
-PAGES = {ROOT / "README.md": True, ROOT / "docs" / "performance.md": False}
-"""Pages that hold a table, and whether it is of the promised figures alone."""
+"""The recorded run that the page shows."""
+PAGE = ROOT / "docs" / "performance.md"
 BEGIN, END = "<!-- from benchmarks/results.json: python -m benchmarks.readme -->", "<!-- end -->"
 
 
-def section(results: dict[str, Any], *, promised: bool) -> str:
-    """Give the table of a run in Markdown: of all figures, or of those that something was promised of."""
+def section(results: dict[str, Any]) -> str:
+    """Format the figures of a run as a Markdown table."""
     machine = results["machine"]
     where = f"{machine['cpu']}, {machine['lanes']} lanes, Python {machine['python']}, commit {machine['commit']}"
     lines = [
@@ -31,8 +27,6 @@ def section(results: dict[str, Any], *, promised: bool) -> str:
         "|---|--:|--:|---|---|",
     ]
     for figure in results["figures"]:
-        if promised and figure["promise"] is None:
-            continue
         bound = f"{'≥' if figure['at_least'] else '≤'} {figure['promise']} {'✓' if figure['kept'] else '✗'}"
         promise = "" if figure["promise"] is None else bound
         low, high = min(figure["rounds"]), max(figure["rounds"])
@@ -41,20 +35,18 @@ def section(results: dict[str, Any], *, promised: bool) -> str:
     return "\n".join(lines)
 
 
-def with_section(page: str, results: dict[str, Any], *, promised: bool) -> str:
-    """Replace what is between a page's markers."""
+def with_section(page: str, results: dict[str, Any]) -> str:
+    """Replace what stands between a page's markers by the table of a run."""
     before, rest = page.split(BEGIN)
     _, after = rest.split(END)
-    return f"{before}{BEGIN}\n{section(results, promised=promised)}\n{END}{after}"
+    return f"{before}{BEGIN}\n{section(results)}\n{END}{after}"
 
 
 def main() -> None:
-    """Take up a run, and write its tables."""
+    """Record a run, if one is given, and write the table."""
     if len(sys.argv) > 1:
         shutil.copyfile(sys.argv[1], RESULTS)
-    results = json.loads(RESULTS.read_text())
-    for page, promised in PAGES.items():
-        page.write_text(with_section(page.read_text(), results, promised=promised))
+    PAGE.write_text(with_section(PAGE.read_text(), json.loads(RESULTS.read_text())))
 
 
 if __name__ == "__main__":
