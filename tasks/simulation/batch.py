@@ -25,7 +25,7 @@ from tasks.simulation.simd import lanes, rotation, vectors
 from tasks.simulation.simd.lanes import Block, widest
 from tasks.simulation.trees import contact, joint, layout, packing, step
 from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, World
-from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, Slush
+from tasks.world import Environment, LinkStates, Medium, Physics, Slush
 from tasks.world import slush as slush_source
 
 _SOURCES = [genes, slush_source, controller, lanes, vectors, layout, rotation, joint, contact, step]
@@ -229,7 +229,7 @@ def roll_out_on(
     steps at once. Any other medium is asked step by step, for all links of all robots together.
     """
     medium = environment.medium
-    n_members = environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1
+    n_members = environment.n_members
     learned_medium: PackedNetworks | None = getattr(medium, "networks", None)
     groups: Groups | Robots
     if _has_no_lanes(physics):

@@ -23,7 +23,7 @@ from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, OMEGA, VX, VY, Motion, Y
 from tasks.simulation.controller import Drive
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
-from tasks.world import Environment, LinkStates, Medium, Physics, ResidualSlush, VelocityChange
+from tasks.world import Environment, LinkStates, Medium, Physics, VelocityChange
 
 MEETS_THE_GROUND_ALONE = {"groupIndex": -1}
 """Filter of links that pass through one another: things of a negative group never collide; the ground is not of it."""
@@ -181,7 +181,7 @@ def roll_out(
     designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool
 ) -> Motion:
     """Simulate designs in an environment; see :func:`tasks.simulation.simulate`."""
-    n_members = environment.ensemble.n_members if isinstance(environment, ResidualSlush) else 1
+    n_members = environment.n_members
     n_designs, n_steps = len(designs), n_settle + n_measure
     trees = kinematic_trees(designs, density=physics.link_density)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tasks.design.genes import Designs, check
 from tasks.simulation import batch, reference
 from tasks.simulation.box2d import Motion, X
-from tasks.world import Environment, Physics, ResidualSlush
+from tasks.world import Environment, Physics
 
 Engine = Literal["batch", "reference"]
 ENGINES = {"batch": batch.roll_out, "reference": reference.roll_out}
@@ -74,7 +74,7 @@ def simulate(
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
     physics = physics or Physics()
     motion = ENGINES[engine](designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
-    return _measure(motion, squeeze=not isinstance(environment, ResidualSlush))
+    return _measure(motion, squeeze=not environment.is_ensemble)
 
 
 def _measure(motion: Motion, *, squeeze: bool) -> Rollouts:

@@ -1,73 +1,39 @@
-"""Environments: a depth and a medium over one base simulator. Paper, "Simulation Environments".
-
-They differ in the medium alone. To add one: write its file beside slush.py, and give it an environment here; the README
-says where the pipeline has to know its name. Lanes in tasks/simulation/trees/step.py make it faster, and are not needed.
-"""
+"""Environments: a depth and a medium around the same rigid-body simulator. Paper, "Simulation Environments"."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from numbers import Real
-from typing import Literal
+from typing import ClassVar, Literal
 
-from tasks.world.medium import EnsembleMedium, Medium
-from tasks.world.slush import Slush
+from tasks.world.medium import Medium
 
 EnvironmentName = Literal["true_slush", "dry_land", "residual_slush", "single_member"]
 """Where a trial evolves: E, E', Ê with the whole ensemble, Ê with one member of it."""
 
 
-def _check_depth(depth: float) -> None:
-    if isinstance(depth, bool) or not isinstance(depth, Real) or not math.isfinite(depth) or depth < 0:
-        raise ValueError(f"depth is {depth!r}, expected a finite number of metres, 0 or more")
-
-
 @dataclass(frozen=True)
-class DryLand:
-    """E': rigid links over hard ground at y = -depth [m], and nothing else."""
+class Environment:
+    """Rigid links over hard ground, in a medium."""
+
+    is_ensemble: ClassVar[bool] = False
+    """Whether rollouts have an axis of ensemble members, even of a single one."""
 
     depth: float
+    """Depth of the ground: it lies at y = -depth [m]."""
 
     def __post_init__(self) -> None:
-        _check_depth(self.depth)
+        depth = self.depth
+        if isinstance(depth, bool) or not isinstance(depth, Real) or not math.isfinite(depth) or depth < 0:
+            raise ValueError(f"depth is {depth!r}, expected a finite number of metres, at least 0")
 
     @property
-    def medium(self) -> None:
-        """Nothing surrounds the links."""
+    def medium(self) -> Medium | None:
+        """Medium around the links, or None."""
         return None
 
-
-@dataclass(frozen=True)
-class TrueSlush:
-    """E: dry land whose region below y = 0 is filled with slush; the world that designs are made for."""
-
-    depth: float
-    slush: Slush = field(default_factory=Slush)
-
-    def __post_init__(self) -> None:
-        _check_depth(self.depth)
-
     @property
-    def medium(self) -> Medium:
-        """The slush."""
-        return self.slush
-
-
-@dataclass(frozen=True)
-class ResidualSlush:
-    """Ê: dry land and what an ensemble of residual networks learned of the slush, one world per member."""
-
-    depth: float
-    ensemble: EnsembleMedium
-
-    def __post_init__(self) -> None:
-        _check_depth(self.depth)
-
-    @property
-    def medium(self) -> EnsembleMedium:
-        """The ensemble."""
-        return self.ensemble
-
-
-Environment = DryLand | TrueSlush | ResidualSlush
+    def n_members(self) -> int:
+        """Number of ensemble members, 1 without an ensemble."""
+        return 1

@@ -5,18 +5,23 @@ because explicit Euler diverges at the speeds at which links are thrown. Everyth
 no buoyant torque, so that nothing depends on the sign of a link's angle.
 
 The functions work in the precision of their arguments: float64 to be checked against a polygon clipper, float32 in the
-reference engine. The batch engine repeats the same operations in the same order on lanes (tasks/simulation/trees/step.py).
+reference engine. The batch engine repeats the same operations in the same order on lanes
+(tasks/simulation/trees/step.py).
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import numpy as np
 from pydantic import Field
 
 from tasks.arrays import Floats
 from tasks.parameters import Parameters
-from tasks.world.medium import LinkStates, VelocityChange
+from tasks.world.environment import Environment
+from tasks.world.medium import LinkStates, Medium, VelocityChange
 from tasks.world.physics import Physics
+from tasks.world.registry import EnvironmentKind, register
 
 TINY = 1e-30
 """Stands in for the rise of a level edge, whose submerged share is then a step function of depth."""
@@ -93,3 +98,34 @@ class Slush(Parameters):
             vy=(links.vy / slowed + lift) - links.vy,
             omega=links.omega / (1 + k_r_dt * abs(links.omega)) - links.omega,
         )
+
+
+@dataclass(frozen=True)
+class TrueSlush(Environment):
+    """E: Dry Land filled with slush below y = 0, the environment that designs are made for."""
+
+    slush: Slush = field(default_factory=Slush)
+
+    @property
+    def medium(self) -> Medium:
+        """True medium."""
+        return self.slush
+
+
+register(
+    EnvironmentKind(
+        name="true_slush",
+        build=TrueSlush,
+        settings_group="slush",
+        settings=Slush,
+        label="True Slush",
+        symbol="E",
+        evolved="in True Slush",
+        marker="o",
+        color="#1c6fb8",
+        adapted_color="#a6cbe8",
+        dark_color="#4d9de0",
+        dark_adapted_color="#27527a",
+        order=1,
+    )
+)

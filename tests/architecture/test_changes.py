@@ -56,12 +56,16 @@ print(json.dumps([f"{stage} {label}: {why}" for stage in upstream for label, why
 
 TAR = '''"""Tar: a current that carries along whatever is below y = 0."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from pydantic import Field
 
 from tasks.parameters import Parameters
-from tasks.world.medium import LinkStates, VelocityChange
+from tasks.world.environment import Environment
+from tasks.world.medium import LinkStates, Medium, VelocityChange
 from tasks.world.physics import Physics
+from tasks.world.registry import EnvironmentKind, register
 
 
 class Tar(Parameters):
@@ -70,43 +74,54 @@ class Tar(Parameters):
     pull: float = Field(default=3.0, ge=0.0, le=10.0)
     """[m/s²]"""
 
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Pull to the right."""
-        still = np.zeros_like(links.y)
-        return VelocityChange(np.where(links.y < 0, self.pull * physics.time_step, still), still, still)
-'''
-PULL, TIME_STEP = 3.0, 1 / 60
+        zero = np.zeros_like(links.y)
+        return VelocityChange(np.where(links.y < 0, self.pull * physics.time_step, zero), zero, zero)
 
-TAR_PIT = '''@dataclass(frozen=True)
-class TarPit:
-    """Dry land whose region below y = 0 is filled with tar."""
 
-    depth: float
+@dataclass(frozen=True)
+class TarPit(Environment):
+    """Dry Land filled with tar below y = 0."""
+
     tar: Tar = field(default_factory=Tar)
 
     @property
     def medium(self) -> Medium:
-        """The tar."""
+        """Tar."""
         return self.tar
 
 
+register(
+    EnvironmentKind(
+        name="tar_pit",
+        build=TarPit,
+        settings_group="tar",
+        settings=Tar,
+        label="Tar Pit",
+        symbol="T",
+        evolved="in the Tar Pit",
+        marker="v",
+        color="#333333",
+        adapted_color="#999999",
+        dark_color="#cccccc",
+        dark_adapted_color="#666666",
+    )
+)
 '''
+PULL, TIME_STEP = 3.0, 1 / 60
 
 IMPORT_TAR = "from tasks.world.tar import Tar\n"
 
 MEDIUM = {
-    "tasks/world/environment.py": [
-        ("from tasks.world.slush import Slush\n", f"from tasks.world.slush import Slush\n{IMPORT_TAR}"),
-        ('"single_member"]', '"single_member", "tar_pit"]'),
-        ("Environment = DryLand |", f"{TAR_PIT}Environment = TarPit | DryLand |"),
-    ],
+    "tasks/world/environment.py": [('"single_member"]', '"single_member", "tar_pit"]')],
     "pipeline/config/settings.py": [
         ("from tasks.world import", f"{IMPORT_TAR}from tasks.world import"),
         ("    slush: Slush", '    tar: Tar = Tar()\n    """That of the tar pit."""\n    slush: Slush'),
     ],
     "pipeline/stages/segments.py": [
         ('    "dry_land": (),\n', '    "dry_land": (),\n    "tar_pit": ("tar",),\n'),
-        ("from tasks.world import", f"from tasks.world.environment import TarPit\n{IMPORT_TAR}from tasks.world import"),
+        ("from tasks.world import", "from tasks.world.tar import Tar, TarPit\nfrom tasks.world import"),
         (
             '    if world == "true_slush":\n',
             '    if world == "tar_pit":\n        return TarPit(depth=depth, tar=Tar.model_validate(spec["tar"]))\n'

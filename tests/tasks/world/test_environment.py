@@ -37,7 +37,7 @@ def test_depths_are_metres(world: Callable[[float], Environment], depth: float) 
 @pytest.mark.parametrize("world", WORLDS)
 @pytest.mark.parametrize("depth", [-1e-9, -9, float("nan"), float("inf"), True, "1", None])
 def test_other_depths_are_refused(world: Callable[[float], Environment], depth: float) -> None:
-    message = f"depth is {depth!r}, expected a finite number of metres, 0 or more"
+    message = f"depth is {depth!r}, expected a finite number of metres, at least 0"
     with pytest.raises(ValueError, match=re.escape(message)):
         world(depth)
 

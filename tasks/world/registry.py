@@ -1,0 +1,153 @@
+"""The registry of environments: names, media, settings groups and how each is drawn.
+
+To add a medium, write one file in ``tasks/world``; the package imports every module that it contains. For instance
+``tasks/world/tar.py``::
+
+    class Tar(Parameters):
+        '''A current that carries along everything below y = 0.'''
+
+        pull: float = Field(default=3.0, ge=0.0, le=10.0)
+        '''Acceleration to the right [m/s²].'''
+
+        def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+            zero = np.zeros_like(links.y)
+            return VelocityChange(np.where(links.y < 0, self.pull * physics.time_step, zero), zero, zero)
+
+
+    @dataclass(frozen=True)
+    class TarPit(Environment):
+        '''Dry Land filled with tar below y = 0.'''
+
+        tar: Tar = field(default_factory=Tar)
+
+        @property
+        def medium(self) -> Medium:
+            '''Tar.'''
+            return self.tar
+
+
+    register(
+        EnvironmentKind(
+            name="tar_pit",
+            build=TarPit,
+            settings_group="tar",
+            settings=Tar,
+            label="Tar Pit",
+            symbol="T",
+            evolved="in the Tar Pit",
+            marker="v",
+            color="#333333",
+            adapted_color="#999999",
+            dark_color="#cccccc",
+            dark_adapted_color="#666666",
+        )
+    )
+
+Both engines call ``velocity_change`` of any medium. The true medium is the one that the registration of ``true_slush``
+names: networks learn it, and champions are transferred to it. To learn tar, register ``true_slush`` with
+``build=TarPit``, ``settings_group="tar"`` and ``settings=Tar``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Annotated, Any, Literal
+
+from pydantic import GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
+
+from tasks.parameters import Parameters
+from tasks.world.environment import Environment
+from tasks.world.medium import EnsembleMedium
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnvironmentKind:
+    """An environment as settings name it and as figures show it."""
+
+    name: str
+    """Name in settings, tables and files, such as ``true_slush``."""
+    build: Callable[..., Environment]
+    """Class of the environment, called with the depth [m] and the medium, if it has one."""
+    settings_group: str | None = None
+    """Group of settings that states the medium's parameters."""
+    settings: type[Parameters] | None = None
+    """Class of these settings, which is also the medium."""
+    networks: Literal["none", "one", "all"] = "none"
+    """Trained ensemble members that the medium consists of."""
+    label: str
+    symbol: str
+    """Symbol in the paper."""
+    evolved: str
+    """Phrase that completes "evolved ..."."""
+    marker: str
+    """Matplotlib marker, so that colour is never the only difference."""
+    color: str
+    adapted_color: str
+    """Colour of the same arm once its controllers have adapted to True Slush."""
+    dark_color: str
+    """Colour on a dark page."""
+    dark_adapted_color: str
+    order: int = 100
+    """Place in every listing; ties are listed by name."""
+
+    def environment(
+        self, depth: float, settings: Mapping[str, Any], ensemble: EnsembleMedium | None = None
+    ) -> Environment:
+        """Build the environment.
+
+        Args:
+            depth: depth of the ground below the surface [m].
+            settings: settings groups by name, as models or as dictionaries.
+            ensemble: trained networks; required if ``networks`` is not "none".
+
+        Raises:
+            ValueError: the environment requires networks and there are none.
+            KeyError: the medium's settings group is missing.
+        """
+        if self.networks != "none":
+            if ensemble is None:
+                raise ValueError(f"{self.name}: expected an ensemble of trained networks, got None")
+            return self.build(depth, ensemble)
+        if self.settings is None:
+            return self.build(depth)
+        return self.build(depth, self.settings.model_validate(settings[str(self.settings_group)]))
+
+
+_registered: dict[str, EnvironmentKind] = {}
+
+ENVIRONMENTS: Mapping[str, EnvironmentKind] = MappingProxyType(_registered)
+"""Every environment by name, in the order of listings. Complete once ``tasks.world`` is imported."""
+
+
+def register(kind: EnvironmentKind) -> None:
+    """Add an environment.
+
+    Raises:
+        ValueError: the name is taken.
+    """
+    if kind.name in _registered:
+        raise ValueError(f"environment {kind.name!r} is registered twice, expected a name of its own")
+    kinds = sorted((*_registered.values(), kind), key=lambda kind: (kind.order, kind.name))
+    _registered.clear()
+    _registered.update({kind.name: kind for kind in kinds})
+
+
+def settings_groups() -> dict[str, type[Parameters]]:
+    """List the settings groups of all media: name to class."""
+    return {
+        kind.settings_group: kind.settings for kind in ENVIRONMENTS.values() if kind.settings_group and kind.settings
+    }
+
+
+class _RegisteredNames:
+    """Lets pydantic accept the registered names and no others."""
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.literal_schema(list(ENVIRONMENTS))
+
+
+EnvironmentName = Annotated[str, _RegisteredNames()]
+"""Name of a registered environment."""

@@ -1,0 +1,69 @@
+"""The registry of environments: what a medium's file registers is what settings accept and what gets built."""
+
+import dataclasses
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from tasks.world import ENVIRONMENTS, DryLand, EnvironmentName, ResidualSlush, Slush, TrueSlush
+from tasks.world.registry import register, settings_groups
+
+
+class FlatEnsemble(Slush):
+    """One member."""
+
+    @property
+    def n_members(self) -> int:
+        return 1
+
+
+def test_environments_are_listed_in_the_papers_order() -> None:
+    assert list(ENVIRONMENTS) == ["true_slush", "dry_land", "residual_slush", "single_member"]
+
+
+def test_settings_accept_registered_names_only() -> None:
+    names = TypeAdapter(EnvironmentName)
+    assert [names.validate_python(name) for name in ENVIRONMENTS] == list(ENVIRONMENTS)
+    assert names.json_schema() == {"enum": list(ENVIRONMENTS), "type": "string"}
+    with pytest.raises(
+        ValidationError, match="should be 'true_slush', 'dry_land', 'residual_slush' or 'single_member'"
+    ):
+        names.validate_python("tar_pit")
+
+
+def test_an_environment_is_built_from_its_settings_group() -> None:
+    assert settings_groups() == {"slush": Slush}
+    for group in (Slush(density=2.0), {"density": 2.0}):
+        built = ENVIRONMENTS["true_slush"].environment(3.0, {"slush": group})
+        assert built == TrueSlush(3.0, Slush(density=2.0))
+    assert ENVIRONMENTS["dry_land"].environment(3.0, {}) == DryLand(3.0)
+    with pytest.raises(ValidationError, match="viscosity"):
+        ENVIRONMENTS["true_slush"].environment(3.0, {"slush": {"viscosity": 2.0}})
+
+
+@pytest.mark.parametrize("name", ["residual_slush", "single_member"])
+def test_an_environment_of_networks_requires_an_ensemble(name: str) -> None:
+    ensemble = FlatEnsemble()
+    built = ENVIRONMENTS[name].environment(3.0, {}, ensemble)
+    assert built == ResidualSlush(3.0, ensemble)
+    assert built.is_ensemble and built.n_members == 1
+    with pytest.raises(ValueError, match=f"{name}: expected an ensemble of trained networks, got None"):
+        ENVIRONMENTS[name].environment(3.0, {})
+
+
+def test_environments_without_an_ensemble_have_one_member() -> None:
+    for environment in (DryLand(1.0), TrueSlush(1.0)):
+        assert not environment.is_ensemble and environment.n_members == 1
+
+
+def test_a_name_is_registered_once() -> None:
+    registered = dict(ENVIRONMENTS)
+    with pytest.raises(ValueError, match="environment 'dry_land' is registered twice"):
+        register(dataclasses.replace(ENVIRONMENTS["dry_land"], label="Another"))
+    assert dict(ENVIRONMENTS) == registered
+
+
+def test_every_environment_has_colours_markers_and_labels_of_its_own() -> None:
+    for field in ("label", "symbol", "marker", "color", "adapted_color", "dark_color", "dark_adapted_color"):
+        values = [getattr(kind, field) for kind in ENVIRONMENTS.values()]
+        assert len(set(values)) == len(values), field
