@@ -6,8 +6,7 @@ Part of the stage report. Whatever is not there leaves its reason in its place.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +27,7 @@ from pipeline.stages import segments
 from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS, MATRIX, MEMBERS, STATISTICS, TANK, read_reasons, read_table
 from pipeline.stages.collect import TRANSITIONS, read_transitions
 from pipeline.store.encoding import decode_table
-from pipeline.store.tables import Columns
+from pipeline.store.tables import Columns, rows_of
 from pipeline.workflow.stage import Files
 from tasks.analysis import (
     Attribution,
@@ -49,28 +48,6 @@ from tasks.evolution import OPERATORS
 
 HISTORIES = "history/"
 """Of inputs: the segments of the trial whose champion's family is shown."""
-
-
-def rows_of(kind: type, columns: Mapping[str, npt.NDArray[Any]], prefix: str = "") -> list[Any]:
-    """Undo :func:`pipeline.store.tables.columns_of`: NaN and empty texts become None where the dataclass allows it."""
-    types = get_type_hints(kind)
-    made = []
-    for field in fields(kind):
-        of, name = types[field.name], prefix + field.name
-        if isinstance(of, type) and is_dataclass(of):
-            made.append(rows_of(of, columns, f"{name}_"))
-        else:
-            # An Estimate's value bears the estimate's own name.
-            column = columns[prefix.removesuffix("_") if prefix and field.name == "value" else name].tolist()
-            made.append([_value(of, value) for value in column])
-    return [kind(*row) for row in zip(*made, strict=True)]
-
-
-def _value(of: Any, value: Any) -> Any:
-    if get_origin(of) is tuple:
-        return tuple(value.split("/"))
-    missing = value == "" or value != value
-    return None if missing and type(None) in get_args(of) else value
 
 
 def arm_words(environment: str, depth: float) -> str:
@@ -108,7 +85,7 @@ def findings(inputs: Mapping[str, Files], *, assessed_depth: float, tank: Tank |
         throws=_throws([inputs[name] for name in sorted(inputs) if name.startswith("throws-")], time_step),
         accuracy=_accuracy(statistics, assessed_depth),
         against_paper=_rows(Row, statistics, "paper"),
-        contrasts=_contrasts(statistics),
+        contrasts=_rows(Contrast, statistics, "contrasts"),
         attributions=_rows(Attribution, statistics, "attribution"),
         transfer_matrices=_matrices(analysed.get(MATRIX, {})),
         suspects=_suspects(analysed.get(EXPLOITERS, {})),
@@ -144,8 +121,10 @@ def _rows(kind: type, files: Files, table: str) -> list[Any]:
 
 
 def _estimates(columns: Columns, name: str) -> list[Estimate]:
-    found: list[Estimate] = rows_of(Estimate, columns, f"{name}_")
-    return found
+    return rows_of(Estimate, {"value": columns[name], **{part: columns[f"{name}_{part}"] for part in _REST}})
+
+
+_REST = ("low", "high", "reason")
 
 
 def _throws(chunks: Sequence[Files], time_step: float) -> ThrownPaths | None:
@@ -174,14 +153,6 @@ def _accuracy(files: Files, depth: float) -> Accuracy | None:
     return Accuracy(depth, regressions, Histograms(tuple(names), edges, counts, drawn["n_outside"][chosen], None))
 
 
-def _contrasts(files: Files) -> list[Contrast]:
-    if not files:
-        return []
-    columns = read_table(files, "contrasts")
-    found: list[Contrast] = rows_of(Contrast, columns | {f"comparison_{name}": of for name, of in columns.items()})
-    return found
-
-
 def _matrices(files: Files) -> dict[EvolvedIn, TransferMatrix]:
     """Put the cells of each environment's matrix, which are there in order, back into their rows."""
     if not files:
@@ -201,7 +172,7 @@ def _suspects(files: Files) -> list[Suspect]:
     if not files:
         return []
     columns = read_table(files, "exploiters")
-    ranked: list[Exploiter] = rows_of(Exploiter, columns | {"design": np.arange(len(columns["rank"]))})
+    ranked = rows_of(Exploiter, columns | {"design": np.arange(len(columns["rank"]))})
     names = ("environment", "depth", "trial", "generation", "kind")
     return [
         Suspect(

@@ -1,44 +1,74 @@
-"""Tables: rows of frozen data as columns, for Parquet and for CSV.
+"""Tables: rows of a frozen dataclass as columns, for Parquet and CSV, and columns as rows again.
 
-Parquet here knows no null: a number that is not there is NaN, a text is empty, and a column beside it says why. A row
-that holds another, such as an Estimate, is laid out flat: ``slope``, ``slope_low``, ``slope_high``, ``slope_reason``.
+The Parquet files of this project hold no nulls. A missing number is NaN, a missing text is empty, and a column beside
+it gives the reason. A nested dataclass, such as an Estimate, is laid out flat: ``slope``, ``slope_low``,
+``slope_high``, ``slope_reason``. A nested field with ``metadata={"prefix": False}`` keeps the names of its columns.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from typing import Any, get_args, get_origin, get_type_hints
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import Field, fields, is_dataclass
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
 
 Columns = dict[str, npt.NDArray[Any]]
+Row = TypeVar("Row")
 
 
-def columns_of(kind: type, rows: Sequence[Any]) -> Columns:
-    """Lay out rows of a dataclass as columns, of the right types even if there are no rows.
+def columns_of(kind: type[Row], rows: Sequence[Row]) -> Columns:
+    """Lay out rows as columns, with the right types even if there are no rows.
 
-    Args:
-        kind: the dataclass; its fields are numbers, flags, texts, tuples of texts and such dataclasses in turn.
-        rows: instances of it.
+    Fields are numbers, flags, texts, tuples of texts, tuples of equally many numbers, or dataclasses of these.
     """
-    types = get_type_hints(kind)
     columns: Columns = {}
-    for field in fields(kind):
-        values, of = [getattr(row, field.name) for row in rows], types[field.name]
-        if isinstance(of, type) and is_dataclass(of):
-            for name, column in columns_of(of, values).items():
-                columns[field.name if name == "value" else f"{field.name}_{name}"] = column
+    for field, of in _typed_fields(kind):
+        values = [getattr(row, field.name) for row in rows]
+        if _is_nested(of):
+            columns |= {_column_name(field, name): column for name, column in columns_of(of, values).items()}
         else:
             columns[field.name] = _column(of, values)
     return columns
 
 
+def rows_of(kind: type[Row], columns: Mapping[str, npt.NDArray[Any]]) -> list[Row]:
+    """Undo :func:`columns_of`; columns that are not of the dataclass are ignored.
+
+    The inverse is exact, except where a field that may be None holds NaN or an empty text: both become None.
+    """
+    made: list[list[Any]] = []
+    for field, of in _typed_fields(kind):
+        if _is_nested(of):
+            inner = {name: columns[_column_name(field, name)] for name in columns_of(of, ())}
+            made.append(rows_of(of, inner))
+        else:
+            made.append([_value(of, value) for value in columns[field.name].tolist()])
+    return [kind(*row) for row in zip(*made, strict=True)]
+
+
+def _typed_fields(kind: type) -> Iterator[tuple[Field[Any], Any]]:
+    types = get_type_hints(kind)
+    return ((field, types[field.name]) for field in fields(kind))
+
+
+def _is_nested(of: Any) -> bool:
+    return is_dataclass(of)
+
+
+def _column_name(field: Field[Any], name: str) -> str:
+    if name == "value":
+        return field.name
+    return f"{field.name}_{name}" if field.metadata.get("prefix", True) else name
+
+
 def _column(of: Any, values: Sequence[Any]) -> npt.NDArray[Any]:
     choices = {of, *get_args(of)}
+    if get_origin(of) is tuple and Ellipsis in choices:  # Parquet needs a width, even where there are no rows
+        return np.array(values or np.empty((0, 1)), dtype=np.float64 if float in choices else np.int64)
     if get_origin(of) is tuple:
         return text(["/".join(value) for value in values])
     if float in choices:
@@ -48,13 +78,20 @@ def _column(of: Any, values: Sequence[Any]) -> npt.NDArray[Any]:
     return text(["" if value is None else value for value in values])
 
 
+def _value(of: Any, value: Any) -> Any:
+    if get_origin(of) is tuple:
+        return tuple(value if isinstance(value, list) else value.split("/"))
+    missing = value == "" or value != value
+    return None if missing and type(None) in get_args(of) else value
+
+
 def text(values: Sequence[str]) -> npt.NDArray[np.str_]:
     """Make a column of text."""
     return np.array(values, dtype=np.str_)
 
 
 def csv_of(columns: Mapping[str, npt.NDArray[Any]]) -> bytes:
-    """Write columns as CSV; those of several numbers a row become as many columns, and NaN becomes nothing."""
+    """Write columns as CSV; a column of k numbers per row becomes k columns, and NaN an empty field."""
     flat: dict[str, list[Any]] = {}
     for name, column in columns.items():
         parts = {name: column} if column.ndim == 1 else {f"{name}_{i}": part for i, part in enumerate(column.T)}

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any
 
@@ -230,7 +230,7 @@ class Contrast:
     b: Arm
     depth: float
     """[m]"""
-    comparison: Comparison
+    comparison: Comparison = field(metadata={"prefix": False})
     student_holm: float | None
     """p of Student's t corrected over the depths of this contrast; the same of the other two tests."""
     welch_holm: float | None

@@ -104,12 +104,11 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
         reasons["attribution"] = "every trial evolved in True Slush: there is no gap"
     at_papers_depth = shares and spec["assessed_depth"] == DEPTH
     assessed = (regressions, ranges) if at_papers_depth else ((), {})
-    compared = columns_of(Contrast, contrasts)
     return {
         "scores": table,
         "regressions": columns_of(Regression, regressions),
         "histograms": _drawn(predicted, true),
-        "contrasts": {name.removeprefix("comparison_"): column for name, column in compared.items()},
+        "contrasts": columns_of(Contrast, contrasts),
         "attribution": columns_of(Attribution, attributions),
         "paper": columns_of(Row, against_paper(scores, *assessed, rng=rng)),
     }, reasons
