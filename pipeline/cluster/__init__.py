@@ -1,7 +1,8 @@
 """Where work runs: in this process, on this machine's cores, or on a Ray cluster.
 
-The driver submits pure functions and takes their outcomes as they come; only the driver writes to the store, so workers
-need no shared disk. :func:`serial_cluster`, for debugging and tests, and :func:`ray_cluster` give the same results.
+The driver submits pure functions and collects their outcomes in any order. Only the driver writes to the store, so
+workers need no shared disk. :func:`serial_cluster` (for debugging and tests) and :func:`ray_cluster` give the same
+results.
 """
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket

@@ -1,4 +1,4 @@
-"""What a cluster is to the stages: submit pure functions, take their outcomes."""
+"""The interface of a cluster: submit pure functions, collect their outcomes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pipeline.errors import PuddleError
 
 @dataclass(frozen=True)
 class Ticket:
-    """What a submitted call is known by until its outcome comes."""
+    """The identity of a submitted call until its outcome arrives."""
 
     number: int
     """Order of submission, from 0."""
@@ -21,7 +21,7 @@ class Ticket:
 
 @dataclass(frozen=True)
 class Handle:
-    """A value that was put on the cluster once; a function submitted with it receives the value itself."""
+    """A value stored on the cluster once; a function submitted with the handle receives the value itself."""
 
     reference: Any
 
@@ -33,14 +33,14 @@ class Done:
     result: Any
 
 
-class TaskFailed(PuddleError):  # noqa: N818 (what it is, not that it went wrong)
-    """A call that gave no result.
+class TaskFailed(PuddleError):  # noqa: N818 (an outcome as much as an exception)
+    """A call that returned no result.
 
     Attributes:
-        name: what the call was submitted as.
+        name: the name under which the call was submitted.
         reason: the exception's type and message.
-        remote_traceback: the traceback where it happened, as text.
-        infrastructure: whether the worker, its node or its memory failed, and not the function.
+        remote_traceback: the worker's traceback, as text.
+        infrastructure: whether the worker, its node or its memory failed rather than the function.
     """
 
     def __init__(self, name: str, reason: str, remote_traceback: str, infrastructure: bool) -> None:
@@ -58,48 +58,65 @@ Outcome = Done | TaskFailed
 
 
 class Cluster(Protocol):
-    """Where calls run: what :func:`serial_cluster` and :func:`ray_cluster` give for the length of a ``with``."""
+    """A place where calls run; :func:`serial_cluster` and :func:`ray_cluster` yield one."""
 
     @property
     def n_cores(self) -> float:
-        """Cores that the cluster has now."""
+        """Number of cores in the cluster now."""
 
     @property
     def n_gpus(self) -> float:
-        """GPUs that the cluster has now."""
+        """Number of GPUs in the cluster now."""
 
     @property
     def n_running(self) -> int:
-        """Calls submitted whose outcome has not been taken yet."""
+        """Number of submitted calls whose outcome has not been collected."""
 
     def share(self, value: Any) -> Handle:
-        """Put a large immutable value, such as an ensemble's weights, once for many calls."""
+        """Store a large immutable value, such as an ensemble's weights, once for many calls."""
 
     def submit(
         self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
-        """Queue ``function(*args)``. An argument (not something inside one) may be a :class:`Handle`.
+        """Queue ``function(*args)``.
 
-        A function that only waits for its own :func:`spread` takes ``n_cores=0``; each of those is a process, so a
-        caller keeps only as many of them in flight as it has memory for.
+        Args:
+            function: a pure function that can be pickled.
+            args: its arguments; each may be a :class:`Handle`, which is not looked for inside other values.
+            n_cores: cores that the call occupies. A function that only waits for its own :func:`spread` takes 0;
+                each such call is a process, so the caller limits their number by memory.
+            n_gpus: GPUs that the call occupies.
+            name: shown in messages; by default the function's name.
+
+        Returns:
+            The call's ticket.
         """
 
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
-        """Take one outcome, in no particular order on Ray; None if none came within ``timeout`` [s] or none is due."""
+        """Collect one outcome, on Ray in no particular order; None if none arrives within ``timeout`` [s]."""
 
-    def begun(self) -> set[Ticket]:
-        """Say which calls a worker has begun, of those whose outcome has not been taken; the others wait for a core."""
+    def started(self) -> set[Ticket]:
+        """Return the uncollected calls that a worker has started; the others wait for a core."""
 
-    def give_up(self, ticket: Ticket) -> None:
-        """Stop one call, whose outcome has not been taken; none will come. What never returns holds this process."""
+    def cancel(self, ticket: Ticket) -> None:
+        """Stop one uncollected call, whose outcome will never arrive."""
 
     def cancel_all(self) -> None:
-        """Stop what runs and forget what waits; no outcome of it will come."""
+        """Stop every running call and drop every queued one."""
 
 
 def failure(name: str, cause: BaseException, remote_traceback: str) -> TaskFailed:
-    """Make the outcome of a call that raised."""
-    if isinstance(cause, TaskFailed):  # an item of a spread: what went wrong, went wrong there
+    """Build the outcome of a call that raised.
+
+    Args:
+        name: the call's name.
+        cause: the exception.
+        remote_traceback: the worker's traceback.
+
+    Returns:
+        The failure, with ``cause`` as its cause.
+    """
+    if isinstance(cause, TaskFailed):  # raised by an item of a spread, whose traceback is the informative one
         failed = TaskFailed(name, str(cause), cause.remote_traceback, cause.infrastructure)
     else:
         failed = TaskFailed(name, f"{type(cause).__name__}: {cause}", remote_traceback, False)
@@ -108,11 +125,11 @@ def failure(name: str, cause: BaseException, remote_traceback: str) -> TaskFaile
 
 
 def references(args: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Replace handles by what they refer to."""
+    """Replace handles by their references."""
     return tuple(arg.reference if isinstance(arg, Handle) else arg for arg in args)
 
 
 def name_of(function: Callable[..., Any]) -> str:
-    """Name a call that its submitter did not."""
+    """Return a display name for a call that was submitted without one."""
     inner = function.func if isinstance(function, functools.partial) else function
     return str(getattr(inner, "__qualname__", type(inner).__name__))

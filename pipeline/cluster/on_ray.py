@@ -1,10 +1,10 @@
 """A cluster of Ray workers: this machine's cores, or an existing cluster.
 
-Ray is imported in this folder alone, here and by the processes that start Ray (the keeper) and try it (the hello).
-It is imported late: it costs a third of a second that ``--help`` should not pay.
+Only this package imports Ray: this module, the supervisor that starts Ray, and the probe of the preflight check. It is
+imported late, because it takes a third of a second that ``--help`` should not pay.
 
-Ray's own wire is pickle: whoever can submit to a cluster can run code on it. A local cluster is therefore closed by a
-token that only this user can read; an existing one keeps its owner's rules.
+Ray's wire format is pickle: whoever can submit to a cluster can run code on it. A local cluster is therefore protected
+by a token that only this user can read; an existing one keeps its owner's rules.
 """
 
 from __future__ import annotations
@@ -23,48 +23,56 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
 from pipeline.cluster.preflight import check_reachable, server_of, unusable
-from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_held, signals_unwind
-from pipeline.cluster.session import PLACE, session
-from pipeline.cluster.started_calls import marked, marks
-from pipeline.cluster.watchdog import DEAD, NODE_DEAD, SECONDS_BETWEEN_LOOKS, end_if_gone
+from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_deferred, signals_unwind
+from pipeline.cluster.session import SESSIONS_FOLDER, session
+from pipeline.cluster.started_calls import recorded_as_started, started_keys
+from pipeline.cluster.watchdog import CHECK_INTERVAL, NODE_DIED, RAY_DIED, end_if_unreachable
 from pipeline.errors import PuddleError
 
 N_INFRASTRUCTURE_RETRIES = 1
-"""Times that a task is run again after its worker, node or memory failed; an exception of its own is never retried."""
+"""Retries of a task after its worker, node or memory failed; an exception of its own is never retried."""
 
-PACKAGES = ("tasks", "pipeline")
-"""What the workers of an existing cluster are sent, since they need not have it on disk."""
+_PACKAGES = ("tasks", "pipeline")
+"""Packages sent to the workers of an existing cluster, which need not have them on disk."""
 
-_Lent = tuple[Callable[[], bool], AbstractContextManager[object], str]
-"""Of a Ray to work on: whether it lives, what calls to it hold, and what to say where it died."""
+
+@dataclass(frozen=True)
+class _Connection:
+    """A connection to a running Ray."""
+
+    is_alive: Callable[[], bool]
+    calling: AbstractContextManager[object]
+    """Held during every call into Ray, so that the watchdog sees a call that never returns."""
+    death_message: str
 
 
 @contextlib.contextmanager
 def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Iterator[Cluster]:
-    """Give an existing Ray cluster, or this machine's cores as one for as long as the context lasts.
+    """Join an existing Ray cluster, or start a local one for as long as the context lasts.
 
     Args:
-        address: of an existing cluster that this machine is a node of: ``host:port``, or ``auto``. Without it
-            RAY_ADDRESS counts; without either, a local cluster starts.
-        n_workers: cores that a local cluster uses; all by default. An existing cluster has the cores that it has.
+        address: ``host:port`` of an existing cluster that this machine is a node of, or ``auto``. Defaults to
+            RAY_ADDRESS; without either, a local cluster starts.
+        n_workers: number of cores for a local cluster; all by default. Ignored by an existing cluster.
 
     Raises:
-        PuddleError: if the cluster does not answer within 15 s or refuses, or if a local one does not start.
+        PuddleError: the cluster does not answer within 15 s or refuses, or a local one does not start.
     """
     if n_workers is not None and n_workers < 1:
-        raise PuddleError(f"workers: expected 1 or more, got {n_workers}")
+        raise PuddleError(f"workers: expected at least 1, got {n_workers}")
     address = address or os.environ.get("RAY_ADDRESS") or "local"
     with (
         signals_unwind() as catch_signals,
-        _local(n_workers) if address == "local" else _existing(address) as (alive, calling, dead),
+        _local(n_workers) if address == "local" else _existing(address) as connection,
     ):
-        catch_signals()  # ray.init has put its own handler, which prints a native stack
-        cluster = _Ray(alive, calling, dead)
+        catch_signals()  # ray.init installs its own handler, which prints a native stack
+        cluster = _Ray(connection)
         try:
             yield cluster
         except BaseException:
@@ -73,17 +81,17 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
 
 
 class _Ray:
-    def __init__(self, alive: Callable[[], bool], calling: AbstractContextManager[object], dead: str) -> None:
-        self._alive, self._calling, self._dead = alive, calling, dead
+    def __init__(self, connection: _Connection) -> None:
+        self._connection, self._calling = connection, connection.calling
         self._numbers = itertools.count()
         self._running: dict[Any, Ticket] = {}
-        self._marks = f"puddle/{uuid.uuid4().hex}/".encode()
+        self._key_prefix = f"puddle/{uuid.uuid4().hex}/".encode()
 
     def _check_alive(self) -> None:
-        """Refuse to wait for a Ray that is dead: it would take a minute to say so, and fail every call meanwhile."""
-        if not self._alive():
+        """Raise at once if Ray is dead; Ray itself takes a minute to notice and fails every call meanwhile."""
+        if not self._connection.is_alive():
             self._running.clear()
-            raise PuddleError(self._dead)
+            raise PuddleError(self._connection.death_message)
 
     @property
     def n_cores(self) -> float:
@@ -116,7 +124,7 @@ class _Ray:
         ticket = Ticket(next(self._numbers), name or name_of(function))
         remote = _remote_call(n_cores, ticket.name, n_gpus)
         with self._calling:
-            reference = remote.remote(self._mark(ticket), function, *references(args))
+            reference = remote.remote(self._start_key(ticket), function, *references(args))
         self._running[reference] = ticket
         return ticket
 
@@ -130,25 +138,25 @@ class _Ray:
         while not ready:
             self._check_alive()
             left = end - time.monotonic()
-            look = max(0.0, min(left, SECONDS_BETWEEN_LOOKS))
             with self._calling:
-                ready, _ = ray.wait(list(self._running), num_returns=1, timeout=look)
+                timeout_now = max(0.0, min(left, CHECK_INTERVAL))
+                ready, _ = ray.wait(list(self._running), num_returns=1, timeout=timeout_now)
             if not ready and left <= 0:
                 return None
         ticket = self._running.pop(ready[0])
         with self._calling:
-            return ticket, _outcome(ticket.name, ready[0], dead=self._dead)
+            return ticket, _outcome(ticket.name, ready[0], death_message=self._connection.death_message)
 
-    def begun(self) -> set[Ticket]:
+    def started(self) -> set[Ticket]:
         self._check_alive()
         with self._calling:
-            found = set(marks(self._marks))
-        return {ticket for ticket in self._running.values() if self._mark(ticket) in found}
+            found = set(started_keys(self._key_prefix))
+        return {ticket for ticket in self._running.values() if self._start_key(ticket) in found}
 
-    def _mark(self, ticket: Ticket) -> bytes:
-        return self._marks + str(ticket.number).encode()
+    def _start_key(self, ticket: Ticket) -> bytes:
+        return self._key_prefix + str(ticket.number).encode()
 
-    def give_up(self, ticket: Ticket) -> None:
+    def cancel(self, ticket: Ticket) -> None:
         (reference,) = (reference for reference, running in self._running.items() if running is ticket)
         with self._calling:
             _cancel([reference])
@@ -161,13 +169,13 @@ class _Ray:
 
 
 @contextlib.contextmanager
-def _local(n_workers: int | None) -> Iterator[_Lent]:
-    """Start Ray on this machine, open to this user alone, and stop it."""
+def _local(n_workers: int | None) -> Iterator[_Connection]:
+    """Start Ray on this machine for this user alone, and stop it at the end."""
     import ray
     import ray._private.ray_constants
 
-    # Ray's servers listen where its address says. It takes the loopback for this machine's address only where told to,
-    # as it does on a laptop's operating system; and by default it reads that once, when it is imported.
+    # Ray's servers listen on the node's address. Ray accepts the loopback as that address only if this variable says
+    # so, as on Windows and macOS, and reads the variable once, on import.
     on_loopback = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
     token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": None}
     with _environment(token | on_loopback), contextlib.ExitStack() as stack:
@@ -180,10 +188,10 @@ def _local(n_workers: int | None) -> Iterator[_Lent]:
                 _connect(address=ours.address)
         except Exception as error:
             raise PuddleError(
-                f"Ray did not start on this machine: {error}\nExpected room in {PLACE} and /dev/shm, and "
-                f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` does without Ray."
+                f"Ray did not start on this machine: {error}\nIt needs free space in {SESSIONS_FOLDER} and /dev/shm, and "
+                f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` runs without Ray."
             ) from error
-        yield ours.alive, ours.calling, DEAD
+        yield _Connection(ours.is_alive, ours.calling, RAY_DIED)
 
 
 def _shut_down(calling: AbstractContextManager[object]) -> None:
@@ -194,22 +202,22 @@ def _shut_down(calling: AbstractContextManager[object]) -> None:
 
 
 @contextlib.contextmanager
-def _existing(address: str) -> Iterator[_Lent]:
-    """Connect to a cluster that somebody else started, under its own token settings, and send it our packages."""
+def _existing(address: str) -> Iterator[_Connection]:
+    """Connect to a running cluster under its own token settings, and send it our packages."""
     check_reachable(address)
     import ray
 
     over = threading.Event()
     with _environment({}):
         try:
-            packages = [_folder_of(package) for package in PACKAGES]
+            packages = [_folder_of(package) for package in _PACKAGES]
             _connect(address=address, runtime_env={"env_vars": PINNED_THREADS, "py_modules": packages})
         except Exception as error:
             raise unusable(address, str(error)) from error
         else:
             server = server_of(ray.get_runtime_context().gcs_address if address == "auto" else address)
-            threading.Thread(target=end_if_gone, args=(address, *server, over), daemon=True).start()
-            yield lambda: True, contextlib.nullcontext(), NODE_DEAD.format(address=address)
+            threading.Thread(target=end_if_unreachable, args=(address, *server, over), daemon=True).start()
+            yield _Connection(lambda: True, contextlib.nullcontext(), NODE_DIED.format(address=address))
         finally:
             over.set()
             ray.shutdown()
@@ -220,12 +228,12 @@ def _connect(**where: Any) -> None:
     import ray._private.worker
     from ray._raylet import AuthenticationTokenLoader, Config  # type: ignore[attr-defined]  # compiled
 
-    # Ray reads the environment once, when it is imported. Ask it to look again, as its own start-up code does.
+    # Ray reads the environment once, on import. Make it read it again, as its own start-up code does.
     Config.initialize("")
     AuthenticationTokenLoader.instance().reset_cache()
-    # A dead worker is told by its outcome; Ray would also print a paragraph on stdout, whatever log_to_driver says.
+    # The outcome reports a dead worker; Ray would also print a paragraph on stdout, despite log_to_driver.
     ray._private.worker._worker_logs_enabled = False
-    with signals_held():  # Ray that is interrupted while it starts may crash, and leave its files
+    with signals_deferred():  # if interrupted while starting, Ray may crash and leave its files behind
         ray.init(log_to_driver=False, logging_level=logging.ERROR, **where)
 
 
@@ -238,12 +246,21 @@ def _folder_of(package: str) -> str:
 def spread(
     function: Callable[..., Any], items: Sequence[Any], *shared: Any, n_cores: float = 1.0, name: str = ""
 ) -> list[Any]:
-    """Run ``function(item, *shared)`` for every item, and return the results in the order of the items.
+    """Run ``function(item, *shared)`` for every item, on other workers if this is a Ray worker.
 
-    Evolution has two grains. Where a generation is cheap, a segment of a trial is one task and never calls this. Where
-    a generation costs core-seconds, or cores outnumber trials, the segment is a task without a core of its own, and
-    spreads each generation's designs over the cluster with this. Outside a Ray worker it is a plain loop: a result does
-    not depend on where it ran, as long as the items are made up from the work and not from timing.
+    Evolution has two grains. Where a generation is cheap, a segment of a trial is one task that never calls this. Where
+    a generation costs core-seconds, or cores outnumber trials, the segment is a task without a core of its own that
+    spreads each generation's designs over the cluster. Outside a Ray worker this is a plain loop.
+
+    Args:
+        function: a pure function.
+        items: its first argument, one call each.
+        shared: further arguments, stored on the cluster once.
+        n_cores: cores for each call.
+        name: shown in messages.
+
+    Returns:
+        The results, in the order of the items.
 
     Raises:
         TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
@@ -269,8 +286,8 @@ def spread(
     return results
 
 
-def _call(mark: bytes | None, function: Callable[..., Any], *args: Any) -> Any:
-    with marked(mark), memory_bounded():
+def _call(start_key: bytes | None, function: Callable[..., Any], *args: Any) -> Any:
+    with recorded_as_started(start_key), memory_bounded():
         return function(*args)
 
 
@@ -288,13 +305,13 @@ def _remote_call(n_cores: float, name: str, n_gpus: float = 0.0) -> Any:
         name=name,
         max_retries=N_INFRASTRUCTURE_RETRIES,
         retry_exceptions=False,
-        # A task without a core weighs nothing to Ray, which would put them all on the driver's machine.
+        # To Ray a task without a core weighs nothing, so it would place all of them on the driver's machine.
         scheduling_strategy="DEFAULT" if n_cores else "SPREAD",
     )
 
 
-def _outcome(name: str, reference: Any, *, dead: str | None = None) -> Outcome:
-    """Take what became of a call; where the driver's own node died, raise with these words."""
+def _outcome(name: str, reference: Any, *, death_message: str | None = None) -> Outcome:
+    """Collect a call's outcome; raise with ``death_message`` if the driver's own node died."""
     import ray
     from ray.exceptions import LocalRayletDiedError, RayError, RayTaskError
 
@@ -303,8 +320,8 @@ def _outcome(name: str, reference: Any, *, dead: str | None = None) -> Outcome:
     except RayTaskError as error:
         return failure(name, error.cause, re.sub(r"\x1b\[[0-9;]*m", "", str(error)))
     except RayError as error:
-        if dead is not None and isinstance(error, LocalRayletDiedError):  # no call's fault; every call's from now on
-            raise PuddleError(dead) from error
+        if death_message is not None and isinstance(error, LocalRayletDiedError):  # every later call would fail too
+            raise PuddleError(death_message) from error
         message = str(error) or type(error).__name__
         return TaskFailed(name, f"{type(error).__name__}: {message.strip().splitlines()[0]}", message, True)
 
@@ -313,7 +330,7 @@ def _cancel(references: Any) -> None:
     import ray
 
     for reference in references:
-        with contextlib.suppress(Exception):  # it may have ended, or the cluster may be gone
+        with contextlib.suppress(Exception):  # the call may have ended, or the cluster may be gone
             ray.cancel(reference, force=True, recursive=True)
 
 
@@ -324,12 +341,12 @@ def _in_ray_worker() -> bool:
 
 @contextlib.contextmanager
 def _environment(changes: Mapping[str, str | None]) -> Iterator[None]:
-    """Set what Ray reads from the environment while it runs; None unsets."""
+    """Set environment variables that Ray reads; None unsets one."""
     always = {
         "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # a cancelled call's error is nobody's
-        "RAY_task_oom_retries": str(N_INFRASTRUCTURE_RETRIES),  # endless by default
-        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # the coming default; without it Ray prints a warning
+        "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # nobody collects a cancelled call's error
+        "RAY_task_oom_retries": str(N_INFRASTRUCTURE_RETRIES),  # unlimited by default
+        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # Ray's future default; without it Ray prints a warning
     }
     changes = always | dict(changes)
     before = {name: os.environ.get(name) for name in changes}

@@ -1,4 +1,4 @@
-"""Whether an existing Ray cluster answers, before anything else waits for it."""
+"""The preflight check: does an existing Ray cluster answer, before anything waits for it?"""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from pipeline.cluster import preflight_probe
 from pipeline.errors import PuddleError
 
 CONNECT_SECONDS = 15.0
-"""How long an existing cluster may take to answer."""
+"""Time that an existing cluster has to answer [s]."""
 
-START_SECONDS = 120.0
-"""How long a process that asks it may take to start on a machine that has much else to do; one second is usual."""
+PROBE_START_SECONDS = 120.0
+"""Time that the probe has to start on a busy machine [s]; one second is usual."""
 
 
 def check_reachable(address: str) -> None:
-    """Ask whether a cluster answers, in a process that can be given up on: ray.init takes two minutes to say no.
+    """Check that a cluster answers and admits us, with a short time limit.
 
-    That process ends with this one, however this one ends.
+    ``ray.init`` takes two minutes to fail, so a separate process tries it. That process ends with this one, however
+    this one ends.
 
     Raises:
-        PuddleError: nothing answers there, or it does not let us in.
+        PuddleError: nothing answers at the address, or the cluster refuses us.
     """
     if address != "auto":
         server = server_of(address)
@@ -35,31 +36,31 @@ def check_reachable(address: str) -> None:
             socket.create_connection(server, timeout=CONNECT_SECONDS).close()
         except OSError as error:
             raise unusable(address, f"nothing answers there ({error})") from error
-    words = [sys.executable, "-P", preflight_probe.__file__, address]
-    # In a session of its own, so that Ctrl-C in the terminal reaches it through us alone.
+    command = [sys.executable, "-P", preflight_probe.__file__, address]
+    # In its own session, so that Ctrl-C in the terminal does not reach it directly.
     with (
         tempfile.TemporaryFile() as errors,
-        subprocess.Popen(words, stdin=PIPE, stdout=PIPE, stderr=errors, start_new_session=True) as asking,
+        subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=errors, start_new_session=True) as probe,
     ):
         try:
-            reason = _refusal(asking)
+            reason = _refusal(probe)
         finally:
-            asking.kill()
+            probe.kill()
         if reason is not None:
-            asking.wait()
-            raise unusable(address, f"{reason}. Ray's last word: {_last_line(errors)}")
+            probe.wait()
+            raise unusable(address, f"{reason}. Ray's last message: {_last_line(errors)}")
 
 
-def _refusal(asking: subprocess.Popen[bytes]) -> str | None:
-    """Wait for the end of a hello; say why it was not let in, if it was not."""
-    assert asking.stdout is not None
-    if not select.select([asking.stdout], [], [], START_SECONDS)[0]:
-        return f"a process that asks it was not there after {START_SECONDS:.0f} s"
-    asking.stdout.readline()  # from here on it is the cluster that takes time
+def _refusal(probe: subprocess.Popen[bytes]) -> str | None:
+    """Wait for the probe to end; return why the cluster refused it, or None."""
+    assert probe.stdout is not None
+    if not select.select([probe.stdout], [], [], PROBE_START_SECONDS)[0]:
+        return f"the process that tries to join did not start within {PROBE_START_SECONDS:.0f} s"
+    probe.stdout.readline()  # Ray is imported; from here on the cluster's own time counts
     try:
-        return "it did not let us in" if asking.wait(CONNECT_SECONDS) else None
+        return "it refused the connection" if probe.wait(CONNECT_SECONDS) else None
     except subprocess.TimeoutExpired:
-        return f"it did not let us in within {CONNECT_SECONDS:.0f} s"
+        return f"it did not admit us within {CONNECT_SECONDS:.0f} s"
 
 
 def _last_line(errors: IO[bytes]) -> str:
@@ -68,10 +69,10 @@ def _last_line(errors: IO[bytes]) -> str:
 
 
 def server_of(address: str) -> tuple[str, int]:
-    """Read host and port.
+    """Split an address into host and port.
 
     Raises:
-        PuddleError: the address has none.
+        PuddleError: the address is not host:port.
     """
     parts = urlsplit(f"//{address}")
     try:
@@ -79,15 +80,15 @@ def server_of(address: str) -> tuple[str, int]:
     except ValueError:
         port = None
     if not parts.hostname or port is None:
-        raise unusable(address, "it is not an address; expected host:port or auto")
+        raise unusable(address, "expected host:port or auto")
     return parts.hostname, port
 
 
 def unusable(address: str, reason: str) -> PuddleError:
-    """Make the error of a cluster that can't be used."""
+    """Build the error for a cluster that cannot be used."""
     return PuddleError(
-        f"the Ray cluster at {address} can't be used: {reason}\n"
-        f"Expected a running cluster with this machine's versions of Python and Ray and, if it asks for a token, "
+        f"cannot use the Ray cluster at {address}: {reason}\n"
+        f"Expected a running cluster with this machine's versions of Python and Ray and, if it requires a token, "
         f"RAY_AUTH_MODE=token with RAY_AUTH_TOKEN or RAY_AUTH_TOKEN_PATH. "
-        f"Check the address (`ray status` on the head), or leave out --address and RAY_ADDRESS to use this machine."
+        f"Check the address (`ray status` on the head), or omit --address and RAY_ADDRESS to use this machine."
     )

@@ -1,11 +1,10 @@
-"""The hello: a process that tries to join an existing Ray cluster, for a driver that can't wait two minutes for a no.
+"""The probe of the preflight check: a process that tries to join an existing Ray cluster.
 
-``python -P hello.py ADDRESS``: it says a line on standard output once Ray is imported, which takes longer on a slow
-disk or a busy machine than a cluster may take to answer; then it joins, and ends. Its exit code says whether it was let
-in, its last line on standard error why not. Standard input is a pipe from the driver: when that closes, because the
-driver gave up or was killed, this process ends.
+``python -P preflight_probe.py ADDRESS`` prints a line once Ray is imported (which may take longer than the cluster's
+answer on a busy machine), joins the cluster, and exits. The exit code says whether the cluster admitted it, the last
+line of standard error why not. Standard input is a pipe from the driver: when it closes, this process ends too.
 
-It imports nothing of puddle, and is started by its path: the driver's way of finding puddle need not be its own.
+It imports nothing from puddle and is started by its path, because the driver's import path need not be its own.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import threading
 
 
 def main(address: str) -> None:
-    """Join, or raise."""
+    """Join the cluster, or raise."""
     threading.Thread(target=_end_with_driver, daemon=True).start()
     import ray
 
@@ -25,8 +24,7 @@ def main(address: str) -> None:
 
 
 def _end_with_driver() -> None:
-    """Wait for the end of the pipe."""
-    os.read(sys.stdin.fileno(), 1)
+    os.read(sys.stdin.fileno(), 1)  # returns when the pipe closes
     os._exit(1)
 
 

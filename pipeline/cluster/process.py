@@ -1,4 +1,4 @@
-"""What holds for a process that works on a study: one thread, and signals that leave nothing behind."""
+"""Rules for every process of a study: one thread, bounded memory, and signals that leave nothing behind."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from types import FrameType
 from typing import NoReturn
 
 PINNED_THREADS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-"""One thread per process: torch's results change in their last bits with the number of threads, and a study's must not
-depend on how many cores there are."""
+"""One thread per process: torch's results change in their last bits with the number of threads, and a study's results
+must not depend on the number of cores."""
 
-HELD_SECONDS = 2.0
-"""How long a signal is kept back at most."""
+DEFERRED_SECONDS = 2.0
+"""Longest time that a signal is deferred [s]."""
 
 SHARE_OF_FREE_MEMORY = 0.9
-"""That one task may take."""
+"""Share of the free memory that one task may take."""
 
-SHOW_CURSOR = b"\x1b[?25h"
-"""To a terminal: the progress display hides it."""
+_SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
 
 
 def pin_threads() -> None:
-    """Hold this process and its children to one thread each. Call it before numpy, numba or torch is imported."""
+    """Limit this process and its children to one thread each. Call it before numpy, numba or torch is imported."""
     os.environ.update(PINNED_THREADS)
 
 
 @contextlib.contextmanager
 def memory_bounded() -> Iterator[None]:
-    """Let a task that allocates without end fail with a MemoryError, before it takes the machine with it.
+    """Make a task that allocates without end fail with a MemoryError before the machine runs out of memory.
 
-    It may take nine tenths of the memory that is free as it begins. Where several together take too much, Ray's own
-    monitor ends the last one, which is tried again a finite number of times. Linux only: elsewhere that monitor is all.
+    A task may take nine tenths of the memory that is free when it begins. If several together take too much, Ray's
+    memory monitor ends the newest, which is retried a finite number of times. Other systems than Linux have only
+    that monitor.
     """
     if sys.platform != "linux":
         yield
@@ -55,11 +55,11 @@ def memory_bounded() -> Iterator[None]:
 
 
 def free_memory() -> int:
-    """Return the bytes that are free for this process: on the machine, and within its container."""
+    """Return the memory that is free for this process, on the machine and within its container [bytes]."""
     import psutil
 
     free = int(psutil.virtual_memory().available)
-    with contextlib.suppress(OSError, ValueError):  # no container, or one without a limit
+    with contextlib.suppress(OSError, ValueError):  # not in a container, or in one without a limit
         allowed = int(Path("/sys/fs/cgroup/memory.max").read_text())
         free = min(free, allowed - int(Path("/sys/fs/cgroup/memory.current").read_text()))
     return max(0, free)
@@ -67,10 +67,10 @@ def free_memory() -> int:
 
 @contextlib.contextmanager
 def signals_unwind() -> Iterator[Callable[[], None]]:
-    """Let SIGTERM and a closed terminal leave as Ctrl-C does, through every ``finally``, so that no process is left.
+    """Make SIGTERM and SIGHUP unwind the stack as Ctrl-C does, through every ``finally``, so that no process is left.
 
-    A signal that is ignored stays so: `nohup` asks for that. Yields a function that takes the signals back from whoever
-    took them since.
+    An ignored signal stays ignored, as `nohup` requests. Yields a function that installs the handlers again, for use
+    after a library has replaced them.
     """
     numbers = (signal.SIGTERM, signal.SIGHUP) if threading.current_thread() is threading.main_thread() else ()
     before = {number: signal.getsignal(number) for number in numbers}
@@ -89,7 +89,7 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
         yield catch
     except SystemExit as stop:
         if received:
-            raise SystemExit(128 + received[0]) from stop  # Ray's waiting replaces the code of a SystemExit by 1
+            raise SystemExit(128 + received[0]) from stop  # ray.wait replaces the code of a SystemExit by 1
         raise
     finally:
         for number, handler in before.items():
@@ -97,32 +97,32 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
 
 
 @contextlib.contextmanager
-def signals_held() -> Iterator[None]:
-    """Keep Ctrl-C and the like back until the end of what must not be cut in two, and let them through then.
+def signals_deferred() -> Iterator[None]:
+    """Defer SIGINT, SIGTERM and SIGHUP until the end of a block that must not be interrupted.
 
-    It has :data:`HELD_SECONDS` from the first signal to come to its end. After that this process ends at once, which
-    the store and the keeper of Ray's processes are made for. A signal that is ignored stays so.
+    The block has :data:`DEFERRED_SECONDS` from the first signal. After that the process ends at once, for which the
+    store and the supervisor of Ray's processes are designed. An ignored signal stays ignored.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     received: list[int] = []
 
-    def hold(number: int, _frame: FrameType | None) -> None:
+    def defer(number: int, _frame: FrameType | None) -> None:
         if not received:
             last_resort.start()
         received.append(number)
 
     def end() -> None:
-        message = "Stopped while Ray was starting. What is done is kept: the same command goes on from there."
+        message = "Stopped while Ray was starting. Committed results are safe: the same command resumes."
         end_at_once(message, 128 + received[0])
 
-    last_resort = threading.Timer(HELD_SECONDS, end)
+    last_resort = threading.Timer(DEFERRED_SECONDS, end)
     last_resort.daemon = True
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.getsignal(number) for number in numbers}
     for number, handler in before.items():
-        signal.signal(number, handler if handler == signal.SIG_IGN else hold)
+        signal.signal(number, handler if handler == signal.SIG_IGN else defer)
     try:
         yield
     finally:
@@ -134,7 +134,7 @@ def signals_held() -> Iterator[None]:
 
 
 def end_at_once(message: str, code: int) -> NoReturn:
-    """Say why, and end this process without any ``finally``; what these would do to a terminal is done."""
-    with contextlib.suppress(OSError):  # nobody is there to read it
-        os.write(2, (SHOW_CURSOR if os.isatty(2) else b"") + f"\n{message}\n".encode())
+    """Print a message, restore the cursor, and end this process without running any ``finally``."""
+    with contextlib.suppress(OSError):  # the terminal may be closed
+        os.write(2, (_SHOW_CURSOR if os.isatty(2) else b"") + f"\n{message}\n".encode())
     os._exit(code)

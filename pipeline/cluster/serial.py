@@ -1,4 +1,4 @@
-"""A cluster of this process alone."""
+"""A cluster that consists of this process alone."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pipeline.cluster.process import memory_bounded, signals_unwind
 
 @contextlib.contextmanager
 def serial_cluster() -> Iterator[Cluster]:
-    """Give this process as a cluster: a call runs when its outcome is asked for, in the order of submission."""
+    """Yield a cluster that runs each call in this process when its outcome is collected, in order of submission."""
     with signals_unwind():
         yield _Serial()
 
@@ -44,7 +44,7 @@ class _Serial:
         self,
         function: Callable[..., Any],
         *args: Any,
-        n_cores: float = 1.0,  # noqa: ARG002 (a call has what there is)
+        n_cores: float = 1.0,  # noqa: ARG002 (a call gets whatever this process has)
         n_gpus: float = 0.0,  # noqa: ARG002
         name: str = "",
     ) -> Ticket:
@@ -62,10 +62,10 @@ class _Serial:
         except Exception as error:
             return ticket, failure(ticket.name, error, traceback.format_exc())
 
-    def begun(self) -> set[Ticket]:
-        return set()  # what runs does so while its outcome is asked for
+    def started(self) -> set[Ticket]:
+        return set()  # a call runs only while its outcome is being collected
 
-    def give_up(self, ticket: Ticket) -> None:
+    def cancel(self, ticket: Ticket) -> None:
         self._waiting = deque(call for call in self._waiting if call[0] is not ticket)
 
     def cancel_all(self) -> None:

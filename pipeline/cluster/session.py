@@ -1,4 +1,4 @@
-"""A Ray of this driver's own: a folder that only this user can enter, a token, and a keeper that ends with the driver.
+"""A private Ray for one driver: a folder that only this user can enter, a token, and a supervisor process.
 
 Linux and macOS.
 """
@@ -30,101 +30,99 @@ from pipeline.cluster.watchdog import end_if_stuck
 from pipeline.errors import PuddleError
 
 OBJECT_STORE_BYTES = 512 * 2**20
-"""Shared memory of a local cluster. Ensembles and results are megabytes; Ray's default takes a third of the machine."""
+"""Shared memory of a local cluster. Ensembles and results take megabytes; Ray's default is a third of the machine."""
 
-PLACE = Path("/tmp")
-"""Where sessions' folders are. The path of a Unix socket in one may have 107 bytes, so it must be short."""
+SESSIONS_FOLDER = Path("/tmp")
+"""Parent of the sessions' folders; short, because the path of a Unix socket has at most 107 bytes."""
 
-PREFIX = "puddle-"
+SESSION_PREFIX = "puddle-"
 
-WORKERS_ON_DEMAND = {"RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0"}
-"""Of workers that it starts before there is work, Ray lets its first driver wait for all: for ever, if one is killed
-meanwhile (ray-project/ray, issue 40131)."""
+_WORKERS_ON_DEMAND = {"RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0"}
+"""Ray makes its first driver wait for all workers that it starts in advance: for ever, if one is killed meanwhile
+(ray-project/ray, issue 40131)."""
 
 START_SECONDS = 120.0
-"""How long Ray may take to start on a machine that has much else to do; ten seconds are usual."""
+"""Time that Ray has to start on a busy machine [s]; ten seconds are usual."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """A running Ray of our own."""
+    """A running private Ray."""
 
     address: str
     token: Path
-    """File with the token that its servers ask for."""
-    alive: Callable[[], bool]
-    """Tells whether it still runs."""
+    """File with the token that its servers require."""
+    is_alive: Callable[[], bool]
     calling: AbstractContextManager[object]
-    """What the driver holds while it calls Ray: where Ray is dead and the call does not return, the process ends."""
+    """Held by the driver while it calls Ray; if Ray is dead and the call does not return, the process ends."""
 
 
 @contextlib.contextmanager
 def session(n_cores: int | None) -> Iterator[Session]:
-    """Start Ray on this machine's loopback, open to this user alone; no process of it outlives this one.
+    """Start Ray on this machine's loopback for this user alone; none of its processes outlives this one.
 
-    The environment must say already what Ray is to read from it, the token's path apart.
+    The environment must already hold everything that Ray reads from it, except for the token's path.
 
     Raises:
-        PuddleError: Ray did not start; says why.
+        PuddleError: Ray did not start.
     """
     sweep()
-    # A folder of our own, which nobody else can enter: /tmp/ray may be another user's, and Ray makes its folder open to
-    # all.
-    folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=PLACE))
-    lock = _hold(folder)
-    kept: subprocess.Popen[str] | None = None
+    # A private folder: /tmp/ray may belong to another user, and Ray makes its folder accessible to all.
+    folder = Path(tempfile.mkdtemp(prefix=SESSION_PREFIX, dir=SESSIONS_FOLDER))
+    lock = _lock(folder)
+    child: subprocess.Popen[str] | None = None
     calling, over = threading.RLock(), threading.Event()
-    environment = {**os.environ, **PINNED_THREADS}  # the workers inherit it from Ray, and Ray from the keeper
+    environment = {**os.environ, **PINNED_THREADS}  # inherited by the supervisor, Ray and its workers
     try:
         token = token_of(folder)
         with os.fdopen(os.open(token, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
             file.write(secrets.token_hex(32))
-        words = [supervisor.__file__, str(folder), str(n_cores or 0), str(OBJECT_STORE_BYTES), str(lock)]
-        with (folder / "keeper.log").open("w") as log:
-            kept = subprocess.Popen(
-                [sys.executable, "-P", *words],
+        arguments = [str(folder), str(n_cores or 0), str(OBJECT_STORE_BYTES), str(lock)]
+        with (folder / "supervisor.log").open("w") as log:
+            child = subprocess.Popen(
+                [sys.executable, "-P", supervisor.__file__, *arguments],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
                 text=True,
                 pass_fds=[lock],
-                env={**environment, **WORKERS_ON_DEMAND, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)},
-                start_new_session=True,  # so that Ctrl-C in the terminal reaches Ray through us alone
+                env={**environment, **_WORKERS_ON_DEMAND, "RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN_PATH": str(token)},
+                start_new_session=True,  # so that Ctrl-C in the terminal does not reach Ray directly
             )
-        address = _address(kept, folder)
-        threading.Thread(target=end_if_stuck, args=(kept.wait, calling, over), daemon=True).start()
-        yield Session(address, token, alive=functools.partial(_runs, kept), calling=calling)
+        address = _address(child, folder)
+        threading.Thread(target=end_if_stuck, args=(child.wait, calling, over), daemon=True).start()
+        yield Session(address, token, is_alive=functools.partial(_is_running, child), calling=calling)
     finally:
         over.set()
-        if kept is not None:
+        if child is not None:
             with contextlib.suppress(BrokenPipeError):
-                kept.communicate()  # closes the pipe: the keeper kills what is left, removes the folder, and ends
+                child.communicate()  # closes the pipe: the supervisor kills what is left, removes the folder, and ends
         shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
 
 
-def _runs(process: subprocess.Popen[str]) -> bool:
+def _is_running(process: subprocess.Popen[str]) -> bool:
     return process.poll() is None
 
 
 def token_of(folder: Path) -> Path:
-    """Return where a session's token is. The path in a process's environment tells whose it is."""
+    """Return the path of a session's token, by which a process's environment shows the session it belongs to."""
     return folder / "token"
 
 
-def _address(kept: subprocess.Popen[str], folder: Path) -> str:
-    assert kept.stdout is not None
-    if not select.select([kept.stdout], [], [], START_SECONDS)[0]:
-        raise PuddleError(f"it was not there after {START_SECONDS:.0f} s")
-    answer = json.loads(kept.stdout.readline() or "{}")
+def _address(child: subprocess.Popen[str], folder: Path) -> str:
+    assert child.stdout is not None
+    if not select.select([child.stdout], [], [], START_SECONDS)[0]:
+        raise PuddleError(f"it did not start within {START_SECONDS:.0f} s")
+    answer = json.loads(child.stdout.readline() or "{}")
     if "address" in answer:
         return str(answer["address"])
-    log = (folder / "keeper.log").read_text(errors="replace").strip().splitlines()
-    raise PuddleError(str(answer.get("error") or (log[-1] if log else "its process ended without a word")))
+    log = (folder / "supervisor.log").read_text(errors="replace").strip().splitlines()
+    raise PuddleError(str(answer.get("error") or (log[-1] if log else "its process ended without a message")))
 
 
-def _hold(folder: Path) -> int:
-    """Lock a folder, so that no other driver sweeps it; a lock file that is there was always locked by someone."""
+def _lock(folder: Path) -> int:
+    """Lock a folder against other drivers' sweeps. The rename ensures that no lock file is ever unlocked at first."""
     descriptor = os.open(folder / "lock.new", os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     fcntl.flock(descriptor, fcntl.LOCK_EX)
     (folder / "lock.new").rename(folder / "lock")
@@ -132,32 +130,32 @@ def _hold(folder: Path) -> int:
 
 
 def sweep() -> None:
-    """Remove the folders, and kill the processes, of sessions whose driver and keeper both were killed."""
-    for folder in dead():
+    """Kill the processes and remove the folders of sessions whose driver and supervisor were both killed."""
+    for folder in abandoned_sessions():
         supervisor.kill_all(functools.partial(_processes_of, folder))
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def dead() -> Iterator[Path]:
-    """Find the folders of this user's sessions that no driver holds; each is held while the caller looks at it."""
-    for folder in PLACE.glob(f"{PREFIX}*"):
+def abandoned_sessions() -> Iterator[Path]:
+    """Yield the folders of this user's sessions that no driver has locked; each is locked while it is visited."""
+    for folder in SESSIONS_FOLDER.glob(f"{SESSION_PREFIX}*"):
         try:
             if folder.is_symlink() or folder.stat().st_uid != os.getuid():
                 continue
             descriptor = os.open(folder / "lock", os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
-        except OSError:  # not a session's, or gone meanwhile
+        except OSError:  # not a session's folder, or removed meanwhile
             continue
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield folder
-        except BlockingIOError:  # it lives
+        except BlockingIOError:  # its driver or supervisor is alive
             continue
         finally:
             os.close(descriptor)
 
 
 def _processes_of(folder: Path) -> list[psutil.Process]:
-    """Find the processes that were given a session's token."""
+    """Find the processes that hold a session's token."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):

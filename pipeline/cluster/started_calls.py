@@ -1,8 +1,8 @@
-"""Which calls have begun: workers leave marks in the key-value store of Ray's head, and the driver looks there.
+"""Which calls workers have started, recorded in the key-value store of Ray's head.
 
-Ray tells a driver that a call has ended, not whether it works or waits behind those of another driver. Its list of
-tasks would say so, at a cost, and needs a dashboard. The mark of a call whose worker was killed stays, 50 bytes, as
-long as the head runs; so one that is run again after that has begun already.
+Ray reports that a call has ended, but not whether it runs or waits behind another driver's calls; its task list would,
+but it is expensive and needs the dashboard. The entry of a call whose worker was killed stays (50 bytes) until the head
+ends, so a call that Ray retries counts as started at once.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from collections.abc import Iterator
 
 
 @contextlib.contextmanager
-def marked(mark: bytes | None) -> Iterator[None]:
-    """Leave a mark, on a worker, while a call runs; None leaves none."""
-    if mark is None:
+def recorded_as_started(key: bytes | None) -> Iterator[None]:
+    """Record, on a worker, that a call runs; None records nothing."""
+    if key is None:
         yield
         return
     from ray.experimental.internal_kv import _internal_kv_del, _internal_kv_put
 
-    _internal_kv_put(mark, b"")
+    _internal_kv_put(key, b"")
     try:
         yield
     finally:
-        _internal_kv_del(mark)
+        _internal_kv_del(key)
 
 
-def marks(prefix: bytes) -> list[bytes]:
-    """List the marks that begin so."""
+def started_keys(prefix: bytes) -> list[bytes]:
+    """List the recorded keys that begin with a prefix."""
     from ray.experimental.internal_kv import _internal_kv_list
 
     found: list[bytes] = _internal_kv_list(prefix)

@@ -1,16 +1,16 @@
-"""The keeper: a process that starts Ray on this machine for a driver, and ends it when the driver ends, however.
+"""The supervisor: a process that starts Ray on this machine for a driver, and ends it when the driver ends.
 
-Ray's own processes outlive a killed driver by a minute, and Ray can't be interrupted while it starts. So Ray is a child
-of this process, and this process holds one end of a pipe to the driver: when the other end closes, because the driver
-is done, was interrupted or was killed, every process below this one is killed and the session's folder removed. On
-Linux this process is also the parent of orphans below it, so that it finds all of them and nobody else's.
+Ray's own processes outlive a killed driver by a minute, and Ray cannot be interrupted while it starts. So Ray is a
+child of this process, which holds one end of a pipe to the driver. When the other end closes, because the driver
+finished, was interrupted or was killed, every descendant is killed and the session's folder removed. On Linux this
+process also adopts orphaned descendants, so that it finds all of them and no others.
 
-``python -P keeper.py FOLDER N_CORES OBJECT_STORE_BYTES LOCK``: N_CORES may be 0 for all; LOCK is the descriptor of the
-folder's lock, which is held as long as this process or the driver lives. It answers on standard output with one line of
-JSON: ``{"address": ...}`` or ``{"error": ...}``. Where a server of Ray's dies, this process ends with all that is left:
-nothing can be done on half a Ray, and Ray itself takes a minute to say so.
+``python -P supervisor.py FOLDER N_CORES OBJECT_STORE_BYTES LOCK``: N_CORES may be 0 for all; LOCK is the descriptor of
+the folder's lock, which is held as long as this process or the driver lives. The answer on standard output is one line
+of JSON, ``{"address": ...}`` or ``{"error": ...}``. If one of Ray's servers dies, this process ends with everything
+below it: nothing works on half a Ray, and Ray itself takes a minute to notice.
 
-It imports nothing of puddle, and is started by its path: the driver's way of finding puddle need not be its own.
+It imports nothing from puddle and is started by its path, because the driver's import path need not be its own.
 """
 
 from __future__ import annotations
@@ -35,20 +35,28 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 
 PR_SET_CHILD_SUBREAPER = 36
-"""Of Linux's <sys/prctl.h>."""
+"""From Linux's <sys/prctl.h>."""
 
-PATIENCE_SECONDS = 10.0
+KILL_SECONDS = 10.0
+"""Time to kill all descendants [s]; one may hang in the kernel."""
 
 SERVERS = {"gcs_server", "raylet"}
-"""Ray's names for those of its processes without which it is dead."""
+"""Ray's names for the processes without which it is dead."""
 
-SECONDS_BETWEEN_LOOKS = 0.2
-"""At them."""
+SERVER_CHECK_INTERVAL = 0.2
+"""Time between two checks of the servers [s]."""
 
 
 def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:
-    """Start Ray, say where it is, and wait for the driver's end."""
-    os.set_inheritable(lock, False)  # else Ray's processes would hold it too
+    """Start Ray, print its address, and wait for the driver to end.
+
+    Args:
+        folder: the session's folder.
+        n_cores: cores for Ray; 0 for all.
+        object_store_bytes: shared memory for Ray's object store.
+        lock: file descriptor of the folder's lock.
+    """
+    os.set_inheritable(lock, False)  # otherwise Ray's processes would hold the lock too
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
@@ -63,31 +71,31 @@ def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(answer), flush=True)
     while ray is None or not SERVERS & {kind for kind, _ in ray.dead_processes()}:
-        waiting.join(SECONDS_BETWEEN_LOOKS)
+        waiting.join(SERVER_CHECK_INTERVAL)
     _end(folder)
 
 
 def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> Node:
-    """Do what ``ray start --head`` does, but on the loopback and without its fixed port for remote drivers."""
+    """Start Ray as ``ray start --head`` does, but on the loopback and without the fixed port for remote drivers."""
     from ray._private.node import Node
     from ray._private.parameter import RayParams
 
     class Quiet(Node):  # type: ignore[misc]  # Ray has no types
         def start_api_server(self, **_: object) -> None:
-            """Leave out the dashboard's process, which Ray starts even without a dashboard.
+            """Skip the dashboard's process, which Ray starts even without a dashboard.
 
-            All that it does then is tell Ray's makers, where usage statistics are off, that they are off; and it asks
-            the metadata servers of three clouds which of them this is.
+            Without one it only reports to Ray's makers that usage statistics are disabled, and queries the metadata
+            servers of three cloud providers.
             """
 
     parameters = RayParams(
-        node_ip_address=LOOPBACK,  # all of Ray's servers then listen there alone
+        node_ip_address=LOOPBACK,  # all of Ray's servers listen on this address alone
         gcs_server_port=0,
         num_cpus=n_cores or None,
         object_store_memory=object_store_bytes,
         include_dashboard=False,
         include_log_monitor=False,
-        no_monitor=True,  # the autoscaler's
+        no_monitor=True,  # the autoscaler's monitor
         temp_dir=os.path.join(folder, "ray"),  # noqa: PTH118 (Ray wants a string)
     )
     return Quiet(parameters, head=True, shutdown_at_exit=False, spawn_reaper=True)
@@ -107,9 +115,9 @@ def _end(folder: str) -> None:
 
 
 def kill_all(find: Callable[[], list[psutil.Process]]) -> None:
-    """Kill processes until none is found any more: some may have children meanwhile."""
-    patience = time.monotonic() + PATIENCE_SECONDS  # with a process that hangs in the kernel
-    while time.monotonic() < patience:
+    """Kill processes until no more are found; some may start children meanwhile."""
+    deadline = time.monotonic() + KILL_SECONDS
+    while time.monotonic() < deadline:
         n_killed = 0
         for process in find():
             with contextlib.suppress(psutil.NoSuchProcess):

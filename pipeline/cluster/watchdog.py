@@ -1,4 +1,7 @@
-"""What ends a driver whose Ray is gone, and says so: a call into Ray may never return then, or end the process."""
+"""The watchdog: end a driver whose Ray is gone, with a message.
+
+Once Ray is gone, a call into it may never return, or may end the process without a word.
+"""
 
 from __future__ import annotations
 
@@ -11,61 +14,60 @@ from collections.abc import Callable
 from pipeline.cluster.process import end_at_once
 
 STUCK_SECONDS = 10.0
-"""How long a call into Ray may last once Ray is dead. Ray itself gives up after a minute."""
+"""Time that a call into Ray may last once Ray is dead [s]. Ray itself gives up after a minute."""
 
 GONE_SECONDS = 45.0
-"""How long an existing cluster may be silent: it may come back. Ray ends the process after a minute, in its words."""
+"""Time that an existing cluster may be silent [s]; it may return. Ray ends the process after a minute."""
 
 ANSWER_SECONDS = 5.0
-"""How long an existing cluster may take to answer a look. Added to the above it is still less than Ray's minute."""
+"""Time that an existing cluster has to answer one check [s]. Together with the above it stays below Ray's minute."""
 
-SECONDS_BETWEEN_LOOKS = 1.0
+CHECK_INTERVAL = 1.0
+"""Time between two checks [s]."""
 
-DEAD = (
+RAY_DIED = (
     "Ray on this machine died: its raylet or its GCS is gone (killed, or out of memory).\n"
-    "What was kept before is safe: give the same command again, and it goes on from there. Fewer `--workers` need less "
-    "memory."
+    "Committed results are safe: run the same command again to resume. Fewer `--workers` need less memory."
 )
-NODE_DEAD = (
+NODE_DIED = (
     "this machine's node of the Ray cluster at {address} died: its raylet is gone (killed, out of memory, or `ray "
-    "stop`).\nWhat was kept before is safe: start a node here (`ray start`), give the same command again, and it goes "
-    "on from there."
+    "stop`).\nCommitted results are safe: start a node here (`ray start`) and run the same command again to resume."
 )
-GONE = (
-    "the Ray cluster at {address} has not answered for {seconds:.0f} s: its head is gone, or the way to it.\n"
-    "What was kept before is safe: give the same command again once it answers, and it goes on from there."
+UNREACHABLE = (
+    "the Ray cluster at {address} has not answered for {seconds:.0f} s: its head or the network is down.\n"
+    "Committed results are safe: run the same command again once the cluster answers."
 )
 
 
 def end_if_stuck(wait: Callable[[], object], calling: threading.RLock, over: threading.Event) -> None:
-    """End this process where Ray died and a call into it does not return. A driver that does other work goes on.
+    """End this process if Ray died and a call into it does not return; a driver that does other work goes on.
 
     Args:
         wait: returns when Ray is dead.
-        calling: what the driver holds while it calls Ray.
-        over: set when nobody needs Ray any more.
+        calling: the lock that the driver holds while it calls Ray.
+        over: set when Ray is no longer needed.
     """
     wait()
     while calling.acquire(timeout=STUCK_SECONDS):
         calling.release()
-        if over.wait(SECONDS_BETWEEN_LOOKS):
+        if over.wait(CHECK_INTERVAL):
             return
-    end_at_once(f"puddle: {DEAD}", 2)
+    end_at_once(f"puddle: {RAY_DIED}", 2)
 
 
-def end_if_gone(address: str, host: str, port: int, over: threading.Event) -> None:
-    """End this process where an existing cluster does not answer any more.
+def end_if_unreachable(address: str, host: str, port: int, over: threading.Event) -> None:
+    """End this process if an existing cluster stops answering.
 
     Args:
-        address: of the cluster, for the message.
-        host: of its server.
-        port: of its server.
-        over: set when nobody needs it any more.
+        address: the cluster's address, for the message.
+        host: the host of its GCS server.
+        port: the port of its GCS server.
+        over: set when the cluster is no longer needed.
     """
     answered = time.monotonic()
-    while not over.wait(SECONDS_BETWEEN_LOOKS):
+    while not over.wait(CHECK_INTERVAL):
         with contextlib.suppress(OSError):
             socket.create_connection((host, port), timeout=ANSWER_SECONDS).close()
             answered = time.monotonic()
         if time.monotonic() - answered > GONE_SECONDS and not over.is_set():
-            end_at_once(f"puddle: {GONE.format(address=address, seconds=GONE_SECONDS)}", 2)
+            end_at_once(f"puddle: {UNREACHABLE.format(address=address, seconds=GONE_SECONDS)}", 2)

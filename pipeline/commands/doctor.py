@@ -200,13 +200,13 @@ def _try_commit(folder: Path) -> float:
 
 def _temporary() -> Finding:
     """Look at where Ray keeps its sockets."""
-    free = shutil.disk_usage(session.PLACE).free
-    found = f"{free / 1e9:.1f} GB free in {session.PLACE}"
+    free = shutil.disk_usage(session.SESSIONS_FOLDER).free
+    found = f"{free / 1e9:.1f} GB free in {session.SESSIONS_FOLDER}"
     if free < 1e9:
         return Finding("fail", "temporary files", found, "Ray needs a gigabyte there. Free some.")
-    if not os.access(session.PLACE, os.W_OK):
-        return Finding("fail", "temporary files", f"{session.PLACE} can't be written to", "Allow it; Ray needs it.")
-    if dead := list(session.dead()):
+    if not os.access(session.SESSIONS_FOLDER, os.W_OK):
+        return Finding("fail", "temporary files", f"{session.SESSIONS_FOLDER} can't be written to", "Allow it; Ray needs it.")
+    if dead := list(session.abandoned_sessions()):
         return Finding("ok", "temporary files", f"{found}; {len(dead)} folders of dead drivers, which go by themselves")
     return Finding("ok", "temporary files", found)
 

@@ -66,7 +66,7 @@ def find_garbage(store: Store) -> Garbage:
         items=tuple(dict.fromkeys([*((one.stage, one.key) for one in users_first), *unneeded])),
         halves=tuple((stage, key) for stage in stages for key in store.keys(stage, committed=False)),
         temporary=tuple(store.temporary()),
-        sessions=tuple(session.dead()),
+        sessions=tuple(session.abandoned_sessions()),
     )
 
 

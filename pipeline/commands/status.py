@@ -41,7 +41,7 @@ def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
         elif driver and not any_open:
             state = "running"
         else:
-            state = "begun" if n_done else "missing"
+            state = "started" if n_done else "missing"
         any_open = any_open or bool(found.unfinished)
         yield (
             f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} pieces, {done:,.0f} of {total:,.0f} {stage.unit}, "

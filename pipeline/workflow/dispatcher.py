@@ -120,7 +120,7 @@ class _Dispatcher:
                 n_cores = self._cluster.n_cores  # machines come and go
                 self._mind_cores(n_cores)
                 for ticket, failed in self._hanging():
-                    self._cluster.give_up(ticket)
+                    self._cluster.cancel(ticket)
                     finish(ticket, failed)
                 next_look = time.monotonic() + SECONDS_BETWEEN_LOOKS
             queue = max(1, round(QUEUED_PER_CORE * n_cores))
@@ -178,10 +178,10 @@ class _Dispatcher:
 
     def _hanging(self) -> list[tuple[Ticket, TaskFailed]]:
         """Find parties that take beyond all measure."""
-        now, begun = time.monotonic(), self._cluster.begun()
+        now, started = time.monotonic(), self._cluster.started()
         hanging = []
         for ticket, party in self._running.items():
-            if ticket in begun:
+            if ticket in started:
                 self._since.setdefault(ticket, now)
             patience, why = self._patience(max(walk.next_work for walk, _ in party))
             if now - self._since.get(ticket, now) > patience:

@@ -326,7 +326,7 @@ def look_and_remove(store: Store) -> list[str]:
 
 
 def test_a_study_record_that_a_stranger_sealed(torture, nursery, pristine, place, canary, monkeypatch, tmp_path):
-    monkeypatch.setattr(session, "PLACE", tmp_path)  # the garbage in /tmp is other tests'
+    monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)  # the garbage in /tmp is other tests'
     undisturbed, n_refused = tree(pristine), 0
     fields = ["name", "settings", "items", "stage", "label", "key", "folder"]
     for number, rng in enumerate(torture.attempts(28, 3000)):

@@ -43,7 +43,7 @@ class Shuffled:
         self.out_of_order = 0
         self._cluster, self._rng = cluster, rng
         self._held: list[tuple[Ticket, Outcome]] = []
-        self.share, self.submit, self.begun = cluster.share, cluster.submit, cluster.begun
+        self.share, self.submit, self.started = cluster.share, cluster.submit, cluster.started
 
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
         while (done := self._cluster.next_done(timeout=0.5 if self._held else None)) is not None:

@@ -172,13 +172,13 @@ def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
     torture.note(f"the slowest took {slowest:.1f} s; on a machine as busy as this it had {at_most:.1f} s")
 
 
-def test_the_next_start_sweeps_what_a_killed_driver_and_its_keeper_left(tmp_path: Path):
+def test_the_next_start_sweeps_what_a_killed_driver_and_its_supervisor_left(tmp_path: Path):
     with driver(tmp_path / "a", *ENDLESS, "--workers", "1") as one:
-        (keeper,) = wait_for(lambda: [p for p in one.family() if "keeper.py" in " ".join(words_of(p))])
-        (lock,) = wait_for(lambda: [p for p in sessions() if str(p.parent) in words_of(keeper)])
+        (supervisor,) = wait_for(lambda: [p for p in one.family() if "supervisor.py" in " ".join(words_of(p))])
+        (lock,) = wait_for(lambda: [p for p in sessions() if str(p.parent) in words_of(supervisor)])
         wait_for(lambda: [p for p in one.family() if "raylet" in map(os.path.basename, words_of(p)[:1])])
         one.process.send_signal(signal.SIGSTOP)  # so that nobody is left to tidy up
-        for killed in (keeper, one.process):
+        for killed in (supervisor, one.process):
             killed.kill()
         one.process.wait()
         # An orphan as Ray would leave one, and a bystander with another session's token.

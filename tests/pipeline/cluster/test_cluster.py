@@ -18,7 +18,7 @@ import ray
 import pipeline.cluster.preflight
 from pipeline.cluster import Cluster, Done, Outcome, TaskFailed, Ticket, ray_cluster, serial_cluster, spread
 from pipeline.cluster.preflight import check_reachable
-from pipeline.cluster.watchdog import NODE_DEAD
+from pipeline.cluster.watchdog import NODE_DIED
 from pipeline.errors import PuddleError
 
 ROOT = Path(__file__).parents[3]
@@ -188,22 +188,22 @@ def test_what_waits_for_a_core_has_not_begun(local_ray, tmp_path):
         while not path.exists():
             time.sleep(0.02)
 
-    def begun(n: int) -> set[Ticket]:
+    def started(n: int) -> set[Ticket]:
         deadline = time.monotonic() + 60
-        while len(found := local_ray.begun()) < n:
+        while len(found := local_ray.started()) < n:
             assert time.monotonic() < deadline
             time.sleep(0.05)
         return found
 
     tickets = [local_ray.submit(wait, tmp_path / "end", name=f"wait {n}") for n in range(3)]
-    found = begun(2)
+    found = started(2)
     time.sleep(0.5)
-    assert local_ray.begun() == found and len(found) == 2  # of three, on two cores
+    assert local_ray.started() == found and len(found) == 2  # of three, on two cores
     last = local_ray.submit(wait, tmp_path / "end", n_cores=0)
-    assert begun(3) == found | {last}
+    assert started(3) == found | {last}
     (tmp_path / "end").touch()
     assert set(outcomes(local_ray)) == {*tickets, last}
-    assert local_ray.begun() == set()
+    assert local_ray.started() == set()
 
 
 def test_a_worker_has_one_thread_in_every_library(local_ray):
@@ -266,7 +266,7 @@ with ray_cluster() as cluster:
     ours, science, n_cores, *died = ran.stdout.splitlines()
     assert "py_modules_files" in ours and "py_modules_files" in science
     assert float(n_cores) == 2.0
-    assert "\n".join(died) == NODE_DEAD.format(address=address)
+    assert "\n".join(died) == NODE_DIED.format(address=address)
     assert ran.stderr == ""
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.cluster.process import memory_bounded, signals_held, signals_unwind
+from pipeline.cluster.process import memory_bounded, signals_deferred, signals_unwind
 from pipeline.commands.app import _interruptible
 
 ROOT = Path(__file__).parents[3]
@@ -32,7 +32,7 @@ def test_a_signal_is_held_until_the_end_and_then_comes_through(number):
     before = signal.signal(number, come)
     reached = []
     try:
-        with pytest.raises(Came), signals_held():
+        with pytest.raises(Came), signals_deferred():
             os.kill(os.getpid(), number)
             time.sleep(0.01)  # bytecode for the interpreter to deliver it at
             os.kill(os.getpid(), number)
@@ -47,7 +47,7 @@ def test_a_signal_is_held_until_the_end_and_then_comes_through(number):
 
 def test_without_a_signal_nothing_happens():
     before = signal.getsignal(signal.SIGTERM)
-    with signals_held():
+    with signals_deferred():
         assert signal.getsignal(signal.SIGTERM) is not before
     assert signal.getsignal(signal.SIGTERM) is before
 
@@ -125,7 +125,7 @@ def test_whoever_stops_a_command_is_told_how_it_goes_on(number, capsys, monkeypa
     assert ended.value.code == 128 + number
 
 
-@pytest.mark.parametrize("taking", [signals_unwind, signals_held])
+@pytest.mark.parametrize("taking", [signals_unwind, signals_deferred])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_is_ignored_stays_so(number, taking):
     """`nohup puddle study &` outlives its terminal; Ray, which takes signals without a question, changes nothing."""

@@ -11,12 +11,12 @@ from collections.abc import Iterator, Sequence
 import psutil
 import pytest
 
-from pipeline.cluster.watchdog import DEAD
+from pipeline.cluster.watchdog import RAY_DIED
 
 APART = """
 import pathlib, sys
 from pipeline.cluster import session, watchdog
-session.PLACE = pathlib.Path(sys.argv[1])
+session.SESSIONS_FOLDER = pathlib.Path(sys.argv[1])
 """
 """A place of its own: a session that starts sweeps what the dead drivers of other tests left."""
 
@@ -31,7 +31,7 @@ with session.session(1) as ours, ours.calling:
 
 WORKS = """
 import time
-watchdog.STUCK_SECONDS = watchdog.SECONDS_BETWEEN_LOOKS = 0.1
+watchdog.STUCK_SECONDS = watchdog.CHECK_INTERVAL = 0.1
 with session.session(1) as ours:
     print("up", flush=True)
     while ours.alive():
@@ -75,7 +75,7 @@ def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server, place):
         victim.send_signal(signal.SIGKILL)
         _, said = driver.communicate(timeout=60)
         assert driver.returncode == 2
-        assert f"\npuddle: {DEAD}" in said
+        assert f"\npuddle: {RAY_DIED}" in said
         end = time.monotonic() + 15
         while time.monotonic() < end and any(process.is_running() for process in processes):
             time.sleep(0.1)

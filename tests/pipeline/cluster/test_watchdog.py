@@ -8,7 +8,7 @@ import time
 import pytest
 
 from pipeline.cluster import watchdog
-from pipeline.cluster.watchdog import GONE
+from pipeline.cluster.watchdog import UNREACHABLE
 
 RAYS_OWN_SECONDS = 60.0
 """After which Ray ends a driver whose cluster is silent."""
@@ -16,7 +16,7 @@ RAYS_OWN_SECONDS = 60.0
 DRIVER = """
 import sys, threading
 from pipeline.cluster import watchdog
-watchdog.GONE_SECONDS, watchdog.SECONDS_BETWEEN_LOOKS = 2.0, 0.05
+watchdog.GONE_SECONDS, watchdog.CHECK_INTERVAL = 2.0, 0.05
 over = threading.Event()
 looks = threading.Thread(target=watchdog.end_if_gone, args=("head:6379", "127.0.0.1", int(sys.argv[1]), over))
 looks.start()
@@ -46,7 +46,7 @@ def test_a_driver_ends_when_its_cluster_is_gone():
         assert driver.poll() is None
     assert driver.wait(timeout=30) == 2
     _, said = driver.communicate()
-    assert said == f"\npuddle: {GONE.format(address='head:6379', seconds=2.0)}\n"
+    assert said == f"\npuddle: {UNREACHABLE.format(address='head:6379', seconds=2.0)}\n"
 
 
 def test_a_driver_goes_on_when_its_cluster_comes_back():
@@ -91,5 +91,5 @@ def test_a_way_to_a_cluster_that_swallows_what_is_sent_is_told_before_ray_ends_t
     monkeypatch.setattr(watchdog.socket, "create_connection", connect)
     monkeypatch.setattr(watchdog, "end_at_once", end)
     with pytest.raises(Ended):
-        watchdog.end_if_gone("head:6379", "head", 6379, Over())
+        watchdog.end_if_unreachable("head:6379", "head", 6379, Over())
     assert watchdog.GONE_SECONDS < now < RAYS_OWN_SECONDS - 5.0

@@ -84,7 +84,7 @@ def test_a_study_that_was_stopped_half_way_keeps_what_it_has(options, store):
 @pytest.fixture
 def evolving(study, settings, tmp_path, monkeypatch) -> Store:
     """A copy of a store with a study in every world, whose record lists nothing yet: as while it evolves."""
-    monkeypatch.setattr(session, "PLACE", tmp_path)
+    monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)
     found = Store.open(shutil.copytree(study[0].root, tmp_path / "evolving"), create=False)
     found.write_study(settings.name, settings.model_dump(mode="json"), ())
     return found
@@ -205,7 +205,7 @@ def test_a_study_that_begins_while_garbage_is_collected_is_not_in_the_way(option
 
 
 def test_folders_of_dead_drivers_are_swept(options, store, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(session, "PLACE", tmp_path)
+    monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)
     dead = tmp_path / "puddle-12345678"
     dead.mkdir()
     (dead / "lock").touch()

@@ -204,8 +204,8 @@ def test_what_did_not_fail_is_not_said_to_have_failed(study, drawn):
 
 
 def test_a_study_that_has_only_begun_makes_a_page(study):
-    begun = replace(study, trials=[], residual_errors=[], replays=[], digests=[], findings=Findings())
-    page = Page(render_page(begun))
+    started = replace(study, trials=[], residual_errors=[], replays=[], digests=[], findings=Findings())
+    page = Page(render_page(started))
     assert page.open == [] and page.scripts == {}
     for missing in ("The replay viewer", "Transfer at the deepest depth", "The transfer table"):
         assert f"{missing} is not here" in page.text

@@ -61,10 +61,10 @@ class Stuck:
         self.now += timeout if finished is None else 0.0
         return finished
 
-    def begun(self) -> set[Ticket]:
+    def started(self) -> set[Ticket]:
         return set(self.hung[:1]) if self.now >= self.free_at else set()
 
-    def give_up(self, ticket: Ticket) -> None:
+    def cancel(self, ticket: Ticket) -> None:
         assert self.hung.pop(0) is ticket, f"{ticket.name} works, or waits"
 
 

@@ -81,15 +81,15 @@ def test_mlflow_hears_of_a_stage_while_the_next_one_runs(store: Store) -> None:
 
         def __init__(self) -> None:
             super().__init__()
-            self.begun = {name: threading.Event() for name in ("evolve", "transfer")}
+            self.started = {name: threading.Event() for name in ("evolve", "transfer")}
             self.heard: list[tuple[str, bool]] = []
 
         def stage(self, name, **options):
-            self.begun[name].set()
+            self.started[name].set()
             return super().stage(name, **options)
 
         def mirror(self, study, stage, trials) -> None:
-            self.heard.append((stage.name, stage.name != "evolve" or self.begun["transfer"].wait(60)))
+            self.heard.append((stage.name, stage.name != "evolve" or self.started["transfer"].wait(60)))
 
     terminal = Slow()
     run(store, terminal=terminal)

@@ -153,9 +153,9 @@ def test_trials_side_by_side_are_what_each_is_alone() -> None:
         n_at_once.append(len(designs))
         return long_and_fast(designs)
 
-    begun, _ = run([3])
+    started, _ = run([3])
     body = random_designs(1, np.random.default_rng(2))
-    trials = [Trial(of_another), Trial(of_trial, begun), Trial(of_trial, body=body)]
+    trials = [Trial(of_another), Trial(of_trial, started), Trial(of_trial, body=body)]
     together = evolve(trials, score, first_generation=3, n_generations=5, afpo=AFPO)
     assert n_at_once == [3 * AFPO.population_size] * 5
     for trial, (population, history) in zip(trials, together, strict=True):
