@@ -1,4 +1,4 @@
-"""The preflight check: does an existing Ray cluster answer, before anything waits for it?"""
+"""The preflight check, which asks whether an existing Ray cluster answers before anything waits for it."""
 
 from __future__ import annotations
 

@@ -299,7 +299,7 @@ def test_a_port_that_is_not_rays_is_given_up_on(monkeypatch):
         listener.bind(("127.0.0.1", 0))
         listener.listen()
         begin = time.monotonic()
-        with pytest.raises(PuddleError, match="did not let us in within 1 s"):
+        with pytest.raises(PuddleError, match="did not admit us within 1 s"):
             check_reachable(f"127.0.0.1:{listener.getsockname()[1]}")
         assert time.monotonic() - begin < 60  # Ray itself takes two minutes
 
@@ -335,5 +335,5 @@ def test_a_slow_import_does_not_count_against_the_cluster(monkeypatch, tmp_path)
 
 
 def test_no_workers_is_refused():
-    with pytest.raises(PuddleError, match="workers: expected 1 or more, got 0"), ray_cluster("local", n_workers=0):
+    with pytest.raises(PuddleError, match="workers: expected at least 1, got 0"), ray_cluster("local", n_workers=0):
         pass

@@ -68,7 +68,7 @@ with signals_held():
     child.send_signal(signal.SIGTERM)
     _, said = child.communicate(timeout=60)
     assert child.returncode == 128 + signal.SIGTERM
-    assert "What is done is kept: the same command goes on from there." in said
+    assert "Committed results are safe: the same command resumes." in said
 
 
 def test_what_is_ended_at_once_leaves_a_terminal_its_cursor():
