@@ -305,6 +305,10 @@ def drive(
     baud_detection: Annotated[
         bool, typer.Option("--baud-detection", help="The controller is set to detect the baud rate: send 0xAA first.")
     ] = False,
+    timeout: Annotated[
+        float,
+        typer.Option("--timeout", min=0.01, help="Longest wait for the controller's answer [s]; more on a slow line."),
+    ] = 0.1,
 ) -> None:
     """Move a robot's servos through a timeline, and bring them back to rest whatever happens (docs/servo.md)."""
     from pipeline.servo import play
@@ -315,8 +319,8 @@ def drive(
         return
     if timeline is None:
         raise PuddleError("expected a kit or a timeline to play: `puddle drive kit --port ...`, or --list-ports")
-    wish = play.Wish(timeline, calibration, port, dry_run, duration, loop, log, baud, baud_detection)
-    if not play.drive(wish, confirm=lambda question: yes or _confirmed(question), say=typer.echo):
+    options = play.PlayOptions(timeline, calibration, port, dry_run, duration, loop, log, baud, baud_detection, timeout)
+    if not play.play_timeline(options, confirm=lambda question: yes or _confirmed(question), say=typer.echo):
         raise typer.Exit(INTERRUPTED)
 
 

@@ -24,7 +24,7 @@ from shapely.geometry.base import BaseGeometry
 from pipeline.fabrication.labels import Labels, around
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.parts import SIDES, placement
-from tasks.fabrication.servo_joints import Drive
+from tasks.fabrication.servo_joints import ServoJoint
 
 SHEET_MM = (420.0, 297.0)
 MARGIN_MM = 8.0
@@ -33,10 +33,10 @@ SIDE_VIEW = (20.0, 26.0, 232.0, 236.0)
 COLUMN_X, COLUMN_WIDTH = 284.0, 122.0
 """Of the tables and the view from above."""
 TITLE_HEIGHT = 30.0
-SCALES = (2.0, 1.0, 0.5, 0.4, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01)
+_DRAWING_SCALES = (2.0, 1.0, 0.5, 0.4, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01)
 INK, FAINT = "#1d2129", "#8a919c"
 PART_COLOURS = ("#d67a48", "#5c8ebe", "#78aa60", "#aa78b4", "#c9a43c", "#6f7f8f")
-STYLE: dict[str, Any] = {
+_SHEET_STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "puddle",
     "pdf.fonttype": 42,
@@ -55,7 +55,7 @@ ASIDE_MM = 5.0
 """From one dimension to the next beside it."""
 SHORT_MM = 12.0
 """A dimension in which its own text has no room."""
-SHARES = (0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6, 0.05, 0.95)
+_LABEL_SHARES = (0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6, 0.05, 0.95)
 """Of a part's length in the view from above: places for its number."""
 DIMENSION: dict[str, Any] = {
     "arrowstyle": "<|-|>",
@@ -78,7 +78,7 @@ def assembly_drawing(kit: Kit, title: str, n_faults: int) -> dict[str, bytes]:
     Returns:
         The same sheet as ``svg``, ``pdf`` and ``png``.
     """
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(_SHEET_STYLE):
         figure = Figure(figsize=(SHEET_MM[0] / 25.4, SHEET_MM[1] / 25.4), facecolor="white")
         sheet = figure.add_axes((0, 0, 1, 1))
         sheet.set(xlim=(0, SHEET_MM[0]), ylim=(0, SHEET_MM[1]))
@@ -118,7 +118,9 @@ def _bounds(outlines: Sequence[Polygon]) -> tuple[Any, Any]:
 
 def _scale(size: Any, room: Any) -> float:
     """Give the largest of the usual scales at which something fits."""
-    return next((scale for scale in SCALES if (scale * np.array(size) <= np.array(room)).all()), SCALES[-1])
+    return next(
+        (scale for scale in _DRAWING_SCALES if (scale * np.array(size) <= np.array(room)).all()), _DRAWING_SCALES[-1]
+    )
 
 
 def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
@@ -148,8 +150,8 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
         for link in kit.mechanism.bodies[body].links:
             dashed = _patch(kit.mechanism.links[link], put, fill=False, ec=FAINT, lw=0.25, ls=(0, (12, 8)), zorder=4)
             sheet.add_patch(dashed)
-    for drive in kit.drives:
-        for hollow in (drive.pocket, drive.recess):
+    for servo_joint in kit.servo_joints:
+        for hollow in (servo_joint.pocket, servo_joint.recess):
             sheet.add_patch(_patch(hollow, put, fill=False, ec=INK, lw=0.4, ls=(0, (12, 8)), zorder=5))
     (x0, y0), (x1, y1) = put([low, high])
     labels = _labelled(sheet, kit, put, scale)
@@ -161,23 +163,23 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
 def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
     """Mark joints and rods, and name them, the parts and the ways between joints, so that nothing hides another."""
     labels = Labels(sheet)
-    joints = [tuple(put([drive.joint.at])[0]) for drive in kit.drives]
+    joints = [tuple(put([servo_joint.joint.at])[0]) for servo_joint in kit.servo_joints]
     rods = {
         f"R{body + 1}.{number}": tuple(put([rod])[0])
         for body, rods in enumerate(kit.layers.rods)
         for number, rod in enumerate(rods, 1)
     }
     labels.keep_off(*(Point(joint).buffer(2.5) for joint in joints), *(Point(rod).buffer(1.2) for rod in rods.values()))
-    for drive in kit.drives:
-        arc = _joint(sheet, drive, kit.mechanism.link_centre[drive.joint.link], put, scale)
+    for servo_joint in kit.servo_joints:
+        arc = _joint(sheet, servo_joint, kit.mechanism.link_centre[servo_joint.joint.link], put, scale)
         labels.keep_off(arc.buffer(0.4))
     for name, rod in rods.items():
         sheet.add_patch(Circle(rod, max(kit.settings.rod_mm / 2 * scale, 0.5), fc="white", ec=INK, zorder=6))
         labels.put(name, around(rod, (3.6, 5.0, 8.0, 12.0)), of=rod, fontsize=5.5)
-    for drive, joint in zip(kit.drives, joints, strict=True):
-        reach = max(drive.recess_radius_mm * scale, 3.0) + 6.0
+    for servo_joint, joint in zip(kit.servo_joints, joints, strict=True):
+        reach = max(servo_joint.recess_radius_mm * scale, 3.0) + 6.0
         labels.put(
-            f"joint {drive.joint.link}",
+            f"joint {servo_joint.joint.link}",
             around(joint, (reach, reach + 4, reach + 9, reach + 15)),
             of=joint,
             color="#b0123c",
@@ -189,7 +191,7 @@ def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
         labels.put(f"part {body + 1}", places, weight="bold", fontsize=7.0)
     ways = [
         (put([a.joint.at])[0], put([b.joint.at])[0], float(np.hypot(*np.subtract(a.joint.at, b.joint.at))))
-        for a, b in combinations(kit.drives, 2)
+        for a, b in combinations(kit.servo_joints, 2)
         if {a.carrier, a.driven} & {b.carrier, b.driven}
     ]
     for number, (start, end, apart) in enumerate(sorted(ways, key=lambda way: way[2])):
@@ -226,12 +228,12 @@ def _aside(sheet: Axes, labels: Labels, start: Any, end: Any, text: str, number:
     _dimension(sheet, labels, start + out, end + out, text)
 
 
-def _joint(sheet: Axes, drive: Drive, child: Sequence[float], put: Any, scale: float) -> LineString:
+def _joint(sheet: Axes, servo_joint: ServoJoint, child: Sequence[float], put: Any, scale: float) -> LineString:
     """Mark a joint's axis, and the sector that its child link's middle sweeps about rest. Give the sector's arc."""
-    (x, y), (child_x, child_y) = put([drive.joint.at, child])
-    reach = max(drive.recess_radius_mm * scale, 3.0) + 4.0
+    (x, y), (child_x, child_y) = put([servo_joint.joint.at, child])
+    reach = max(servo_joint.recess_radius_mm * scale, 3.0) + 4.0
     direction = atan2(child_y - y, child_x - x)
-    swing = drive.joint.motion_range
+    swing = servo_joint.joint.motion_range
     ends = (direction - swing, direction + swing)
     sheet.add_patch(
         Arc(
@@ -262,7 +264,9 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
     """Draw both pontoons from above: x forward, the right pontoon at the bottom; parts by their extent."""
     settings = kit.settings
     deep = settings.pitch_mm + settings.thickness_mm
-    out = max((drive.servo.height_mm - settings.thickness_mm for drive in kit.drives), default=0.0)  # behind a part
+    out = max(
+        (servo_joint.servo.height_mm - settings.thickness_mm for servo_joint in kit.servo_joints), default=0.0
+    )  # behind a part
     room = (COLUMN_WIDTH - 40.0, top - MARGIN_MM - TITLE_HEIGHT - 12.0)
     scale = _scale((high[0] - low[0], deep + 2 * out), room)
     corner = np.array([COLUMN_X + 12.0, top - 6.0 - (deep + out) * scale])
@@ -298,7 +302,7 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
             sheet.add_patch(Rectangle(a, *(b - a), fc="#3c3c42", ec=INK, alpha=0.8, zorder=5))
             labels.keep_off(shapely_box(*np.minimum(a, b), *np.maximum(a, b)))
     for (name, y), (start, end) in names.items():  # parts of one layer may lie over one another
-        labels.put(name, [(start + share * (end - start), y) for share in SHARES], fontsize=SMALL)
+        labels.put(name, [(start + share * (end - start), y) for share in _LABEL_SHARES], fontsize=SMALL)
     x_end = put(high[0], 0.0)[0]
     left, right = put(low[0], 0.0)[1], put(low[0], settings.pitch_mm)[1]
     _dimension(sheet, labels, (x_end + 7, right), (x_end + 7, left), f"{settings.pitch_mm:g}")
@@ -314,16 +318,16 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
     """List joints, parts and what to buy on the right; give where the tables end."""
     x, y = COLUMN_X, SHEET_MM[1] - 18.0
     joints = [["joint", "turns", "rest", "range", "servo in", "longer pulse"]]
-    for drive in kit.drives:
-        for side in drive.sides(kit.settings.servos_per_joint):
-            sense = "+" if kit.direction(drive.joint.link, side) > 0 else "−"
+    for servo_joint in kit.servo_joints:
+        for side in servo_joint.sides(kit.settings.servos_per_joint):
+            sense = "+" if kit.direction(servo_joint.joint.link, side) > 0 else "−"
             joints.append(
                 [
-                    f"{drive.joint.link}",
-                    f"part {drive.joint.child + 1} on {drive.joint.parent + 1}",
-                    f"{degrees(drive.joint.rest_angle):+.1f}°",
-                    f"±{degrees(drive.joint.motion_range):.1f}°",
-                    f"part {drive.carrier + 1}, {side}",
+                    f"{servo_joint.joint.link}",
+                    f"part {servo_joint.joint.child + 1} on {servo_joint.joint.parent + 1}",
+                    f"{degrees(servo_joint.joint.rest_angle):+.1f}°",
+                    f"±{degrees(servo_joint.joint.motion_range):.1f}°",
+                    f"part {servo_joint.carrier + 1}, {side}",
                     f"{sense} angle",
                 ]
             )

@@ -14,7 +14,7 @@ from pipeline.fabrication.choices import FabricationSettings
 from tasks.analysis.tank import Tank
 from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
-from tasks.fabrication.checks import Finding, Severity
+from tasks.fabrication.checks import KitFinding, Severity
 from tasks.fabrication.contacts import Contact, passing_contacts
 from tasks.fabrication.floating import Floating, floating_of
 from tasks.fabrication.kit import Kit
@@ -51,7 +51,7 @@ Cause = Literal["travel", "speed", "torque"]
 
 
 @dataclass(frozen=True, eq=False)
-class Simulated:
+class SimulatedRun:
     """The run that the kit's physics is drawn from."""
 
     world: str
@@ -72,7 +72,7 @@ class Simulated:
 
 
 @dataclass(frozen=True)
-class Members:
+class MemberPredictions:
     """The same design under every member of a study's ensemble."""
 
     displacement: tuple[float, ...]
@@ -96,21 +96,21 @@ class Bench:
     scales: Scales
     servo: Servo
     servos_per_joint: int
-    simulated: Simulated | None
+    simulated: SimulatedRun | None
     """None where the rollout diverged."""
     loads: tuple[JointLoad, ...]
     floating: Floating
-    members: Members | None
+    members: MemberPredictions | None
     calibration: Calibration | None
     """None where no joint is driven."""
     timeline: Timeline | None
     """None where the servos can't play it; a finding says why."""
-    findings: tuple[Finding, ...]
+    findings: tuple[KitFinding, ...]
 
 
 def run(
     design: Designs, world: Environment, *, label: str, physics: Physics, n_settle: int, n_measure: int
-) -> Simulated | None:
+) -> SimulatedRun | None:
     """Simulate a design with the reference engine, which alone says what its motors gave."""
     rollouts: Rollouts = simulate(
         design, world, n_settle=n_settle, n_measure=n_measure, engine="reference", trace=True, physics=physics
@@ -120,7 +120,7 @@ def run(
     joints = driven(design)
     parent = [int(design.parent[0, joint]) for joint in joints]
     trace = rollouts.trace[0].astype(np.float64)
-    return Simulated(
+    return SimulatedRun(
         world=label,
         displacement=float(rollouts.displacement[0]),
         com_displacement=float(rollouts.com_displacement[0]),
@@ -140,8 +140,8 @@ def bench_of(
     design: Designs,
     kit: Kit,
     settings: FabricationSettings,
-    simulated: Simulated | None,
-    members: Members | None,
+    simulated: SimulatedRun | None,
+    members: MemberPredictions | None,
     physics: Physics,
     *,
     tank: Tank | None,
@@ -186,7 +186,7 @@ def bench_of(
     floating = floating_of(kit, fluid_density=settings.scaling.fluid_density)
     calibration = calibration_of(kit, servo)
     timeline: Timeline | None = None
-    refused: list[Finding] = []
+    refused: list[KitFinding] = []
     if calibration is not None:
         timeline = timeline_of(design, settings.playback, time_scale=scales.time)
         if refused := _of_timeline(timeline, calibration, settings):
@@ -217,12 +217,12 @@ def bench_of(
     )
 
 
-def _of_timeline(timeline: Timeline, calibration: Calibration, settings: FabricationSettings) -> list[Finding]:
+def _of_timeline(timeline: Timeline, calibration: Calibration, settings: FabricationSettings) -> list[KitFinding]:
     try:
         pulses(timeline, calibration)
     except TimelineError as error:
         return [
-            Finding(
+            KitFinding(
                 "timeline",
                 "fault",
                 "servos",
@@ -260,15 +260,15 @@ def _remedies(causes: Sequence[Cause], settings: FabricationSettings) -> str:
 def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
     """Give what a servo of the data sheet, mounted as in the kit, would need: a first guess."""
     servos: list[ServoCalibration] = []
-    for drive in kit.drives:
-        reach = servo.us_per_rad * (drive.joint.motion_range + SPARE)
-        for side in drive.sides(kit.settings.servos_per_joint):
+    for servo_joint in kit.servo_joints:
+        reach = servo.us_per_rad * (servo_joint.joint.motion_range + SPARE)
+        for side in servo_joint.sides(kit.settings.servos_per_joint):
             servos.append(
                 ServoCalibration(
-                    joint=drive.joint.link,
+                    joint=servo_joint.joint.link,
                     channel=len(servos),
                     centre_us=servo.neutral_us,
-                    direction=kit.direction(drive.joint.link, side),
+                    direction=kit.direction(servo_joint.joint.link, side),
                     us_per_rad=round(servo.us_per_rad, 3),
                     min_us=round(max(servo.min_pulse_us, servo.neutral_us - reach), 1),
                     max_us=round(min(servo.max_pulse_us, servo.neutral_us + reach), 1),
@@ -279,16 +279,16 @@ def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
 
 
 def _of_loads(
-    loads: Sequence[JointLoad], servo: Servo, simulated: Simulated | None, settings: FabricationSettings
-) -> list[Finding]:
+    loads: Sequence[JointLoad], servo: Servo, simulated: SimulatedRun | None, settings: FabricationSettings
+) -> list[KitFinding]:
     if simulated is None:
-        return [Finding("torque", "fault", "joints", "the simulation diverged: what the joints need is not known")]
-    found: list[Finding] = []
+        return [KitFinding("torque", "fault", "joints", "the simulation diverged: what the joints need is not known")]
+    found: list[KitFinding] = []
     for load in loads:
         where = f"joint {load.joint}"
         if load.use > 1:
             found.append(
-                Finding(
+                KitFinding(
                     "torque",
                     "fault",
                     where,
@@ -300,7 +300,7 @@ def _of_loads(
             )
         elif load.margin < ENOUGH:
             found.append(
-                Finding(
+                KitFinding(
                     "margin",
                     "warning",
                     where,
@@ -311,7 +311,7 @@ def _of_loads(
             )
         if load.stall_share > HOT:
             found.append(
-                Finding(
+                KitFinding(
                     "heat",
                     "warning",
                     where,
@@ -321,7 +321,7 @@ def _of_loads(
             )
         if load.saturated > LOWER_BOUND:
             found.append(
-                Finding(
+                KitFinding(
                     "saturation",
                     "warning",
                     where,
@@ -331,7 +331,7 @@ def _of_loads(
             )
         elif load.saturated > OFTEN:
             found.append(
-                Finding(
+                KitFinding(
                     "saturation",
                     "note",
                     where,
@@ -351,14 +351,14 @@ def _short_of(load: JointLoad, servo: Servo) -> list[Cause]:
     return [cause for share, cause in shares if share * ENOUGH > 1] or ["speed", "torque"]
 
 
-def _of_contacts(contacts: Sequence[Contact]) -> list[Finding]:
+def _of_contacts(contacts: Sequence[Contact]) -> list[KitFinding]:
     found = []
     for contact in contacts:
         (first, second), parts = contact.links, " and ".join(f"part {part + 1}" for part in contact.parts)
         where = ("joint " if len(contact.joints) == 1 else "joints ") + " and ".join(map(str, contact.joints))
         severity: Severity = "warning" if contact.share > BRIEF else "note"
         found.append(
-            Finding(
+            KitFinding(
                 "passes on the bench",
                 severity,
                 where,
@@ -370,14 +370,14 @@ def _of_contacts(contacts: Sequence[Contact]) -> list[Finding]:
     return found
 
 
-def _of_members(members: Members | None, true_slush: float | None) -> list[Finding]:
+def _of_members(members: MemberPredictions | None, true_slush: float | None) -> list[KitFinding]:
     if members is None:
         return []
     mean, deviation = members.mean, members.deviation
     found = []
     if deviation > abs(mean):
         found.append(
-            Finding(
+            KitFinding(
                 "ensemble",
                 "warning",
                 "robot",
@@ -386,7 +386,7 @@ def _of_members(members: Members | None, true_slush: float | None) -> list[Findi
         )
     if true_slush is not None and abs(mean - true_slush) > FAR * deviation:
         found.append(
-            Finding(
+            KitFinding(
                 "ensemble",
                 "warning",
                 "robot",
@@ -398,10 +398,10 @@ def _of_members(members: Members | None, true_slush: float | None) -> list[Findi
     return found
 
 
-def _of_floating(floating: Floating, tank_mm: float) -> list[Finding]:
+def _of_floating(floating: Floating, tank_mm: float) -> list[KitFinding]:
     if floating.stands_in(tank_mm):
         return [
-            Finding(
+            KitFinding(
                 "floating",
                 "warning",
                 "robot",
@@ -412,11 +412,11 @@ def _of_floating(floating: Floating, tank_mm: float) -> list[Finding]:
     return _of_pockets(floating)
 
 
-def _of_scale(tank: Tank | None, scale_mm_per_m: float) -> list[Finding]:
+def _of_scale(tank: Tank | None, scale_mm_per_m: float) -> list[KitFinding]:
     if tank is None or isclose(1000 * tank.scale, scale_mm_per_m):
         return []
     return [
-        Finding(
+        KitFinding(
             "scale",
             "warning",
             "robot",
@@ -427,10 +427,10 @@ def _of_scale(tank: Tank | None, scale_mm_per_m: float) -> list[Finding]:
     ]
 
 
-def _of_pockets(floating: Floating) -> list[Finding]:
+def _of_pockets(floating: Floating) -> list[KitFinding]:
     if floating.sealed_share > 1:
         return [
-            Finding(
+            KitFinding(
                 "floating",
                 "warning",
                 "robot",
@@ -440,7 +440,7 @@ def _of_pockets(floating: Floating) -> list[Finding]:
         ]
     if floating.flooded_share > 1:
         return [
-            Finding(
+            KitFinding(
                 "floating",
                 "warning",
                 "robot",

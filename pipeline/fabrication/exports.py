@@ -19,7 +19,7 @@ from matplotlib.colors import to_rgb
 
 from pipeline.fabrication.assembly_drawing import PART_COLOURS, assembly_drawing
 from pipeline.fabrication.formats import dxf, step, stl, three_mf
-from pipeline.fabrication.picture import Colour, Shown, picture
+from pipeline.fabrication.picture import Colour, ColouredMesh, picture
 from tasks.fabrication.features import Feature
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.parts import Mesh, mesh_of, on_bed
@@ -78,8 +78,8 @@ def _picture(kit: Kit, meshes: list[Mesh]) -> bytes:
     for colour in PART_COLOURS:
         red, green, blue = (round(255 * c) for c in to_rgb(colour))
         parts.append((red, green, blue))
-    shown = [Shown(mesh, parts[part.body % len(parts)]) for part, mesh in zip(kit.parts, meshes, strict=True)]
-    shown += [Shown(mesh_of(item.solid), BOUGHT_COLOURS[item.kind]) for item in kit.bought]
+    shown = [ColouredMesh(mesh, parts[part.body % len(parts)]) for part, mesh in zip(kit.parts, meshes, strict=True)]
+    shown += [ColouredMesh(mesh_of(item.solid), BOUGHT_COLOURS[item.kind]) for item in kit.bought]
     kinds = dict.fromkeys(item.kind for item in kit.bought if item.kind in ("servo", "rod"))
     legend = [(body.name, parts[body.index % len(parts)]) for body in kit.mechanism.bodies]
     return picture(shown, [*legend, *((kind, BOUGHT_COLOURS[kind]) for kind in kinds)])

@@ -16,7 +16,7 @@ from tasks.fabrication.scaling import line_use
 COLOURS = ("#1c6fb8", "#dd7700", "#1d6b3c", "#7d4aa5", "#c2185b")
 SHOWN = 20.0
 """Of the timeline [s]."""
-POINTS = 1500
+_POINTS = 1500
 """Of the run in the figure of torques, about so many: of as many equal spans of it the worst instant."""
 
 
@@ -32,7 +32,7 @@ def _torque(design: Designs, bench: Bench) -> tuple[Figure, str]:
         raise NothingToDraw("no joint is driven")
     figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
     axes = figure.subplots()
-    every = max(1, len(bench.simulated.torque) // POINTS)
+    every = max(1, len(bench.simulated.torque) // _POINTS)
     for column, (joint, colour) in enumerate(zip(driven(design), COLOURS, strict=False)):
         torque = bench.simulated.torque[:, column] * bench.scales.torque / bench.servos_per_joint
         speed = bench.simulated.speed[:, column] * bench.scales.frequency

@@ -12,8 +12,8 @@ from pipeline.errors import PuddleError
 from pipeline.store import disk
 from pipeline.store.encoding import Json, check_format, decode_json, encode_json
 
-SCHEMA, VERSION = "puddle.kit", 1
-MARK = "kit.json"
+_SCHEMA, _VERSION = "puddle.kit", 1
+KIT_MANIFEST = "kit.json"
 """What makes a folder a kit: its schema, what it is of, and the SHA-256 of every other file."""
 
 
@@ -38,16 +38,16 @@ def check_place(folder: Path) -> Path:
     names = sorted(path.name for path in folder.iterdir())
     if not names:
         return place
-    if MARK not in names:
+    if KIT_MANIFEST not in names:
         raise PuddleError(
-            f"{folder}: expected a new folder or a kit, found {', '.join(names[:3])} and no {MARK}. "
+            f"{folder}: expected a new folder or a kit, found {', '.join(names[:3])} and no {KIT_MANIFEST}. "
             f"Choose another: --out"
         )
     check_format(
-        decode_json(disk.read(folder / MARK), str(folder / MARK)),
-        schema=SCHEMA,
-        version=VERSION,
-        source=str(folder / MARK),
+        decode_json(disk.read(folder / KIT_MANIFEST), str(folder / KIT_MANIFEST)),
+        schema=_SCHEMA,
+        version=_VERSION,
+        source=str(folder / KIT_MANIFEST),
     )
     return place
 
@@ -65,13 +65,13 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
     """
     folder = check_place(folder)
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())}
-    mark = encode_json({**said, "schema": SCHEMA, "version": VERSION, "files": digests})
+    mark = encode_json({**said, "schema": _SCHEMA, "version": _VERSION, "files": digests})
     new = folder.with_name(f".{folder.name}.{os.getpid()}.new")
     old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
     with disk.explained("writing the kit", folder, advice="give the same command again"):
         yours, lines = _yours(folder, files)
         try:
-            for name, content in {**yours, **files, MARK: mark}.items():
+            for name, content in {**yours, **files, KIT_MANIFEST: mark}.items():
                 path = new / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 disk.write(path, content)
@@ -94,15 +94,15 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
 
 def _yours(folder: Path, files: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
     """Read what a kit's folder holds beside the kit as it was made, under the names that it will have."""
-    if not (folder / MARK).is_file():
+    if not (folder / KIT_MANIFEST).is_file():
         return {}, []
-    mark = decode_json(disk.read(folder / MARK), str(folder / MARK))
+    mark = decode_json(disk.read(folder / KIT_MANIFEST), str(folder / KIT_MANIFEST))
     made = mark["files"] if isinstance(mark.get("files"), dict) else {}
     yours: dict[str, bytes] = {}
     lines = []
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if name == MARK or path.is_symlink() or not path.is_file():
+        if name == KIT_MANIFEST or path.is_symlink() or not path.is_file():
             continue
         content = path.read_bytes()
         if made.get(name) == hashlib.sha256(content).hexdigest() or files.get(name) == content:

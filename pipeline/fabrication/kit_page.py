@@ -13,12 +13,12 @@ from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.moving import document
 from pipeline.report.page import inline_svg
 from pipeline.report.wording import absent
-from tasks.fabrication.checks import Finding
+from tasks.fabrication.checks import KitFinding
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.servos import MEASURES, Servo
 from tasks.world import Physics
 
-POLICY = "img-src 'self' data: file:"
+_POLICY = "img-src 'self' data: file:"
 """The kit's pictures lie beside its page."""
 
 LAWS = {
@@ -33,7 +33,7 @@ LAWS = {
 def render_kit(
     kit: Kit,
     bench: Bench,
-    findings: Sequence[Finding],
+    findings: Sequence[KitFinding],
     drawings: dict[str, Drawing | Missing],
     *,
     name: str,
@@ -85,7 +85,7 @@ def render_kit(
         "chosen": f"<details><summary>Settings</summary><pre><code>{escape(settings_yaml)}</code></pre></details>",
     }
     body, css = (files("pipeline.fabrication").joinpath(f"kit.{kind}").read_text("utf-8") for kind in ("html", "css"))
-    return document(title=pieces["title"], policy=POLICY, body=Template(body).substitute(pieces), css=f"\n{css}")
+    return document(title=pieces["title"], policy=_POLICY, body=Template(body).substitute(pieces), css=f"\n{css}")
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") -> str:
@@ -108,7 +108,7 @@ def _figure(drawing: Drawing | Missing) -> str:
     return f'<figure id="{drawing.name}"><h3>{escape(drawing.title)}</h3>{inline_svg(drawing)}{caption}</figure>'
 
 
-def _findings(findings: Sequence[Finding]) -> str:
+def _findings(findings: Sequence[KitFinding]) -> str:
     if not findings:
         return "<p>Nothing.</p>"
     items = "".join(
@@ -283,8 +283,8 @@ def _last(bench: Bench, folder: str) -> str:
     if bench.calibration is not None:
         steps.append('Find each servo\'s pulses and correct <a href="calibration.yaml">calibration.yaml</a>.')
     if bench.timeline is not None:
-        drive = f"puddle drive {escape(folder)}"
-        steps.append(f"<code>{drive} --dry-run</code>, then <code>{drive} --port /dev/ttyACM0</code>.")
+        servo_joint = f"puddle drive {escape(folder)}"
+        steps.append(f"<code>{servo_joint} --dry-run</code>, then <code>{servo_joint} --port /dev/ttyACM0</code>.")
     return "".join(f"<li>{step}</li>\n" for step in steps)
 
 

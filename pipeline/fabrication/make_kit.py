@@ -24,7 +24,7 @@ from tasks.design import DesignError
 from tasks.fabrication.cad import MissingCadError, require_cad
 
 if TYPE_CHECKING:  # the CAD kernel, which takes ten seconds to import
-    from tasks.fabrication.checks import Finding
+    from tasks.fabrication.checks import KitFinding
     from tasks.fabrication.scaling import JointLoad
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -39,7 +39,7 @@ SEVERITIES = ("fault", "warning", "note")
 
 
 @dataclass(frozen=True)
-class Made:
+class KitResult:
     """What came of it."""
 
     lines: list[str]
@@ -49,7 +49,7 @@ class Made:
 
 def fabricate(
     design: Path | None, settings: Settings, choices: FabricationSettings, out: Path, *, store: Store, tracker: Tracker
-) -> Made:
+) -> KitResult:
     """Make a kit.
 
     Args:
@@ -73,7 +73,7 @@ def fabricate(
     from pipeline.fabrication.exports import exports
     from pipeline.fabrication.kit_figures import timeline_figure, torque_figure
     from pipeline.fabrication.kit_page import render_kit
-    from pipeline.fabrication.source import Source, proposed
+    from pipeline.fabrication.source import DesignSource, proposed
     from tasks.fabrication.features import KitError
     from tasks.fabrication.kit import build_kit
     from tasks.fabrication.profile import SolidError
@@ -83,7 +83,7 @@ def fabricate(
         source = proposed(settings, store)
     else:
         origin = f"From {design.name}. Simulated in True Slush of {PHYSICAL_DEPTH:g} m as in {settings.name}."
-        source = Source(read_design(design), design.stem, origin, settings, PHYSICAL_DEPTH, None)
+        source = DesignSource(read_design(design), design.stem, origin, settings, PHYSICAL_DEPTH, None)
     try:
         kit = build_kit(source.design, choices.kit)
     except (KitError, SolidError, ServoError, DesignError) as error:
@@ -150,10 +150,10 @@ def fabricate(
     }
     kept = write_kit(place, files, said)
     _mirror(tracker, source.name, design is None, source.settings, chosen, metrics, files)
-    return Made([*kept, *_lines(out, found, bench.loads, kit.mass_g)], faults)
+    return KitResult([*kept, *_lines(out, found, bench.loads, kit.mass_g)], faults)
 
 
-def _lines(out: Path, found: Sequence[Finding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:
+def _lines(out: Path, found: Sequence[KitFinding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:
     lines = [f"{finding.severity:<8} {finding.where}: {finding.message}" for finding in found]
     lines += [f"joint {load.joint}: the servo has {load.margin:.2f} times what the run asks for" for load in loads]
     return [*lines, f"The kit, {mass_g:.0f} g of robot: {out / 'index.html'}"]

@@ -20,7 +20,7 @@ Colour = tuple[int, int, int]
 
 WIDTH, HEIGHT = 1600, 1000
 """Of the picture [pixels]."""
-OVERSAMPLING = 2
+_OVERSAMPLING = 2
 """Along each axis; edges are smoothed so."""
 TOWARDS_EYE = np.array([0.55, 0.42, 0.72])
 """From the robot: ahead of it, above it and to its right."""
@@ -35,18 +35,18 @@ JUMP = 0.006
 """Difference of depth between neighbouring pixels at which there is an edge, in radii of the robot."""
 INK: Colour = (40, 44, 52)
 LINE: Colour = (58, 60, 66)
-PAPER: Colour = (250, 250, 248)
+_PAPER: Colour = (250, 250, 248)
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class ColouredMesh:
     """A mesh and its colour."""
 
     mesh: Mesh
     colour: Colour
 
 
-def picture(shown: Sequence[Shown], legend: Sequence[tuple[str, Colour]]) -> bytes:
+def picture(shown: Sequence[ColouredMesh], legend: Sequence[tuple[str, Colour]]) -> bytes:
     """Draw meshes as PNG.
 
     Args:
@@ -56,12 +56,12 @@ def picture(shown: Sequence[Shown], legend: Sequence[tuple[str, Colour]]) -> byt
     everything = np.concatenate([s.mesh.vertices for s in shown])
     middle = (everything.min(axis=0) + everything.max(axis=0)) / 2
     radius = float(np.linalg.norm(everything - middle, axis=1).max())
-    width, height = WIDTH * OVERSAMPLING, HEIGHT * OVERSAMPLING
+    width, height = WIDTH * _OVERSAMPLING, HEIGHT * _OVERSAMPLING
     projected = [_projected((s.mesh.vertices - middle) / radius) for s in shown]
     flat = np.concatenate(projected)[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
-    scale = 0.88 * min(width / (high[0] - low[0]), (height - 90 * OVERSAMPLING) / (high[1] - low[1]))
-    centre = np.array([width / 2, (height - 70 * OVERSAMPLING) / 2])
+    scale = 0.88 * min(width / (high[0] - low[0]), (height - 90 * _OVERSAMPLING) / (high[1] - low[1]))
+    centre = np.array([width / 2, (height - 70 * _OVERSAMPLING) / 2])
     corners, facing, colours, owner = [], [], [], []
     for index, (item, points) in enumerate(zip(shown, projected, strict=True)):
         xy = (points[:, :2] - (low + high) / 2) * np.array([scale, -scale]) + centre
@@ -131,7 +131,7 @@ def _shaded(
     light = np.full(len(facing), AMBIENT)
     for towards, brightness in LIGHTS:
         light += brightness * np.clip(facing @ (towards / np.linalg.norm(towards)), 0.0, 1.0)
-    palette = np.concatenate([colours * np.minimum(light, 1.0)[:, None], [PAPER]]).astype(np.uint8)
+    palette = np.concatenate([colours * np.minimum(light, 1.0)[:, None], [_PAPER]]).astype(np.uint8)
     image = palette[nearest]  # -1 is the last: paper
     for first, second in (
         ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),

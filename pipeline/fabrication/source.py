@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.config.settings import EnvironmentName, Settings
 from pipeline.errors import PuddleError
-from pipeline.fabrication.bench import Members
+from pipeline.fabrication.bench import MemberPredictions
 from pipeline.stages import STAGES, segments
 from pipeline.stages.segments import WEIGHTS
 from pipeline.stages.transfer import CHAMPION, read_scores
@@ -24,7 +24,7 @@ from tasks.simulation import OK, simulate
 
 
 @dataclass(frozen=True, eq=False)
-class Source:
+class DesignSource:
     """A design and where it comes from."""
 
     design: Designs
@@ -35,18 +35,18 @@ class Source:
     """Of the study, or those that a design file is simulated under."""
     depth: float
     """Where it is simulated [m]."""
-    members: Members | None
+    members: MemberPredictions | None
     true_slush: float | None = None
     """What the study scored it in True Slush [m of simulation], if it did."""
 
 
-def proposed(settings: Settings, store: Store) -> Source:
+def proposed(settings: Settings, store: Store) -> DesignSource:
     """Take the champion that :func:`_proposed` takes, of a store from which nothing is removed meanwhile."""
     with store.lock_to_read():
         return _proposed(settings, store)
 
 
-def _proposed(settings: Settings, store: Store) -> Source:
+def _proposed(settings: Settings, store: Store) -> DesignSource:
     """Take the champion nearest the mean True Slush score of a study's trials. Paper, "Physical Validation".
 
     Of the study's arms, Residual Slush comes first, and its deepest depth.
@@ -76,7 +76,7 @@ def _proposed(settings: Settings, store: Store) -> Source:
         f"{environment.replace('_', ' ')} of {depth:g} m: it gets {row['zero_shot']:+.2f} m in True Slush, the "
         f"nearest to the mean of {len(arm)} champions, {scores.mean():+.2f} m."
     )
-    return Source(
+    return DesignSource(
         design,
         f"{settings.name}-trial-{row['trial']}",
         origin,
@@ -89,7 +89,7 @@ def _proposed(settings: Settings, store: Store) -> Source:
 
 def _members(
     settings: Settings, upstream: Mapping[str, Results], store: Store, design: Designs, depth: float
-) -> Members | None:
+) -> MemberPredictions | None:
     """Simulate a design under every member of the study's ensemble, where there is one."""
     world: EnvironmentName = "residual_slush"
     try:
@@ -103,4 +103,4 @@ def _members(
     )
     if not (rollouts.status == OK).all():
         return None
-    return Members(tuple(float(value) for value in rollouts.displacement[:, 0]))
+    return MemberPredictions(tuple(float(value) for value in rollouts.displacement[:, 0]))

@@ -14,12 +14,12 @@ from pipeline.errors import PuddleError
 from pipeline.store.encoding import check_format, decode_json, encode_json
 from tasks.design import N_LINKS
 from tasks.fabrication.calibration import Calibration
-from tasks.fabrication.timeline import FRAMES_PER_SECOND, Timeline, TimelineError, pulses
+from tasks.fabrication.timeline import FRAME_RATE_HZ, Timeline, TimelineError, pulses
 
-SCHEMA, VERSION = "puddle.timeline", 1
+_SCHEMA, _VERSION = "puddle.timeline", 1
 FIELDS = {"schema", "version", "frames_per_second", "joints", "angle", "channels", "pulse_us"}
 
-MAX_BYTES = 2**24
+MAX_TIMELINE_BYTES = 2**24
 """A timeline file's greatest length: hours of five joints."""
 
 RADIAN_DIGITS, PULSE_DIGITS = 6, 2
@@ -35,9 +35,9 @@ def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
     sent = np.round(pulses(timeline, calibration), PULSE_DIGITS)
     return encode_json(
         {
-            "schema": SCHEMA,
-            "version": VERSION,
-            "frames_per_second": FRAMES_PER_SECOND,
+            "schema": _SCHEMA,
+            "version": _VERSION,
+            "frames_per_second": FRAME_RATE_HZ,
             "joints": list(timeline.joints),
             "angle": np.round(timeline.angle.T, RADIAN_DIGITS).tolist(),
             "channels": [servo.channel for servo in calibration.servos],
@@ -71,18 +71,20 @@ def read_timeline(path: Path) -> Timeline:
     """
     try:
         with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+            data = file.read(MAX_TIMELINE_BYTES + 1)
     except OSError as error:
         raise PuddleError(f"{path}: can't be read: {error.strerror}. Expected a timeline (timeline.json).") from None
-    if len(data) > MAX_BYTES:
-        raise PuddleError(f"{path}: expected at most {MAX_BYTES} bytes of a timeline, came more. Is it the right file?")
+    if len(data) > MAX_TIMELINE_BYTES:
+        raise PuddleError(
+            f"{path}: expected at most {MAX_TIMELINE_BYTES} bytes of a timeline, came more. Is it the right file?"
+        )
     document = decode_json(data, str(path))
-    check_format(document, schema=SCHEMA, version=VERSION, source=str(path))
+    check_format(document, schema=_SCHEMA, version=_VERSION, source=str(path))
     if strangers := sorted(document.keys() ^ FIELDS):
         raise PuddleError(f"{path}: expected the fields {', '.join(sorted(FIELDS))}; {strangers[0]} is amiss")
-    if document["frames_per_second"] != FRAMES_PER_SECOND:
+    if document["frames_per_second"] != FRAME_RATE_HZ:
         raise PuddleError(
-            f"{path}: frames_per_second: expected {FRAMES_PER_SECOND:g}, came {document['frames_per_second']!r}"
+            f"{path}: frames_per_second: expected {FRAME_RATE_HZ:g}, came {document['frames_per_second']!r}"
         )
     joints = document["joints"]
     if not _are_joints(joints):

@@ -1,6 +1,6 @@
-"""Driving: servo timelines to a real controller over a serial port. The only ``import serial``.
+"""The servo player: plays a timeline on a servo controller over a serial port. The only ``import serial``.
 
-interface.py says what a controller can do; maestro.py is Pololu's. A bus servo or an Arduino is one more file beside
-it, opened by ``open_driver`` in command.py. limits.py holds the one last function that every command goes through,
-player.py the loop and its way out, log.py what was sent and when.
+servo_controller.py says what a controller must do; maestro.py implements Pololu's. To support another one, add a file
+beside it and open it in ``open_controller`` (play.py). Every command passes through limits.py. player.py holds the
+playing loop and the safe shutdown, log.py the record of what was sent.
 """

@@ -1,11 +1,11 @@
 """Pololu's Maestro over its serial port, in the compact protocol.
 
 Source: Pololu Maestro Servo Controller User's Guide, sections 4.b (errors), 5.c to 5.e (protocol and commands),
-https://www.pololu.com/docs/0J40. A command byte has its top bit set, data bytes are 7 bits each, low ones first; pulses
-are in quarters of a microsecond, so that 1500 µs on channel 0 is 84 00 70 2E.
+https://www.pololu.com/docs/0J40. A command byte has its top bit set; data bytes hold 7 bits each, low bits first.
+Pulses are in quarters of a microsecond, so that 1500 µs on channel 0 is 84 00 70 2E.
 
-Where "Timeout" is set in the Maestro Control Center, and "On startup or error: Off" for each channel, it stops the
-pulses by itself when the host falls silent: docs/servo.md.
+With "Timeout" and "On startup or error: Off" set in the Maestro Control Center, the Maestro stops the pulses by itself
+when the host falls silent (docs/servo.md).
 """
 
 from __future__ import annotations
@@ -19,37 +19,32 @@ from typing import Any
 import serial
 
 from pipeline.errors import PuddleError
-from pipeline.servo.controller import ControllerFault, PortLost
+from pipeline.servo.servo_controller import ControllerError, PortLostError
 
-SET_TARGET, SET_SPEED, SET_ACCELERATION = 0x84, 0x87, 0x89
-GET_POSITION, GET_ERRORS, GO_HOME = 0x90, 0xA1, 0xA2
-BAUD_INDICATION = 0xAA
+_SET_TARGET, _SET_SPEED, _SET_ACCELERATION = 0x84, 0x87, 0x89
+_GET_POSITION, _GET_ERRORS, _GO_HOME = 0x90, 0xA1, 0xA2
+_BAUD_INDICATION = 0xAA
+_UNITS_PER_US = 4  # a target is in quarters of a microsecond
+_SPEED_UNIT_US = 25.0  # a speed is in quarters of a microsecond per 10 ms, that is 25 µs/s
 
-UNITS_PER_US = 4
-"""Of a target: quarters of a microsecond."""
+ANSWER_TIMEOUT = 0.1
+"""Default for the longest wait for an answer, or for bytes to be accepted [s]; a Maestro on USB takes 2 ms."""
 
-SPEED_UNIT = 25.0
-"""Of a speed: a quarter of a microsecond in 10 ms, in [µs/s]."""
-
-PATIENCE = 0.1
-"""Longest wait for an answer, or for bytes to be taken [s]; a Maestro on USB answers within 2 ms."""
-
-ERRORS = (
+_ERRORS_BY_BIT = (
     "serial signal error (a framing error or a wrong baud rate)",
-    "serial overrun (bytes came faster than it could read them)",
+    "serial overrun (bytes arrived faster than it could read them)",
     "serial buffer full",
     "serial CRC error (CRC is enabled in its settings; puddle sends none)",
-    "serial protocol error (it was sent bytes that are no command)",
-    "serial time-out (it heard nothing for longer than its settings allow)",
+    "serial protocol error (it received bytes that are not a command)",
+    "serial time-out (it received nothing for longer than its settings allow)",
     "script stack error",
     "script call stack error",
     "script program counter error",
 )
-"""By bit."""
 
 VENDOR_ID = 0x1FFB
 PRODUCT_IDS = (0x0089, 0x008A, 0x008B, 0x008C)
-"""Of Maestros with 6, 12, 18 and 24 channels on USB."""
+"""USB product IDs of the Maestros with 6, 12, 18 and 24 channels."""
 
 
 def two_bytes(value: int) -> bytes:
@@ -60,104 +55,105 @@ def two_bytes(value: int) -> bytes:
 
 
 def set_target(channel: int, pulse_us: float) -> bytes:
-    """Tell a channel its pulse [µs]; 0 stops it."""
-    return bytes((SET_TARGET, channel)) + two_bytes(round(pulse_us * UNITS_PER_US))
+    """Encode the command that sets a channel's pulse [µs]; 0 stops it."""
+    return bytes((_SET_TARGET, channel)) + two_bytes(round(pulse_us * _UNITS_PER_US))
 
 
 def set_speed(channel: int, rate_us: float) -> bytes:
-    """Limit a channel's rate [µs/s]: the next unit above, so that the controller never lags behind the host's limit."""
-    return bytes((SET_SPEED, channel)) + two_bytes(min(math.ceil(rate_us / SPEED_UNIT), (1 << 14) - 1))
+    """Encode a limit on a channel's rate [µs/s], rounded up so that the controller never lags behind the host."""
+    return bytes((_SET_SPEED, channel)) + two_bytes(min(math.ceil(rate_us / _SPEED_UNIT_US), (1 << 14) - 1))
 
 
 def no_acceleration_limit(channel: int) -> bytes:
-    """Lift a channel's limit of acceleration: the timeline's ramps are gentle, and a controller that lags is wrong."""
-    return bytes((SET_ACCELERATION, channel)) + two_bytes(0)
+    """Encode the removal of a channel's acceleration limit, which would make the controller lag behind the timeline."""
+    return bytes((_SET_ACCELERATION, channel)) + two_bytes(0)
 
 
 class Maestro:
-    """A Maestro on an open port; see :class:`pipeline.servo.controller.ServoDriver`."""
+    """A Maestro on an open port; implements :class:`pipeline.servo.servo_controller.ServoController`."""
 
     def __init__(self, port: Any, *, baud_detection: bool = False) -> None:
         """Take an open port.
 
         Args:
-            port: pyserial's, or one that behaves like it.
-            baud_detection: whether the controller waits for 0xAA to learn the baud rate from.
+            port: Port of pyserial, or an object that behaves like one.
+            baud_detection: Whether the controller waits for 0xAA to detect the baud rate.
         """
         self._port = port
         self._baud_detection = baud_detection
         self.name = str(port.name)
 
     def prepare(self, rates_us: Mapping[int, float]) -> None:
-        """Meet the controller, forget its old errors, and have it limit rates as well."""
+        """Contact the controller, clear old errors and limit the rate [µs/s] of each channel."""
         if self._baud_detection:
-            self._write(bytes((BAUD_INDICATION,)))
+            self._write(bytes((_BAUD_INDICATION,)))
         with contextlib.suppress(serial.SerialException, OSError):
-            self._port.reset_input_buffer()  # what it said to others before
-        self._errors()  # reading clears them; a time-out since the last run is as it should be
+            self._port.reset_input_buffer()  # answers to an earlier program
+        self._read_errors()  # reading clears them; a time-out since the last run is expected
         for channel, rate in rates_us.items():
             self._write(set_speed(channel, rate) + no_acceleration_limit(channel))
         self.check()
 
     def send(self, pulses_us: Mapping[int, float]) -> None:
-        """Set targets, all in one write."""
+        """Set the pulses [µs] of channels in one write."""
         self._write(b"".join(set_target(channel, pulse) for channel, pulse in pulses_us.items()))
 
     def position(self, channel: int) -> float:
-        """Read the pulse that a channel gets at the moment [µs]: the controller's word, not the horn's."""
-        answer = self._ask(bytes((GET_POSITION, channel)))
-        return int.from_bytes(answer, "little") / UNITS_PER_US
+        """Read the pulse that a channel puts out now [µs], which is not where the horn is."""
+        return int.from_bytes(self._ask(bytes((_GET_POSITION, channel))), "little") / _UNITS_PER_US
 
     def check(self) -> None:
-        """Refuse to go on where the controller has noted errors."""
-        found = self._errors()
-        if found:
-            names = [name for bit, name in enumerate(ERRORS) if found >> bit & 1] or [f"unknown bits {found:#06x}"]
-            raise ControllerFault(f"{self.name}: the controller reports: {'; '.join(names)}")
+        """Raise ControllerError if the controller reports errors."""
+        bits = self._read_errors()
+        if bits:
+            names = [name for bit, name in enumerate(_ERRORS_BY_BIT) if bits >> bit & 1]
+            raise ControllerError(f"{self.name}: the controller reports: {'; '.join(names)}")
 
     def home(self) -> None:
-        """Do with every channel what its settings say for errors."""
-        self._write(bytes((GO_HOME,)))
+        """Put every channel into the state that its settings give for errors."""
+        self._write(bytes((_GO_HOME,)))
 
     def off(self, channels: tuple[int, ...]) -> None:
-        """Stop the pulses of some channels."""
+        """Stop the pulses of channels."""
         self._write(b"".join(set_target(channel, 0) for channel in channels))
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Release the port."""
         with contextlib.suppress(serial.SerialException, OSError):
             self._port.close()
 
-    def _errors(self) -> int:
-        found = int.from_bytes(self._ask(bytes((GET_ERRORS,))), "little")
-        if found >> len(ERRORS):
-            raise ControllerFault(
-                f"{self.name}: expected the controller's errors, came {found:#06x}, which has bits "
-                f"that mean nothing. Is it a Maestro, and its Command Port?"
+    def _read_errors(self) -> int:
+        bits = int.from_bytes(self._ask(bytes((_GET_ERRORS,))), "little")
+        if bits >> len(_ERRORS_BY_BIT):
+            raise ControllerError(
+                f"{self.name}: expected error bits 0 to {len(_ERRORS_BY_BIT) - 1}, got {bits:#06x}. "
+                f"Is this a Maestro's Command Port?"
             )
-        return found
+        return bits
 
     def _write(self, data: bytes) -> None:
         try:
             self._port.write(data)
         except (serial.SerialException, OSError) as error:
-            raise PortLost(f"{self.name}: the port is lost while sending: {_reason(error)}") from error
+            raise PortLostError(f"{self.name}: lost the port while sending: {_reason(error)}") from error
 
     def _ask(self, command: bytes) -> bytes:
-        """Send a command that is answered by two bytes."""
+        """Send a command and read its answer of two bytes."""
         try:
-            stray = self._port.in_waiting
-            if stray:
-                said = self._port.read(stray)
-                raise ControllerFault(f"{self.name}: expected silence before a question, came {said[:16].hex(' ')}")
+            unread = self._port.in_waiting
+            if unread:
+                data = self._port.read(unread)
+                raise ControllerError(
+                    f"{self.name}: expected no bytes before the next command, got {data[:16].hex(' ')}"
+                )
             self._port.write(command)
             answer = bytes(self._port.read(2))
         except (serial.SerialException, OSError) as error:
-            raise PortLost(f"{self.name}: the port is lost while asking: {_reason(error)}") from error
+            raise PortLostError(f"{self.name}: lost the port while asking: {_reason(error)}") from error
         if len(answer) < 2:
-            raise ControllerFault(
-                f"{self.name}: expected an answer to {command.hex(' ')} within {PATIENCE * 1000:.0f} ms, came "
-                f"{answer.hex(' ') or 'nothing'}. Is it a Maestro, and its Command Port?"
+            raise ControllerError(
+                f"{self.name}: expected an answer to {command.hex(' ')} within {self._port.timeout:g} s, got "
+                f"{answer.hex(' ') or 'nothing'}. Is this a Maestro's Command Port? On a slow line, raise --timeout."
             )
         return answer
 
@@ -166,14 +162,20 @@ def _reason(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def open_maestro(path: str, *, baud: int, baud_detection: bool) -> Maestro:
-    """Open a Maestro's port, for us alone.
+def open_maestro(path: str, *, baud: int, baud_detection: bool, timeout: float = ANSWER_TIMEOUT) -> Maestro:
+    """Open a Maestro's port for exclusive use.
+
+    Args:
+        path: The port, such as /dev/ttyACM0.
+        baud: Baud rate; ignored on USB.
+        baud_detection: Whether the controller detects the baud rate from a first byte 0xAA.
+        timeout: Longest wait for an answer, or for bytes to be accepted [s].
 
     Raises:
-        PuddleError: the port is missing, busy, forbidden or no serial port; says what to do.
+        PuddleError: The port is missing, busy, forbidden or not a serial port.
     """
     try:
-        port = serial.Serial(path, baudrate=baud, timeout=PATIENCE, write_timeout=PATIENCE, exclusive=True)
+        port = serial.Serial(path, baudrate=baud, timeout=timeout, write_timeout=timeout, exclusive=True)
     except (serial.SerialException, OSError, ValueError) as error:
         raise PuddleError(f"{path}: {_advice(error)}") from error
     return Maestro(port, baud_detection=baud_detection)
@@ -182,9 +184,9 @@ def open_maestro(path: str, *, baud: int, baud_detection: bool) -> Maestro:
 def _advice(error: Exception) -> str:
     text, number = _reason(error), getattr(error, "errno", None)
     if number == errno.ENOENT or "No such file" in text:
-        return "there is no such port. Is the controller plugged in? `puddle drive --list-ports` shows what there is."
+        return "no such port. Is the controller plugged in? List the ports with `puddle drive --list-ports`."
     if number == errno.EACCES or "Permission denied" in text:
-        return "you may not use this port. On Linux, join its group (often dialout) and log in again."
+        return "permission denied. On Linux, join the port's group (often dialout) and log in again."
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in text or "busy" in text.lower():
-        return "the port is busy: another program has it (Maestro Control Center, another puddle). Close that first."
-    return f"it can't be opened as a serial port: {text}"
+        return "the port is busy. Close the program that uses it (Maestro Control Center, another puddle)."
+    return f"can't be opened as a serial port: {text}"

@@ -11,7 +11,7 @@ from tasks.fabrication.features import ear_screw_mm, horn_screw
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import Part, pin_length_mm
 from tasks.fabrication.rods import Layers
-from tasks.fabrication.servo_joints import Drive
+from tasks.fabrication.servo_joints import ServoJoint
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,9 @@ class BillLine:
     note: str
 
 
-def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, settings: KitSettings) -> list[BillLine]:
+def bill_of(
+    parts: Sequence[Part], servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitSettings
+) -> list[BillLine]:
     """List what a kit is made of."""
     lines = [
         BillLine(
@@ -44,15 +46,15 @@ def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, sett
     ]
     screws: Counter[tuple[str, str]] = Counter()
     n_servos = n_pins = 0
-    for drive in drives:
-        servo, n = drive.servo, settings.servos_per_joint
+    for servo_joint in servo_joints:
+        servo, n = servo_joint.servo, settings.servos_per_joint
         n_servos, n_pins = n_servos + n, n_pins + 2 - n
-        screws[f"{servo.ear_screw_name} × {ear_screw_mm(drive)}", "ears"] += n * len(drive.ear_holes())
-        screw = f"{drive.horn.screw_name} × {horn_screw(drive, settings).length_mm}"
-        screws[screw, "horn"] += n * len(drive.horn_holes())
+        screws[f"{servo.ear_screw_name} × {ear_screw_mm(servo_joint)}", "ears"] += n * len(servo_joint.ear_holes())
+        screw = f"{servo_joint.horn.screw_name} × {horn_screw(servo_joint, settings).length_mm}"
+        screws[screw, "horn"] += n * len(servo_joint.horn_holes())
         screws[servo.centre_screw_name, "centre of the horn, comes with the servo"] += n
     if n_servos:
-        servo = drives[0].servo
+        servo = servo_joints[0].servo
         lines.append(
             BillLine(
                 "servo",
@@ -72,14 +74,14 @@ def bill_of(parts: Sequence[Part], drives: Sequence[Drive], layers: Layers, sett
             lines.append(_steel("rod", length, count, settings, "through both pontoons, glued"))
     if n_pins:
         lines.append(_steel("pin", pin_length_mm(settings), n_pins, settings, "turns in the part with the wider bore"))
-    return lines + _what_pages_ask_for(drives, n_servos)
+    return lines + _what_pages_ask_for(servo_joints, n_servos)
 
 
-def _what_pages_ask_for(drives: Sequence[Drive], n_servos: int) -> list[BillLine]:
+def _what_pages_ask_for(servo_joints: Sequence[ServoJoint], n_servos: int) -> list[BillLine]:
     """List what docs/assembly.md and docs/servo.md need beside the robot's own things."""
     lines = [BillLine("supplies", "glue", 1, None, None, "rods, pins, pieces of split parts")]
     if n_servos:
-        servo = drives[0].servo
+        servo = servo_joints[0].servo
         lines += [
             BillLine("supplies", "silicone sealant", 1, None, None, "seams of the servos' cases, cables' entries"),
             BillLine("supplies", "marine grease", 1, None, None, "in the servos' gearboxes, on the O-rings"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-PACKAGES = ("build123d", "ezdxf", "shapely")
+_PACKAGES = ("build123d", "ezdxf", "shapely")
 
 
 class MissingCadError(RuntimeError):
@@ -17,7 +17,7 @@ def require_cad() -> None:
     Raises:
         MissingCadError: a package is missing.
     """
-    missing = [package for package in PACKAGES if find_spec(package) is None]
+    missing = [package for package in _PACKAGES if find_spec(package) is None]
     if missing:
         raise MissingCadError(
             f"making parts needs {', '.join(missing)}, not installed here: pip install 'puddle[cad]' "

@@ -42,7 +42,7 @@ class ServoCalibration(Parameters):
     @classmethod
     def _a_number(cls, value: object) -> object:
         if isinstance(value, bool):  # which equals 1 or 0
-            raise ValueError(f"expected 1 or -1, came {str(value).lower()}")
+            raise ValueError(f"expected 1 or -1, got {str(value).lower()}")
         return value
 
     @model_validator(mode="after")

@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.fabrication.built_bodies import Point
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.servo_joints import Drive
+from tasks.fabrication.servo_joints import ServoJoint
 
 ARC_SEGMENTS = 64
 """Chords for a quarter of a circle: their area misses the circle's by 1 part in 10,000."""
@@ -26,7 +26,7 @@ PILOT = 0.85
 """Of a self-tapping screw's diameter: the hole that it cuts its thread into."""
 CLEAR_MM = 0.4
 """Added to a screw's diameter where it passes freely."""
-HEAD = 2.0
+_HEAD = 2.0
 """Of a screw's diameter: its head, nearly."""
 HEAD_CLEAR_MM = 1.0
 """Added to a head's diameter where it and the driver pass."""
@@ -64,35 +64,35 @@ def bore(label: str, group: str, at: Point, diameter: float, low: float, high: f
     return Feature(label, group, outline, low, high, (at, diameter / 2))
 
 
-def plate_mm(drive: Drive) -> float:
+def plate_mm(servo_joint: ServoJoint) -> float:
     """Give the thickness of the plate that the ears are screwed to: what the case is higher than its ears."""
-    return drive.servo.height_mm - drive.servo.ear_bottom_mm - drive.servo.ear_thickness_mm
+    return servo_joint.servo.height_mm - servo_joint.servo.ear_bottom_mm - servo_joint.servo.ear_thickness_mm
 
 
-def ear_screw_mm(drive: Drive) -> int:
+def ear_screw_mm(servo_joint: ServoJoint) -> int:
     """Choose the longest screw that is sold and ends within the plate that the ears are screwed to.
 
     Raises:
         KitError: even the shortest would come out of it.
     """
-    reach = drive.servo.ear_thickness_mm + plate_mm(drive)
+    reach = servo_joint.servo.ear_thickness_mm + plate_mm(servo_joint)
     fitting = [length for length in SCREW_LENGTHS_MM if length <= reach]
     if not fitting:
         raise KitError(
-            f"servo {drive.servo.name}: its ears and the plate before them are {reach:g} mm thick, expected "
+            f"servo {servo_joint.servo.name}: its ears and the plate before them are {reach:g} mm thick, expected "
             f"{SCREW_LENGTHS_MM[0]} or more, the shortest screw"
         )
     return fitting[-1]
 
 
-def check_room_between(drives: Sequence[Drive], settings: KitSettings) -> None:
+def check_room_between(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> None:
     """Refuse pontoons so close that their inner layers, or the servos that stand out of them, would meet.
 
     Raises:
         KitError: says how much room is left.
     """
-    out = max((drive.servo.height_mm - settings.thickness_mm for drive in drives), default=0.0)
-    layers = 2 * settings.thickness_mm + settings.layer_gap_mm if drives else settings.thickness_mm
+    out = max((servo_joint.servo.height_mm - settings.thickness_mm for servo_joint in servo_joints), default=0.0)
+    layers = 2 * settings.thickness_mm + settings.layer_gap_mm if servo_joints else settings.thickness_mm
     room = settings.pitch_mm + settings.thickness_mm - 2 * layers - 2 * max(out, 0.0)
     if room <= 0.0:
         raise KitError(
@@ -101,70 +101,72 @@ def check_room_between(drives: Sequence[Drive], settings: KitSettings) -> None:
         )
 
 
-def cradle_features(drive: Drive, settings: KitSettings) -> list[Feature]:
+def cradle_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feature]:
     """Cut the servo's pocket, its ears' screws and its cable's ways out into the part that carries it.
 
     Raises:
         KitError: the part is too thin for the servo.
     """
-    servo, group, thickness = drive.servo, f"servo of joint {drive.joint.link}", settings.thickness_mm
-    floor = thickness - plate_mm(drive)
+    servo, group, thickness = servo_joint.servo, f"servo of joint {servo_joint.joint.link}", settings.thickness_mm
+    floor = thickness - plate_mm(servo_joint)
     if floor < servo.ear_thickness_mm + NOTCH_DEPTH_MM:
         raise KitError(
             f"thickness_mm is {thickness:g}: servo {servo.name} needs at least "
-            f"{plate_mm(drive) + servo.ear_thickness_mm + NOTCH_DEPTH_MM:g}"
+            f"{plate_mm(servo_joint) + servo.ear_thickness_mm + NOTCH_DEPTH_MM:g}"
         )
     features = [
-        Feature("pocket", group, drive.pocket, 0.0, floor),
-        Feature("case", group, drive.case, floor, thickness),
+        Feature("pocket", group, servo_joint.pocket, 0.0, floor),
+        Feature("case", group, servo_joint.case, floor, thickness),
     ]
-    features += [bore("ear screw", group, at, PILOT * servo.ear_screw_mm, floor, thickness) for at in drive.ear_holes()]
-    features += [Feature("cable", group, way, 0.0, NOTCH_DEPTH_MM) for way in drive.cable_ways]
+    features += [
+        bore("ear screw", group, at, PILOT * servo.ear_screw_mm, floor, thickness) for at in servo_joint.ear_holes()
+    ]
+    features += [Feature("cable", group, way, 0.0, NOTCH_DEPTH_MM) for way in servo_joint.cable_ways]
     return features
 
 
-def horn_features(drive: Drive, settings: KitSettings) -> list[Feature]:
+def horn_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feature]:
     """Cut the horn's recess and its screws' holes into the part that it turns.
 
     Raises:
         KitError: the part is too thin for the horn.
     """
-    horn, group, thickness = drive.horn, f"horn of joint {drive.joint.link}", settings.thickness_mm
-    seat = horn_seat_mm(drive, settings)
+    horn, group, thickness = servo_joint.horn, f"horn of joint {servo_joint.joint.link}", settings.thickness_mm
+    seat = horn_seat_mm(servo_joint, settings)
     if seat < WEB_MM:
         raise KitError(
-            f"thickness_mm is {thickness:g}: the horn of servo {drive.servo.name} needs at least "
+            f"thickness_mm is {thickness:g}: the horn of servo {servo_joint.servo.name} needs at least "
             f"{thickness - seat + WEB_MM:g}"
         )
-    at = drive.joint.at
+    at = servo_joint.joint.at
     if horn.kind == "disc":
-        features = [bore("horn", group, at, 2 * drive.recess_radius_mm, seat, thickness)]
+        features = [bore("horn", group, at, 2 * servo_joint.recess_radius_mm, seat, thickness)]
     else:
-        half = horn.arm_width_mm / 2 + drive.clearance_mm
-        long, wide = (reach + drive.clearance_mm for reach in (horn.long_mm, horn.short_mm))
+        half = horn.arm_width_mm / 2 + servo_joint.clearance_mm
+        long, wide = (reach + servo_joint.clearance_mm for reach in (horn.long_mm, horn.short_mm))
         features = [
-            Feature("horn", group, drive.placed(-long, long, half), seat, thickness),
-            Feature("horn", group, drive.placed(-half, half, wide), seat, thickness),
-            bore("horn", group, at, horn.hub_mm + 2 * drive.clearance_mm, seat, thickness),
+            Feature("horn", group, servo_joint.placed(-long, long, half), seat, thickness),
+            Feature("horn", group, servo_joint.placed(-half, half, wide), seat, thickness),
+            bore("horn", group, at, horn.hub_mm + 2 * servo_joint.clearance_mm, seat, thickness),
         ]
-    through = HEAD * drive.servo.centre_screw_mm + HEAD_CLEAR_MM
-    head = HEAD * horn.screw_mm + CLEAR_MM
+    through = _HEAD * servo_joint.servo.centre_screw_mm + HEAD_CLEAR_MM
+    head = _HEAD * horn.screw_mm + CLEAR_MM
     between = horn.screw_radius_mm - head / 2 - through / 2
-    sunk = seat - horn_screw(drive, settings).web_mm
+    sunk = seat - horn_screw(servo_joint, settings).web_mm
     features.append(bore("centre screw", group, at, through, sunk, seat))
     if sunk > 0.0:  # where a wall between them would be too thin, the bores are made to meet
         wide = through if between >= settings.min_wall_mm else 2 * (horn.screw_radius_mm - head / 2 + MEET_MM)
         features.append(bore("centre screw", group, at, wide, 0.0, sunk))
-    for hole in drive.horn_holes():
+    for hole in servo_joint.horn_holes():
         features.append(bore("horn screw", group, hole, horn.screw_mm + CLEAR_MM, sunk, seat))
         if sunk > 0.0:
             features.append(bore("screw head", group, hole, head, 0.0, sunk))
     return features
 
 
-def horn_seat_mm(drive: Drive, settings: KitSettings) -> float:
+def horn_seat_mm(servo_joint: ServoJoint, settings: KitSettings) -> float:
     """Give the height of the recess' floor, on which the horn's top lies."""
-    return settings.thickness_mm - (drive.horn.top_mm - settings.layer_gap_mm)
+    return settings.thickness_mm - (servo_joint.horn.top_mm - settings.layer_gap_mm)
 
 
 @dataclass(frozen=True)
@@ -178,53 +180,53 @@ class HornScrew:
     """Of the horn that its thread holds in."""
 
 
-def horn_screw(drive: Drive, settings: KitSettings) -> HornScrew:
+def horn_screw(servo_joint: ServoJoint, settings: KitSettings) -> HornScrew:
     """Choose the shortest screw that is sold and comes out of the horn, by sinking its head as deep as that takes.
 
     Raises:
         KitError: every length leaves too little plastic, or touches the servo's case.
     """
-    horn, seat = drive.horn, horn_seat_mm(drive, settings)
+    horn, seat = servo_joint.horn, horn_seat_mm(servo_joint, settings)
     for length in SCREW_LENGTHS_MM:
         web = min(length - horn.thickness_mm - TIP_MM, seat)
         if web >= WEB_MM and length - web <= horn.top_mm - TIP_MM:
             return HornScrew(length, web, min(length - web, horn.thickness_mm))
     raise KitError(
-        f"servo {drive.servo.name}: no screw of {SCREW_LENGTHS_MM[0]} to {SCREW_LENGTHS_MM[-1]} mm holds a "
+        f"servo {servo_joint.servo.name}: no screw of {SCREW_LENGTHS_MM[0]} to {SCREW_LENGTHS_MM[-1]} mm holds a "
         f"{horn.kind} horn {horn.thickness_mm:g} mm thick that ends {horn.top_mm:g} mm above the case: "
         f"expected one that passes {WEB_MM:g} to {seat:g} mm of plastic and the horn, and stays "
         f"{TIP_MM:g} mm off the case"
     )
 
 
-def pin_feature(drive: Drive, settings: KitSettings, *, turning: bool) -> Feature:
+def pin_feature(servo_joint: ServoJoint, settings: KitSettings, *, turning: bool) -> Feature:
     """Cut the bore of the pin that stands for a servo in the pontoon that has none."""
     clearance = settings.pivot_clearance_mm if turning else settings.rod_clearance_mm
-    group = f"pin of joint {drive.joint.link}"
-    return bore("pin", group, drive.joint.at, settings.rod_mm + clearance, 0.0, settings.thickness_mm)
+    group = f"pin of joint {servo_joint.joint.link}"
+    return bore("pin", group, servo_joint.joint.at, settings.rod_mm + clearance, 0.0, settings.thickness_mm)
 
 
 def features_of(
-    body: int, side: str, drives: Sequence[Drive], rods: Sequence[Point], settings: KitSettings
+    body: int, side: str, servo_joints: Sequence[ServoJoint], rods: Sequence[Point], settings: KitSettings
 ) -> tuple[Feature, ...]:
     """List all that is cut out of one copy of a part.
 
     Args:
         body: index of the part.
         side: the pontoon, left or right.
-        drives: of the whole robot.
+        servo_joints: of the whole robot.
         rods: this part's.
         settings: of the kit.
     """
     features: list[Feature] = []
-    for drive in drives:
-        if body not in (drive.carrier, drive.driven):
+    for servo_joint in servo_joints:
+        if body not in (servo_joint.carrier, servo_joint.driven):
             continue
-        carries = drive.carrier == body
-        if side in drive.sides(settings.servos_per_joint):
-            features += cradle_features(drive, settings) if carries else horn_features(drive, settings)
+        carries = servo_joint.carrier == body
+        if side in servo_joint.sides(settings.servos_per_joint):
+            features += cradle_features(servo_joint, settings) if carries else horn_features(servo_joint, settings)
         else:
-            features.append(pin_feature(drive, settings, turning=not carries))
+            features.append(pin_feature(servo_joint, settings, turning=not carries))
     for number, rod in enumerate(rods, 1):
         diameter = settings.rod_mm + settings.rod_clearance_mm
         features.append(bore("rod", f"rod {number}", rod, diameter, 0.0, settings.thickness_mm))

@@ -47,8 +47,8 @@ def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
     """
     mass = kit.mass_g / 1000
     servos = 0.0
-    for drive in kit.drives:
-        case = drive.servo.length_mm * drive.servo.width_mm * drive.servo.height_mm
+    for servo_joint in kit.servo_joints:
+        case = servo_joint.servo.length_mm * servo_joint.servo.width_mm * servo_joint.servo.height_mm
         servos += case * kit.settings.servos_per_joint
     sealed, flooded = kit.hull_mm3 * 1e-9, (kit.printed_mm3 + servos) * 1e-9
     outlines = [profile.polygon for profile in kit.profiles]

@@ -17,7 +17,7 @@ from tasks.fabrication.features import Feature, cradle_features, horn_features, 
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import cut_out, printed_mass_g
 from tasks.fabrication.profile import cradle_boss, horn_boss, polygon_of
-from tasks.fabrication.servo_joints import Drive
+from tasks.fabrication.servo_joints import ServoJoint
 
 RIM_MM = 3.0
 """Of the pocket behind the ears."""
@@ -33,24 +33,28 @@ class Gauge:
     mass_g: float
 
 
-def gauges_of(drives: Sequence[Drive], settings: KitSettings) -> tuple[Gauge, ...]:
+def gauges_of(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> tuple[Gauge, ...]:
     """Make the gauges of a kit's servo; none where no joint is driven.
 
     Raises:
         KitError: the part is too thin for the servo or its horn.
         SolidError: the kernel made something else than what the outlines say.
     """
-    if not drives:
+    if not servo_joints:
         return ()
-    drive = replace(drives[0], joint=replace(drives[0].joint, at=(0.0, 0.0)), angle=0.0)
-    behind_the_ears = settings.thickness_mm - plate_mm(drive)
-    under_the_heads = horn_seat_mm(drive, settings) - horn_screw(drive, settings).web_mm
+    servo_joint = replace(servo_joints[0], joint=replace(servo_joints[0].joint, at=(0.0, 0.0)), angle=0.0)
+    behind_the_ears = settings.thickness_mm - plate_mm(servo_joint)
+    under_the_heads = horn_seat_mm(servo_joint, settings) - horn_screw(servo_joint, settings).web_mm
     servo = _slice(
-        "gauge-servo", cradle_boss(drive), cradle_features(drive, settings), behind_the_ears - RIM_MM, settings
+        "gauge-servo",
+        cradle_boss(servo_joint),
+        cradle_features(servo_joint, settings),
+        behind_the_ears - RIM_MM,
+        settings,
     )
     height = servo.solid.bounding_box().size.Z
     over = servo.solid.rotate(Axis.X, 180.0).moved(Location((0.0, 0.0, height)))  # the pocket opens upward
-    horn = _slice("gauge-horn", horn_boss(drive), horn_features(drive, settings), under_the_heads, settings)
+    horn = _slice("gauge-horn", horn_boss(servo_joint), horn_features(servo_joint, settings), under_the_heads, settings)
     return (replace(servo, solid=over), horn)
 
 

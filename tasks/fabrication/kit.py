@@ -13,14 +13,14 @@ from tasks.design import Designs
 from tasks.design.genes import check
 from tasks.fabrication.bill import BillLine, bill_of
 from tasks.fabrication.built_bodies import Mechanism, mechanism_of
-from tasks.fabrication.checks import Finding, findings_of
+from tasks.fabrication.checks import KitFinding, findings_of
 from tasks.fabrication.features import Feature, check_room_between, features_of
 from tasks.fabrication.gauges import Gauge, gauges_of
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.parts import SIDES, Bought, Part, bought_of, parts_of
+from tasks.fabrication.parts import SIDES, BoughtPart, Part, bought_of, parts_of
 from tasks.fabrication.profile import Profile, profile_of
 from tasks.fabrication.rods import Layers, keep_out, layers_of, rod_circles
-from tasks.fabrication.servo_joints import Drive, drives_of
+from tasks.fabrication.servo_joints import ServoJoint, servo_joints_of
 from tasks.fabrication.servos import Sense
 from tasks.fabrication.splits import Split, split_of
 
@@ -32,7 +32,7 @@ class Kit:
     settings: KitSettings
     mechanism: Mechanism
     """Rigid bodies and turning joints."""
-    drives: tuple[Drive, ...]
+    servo_joints: tuple[ServoJoint, ...]
     """One for every turning joint, in order of their child links."""
     profiles: tuple[Profile, ...]
     """Of every body."""
@@ -42,11 +42,11 @@ class Kit:
     """What is cut out of every body's copy, by its index and side."""
     parts: tuple[Part, ...]
     """Pieces to print."""
-    bought: tuple[Bought, ...]
+    bought: tuple[BoughtPart, ...]
     """Servos, horns, rods and pins, in their places."""
     gauges: tuple[Gauge, ...]
     """To print before the parts: whether servo and horn fit."""
-    findings: tuple[Finding, ...]
+    findings: tuple[KitFinding, ...]
     """Faults first."""
     bill: tuple[BillLine, ...]
 
@@ -73,8 +73,8 @@ class Kit:
             joint: number of its child link.
             side: the pontoon of the servo, left or right.
         """
-        drive = next(drive for drive in self.drives if drive.joint.link == joint)
-        return drive.direction(carrier_is_outer=self.layers.outer[drive.carrier], side=side)
+        servo_joint = next(servo_joint for servo_joint in self.servo_joints if servo_joint.joint.link == joint)
+        return servo_joint.direction(carrier_is_outer=self.layers.outer[servo_joint.carrier], side=side)
 
 
 def build_kit(design: Designs, settings: KitSettings) -> Kit:
@@ -92,33 +92,33 @@ def build_kit(design: Designs, settings: KitSettings) -> Kit:
     """
     check(design)
     mechanism = mechanism_of(design, settings)
-    drives = drives_of(mechanism, settings)
-    check_room_between(drives, settings)
-    profiles = tuple(profile_of(mechanism, drives, body.index, settings) for body in mechanism.bodies)
+    servo_joints = servo_joints_of(mechanism, settings)
+    check_room_between(servo_joints, settings)
+    profiles = tuple(profile_of(mechanism, servo_joints, body.index, settings) for body in mechanism.bodies)
     outlines = [profile.polygon for profile in profiles]
-    layers = layers_of(mechanism, drives, outlines, settings)
+    layers = layers_of(mechanism, servo_joints, outlines, settings)
     splits, features, parts = [], {}, []
     for body in mechanism.bodies:
         bores = rod_circles(layers.rods[body.index], (settings.rod_mm + settings.rod_clearance_mm) / 2)
-        taken = unary_union([keep_out(drives, body.index), bores])
+        taken = unary_union([keep_out(servo_joints, body.index), bores])
         split = split_of(mechanism, body.index, outlines[body.index], taken, settings)
         splits.append(split)
         for side in SIDES:
-            cut = features_of(body.index, side, drives, layers.rods[body.index], settings)
+            cut = features_of(body.index, side, servo_joints, layers.rods[body.index], settings)
             features[body.index, side] = cut
             name = f"part-{body.index + 1}-{side}"
             parts += parts_of(name, body.index, side, profiles[body.index], cut, split, layers, settings)
     return Kit(
         settings=settings,
         mechanism=mechanism,
-        drives=drives,
+        servo_joints=servo_joints,
         profiles=profiles,
         layers=layers,
         splits=tuple(splits),
         features=features,
         parts=tuple(parts),
-        bought=tuple(bought_of(drives, layers, settings)),
-        gauges=gauges_of(drives, settings),
-        findings=findings_of(mechanism, drives, outlines, layers, splits, features, settings),
-        bill=tuple(bill_of(parts, drives, layers, settings)),
+        bought=tuple(bought_of(servo_joints, layers, settings)),
+        gauges=gauges_of(servo_joints, settings),
+        findings=findings_of(mechanism, servo_joints, outlines, layers, splits, features, settings),
+        bill=tuple(bill_of(parts, servo_joints, layers, settings)),
     )

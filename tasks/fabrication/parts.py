@@ -19,7 +19,7 @@ from tasks.fabrication.features import Feature, volume_mm3
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.profile import Profile, SolidError
 from tasks.fabrication.rods import Layers
-from tasks.fabrication.servo_joints import Drive
+from tasks.fabrication.servo_joints import ServoJoint
 from tasks.fabrication.splits import Split, bed_mm, turn_to_fit
 
 SIDES = ("left", "right")
@@ -51,7 +51,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Bought:
+class BoughtPart:
     """A servo with its horn, a rod or a pin, in its place in the robot."""
 
     name: str
@@ -191,26 +191,26 @@ def on_bed(part: Part, mesh: Mesh) -> Mesh:
     return Mesh(vertices - vertices.min(axis=0), mesh.triangles)
 
 
-def bought_of(drives: Sequence[Drive], layers: Layers, settings: KitSettings) -> list[Bought]:
+def bought_of(servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitSettings) -> list[BoughtPart]:
     """Give the servos, horns, pins and rods, as plain shapes."""
     things = []
     thickness = settings.thickness_mm
-    for drive in drives:
+    for servo_joint in servo_joints:
         for side in SIDES:
-            label = f"joint {drive.joint.link}, {side}"
-            if side in drive.sides(settings.servos_per_joint):
-                for kind, shape in (("servo", _servo(drive, thickness)), ("horn", _horn(drive, thickness))):
-                    there = placed(shape, drive.carrier, side, layers, settings)
-                    things.append(Bought(f"{kind} of {label}", kind, there))
+            label = f"joint {servo_joint.joint.link}, {side}"
+            if side in servo_joint.sides(settings.servos_per_joint):
+                for kind, shape in (("servo", _servo(servo_joint, thickness)), ("horn", _horn(servo_joint, thickness))):
+                    there = placed(shape, servo_joint.carrier, side, layers, settings)
+                    things.append(BoughtPart(f"{kind} of {label}", kind, there))
             else:
                 low = 0.0 if side == "left" else settings.pitch_mm - thickness - settings.layer_gap_mm
-                pin = _rod(drive.joint.at, settings.rod_mm, low, pin_length_mm(settings))
-                things.append(Bought(f"pin of {label}", "pin", pin))
+                pin = _rod(servo_joint.joint.at, settings.rod_mm, low, pin_length_mm(settings))
+                things.append(BoughtPart(f"pin of {label}", "pin", pin))
     for body, rods in enumerate(layers.rods):
         for number, at in enumerate(rods, 1):
             low, length = layers.low_mm(body, settings), layers.rod_length_mm(body, settings)
             rod = _rod(at, settings.rod_mm, low, length)
-            things.append(Bought(f"rod {number} of part {body + 1}", "rod", rod))
+            things.append(BoughtPart(f"rod {number} of part {body + 1}", "rod", rod))
     return things
 
 
@@ -223,32 +223,32 @@ def _rod(at: tuple[float, float], diameter: float, low: float, length: float) ->
     return Solid.make_cylinder(diameter / 2, length, Plane((*at, low)))
 
 
-def _servo(drive: Drive, face: float) -> Shape:
+def _servo(servo_joint: ServoJoint, face: float) -> Shape:
     """Give case, ears and spline in the frame of the part that carries it, the case's top flush with the face."""
-    servo = drive.servo
+    servo = servo_joint.servo
     middle = servo.length_mm / 2 - servo.shaft_offset_mm
     bottom = face - servo.height_mm
     case = Location((middle, 0, bottom + servo.height_mm / 2)) * Box(servo.length_mm, servo.width_mm, servo.height_mm)
     ear_height = bottom + servo.ear_bottom_mm + servo.ear_thickness_mm / 2
     ears = Location((middle, 0, ear_height)) * Box(servo.ear_length_mm, servo.width_mm, servo.ear_thickness_mm)
-    stub = drive.horn.top_mm - drive.horn.thickness_mm
-    hub = Location((0, 0, face + stub / 2)) * Cylinder(drive.horn.hub_mm / 2, stub)
-    return _in_plane(case + ears + hub, drive)
+    stub = servo_joint.horn.top_mm - servo_joint.horn.thickness_mm
+    hub = Location((0, 0, face + stub / 2)) * Cylinder(servo_joint.horn.hub_mm / 2, stub)
+    return _in_plane(case + ears + hub, servo_joint)
 
 
-def _horn(drive: Drive, face: float) -> Shape:
-    horn = drive.horn
+def _horn(servo_joint: ServoJoint, face: float) -> Shape:
+    horn = servo_joint.horn
     height = face + horn.top_mm - horn.thickness_mm / 2
     if horn.kind == "disc":
         shape: Shape = Cylinder(horn.long_mm, horn.thickness_mm)
     else:
         shape = Box(2 * horn.long_mm, horn.arm_width_mm, horn.thickness_mm)
         shape += Box(horn.arm_width_mm, 2 * horn.short_mm, horn.thickness_mm)
-    return _in_plane(Location((0, 0, height)) * shape, drive)
+    return _in_plane(Location((0, 0, height)) * shape, servo_joint)
 
 
-def _in_plane(shape: Shape, drive: Drive) -> Shape:
-    return Location((*drive.joint.at, 0.0), (0.0, 0.0, degrees(drive.angle))) * shape
+def _in_plane(shape: Shape, servo_joint: ServoJoint) -> Shape:
+    return Location((*servo_joint.joint.at, 0.0), (0.0, 0.0, degrees(servo_joint.angle))) * shape
 
 
 def mesh_of(shape: Shape) -> Mesh:

@@ -16,7 +16,7 @@ from shapely import Polygon
 
 from tasks.fabrication.built_bodies import Mechanism, Point
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.servo_joints import Drive, outline_with_bosses
+from tasks.fabrication.servo_joints import ServoJoint, outline_with_bosses
 
 ARC_STEP = np.radians(4.0)
 """Of the polygon's chords along an arc; at a radius of 20 mm they miss it by 0.01 mm."""
@@ -42,15 +42,15 @@ class Profile:
     """The same, with chords for arcs."""
 
 
-def profile_of(mechanism: Mechanism, drives: Sequence[Drive], body: int, settings: KitSettings) -> Profile:
+def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int, settings: KitSettings) -> Profile:
     """Unite a part's links and bosses and round the corners where they meet.
 
     Raises:
         SolidError: the union is not in one piece, or has another area than polygons say.
     """
     name = mechanism.bodies[body].name
-    expected = outline_with_bosses(mechanism, drives, body)
-    face = _united([*_links(mechanism, body), *_bosses(drives, body)], name)
+    expected = outline_with_bosses(mechanism, servo_joints, body)
+    face = _united([*_links(mechanism, body), *_bosses(servo_joints, body)], name)
     if abs(face.area - expected.area) > AREA_TOLERANCE * expected.area:
         raise SolidError(f"{name}: its outline has {face.area:.1f} mm², expected {expected.area:.1f}")
     face = _rounded(face, settings.fillet_mm)
@@ -64,27 +64,27 @@ def _links(mechanism: Mechanism, body: int) -> list[Sketch]:
     ]
 
 
-def _bosses(drives: Sequence[Drive], body: int) -> list[Sketch]:
+def _bosses(servo_joints: Sequence[ServoJoint], body: int) -> list[Sketch]:
     bosses = []
-    for drive in drives:
-        if drive.carrier == body:
-            bosses.append(cradle_boss(drive))
-        elif drive.driven == body:
-            bosses.append(horn_boss(drive))
+    for servo_joint in servo_joints:
+        if servo_joint.carrier == body:
+            bosses.append(cradle_boss(servo_joint))
+        elif servo_joint.driven == body:
+            bosses.append(horn_boss(servo_joint))
     return bosses
 
 
-def cradle_boss(drive: Drive) -> Sketch:
+def cradle_boss(servo_joint: ServoJoint) -> Sketch:
     """Draw what a servo's cradle needs, in its place."""
-    servo, wall = drive.servo, drive.wall_mm
-    middle = drive.point(servo.length_mm / 2 - servo.shaft_offset_mm, 0.0)
-    length = servo.ear_length_mm + 2 * (drive.clearance_mm + wall)
-    return _at(middle, drive.angle) * RectangleRounded(length, drive.cradle_width_mm, wall)
+    servo, wall = servo_joint.servo, servo_joint.wall_mm
+    middle = servo_joint.point(servo.length_mm / 2 - servo.shaft_offset_mm, 0.0)
+    length = servo.ear_length_mm + 2 * (servo_joint.clearance_mm + wall)
+    return _at(middle, servo_joint.angle) * RectangleRounded(length, servo_joint.cradle_width_mm, wall)
 
 
-def horn_boss(drive: Drive) -> Sketch:
+def horn_boss(servo_joint: ServoJoint) -> Sketch:
     """Draw what a horn's recess needs, in its place."""
-    return _at(drive.joint.at, 0.0) * Circle(drive.recess_radius_mm + drive.wall_mm)
+    return _at(servo_joint.joint.at, 0.0) * Circle(servo_joint.recess_radius_mm + servo_joint.wall_mm)
 
 
 def _at(place: Point, angle: float) -> Location:

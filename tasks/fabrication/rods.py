@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from tasks.fabrication.built_bodies import Mechanism, Point, swept
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.servo_joints import Drive
+from tasks.fabrication.servo_joints import ServoJoint
 
 LEAST_SPREAD_MM = 15.0
 """Two rods nearer to one another than this count as one: they hardly stop a part from twisting."""
@@ -48,13 +48,13 @@ class Layers:
 
 
 def layers_of(
-    mechanism: Mechanism, drives: Sequence[Drive], outlines: Sequence[Polygon], settings: KitSettings
+    mechanism: Mechanism, servo_joints: Sequence[ServoJoint], outlines: Sequence[Polygon], settings: KitSettings
 ) -> Layers:
     """Choose the layers and place the rods.
 
     Args:
         mechanism: n parts.
-        drives: one for every joint.
+        servo_joints: one for every joint.
         outlines: of the parts, bosses and fillets included.
         settings: of the rods.
     """
@@ -62,31 +62,31 @@ def layers_of(
     for parity in (0, 1) if mechanism.joints else (0,):
         outer = tuple(body.depth % 2 == parity for body in mechanism.bodies)
         rods = tuple(
-            _placed(_room(body.index, outer, mechanism, drives, outlines, settings), settings.rods_per_part)
+            _placed(_room(body.index, outer, mechanism, servo_joints, outlines, settings), settings.rods_per_part)
             for body in mechanism.bodies
         )
         choices.append(Layers(outer, rods))
     return max(choices, key=lambda layers: (sum(min(len(r), 2) for r in layers.rods), sum(map(_spread, layers.rods))))
 
 
-def keep_out(drives: Sequence[Drive], body: int) -> BaseGeometry:
+def keep_out(servo_joints: Sequence[ServoJoint], body: int) -> BaseGeometry:
     """Give what a part's drives take of it: pockets, cables' ways out, recesses and pins."""
-    carried = [hollow for d in drives if d.carrier == body for hollow in (d.pocket, *d.cable_ways)]
-    return unary_union([*carried, *(d.recess for d in drives if d.driven == body)])
+    carried = [hollow for d in servo_joints if d.carrier == body for hollow in (d.pocket, *d.cable_ways)]
+    return unary_union([*carried, *(d.recess for d in servo_joints if d.driven == body)])
 
 
 def _room(
     body: int,
     outer: Sequence[bool],
     mechanism: Mechanism,
-    drives: Sequence[Drive],
+    servo_joints: Sequence[ServoJoint],
     outlines: Sequence[Polygon],
     settings: KitSettings,
 ) -> BaseGeometry:
     """Give where the middle of a part's rod may lie."""
     radius = settings.rod_mm / 2
     margin = radius + settings.rod_clearance_mm / 2 + settings.wall_mm
-    room = outlines[body].buffer(-margin).difference(keep_out(drives, body).buffer(margin))
+    room = outlines[body].buffer(-margin).difference(keep_out(servo_joints, body).buffer(margin))
     if outer[body]:
         for other in mechanism.bodies:
             if not outer[other.index] and not room.is_empty:

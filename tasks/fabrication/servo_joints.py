@@ -44,7 +44,7 @@ CABLE_ROOM_MM = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class ServoJoint:
     """A joint's servo in one part and its horn in the other."""
 
     joint: Joint
@@ -160,7 +160,7 @@ def servo_of(settings: KitSettings) -> Servo:
     return as_measured(servo_named(settings.servo), settings.horn, settings.measured)
 
 
-def drives_of(mechanism: Mechanism, settings: KitSettings) -> tuple[Drive, ...]:
+def servo_joints_of(mechanism: Mechanism, settings: KitSettings) -> tuple[ServoJoint, ...]:
     """Choose for every joint, one after the other, which part carries its servo and how it lies.
 
     Raises:
@@ -169,10 +169,10 @@ def drives_of(mechanism: Mechanism, settings: KitSettings) -> tuple[Drive, ...]:
     servo = servo_of(settings)
     (horn,) = servo.horns
     ways = {body.index: _ways(mechanism, body.index) for body in mechanism.bodies} if mechanism.joints else {}
-    drives: list[Drive] = []
+    servo_joints: list[ServoJoint] = []
     for number, joint in enumerate(mechanism.joints):
         candidates = [
-            Drive(
+            ServoJoint(
                 joint=joint,
                 number=number,
                 servo=servo,
@@ -187,9 +187,9 @@ def drives_of(mechanism: Mechanism, settings: KitSettings) -> tuple[Drive, ...]:
             for carrier, link in ((joint.parent, joint.parent_link), (joint.child, joint.link))
             for quarter in range(4)
         ]
-        costs = [round(_cost(candidate, mechanism, drives, ways), COST_DIGITS) for candidate in candidates]
-        drives.append(candidates[costs.index(min(costs))])
-    return tuple(drives)
+        costs = [round(_cost(candidate, mechanism, servo_joints, ways), COST_DIGITS) for candidate in candidates]
+        servo_joints.append(candidates[costs.index(min(costs))])
+    return tuple(servo_joints)
 
 
 def _ways(mechanism: Mechanism, body: int) -> BaseGeometry:
@@ -199,28 +199,30 @@ def _ways(mechanism: Mechanism, body: int) -> BaseGeometry:
     return unary_union([swept(o.outline, mechanism.poses_in_range(body, o.index)[::2]) for o in others])
 
 
-def _cost(drive: Drive, mechanism: Mechanism, placed: Sequence[Drive], ways: Mapping[int, BaseGeometry]) -> float:
+def _cost(
+    servo_joint: ServoJoint, mechanism: Mechanism, placed: Sequence[ServoJoint], ways: Mapping[int, BaseGeometry]
+) -> float:
     """Say how much of a drive stands out of its parts, is in another part's way, or in another drive's [mm²]."""
     cost = 0.0
-    for body, boss in ((drive.carrier, drive.cradle), (drive.driven, drive.seat)):
+    for body, boss in ((servo_joint.carrier, servo_joint.cradle), (servo_joint.driven, servo_joint.seat)):
         outside = boss.difference(mechanism.bodies[body].outline)
         cost += outside.area + HIT_COST * outside.intersection(ways[body]).area
         taken = [d.cradle if d.carrier == body else d.seat for d in placed if body in (d.carrier, d.driven)]
         to_come = [
-            drive_seat(drive, joint.at)
-            for joint in mechanism.joints[drive.number + 1 :]
+            least_seat(servo_joint, joint.at)
+            for joint in mechanism.joints[servo_joint.number + 1 :]
             if body in (joint.parent, joint.child)
         ]
         cost += CONFLICT_COST * boss.intersection(unary_union([*taken, *to_come])).area
     return cost
 
 
-def drive_seat(drive: Drive, at: Point) -> BaseGeometry:
+def least_seat(servo_joint: ServoJoint, at: Point) -> BaseGeometry:
     """Give the room that a drive like this one needs at least at another joint."""
-    return ShapelyPoint(at).buffer(drive.recess_radius_mm + drive.wall_mm)
+    return ShapelyPoint(at).buffer(servo_joint.recess_radius_mm + servo_joint.wall_mm)
 
 
-def outline_with_bosses(mechanism: Mechanism, drives: Sequence[Drive], body: int) -> BaseGeometry:
+def outline_with_bosses(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int) -> BaseGeometry:
     """Unite a part's links and the bosses of its drives."""
-    bosses = [d.cradle for d in drives if d.carrier == body] + [d.seat for d in drives if d.driven == body]
+    bosses = [d.cradle for d in servo_joints if d.carrier == body] + [d.seat for d in servo_joints if d.driven == body]
     return unary_union([mechanism.bodies[body].outline, *bosses])

@@ -24,12 +24,12 @@ LONGEST = 1.3
 """Of a cut, in the link's width; a longer one runs into another link."""
 OVERRUN_MM = 1.0
 """By which a cut goes beyond the outline."""
-ROUNDING_MM = 1e-6
+_ROUNDING_MM = 1e-6
 LEAST_HALF_MM2 = 1.0
 """What a cut leaves that is smaller than this is a crumb and no piece."""
 LEAST_GAIN = 1e-9
 """Of a size against the bed: by less no cut is better than one before it, so that rounding does not choose."""
-NECK, HEAD, DEPTH = 0.32, 0.46, 0.28
+_NECK, _HEAD, _DEPTH = 0.32, 0.46, 0.28
 """Of a dovetail: its narrowest and widest place and its depth, as shares of the cut's length."""
 
 
@@ -134,9 +134,9 @@ def _chord(piece: Polygon, centre: tuple[float, float], angle: float, width: flo
     line = affinity.translate(affinity.rotate(across, angle, origin=(0, 0), use_radians=True), *centre)
     inside = line.intersection(piece)
     for stretch in getattr(inside, "geoms", [inside]):
-        if 0.0 < stretch.length < LONGEST * width and stretch.distance(Point(centre)) < ROUNDING_MM:
+        if 0.0 < stretch.length < LONGEST * width and stretch.distance(Point(centre)) < _ROUNDING_MM:
             beyond = affinity.scale(stretch, *(2 * [1.0 + 2 * OVERRUN_MM / stretch.length]))
-            return stretch if beyond.intersection(piece).length < stretch.length + ROUNDING_MM else None
+            return stretch if beyond.intersection(piece).length < stretch.length + _ROUNDING_MM else None
     return None
 
 
@@ -148,7 +148,7 @@ def _dovetail(chord: LineString, flip: int) -> LineString:
     along /= length
     aside = flip * np.array([-along[1], along[0]])
     middle = np.array([x0 + x1, y0 + y1]) / 2
-    neck, head, depth = (share * length for share in (NECK, HEAD, DEPTH))
+    neck, head, depth = (share * length for share in (_NECK, _HEAD, _DEPTH))
     points = [
         np.array([x0, y0]) - OVERRUN_MM * along,
         middle - along * neck / 2,

@@ -17,7 +17,7 @@ from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.parameters import Parameters
 
-FRAMES_PER_SECOND = 50.0
+FRAME_RATE_HZ = 50.0
 """Analogue servos take a pulse every 20 ms; more often is of no use to them."""
 
 
@@ -53,20 +53,20 @@ class Timeline:
         if not np.isfinite(self.angle).all():
             frame, column = np.argwhere(~np.isfinite(self.angle))[0]
             raise TimelineError(
-                f"timeline: joint {self.joints[column]} at {frame / FRAMES_PER_SECOND:.2f} s: "
+                f"timeline: joint {self.joints[column]} at {frame / FRAME_RATE_HZ:.2f} s: "
                 f"expected an angle, came {self.angle[frame, column]}"
             )
 
     @property
     def time(self) -> Float64:
         """(n_frames,) since the beginning [s]."""
-        return np.arange(len(self.angle)) / FRAMES_PER_SECOND
+        return np.arange(len(self.angle)) / FRAME_RATE_HZ
 
     @property
     def speed(self) -> Float64:
         """(n_frames - 1, n_joints) between frames [rad/s]."""
         change: Float64 = np.diff(self.angle, axis=0)
-        return change * FRAMES_PER_SECOND
+        return change * FRAME_RATE_HZ
 
 
 def envelope(time: Float64, *, duration: float, ramp: float) -> Float64:
@@ -89,8 +89,8 @@ def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Ti
         TimelineError: no motor is on.
     """
     joints = tuple(int(joint) for joint in np.flatnonzero(design.motor_on[0]) if joint > 0)
-    n_frames = round(playback.duration * FRAMES_PER_SECOND) + 1
-    time = np.arange(n_frames) / FRAMES_PER_SECOND
+    n_frames = round(playback.duration * FRAME_RATE_HZ) + 1
+    time = np.arange(n_frames) / FRAME_RATE_HZ
     turns = design.frequency[0] * time / time_scale
     swing = design.motion_range[0] * np.sin(2 * np.pi * turns[:, None] + design.phase[0])
     rise = envelope(time, duration=time[-1], ramp=playback.ramp)
@@ -125,7 +125,7 @@ def _pulses_of(servo: ServoCalibration, timeline: Timeline) -> Float64:
     if outside.size:
         frame = outside[0]
         raise TimelineError(
-            f"{name} at {frame / FRAMES_PER_SECOND:.2f} s: {np.degrees(angle[frame]):+.1f}° needs {pulse[frame]:.0f} "
+            f"{name} at {frame / FRAME_RATE_HZ:.2f} s: {np.degrees(angle[frame]):+.1f}° needs {pulse[frame]:.0f} "
             f"µs, expected {servo.min_us:g} to {servo.max_us:g}. It swings to {np.degrees(np.abs(angle).max()):.1f}°."
         )
     if speed.size and (fastest := np.abs(speed).max()) > servo.max_speed:

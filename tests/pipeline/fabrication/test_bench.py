@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.config.loading import parse
-from pipeline.fabrication.bench import Members, _of_floating, _of_loads, _of_members, _of_scale, _of_timeline
+from pipeline.fabrication.bench import MemberPredictions, _of_floating, _of_loads, _of_members, _of_scale, _of_timeline
 from pipeline.fabrication.choices import FabricationSettings
 from pipeline.fabrication.kit_figures import worst_of_each
 from tasks.analysis.tank import Tank
@@ -137,5 +137,5 @@ def test_a_timeline_that_is_refused(degrees, hz, said, unsaid):
     ],
 )
 def test_an_ensemble_in_doubt(displacement, truth, said):
-    found = _of_members(Members(displacement), truth)
+    found = _of_members(MemberPredictions(displacement), truth)
     assert len(found) == len(said) and all(words in one.message for words, one in zip(said, found, strict=True))

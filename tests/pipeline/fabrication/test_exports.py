@@ -205,7 +205,7 @@ def test_no_label_lies_on_another(kit, monkeypatch):
     for robot in (kit, crowded):
         _, views = drawn(robot, monkeypatch)
         assert len(views) == 2
-        n_rods, n_joints = sum(map(len, robot.layers.rods)), len(robot.drives)
+        n_rods, n_joints = sum(map(len, robot.layers.rods)), len(robot.servo_joints)
         assert len(views[0].boxes) >= n_rods + n_joints + len(robot.mechanism.bodies) + 2
         for labels in views:
             for one, other in combinations(labels.boxes, 2):

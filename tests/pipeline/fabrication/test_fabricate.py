@@ -13,7 +13,7 @@ from command_line import call
 
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
-from pipeline.fabrication.kit_folder import MARK, check_place, write_kit
+from pipeline.fabrication.kit_folder import KIT_MANIFEST, check_place, write_kit
 from pipeline.fabrication.kit_page import _last
 from pipeline.fabrication.timeline_file import read_calibration, read_timeline
 from pipeline.store import disk
@@ -39,9 +39,9 @@ def made(crane, tmp_path_factory) -> Path:
 
 def test_a_kit_is_whole(made):
     kit = made / "kit"
-    mark = json.loads((kit / MARK).read_text())
+    mark = json.loads((kit / KIT_MANIFEST).read_text())
     held = {str(path.relative_to(kit)) for path in kit.rglob("*") if path.is_file()}
-    assert held == {*mark["files"], MARK}
+    assert held == {*mark["files"], KIT_MANIFEST}
     for name, digest in mark["files"].items():
         assert hashlib.sha256((kit / name).read_bytes()).hexdigest() == digest
     assert {
@@ -246,7 +246,7 @@ def test_what_the_user_put_into_a_kit_outlives_it(tmp_path):
         "Kept drive-1.parquet.",
     ]
     held = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    held.pop(MARK)
+    held.pop(KIT_MANIFEST)
     assert held == {
         "calibration.yaml": b"another guess",
         "calibration-yours-1.yaml": b"measured",
@@ -263,7 +263,7 @@ def test_places_that_are_none(tmp_path, monkeypatch):
         with pytest.raises(PuddleError, match="a file or a link"):
             check_place(tmp_path / name)
     (tmp_path / "newer").mkdir()
-    (tmp_path / "newer" / MARK).write_text('{"schema": "puddle.kit", "version": 9}')
+    (tmp_path / "newer" / KIT_MANIFEST).write_text('{"schema": "puddle.kit", "version": 9}')
     with pytest.raises(PuddleError, match="version 9"):
         check_place(tmp_path / "newer")
     (tmp_path / "empty").mkdir()

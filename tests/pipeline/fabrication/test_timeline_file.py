@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.errors import PuddleError
 from pipeline.fabrication.timeline_file import (
-    MAX_BYTES,
+    MAX_TIMELINE_BYTES,
     calibration_yaml,
     read_calibration,
     read_timeline,
@@ -129,7 +129,7 @@ def test_files_that_are_not_there_or_no_json(tmp_path):
     (tmp_path / "bad.json").write_text('{"angle": [NaN]}')
     with pytest.raises(PuddleError, match=r"bad\.json"):
         read_timeline(tmp_path / "bad.json")
-    (tmp_path / "long.json").write_bytes(b" " * (MAX_BYTES + 1))
+    (tmp_path / "long.json").write_bytes(b" " * (MAX_TIMELINE_BYTES + 1))
     with pytest.raises(PuddleError, match=r"long\.json: expected at most"):
         read_timeline(tmp_path / "long.json")
     with pytest.raises(PuddleError, match=r"none\.yaml"):

@@ -1,4 +1,4 @@
-"""A Maestro that is not there: a real pty, and a thread that speaks the controller's side of the protocol."""
+"""A simulated Maestro: a real pty, and a thread that implements the controller's side of the protocol."""
 
 import os
 import pty
@@ -10,18 +10,17 @@ from collections.abc import Iterator
 
 import pytest
 
-from pipeline.servo import maestro
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 
 DATA_BYTES = {0x84: 3, 0x87: 3, 0x89: 3, 0x90: 1, 0xA1: 0, 0xA2: 0}
-"""Data bytes of the commands that the user's guide gives, by command byte."""
+"""Number of data bytes of each command in the user's guide."""
 
 TIMED_OUT = 1 << 5
 PROTOCOL_ERROR = 1 << 4
 
 
 class FakeMaestro:
-    """Speaks the compact protocol, keeps what it is told, and misbehaves on demand."""
+    """Implements the compact protocol, records every command, and misbehaves on demand."""
 
     def __init__(self, *, unplug_after: int | None = None, timeout: float | None = None) -> None:
         self._master, self._slave = pty.openpty()
@@ -29,13 +28,13 @@ class FakeMaestro:
         self.path = os.ttyname(self._slave)
         self.unplug_after = unplug_after
         self.timeout = timeout
-        self.answer = lambda honest: honest  # what it makes of an honest answer
-        self.channel_range = (256, 10_000)  # its own limits [quarter µs]
+        self.answer = lambda honest: honest  # turns a correct answer into what is sent
+        self.channel_range = (256, 10_000)  # the controller's own limits [quarter µs]
         self.errors = 0
         self.n_bytes = 0
         self.baud_indications = 0
         self.commands: list[tuple[int, ...]] = []
-        self.targets: list[tuple[int, float]] = []  # channel, µs, as they came
+        self.targets: list[tuple[int, float]] = []  # channel and pulse [µs], in order of arrival
         self.on: dict[int, float] = {}  # channel -> µs, while pulsing
         self.speeds: dict[int, int] = {}
         self._partial: list[int] = []
@@ -106,7 +105,7 @@ class FakeMaestro:
         os.write(self._master, self.answer(value.to_bytes(2, "little")))
 
     def finish(self) -> None:
-        """Take what is still in the line, and end."""
+        """Read what is left in the line, then stop the thread."""
         self._closing.set()
         self._thread.join(5.0)
         assert not self._thread.is_alive()
@@ -122,9 +121,8 @@ class FakeMaestro:
 
 
 @pytest.fixture
-def plug(monkeypatch) -> Iterator[type[FakeMaestro]]:
-    """Plug fake controllers in; they are unplugged at the test's end."""
-    monkeypatch.setattr(maestro, "PATIENCE", 1.0)  # a fake is a thread, and a busy machine may let it wait for 0.1 s
+def plug() -> Iterator[type[FakeMaestro]]:
+    """Start simulated controllers, and stop them after the test."""
     plugged = []
 
     def make(**execution) -> FakeMaestro:
@@ -137,7 +135,7 @@ def plug(monkeypatch) -> Iterator[type[FakeMaestro]]:
 
 
 class SteppedClock:
-    """Time passes in sleep alone, so that a run takes as long as its bytes, and never has a busy machine's lateness."""
+    """A clock that only ``sleep`` advances, so that a run is fast and never late on a busy machine."""
 
     def __init__(self) -> None:
         self.time = 100.0

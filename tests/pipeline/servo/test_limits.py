@@ -1,4 +1,4 @@
-"""The one last function: 100,000 commands of all sorts, and none gets past a limit."""
+"""The limits on what a servo is sent, under random and extreme commands."""
 
 import math
 
@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.servo.controller import DryRun
-from pipeline.servo.limits import LONGEST_STEP, Outlet, clamp
+from pipeline.servo.limits import LONGEST_STEP, LimitedOutput, clamp
+from pipeline.servo.servo_controller import DryRunController
 from tasks.fabrication.calibration import ServoCalibration
 
 
-class Recorder(DryRun):
+class Recorder(DryRunController):
     def __init__(self) -> None:
         self.sent: list[dict[int, float]] = []
 
@@ -34,20 +34,21 @@ def random_servo(rng: np.random.Generator) -> ServoCalibration:
     )
 
 
-def test_none_of_100_000_random_commands_gets_past_a_limit():
+def test_100_000_random_commands_stay_within_the_limits():
     rng = np.random.default_rng(20)
     wild = [math.nan, math.inf, -math.inf, 1e308, -1e308, 0.0, -1.0]
     n = 0
     while n < 100_000:
         servo, recorder, now = random_servo(rng), Recorder(), 0.0
-        outlet, before = Outlet(recorder, [servo]), None
-        for _ in range(1000):
-            elapsed = float(rng.choice([0.0, rng.exponential(0.02), rng.uniform(0, 10), -1.0]))
-            wanted = float(rng.choice(wild)) if rng.random() < 0.1 else float(rng.uniform(-1000, 5000))
+        outlet, before = LimitedOutput(recorder, [servo]), None
+        kinds = np.stack([np.zeros(1000), rng.exponential(0.02, 1000), rng.uniform(0, 10, 1000), np.full(1000, -1.0)])
+        waits = kinds[rng.integers(4, size=1000), np.arange(1000)]
+        asked = np.where(rng.random(1000) < 0.1, rng.choice(wild, 1000), rng.uniform(-1000, 5000, 1000))
+        for elapsed, wanted in zip(waits.tolist(), asked.tolist(), strict=True):
             now += elapsed
             outlet.send({servo.channel: wanted}, now)
             sent = recorder.sent[-1][servo.channel]
-            if servo.max_us - servo.min_us >= 0.5:  # there is a quarter of a microsecond between
+            if servo.max_us - servo.min_us >= 0.5:  # a quarter of a microsecond lies between the limits
                 assert servo.min_us <= sent <= servo.max_us
             assert sent * 4 == round(sent * 4)
             if before is None:
@@ -59,7 +60,7 @@ def test_none_of_100_000_random_commands_gets_past_a_limit():
 
 
 @given(wanted=st.floats(allow_nan=True, allow_infinity=True), last=st.floats(900.0, 2100.0))
-def test_a_wish_that_is_no_number_moves_nothing(wanted: float, last: float):
+def test_nan_and_zero_elapsed_time_move_nothing(wanted: float, last: float):
     servo = ServoCalibration(
         joint=1, channel=0, centre_us=1500.0, direction=1, us_per_rad=600.0, min_us=900.0, max_us=2100.0, max_speed=1.0
     )
@@ -69,7 +70,7 @@ def test_a_wish_that_is_no_number_moves_nothing(wanted: float, last: float):
     assert clamp(wanted, None, 1.0, servo) == 1500.0
 
 
-def test_within_the_limits_a_wish_is_met_to_a_quarter_of_a_microsecond():
+def test_a_command_within_the_limits_is_rounded_to_a_quarter_of_a_microsecond():
     servo = ServoCalibration(
         joint=1, channel=0, centre_us=1500.0, direction=1, us_per_rad=600.0, min_us=900.0, max_us=2100.0, max_speed=2.0
     )
@@ -82,9 +83,9 @@ def test_within_the_limits_a_wish_is_met_to_a_quarter_of_a_microsecond():
     assert clamp(5000.0, 2095.0, 0.02, servo) == 2100.0
 
 
-def test_what_was_switched_off_starts_at_neutral_again(calibration):
+def test_a_servo_that_was_off_starts_at_neutral(calibration):
     recorder = Recorder()
-    outlet = Outlet(recorder, calibration.servos)
+    outlet = LimitedOutput(recorder, calibration.servos)
     outlet.send({0: 1500.0}, 0.0)
     outlet.send({0: 1520.0}, 0.02)
     assert outlet.sent == {0: pytest.approx(1520.0)}

@@ -1,4 +1,4 @@
-"""The protocol against the bytes of the user's guide, and ports that fail, on a real pty with a real pyserial."""
+"""The Maestro protocol against the user's guide, and failing ports, on a pty with pyserial."""
 
 import os
 import pty
@@ -7,12 +7,13 @@ import pytest
 
 from pipeline.errors import PuddleError
 from pipeline.servo import maestro
-from pipeline.servo.controller import ControllerFault, PortLost
 from pipeline.servo.maestro import open_maestro
+from pipeline.servo.servo_controller import ControllerError, PortLostError
 
 
-def opened(fake, **execution):
-    return open_maestro(fake.path, baud=115200, baud_detection=False, **execution)
+def opened(fake, *, timeout=10.0, **options):
+    """Open a simulated controller; the long timeout lets a busy machine schedule its thread."""
+    return open_maestro(fake.path, **{"baud": 115200, "baud_detection": False, "timeout": timeout} | options)
 
 
 def test_bytes_of_the_users_guide():
@@ -20,68 +21,75 @@ def test_bytes_of_the_users_guide():
     assert maestro.set_target(5, 0.0) == bytes.fromhex("84 05 00 00")  # section 5.e: a target of 0 stops the pulses
     # Section 5.e: a speed of 140 is 3.5 µs a ms: from 1000 to 1350 µs in 100 ms. Its example is 87 05 0C 01.
     assert maestro.set_speed(5, 3500.0) == bytes.fromhex("87 05 0C 01")
-    assert maestro.set_speed(5, 3499.0) == bytes.fromhex("87 05 0C 01")  # never below what the host may ask
+    assert maestro.set_speed(5, 3499.0) == bytes.fromhex("87 05 0C 01")  # never below the host's limit
     assert maestro.no_acceleration_limit(5) == bytes.fromhex("89 05 00 00")
     with pytest.raises(ValueError, match="two data bytes"):
         maestro.set_target(0, 5000.0)
 
 
-def test_a_session(plug):
+def test_commands_reach_the_controller(plug):
     fake = plug()
-    driver = opened(fake)
-    driver.prepare({0: 1800.0, 3: 10.0})
-    driver.send({0: 1500.0, 3: 1234.25})
-    assert driver.position(3) == 1234.25 and driver.position(0) == 1500.0
-    driver.check()
-    driver.off((0, 3))
-    assert driver.position(0) == 0.0
-    driver.home()
-    driver.close()
+    controller = opened(fake)
+    controller.prepare({0: 1800.0, 3: 10.0})
+    controller.send({0: 1500.0, 3: 1234.25})
+    assert controller.position(3) == 1234.25 and controller.position(0) == 1500.0
+    controller.check()
+    controller.off((0, 3))
+    assert controller.position(0) == 0.0
+    controller.home()
+    controller.close()
     fake.finish()
     assert fake.speeds == {0: 72, 3: 1}
     assert fake.commands[-1] == (0xA2,)
     assert fake.errors == 0 and not fake.baud_indications
 
 
-def test_the_baud_rate_is_told_where_the_controller_wants_to_hear_it(plug):
+def test_baud_detection_sends_its_byte_first(plug):
     fake = plug()
-    driver = open_maestro(fake.path, baud=9600, baud_detection=True)
-    driver.prepare({})
+    controller = opened(fake, baud=9600, baud_detection=True)
+    controller.prepare({})
     assert fake.baud_indications == 1 and fake.commands[0] == (0xA1,)
 
 
-def test_old_errors_are_forgotten_and_new_ones_told(plug):
+def test_old_errors_are_cleared_and_new_ones_raised(plug):
     fake = plug()
     fake.errors = 1 << 5
-    driver = opened(fake)
-    driver.prepare({0: 1000.0})
+    controller = opened(fake)
+    controller.prepare({0: 1000.0})
     fake.errors = 1 << 1 | 1 << 4
-    with pytest.raises(ControllerFault, match=r"serial overrun.*serial protocol error"):
-        driver.check()
-    driver.check()
+    with pytest.raises(ControllerError, match=r"serial overrun.*serial protocol error"):
+        controller.check()
+    controller.check()
 
 
-@pytest.mark.parametrize(("answer", "said"), [(b"", "nothing"), (b"\x01", "came 01"), (b"\xff\xff", "mean nothing")])
-def test_answers_that_are_none(plug, answer, said):
+@pytest.mark.parametrize(
+    ("answer", "timeout", "said"),
+    [
+        (b"", 0.1, r"within 0\.1 s, got nothing"),
+        (b"\x01", 2.0, "got 01"),
+        (b"\xff\xff", 10.0, "expected error bits 0 to 8, got 0xffff"),
+    ],
+)
+def test_invalid_answers(plug, answer, timeout, said):
     fake = plug()
     fake.answer = lambda honest: answer
-    with pytest.raises(ControllerFault, match=said):
-        opened(fake).prepare({})
+    with pytest.raises(ControllerError, match=said):
+        opened(fake, timeout=timeout).prepare({})
 
 
-def test_chatter_is_no_answer(plug):
+def test_unexpected_bytes_are_not_taken_for_an_answer(plug):
     fake = plug()
-    driver = opened(fake)
-    driver.prepare({})
+    controller = opened(fake)
+    controller.prepare({})
     fake.answer = lambda honest: honest + b"PONG"
-    driver.check()
-    while not driver._port.in_waiting:
+    controller.check()
+    while not controller._port.in_waiting:
         pass
-    with pytest.raises(ControllerFault, match=r"expected silence.*50 4f 4e 47"):
-        driver.check()
+    with pytest.raises(ControllerError, match=r"expected no bytes.*50 4f 4e 47"):
+        controller.check()
 
 
-def test_a_port_that_is_missing_busy_or_none(plug, tmp_path):
+def test_ports_that_cannot_be_opened(plug, tmp_path):
     with pytest.raises(PuddleError, match="no such port"):
         open_maestro("/dev/ttyNOPE", baud=9600, baud_detection=False)
     fake = plug()
@@ -94,13 +102,13 @@ def test_a_port_that_is_missing_busy_or_none(plug, tmp_path):
         open_maestro(str(tmp_path / "file"), baud=9600, baud_detection=False)
 
 
-def test_a_port_that_is_unplugged():
+def test_an_unplugged_port():
     master, slave = pty.openpty()
-    driver = open_maestro(os.ttyname(slave), baud=9600, baud_detection=False)
+    controller = open_maestro(os.ttyname(slave), baud=9600, baud_detection=False)
     os.close(master)
-    with pytest.raises(PortLost, match="lost while sending"):
-        driver.send({0: 1500.0})
-    with pytest.raises(PortLost, match="lost while asking"):
-        driver.check()
-    driver.close()
+    with pytest.raises(PortLostError, match="lost the port while sending"):
+        controller.send({0: 1500.0})
+    with pytest.raises(PortLostError, match="lost the port while asking"):
+        controller.check()
+    controller.close()
     os.close(slave)

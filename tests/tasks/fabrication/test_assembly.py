@@ -24,12 +24,12 @@ def blocked(kit: Kit, order: list[str]) -> set[str]:
         return order.index(of_outer if outer[body] else of_inner)
 
     in_place = [(step(part.body, "Outer parts", "Short rods"), part.solid) for part in kit.parts]
-    for drive in kit.drives:  # servos and horns come with the parts that hold them
-        holder = {"servo": drive.carrier, "horn": drive.driven}
+    for servo_joint in kit.servo_joints:  # servos and horns come with the parts that hold them
+        holder = {"servo": servo_joint.carrier, "horn": servo_joint.driven}
         in_place += [
             (step(holder[item.kind], "Outer parts", "Short rods"), item.solid)
             for item in kit.bought
-            if item.kind in holder and f"joint {drive.joint.link}," in item.name
+            if item.kind in holder and f"joint {servo_joint.joint.link}," in item.name
         ]
     kept_out = set()
     for body, rods in enumerate(kit.layers.rods):

@@ -15,7 +15,7 @@ from tasks.fabrication.features import KitError, horn_features
 from tasks.fabrication.kit import Kit, build_kit
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import mesh_of, on_bed
-from tasks.fabrication.servo_joints import drives_of
+from tasks.fabrication.servo_joints import servo_joints_of
 from tasks.fabrication.servos import SERVOS
 
 SETTINGS = KitSettings()
@@ -39,7 +39,7 @@ def test_a_sound_robot_has_no_fault(kit):
 
 def test_not_of_the_variant(crane):
     still = build_kit(with_genes(crane, motor_on=np.zeros((1, N_LINKS), dtype=bool)), SETTINGS)
-    assert len(still.mechanism.bodies) == 1 and not still.drives and len(still.layers.rods[0]) == 2
+    assert len(still.mechanism.bodies) == 1 and not still.servo_joints and len(still.layers.rods[0]) == 2
     assert "0 motors are on" in found(still, "not of the variant")[0].message
     # Link 2 folded down over link 0 covers the left or right of link 1's middle too: 35 × 35 mm.
     folded = build_kit(with_genes(crane, rest_angle=np.array([[0, -pi / 2, pi, -pi / 2, 0, -pi / 2]])), SETTINGS)
@@ -51,7 +51,7 @@ def test_every_number_of_motors(crane):
     for n in (1, 3, 5):
         on = np.array([[False] + [True] * n + [False] * (5 - n)])
         several = build_kit(with_genes(crane, motor_on=on), SETTINGS.model_copy(update={"servo": "mg90s"}))
-        assert len(several.drives) == n and len(several.mechanism.bodies) == n + 1
+        assert len(several.servo_joints) == n and len(several.mechanism.bodies) == n + 1
         depth = [body.depth for body in several.mechanism.bodies]
         assert all((depth[j.parent] - depth[j.child]) % 2 == 1 for j in several.mechanism.joints)
 
@@ -130,14 +130,14 @@ def test_no_room_for_rods(crane):
 
 def test_rods_that_give_way(kit):
     # 12 E I / L³ with L = 275 mm for an outer part and 223 for an inner one; half of 21 kg·cm on the other pontoon.
-    drive = kit.drives[0]
+    servo_joint = kit.servo_joints[0]
     lag = 0.0
     for body in (0, 1):
         free = 0.275 if kit.layers.outer[body] else 0.223
         stiffness = 12 * 193e9 * (pi * 0.003**4 / 64) / free**3
         lever2 = sum((x / 1000) ** 2 + ((y - 70.0) / 1000) ** 2 for x, y in kit.layers.rods[body])
         lag += (21.0 * 0.0980665 / 2) / (stiffness * lever2)
-    assert lag_rad(drive, kit.layers, SETTINGS) == pytest.approx(lag)
+    assert lag_rad(servo_joint, kit.layers, SETTINGS) == pytest.approx(lag)
     said = [finding for finding in found(kit, "rods give way") if finding.where == "joint 2"]
     assert bool(said) == (lag > radians(10)) and all(f"{degrees(lag):.0f}°" in finding.message for finding in said)
 
@@ -182,11 +182,12 @@ def test_settings_that_no_part_can_be_made_with(crane):
     # A plate of 29.9 - 18.5 - 2 = 9.4 mm, ears of 2 mm and a notch of 5 mm for the cable.
     with pytest.raises(KitError, match=r"thickness_mm is 15: servo hs85mg needs at least 16\.4"):
         build_kit(crane, KitSettings(thickness_mm=15.0, servo="hs85mg"))
-    (drive, _) = drives_of(mechanism_of(crane, SETTINGS), SETTINGS)
+    (servo_joint, _) = servo_joints_of(mechanism_of(crane, SETTINGS), SETTINGS)
     with pytest.raises(KitError, match=r"thickness_mm is 15: the horn of servo wide needs at least 25"):
         tall = replace(SERVOS["ds3225"].horns[0], top_mm=21.0)
         horn_features(
-            replace(drive, horn=tall, servo=replace(SERVOS["ds3225"], name="wide")), KitSettings(thickness_mm=15.0)
+            replace(servo_joint, horn=tall, servo=replace(SERVOS["ds3225"], name="wide")),
+            KitSettings(thickness_mm=15.0),
         )
     # Two layers of 100 mm and their gap of 1 on either side leave less than nothing of 300 + 100.
     with pytest.raises(KitError, match=r"pitch_mm is 300: .* leave -2\.0 mm"):

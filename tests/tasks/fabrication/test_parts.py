@@ -240,16 +240,18 @@ def test_parts_lie_on_the_bed(kit):
 @pytest.mark.parametrize("outer", [True, False])
 def test_the_sense_of_a_servo(kit, side, outer):
     """The horn turns by `sense` about the shaft, which is along +z or -z, and takes the child or the parent along."""
-    for drive in kit.drives:
-        for carrier in (drive.joint.parent, drive.joint.child):
-            one = replace(drive, carrier=carrier, driven=drive.joint.parent + drive.joint.child - carrier)
+    for servo_joint in kit.servo_joints:
+        for carrier in (servo_joint.joint.parent, servo_joint.joint.child):
+            one = replace(
+                servo_joint, carrier=carrier, driven=servo_joint.joint.parent + servo_joint.joint.child - carrier
+            )
             shaft_z = 1 if (outer == (side == "left")) else -1
             driven_turns = one.servo.sense * shaft_z
             child_turns = driven_turns if one.driven == one.joint.child else -driven_turns
             assert one.direction(carrier_is_outer=outer, side=side) == child_turns
-    for drive in kit.drives:  # the shaft points where the horn is: away from the carrier's back
-        for where in drive.sides(1):
-            horn = next(b for b in kit.bought if b.name == f"horn of joint {drive.joint.link}, {where}").solid
-            carrier = part(kit, f"part-{drive.carrier + 1}-{where}").solid
+    for servo_joint in kit.servo_joints:  # the shaft points where the horn is: away from the carrier's back
+        for where in servo_joint.sides(1):
+            horn = next(b for b in kit.bought if b.name == f"horn of joint {servo_joint.joint.link}, {where}").solid
+            carrier = part(kit, f"part-{servo_joint.carrier + 1}-{where}").solid
             points_up = horn.bounding_box().center().Z > carrier.bounding_box().center().Z
-            assert points_up == (kit.layers.outer[drive.carrier] == (where == "left"))
+            assert points_up == (kit.layers.outer[servo_joint.carrier] == (where == "left"))

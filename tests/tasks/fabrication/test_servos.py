@@ -14,7 +14,7 @@ from tasks.fabrication.gauges import Gauge, gauges_of
 from tasks.fabrication.kit import build_kit
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import mesh_of
-from tasks.fabrication.servo_joints import drives_of, servo_of
+from tasks.fabrication.servo_joints import servo_joints_of, servo_of
 from tasks.fabrication.servos import MEASURES, SERVOS, YOURS, Horn, Servo, ServoError, as_measured, servo_named
 
 EVERY_HORN = [(servo.name, horn.kind) for servo in SERVOS.values() for horn in servo.horns]
@@ -113,11 +113,14 @@ def test_a_kit_says_what_nobody_has_checked(crane):
         kit = build_kit(crane, settings)
         return [finding.message for finding in kit.findings if finding.name == "not measured"]
 
-    (drive, _) = drives_of(mechanism, KitSettings())
-    unknown = [name for name in MEASURES if name not in drive.servo.sources]
+    (servo_joint, _) = servo_joints_of(mechanism, KitSettings())
+    unknown = [name for name in MEASURES if name not in servo_joint.servo.sources]
     (message,) = said(KitSettings())
     assert message.startswith(f"{len(unknown)} of {len(MEASURES)} measures of a ds3225 and its disc horn")
-    values = {name: getattr(drive.horn if hasattr(drive.horn, name) else drive.servo, name) for name in unknown}
+    values = {
+        name: getattr(servo_joint.horn if hasattr(servo_joint.horn, name) else servo_joint.servo, name)
+        for name in unknown
+    }
     assert said(KitSettings(measured=values)) == []
 
 
@@ -125,16 +128,16 @@ def test_a_kit_says_what_nobody_has_checked(crane):
 def test_screws_reach_and_hold(crane, servo, horn):
     for thickness in (17.0, 25.0, 40.0):
         settings = KitSettings(servo=servo, horn=horn, thickness_mm=thickness)
-        (drive, _) = drives_of(mechanism_of(crane, settings), settings)
-        screw = horn_screw(drive, settings)
+        (servo_joint, _) = servo_joints_of(mechanism_of(crane, settings), settings)
+        screw = horn_screw(servo_joint, settings)
         beyond = screw.length_mm - screw.web_mm
         assert screw.length_mm in SCREW_LENGTHS_MM and screw.web_mm >= 5.0
-        assert screw.web_mm <= horn_seat_mm(drive, settings)
+        assert screw.web_mm <= horn_seat_mm(servo_joint, settings)
         # It comes out of the horn, which holds it with all its thickness, and stays off the case.
-        assert drive.horn.thickness_mm < beyond < drive.horn.top_mm
-        assert screw.engaged_mm == drive.horn.thickness_mm
-        ear = ear_screw_mm(drive)
-        assert drive.servo.ear_screw_mm <= ear - drive.servo.ear_thickness_mm <= plate_mm(drive)
+        assert servo_joint.horn.thickness_mm < beyond < servo_joint.horn.top_mm
+        assert screw.engaged_mm == servo_joint.horn.thickness_mm
+        ear = ear_screw_mm(servo_joint)
+        assert servo_joint.servo.ear_screw_mm <= ear - servo_joint.servo.ear_thickness_mm <= plate_mm(servo_joint)
 
 
 @pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
@@ -144,7 +147,7 @@ def test_parts_and_gauges_of_every_servo_are_solids(crane, servo, horn):
     for printed in (*kit.parts, *kit.gauges):
         assert printed.solid.is_valid and printed.solid.volume == pytest.approx(printed.volume_mm3, rel=1e-6)
     # A case goes into its gauge, and its ears lie on the plate.
-    case, rim = kit.drives[0].servo, kit.gauges[0].solid.bounding_box()
+    case, rim = kit.servo_joints[0].servo, kit.gauges[0].solid.bounding_box()
     assert max(rim.size.X, rim.size.Y) > case.ear_length_mm and min(rim.size.X, rim.size.Y) > case.width_mm
     plate = case.height_mm - case.ear_bottom_mm - case.ear_thickness_mm
     height_mm = rim.size.Z
@@ -158,14 +161,14 @@ def test_threads_too_short_and_screws_that_do_not_exist(crane):
     thick = KitSettings(measured={"thickness_mm": 3.0})
     assert not any(finding.name == "short thread" for finding in build_kit(crane, thick).findings)
     settings = KitSettings(measured={"thickness_mm": 7.2})  # 0.3 mm to the case
-    (drive, _) = drives_of(mechanism_of(crane, settings), settings)
+    (servo_joint, _) = servo_joints_of(mechanism_of(crane, settings), settings)
     with pytest.raises(KitError, match=r"no screw of 4 to 60 mm holds a disc horn 7\.2 mm thick .* 7\.5 mm above"):
-        horn_screw(drive, settings)
+        horn_screw(servo_joint, settings)
 
 
 def test_gauges_are_slices_of_the_parts(crane):
     settings = KitSettings()
-    servo, horn = gauges_of(drives_of(mechanism_of(crane, settings), settings), settings)
+    servo, horn = gauges_of(servo_joints_of(mechanism_of(crane, settings), settings), settings)
     assert [servo.name, horn.name] == ["gauge-servo", "gauge-horn"]
     # The plate of 40.5 - 28 - 2.5 = 10 mm and 3 mm of the pocket's rim; the boss is the pocket's with 3 mm of wall.
     boss = 60.6 * 26.6 - (4 - pi) * 3.0**2
@@ -191,18 +194,18 @@ def test_gauges_are_slices_of_the_parts(crane):
 def test_the_gap_between_the_gauges_tells_where_a_horn_s_top_is(crane, servo, horn):
     """The servo's ears on one gauge's plate, its horn on the floor of the other: docs/assembly.md, "Measure first"."""
     settings = KitSettings(servo=servo, horn=horn)
-    (drive, *_) = drives_of(mechanism_of(crane, settings), settings)
+    (servo_joint, *_) = servo_joints_of(mechanism_of(crane, settings), settings)
 
     def floors(gauge: Gauge) -> list[float]:
         """Heights of its faces that lie flat, from the lowest to its rim."""
         planes = [face for face in gauge.solid.faces() if face.geom_type == GeomType.PLANE]
         return sorted({round(face.center().Z, 6) for face in planes if abs(face.normal_at().Z) > 0.5})
 
-    plate, recess = (floors(gauge) for gauge in gauges_of((drive,), settings))
-    case = drive.servo
+    plate, recess = (floors(gauge) for gauge in gauges_of((servo_joint,), settings))
+    case = servo_joint.servo
     to_the_ears = case.height_mm - case.ear_bottom_mm - case.ear_thickness_mm
     (below, ears, _) = plate
     assert ears - below == pytest.approx(to_the_ears)  # so the case's top is flush
     (_, floor, rim) = recess
-    gap = drive.horn.top_mm - (rim - floor)
+    gap = servo_joint.horn.top_mm - (rim - floor)
     assert gap == pytest.approx(settings.layer_gap_mm)

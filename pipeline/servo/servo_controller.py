@@ -1,0 +1,76 @@
+"""The interface of a servo controller, independent of its wire protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from pipeline.errors import PuddleError
+
+
+class PortLostError(PuddleError):
+    """The port is gone or accepts no more bytes, so the controller can't be reached."""
+
+
+class ControllerError(PuddleError):
+    """The controller reports an error, sends an invalid answer or does not answer. It may still receive commands."""
+
+
+class ServoController(Protocol):
+    """A controller of servos. Pulses are in µs, by channel, and have already been limited.
+
+    Every method but ``close`` raises PortLostError if the port fails and ControllerError if the controller does.
+    """
+
+    @property
+    def name(self) -> str:
+        """The port, as messages call it."""
+
+    def prepare(self, rates_us: Mapping[int, float]) -> None:
+        """Contact the controller and let it limit each channel's rate [µs/s] too, if it can. Moves nothing."""
+
+    def send(self, pulses_us: Mapping[int, float]) -> None:
+        """Set the pulse of each channel. Channels that were off start to pulse."""
+
+    def position(self, channel: int) -> float | None:
+        """Read the pulse that a channel puts out now [µs]: 0 if it is off, None if the controller can't tell."""
+
+    def check(self) -> None:
+        """Raise ControllerError if the controller reports errors."""
+
+    def home(self) -> None:
+        """Put every channel into the state that the user configured for errors, if the controller has one."""
+
+    def off(self, channels: tuple[int, ...]) -> None:
+        """Stop the pulses, which leaves the servos limp."""
+
+    def close(self) -> None:
+        """Release the port. Never raises."""
+
+
+class DryRunController:
+    """A controller without hardware: it accepts every command and moves nothing."""
+
+    name = "dry run"
+
+    def prepare(self, rates_us: Mapping[int, float]) -> None:
+        """Do nothing."""
+
+    def send(self, pulses_us: Mapping[int, float]) -> None:
+        """Do nothing."""
+
+    def position(self, channel: int) -> float | None:  # noqa: ARG002
+        """Return None: no position is known."""
+        return None
+
+    def check(self) -> None:
+        """Do nothing."""
+
+    def home(self) -> None:
+        """Do nothing."""
+
+    def off(self, channels: tuple[int, ...]) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
