@@ -55,8 +55,8 @@ def test_without_a_signal_nothing_happens():
 def test_what_does_not_end_is_ended_with_the_signals_code():
     program = """
 import time
-from pipeline.cluster.process import signals_held
-with signals_held():
+from pipeline.cluster.process import signals_deferred
+with signals_deferred():
     print("held", flush=True)
     while True:
         time.sleep(0.01)

@@ -34,7 +34,7 @@ import time
 watchdog.STUCK_SECONDS = watchdog.CHECK_INTERVAL = 0.1
 with session.session(1) as ours:
     print("up", flush=True)
-    while ours.alive():
+    while ours.is_alive():
         time.sleep(0.1)
     time.sleep(2.0)
     with ours.calling:

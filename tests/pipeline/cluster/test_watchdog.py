@@ -18,7 +18,7 @@ import sys, threading
 from pipeline.cluster import watchdog
 watchdog.GONE_SECONDS, watchdog.CHECK_INTERVAL = 2.0, 0.05
 over = threading.Event()
-looks = threading.Thread(target=watchdog.end_if_gone, args=("head:6379", "127.0.0.1", int(sys.argv[1]), over))
+looks = threading.Thread(target=watchdog.end_if_unreachable, args=("head:6379", "127.0.0.1", int(sys.argv[1]), over))
 looks.start()
 print("up", flush=True)
 sys.stdin.read()
