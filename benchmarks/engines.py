@@ -19,7 +19,7 @@ from benchmarks.measure import Figure, seconds
 from tasks.design import Designs, Morphology, random_designs
 from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.simulation import batch, reference, simulate
-from tasks.simulation.controller import Drive
+from tasks.simulation.controller import Controllers
 from tasks.simulation.rigid_bodies.engine import Robots
 from tasks.simulation.simd.lanes import widest
 from tasks.world import DryLand, Environment, Physics, Slush, TrueSlush
@@ -71,7 +71,7 @@ def first_generation() -> list[Figure]:
 
 def _batch(designs: Designs, environment: Environment) -> float:
     """Step generation after generation, as a study does: one takes milliseconds, those of its peers seconds."""
-    world = batch.shared_world(environment, PHYSICS)
+    world = batch.scene_of(environment, PHYSICS)
     taken = 0.0
     for _ in range(N_GENERATIONS):
         groups = batch.Groups(designs, PHYSICS, n_members=1, n_lanes=N_LANES)
@@ -81,16 +81,16 @@ def _batch(designs: Designs, environment: Environment) -> float:
 
 def _batch_of_bodies(designs: Designs, environment: Environment) -> float:
     robots = Robots(designs, environment.depth, AS_BUILT, n_members=1)
-    world = batch.shared_world(environment, AS_BUILT)
+    world = batch.scene_of(environment, AS_BUILT)
     return seconds(lambda: robots.advance(world, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
 
 
 def _bare_steps(designs: Designs, environment: Environment, physics: Physics = PHYSICS) -> float:
     """pybox2d's own Step of 64 worlds and nothing else."""
-    trees, drive = kinematic_trees(designs, density=physics.link_density), Drive.of(designs)
+    trees, controllers = kinematic_trees(designs, density=physics.link_density), Controllers.of(designs)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
     worlds = [
-        reference._Robot(trees, rigid, design, drive, environment.depth, physics).world
+        reference._Robot(trees, rigid, design, controllers, environment.depth, physics).world
         for design in range(len(designs))
     ]
 
@@ -173,7 +173,7 @@ def _over(theirs: list[float], ours: list[float]) -> list[float]:
 def packing() -> list[Figure]:
     """Pack 64 designs into lanes, again and again, and once after rollouts as a study does; over those rollouts."""
     population, environment = designs(), TrueSlush(9.0)
-    world = batch.shared_world(environment, PHYSICS)
+    world = batch.scene_of(environment, PHYSICS)
     pack = partial(batch.Groups, population, PHYSICS, n_members=1, n_lanes=N_LANES)
     again, once = [], []
     for _ in range(N_ROUNDS):

@@ -23,7 +23,7 @@ from tasks.fabrication.servo_joints import servo_of
 from tasks.fabrication.servos import Servo
 from tasks.fabrication.timeline import Timeline, TimelineError, pulses, timeline_of
 from tasks.simulation import OK, Rollouts, simulate
-from tasks.simulation.box2d import ANGLE, OMEGA, X, Y
+from tasks.simulation.box2d import Column
 from tasks.world import Environment, Physics
 
 SPARE = radians(5.0)
@@ -126,8 +126,8 @@ def run(
         com_displacement=float(rollouts.com_displacement[0]),
         duration=n_measure * physics.time_step,
         torque=rollouts.motor_torque[0][n_settle:, list(joints)].astype(np.float64),
-        speed=trace[n_settle:, list(joints), OMEGA] - trace[n_settle:, parent, OMEGA],
-        pose=trace[n_settle:, :, [X, Y, ANGLE]],
+        speed=trace[n_settle:, list(joints), Column.OMEGA] - trace[n_settle:, parent, Column.OMEGA],
+        pose=trace[n_settle:, :, [Column.X, Column.Y, Column.ANGLE]],
     )
 
 

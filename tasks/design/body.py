@@ -18,7 +18,7 @@ import numpy.typing as npt
 from tasks.arrays import Float32, Float64
 from tasks.compiled import compiled
 from tasks.design import genes
-from tasks.design.genes import COLUMNS, N_LINKS, PARENT, Designs, Table
+from tasks.design.genes import COLUMNS, N_LINKS, PARENT_COLUMN, Designs, DesignTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ REST_X, REST_Y, REST_ANGLE, REST_SINE, REST_COSINE, PARENT_ANCHOR, CHILD_ANCHOR 
 centres of parent and link [m], 0 for the root."""
 
 
-def hang_links(table: Table) -> Float64:
+def hang_links(table: DesignTable) -> Float64:
     """Place links by their rest angles, the root upright at the origin.
 
     Args:
@@ -71,7 +71,7 @@ def hang_links(table: Table) -> Float64:
         genes_of, links = table[design], rest[design]
         links[REST_COSINE, 0] = 1.0
         for link in range(1, N_LINKS):
-            above = int(genes_of[PARENT + link])
+            above = int(genes_of[PARENT_COLUMN + link])
             along_parent = genes_of[PARENT_ATTACHMENT + link] * genes_of[LENGTH + above] / 2
             along_child = genes_of[CHILD_ATTACHMENT + link] * genes_of[LENGTH + link] / 2
             turned = links[REST_ANGLE, above] + genes_of[JOINT_ANGLE + link]
@@ -99,7 +99,7 @@ def rest_pose(designs: Designs) -> tuple[Float64, Float64, Float64]:
     return rest[:, REST_X], rest[:, REST_Y], rest[:, REST_ANGLE]
 
 
-def spawn_links(table: Table, density: float) -> Float32:
+def spawn_links(table: DesignTable, density: float) -> Float32:
     """Spawn links: the fields of KinematicTrees but the parents, in their order.
 
     Args:

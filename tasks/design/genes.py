@@ -20,14 +20,15 @@ from tasks.compiled import compiled
 
 N_LINKS = 6
 """Links in a design, the root included. The sweeps of the batch engine name their joints: see kernels.py."""
+N_JOINTS = N_LINKS - 1
 
 ROOT_PARENT = -1
 """The parent of a root."""
 
-Table = npt.NDArray[np.float64]
+DesignTable = npt.NDArray[np.float64]
 """(n_designs, N_COLUMNS) designs as a table: what variation and selection work on."""
 
-Part = Literal["body", "control"]
+GenePart = Literal["body", "control"]
 Kind = Literal["interval", "angle", "flag"]
 
 
@@ -40,7 +41,7 @@ class Gene:
     """
 
     name: str
-    part: Part
+    part: GenePart
     kind: Kind
     low: float
     high: float
@@ -158,7 +159,7 @@ class Designs:
         return Designs(**{name: arrays[name] for name in DTYPES})
 
     @cached_property
-    def table(self) -> Table:
+    def table(self) -> DesignTable:
         """(n_designs, N_COLUMNS) all numbers of a design in a row, at COLUMNS: exact, and can't be changed."""
         several = [array[:, None] if name in PER_DESIGN else array for name, array in self.arrays()]
         table = np.ascontiguousarray(np.concatenate(several, axis=1, dtype=np.float64))
@@ -166,7 +167,7 @@ class Designs:
         return table
 
     @staticmethod
-    def from_table(table: Table) -> Designs:
+    def from_table(table: DesignTable) -> Designs:
         """Restore designs from their table, which is theirs from then on and is not to be changed.
 
         Raises:
@@ -225,7 +226,7 @@ def _columns() -> dict[str, slice]:
 
 COLUMNS = _columns()
 """Where each field of Designs is in a table of designs, a link after the other."""
-PARENT = COLUMNS["parent"].start
+PARENT_COLUMN = COLUMNS["parent"].start
 """Column of the root's parent; those of the other links follow."""
 LINK_OF_COLUMN = np.concatenate([[N_LINKS] if name in PER_DESIGN else np.arange(N_LINKS) for name in COLUMNS])
 """(N_COLUMNS,) whose each column is; N_LINKS where it is the whole design's."""
@@ -260,7 +261,7 @@ IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])
 """(n_genes,) whether it is 0 or 1, and nothing between."""
 
 
-def find_fault(table: Table) -> tuple[int, int]:
+def find_fault(table: DesignTable) -> tuple[int, int]:
     """Find the first number that no design can have: in the trees, then gene by gene.
 
     Returns:
@@ -268,9 +269,9 @@ def find_fault(table: Table) -> tuple[int, int]:
     """
     for design in range(len(table)):
         for link in range(N_LINKS):
-            parent = table[design, PARENT + link]
+            parent = table[design, PARENT_COLUMN + link]
             if parent != ROOT_PARENT if link == 0 else not (0 <= parent < link and parent == np.floor(parent)):
-                return design, PARENT + link
+                return design, PARENT_COLUMN + link
     for gene in range(len(FIRST)):
         for design in range(len(table)):
             for column in range(FIRST[gene] if OF_ROOT[gene] else FIRST[gene] + 1, END[gene]):

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from tasks.arrays import Float64, Int64
 from tasks.design.body import rest_pose
-from tasks.design.genes import N_LINKS, DesignError, Designs, Table
+from tasks.design.genes import N_LINKS, DesignError, Designs, DesignTable
 from tasks.parameters import Parameters
 
 TOUCHING = 1e-9
@@ -48,7 +48,7 @@ ANY_BODY = Morphology()
 class Drawn:
     """Designs that a morphology allows, and what it took to find them."""
 
-    table: Table
+    table: DesignTable
     """(n_designs, N_COLUMNS)"""
     n_draws: Int64
     """(n_designs,) how many were drawn for each, itself among them: n_draws - 1 were rejected."""
@@ -110,7 +110,11 @@ def separation(one: Float64, other: Float64) -> Float64:
 
 
 def until_apart(
-    first: Table, draw: Callable[[Int64], Table], *, max_draws: int = MAX_DRAWS, otherwise: Table | None = None
+    first: DesignTable,
+    draw: Callable[[Int64], DesignTable],
+    *,
+    max_draws: int = MAX_DRAWS,
+    otherwise: DesignTable | None = None,
 ) -> Drawn:
     """Draw those designs again whose unjoined links overlap.
 

@@ -19,7 +19,7 @@ from pydantic import Field
 from tasks.arrays import Int64
 from tasks.compiled import compiled
 from tasks.design import genes, variation_kernels
-from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, Gene, Part, Table
+from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, DesignTable, Gene, GenePart
 from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, until_apart
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
 from tasks.parameters import Parameters
@@ -36,13 +36,13 @@ class Mutation(Parameters):
     """Probability that one link of a mutant is hung from another parent."""
 
 
-MUTATION = Mutation()
+_MUTATION = Mutation()
 
-SOURCES = [genes, variation_kernels]
+VARIATION_SOURCES = [genes, variation_kernels]
 """Modules that go into the operators' kernels."""
-random_kernel = compiled(variation_kernels.random_table, SOURCES, seconds=3)
-mutate_kernel = compiled(variation_kernels.mutate_table, SOURCES, seconds=6)
-recombine_kernel = compiled(variation_kernels.recombine_tables, SOURCES, seconds=3)
+random_kernel = compiled(variation_kernels.random_table, VARIATION_SOURCES, seconds=3)
+mutate_kernel = compiled(variation_kernels.mutate_table, VARIATION_SOURCES, seconds=6)
+recombine_kernel = compiled(variation_kernels.recombine_tables, VARIATION_SOURCES, seconds=3)
 
 NO_DESIGNS = Designs.from_table(np.zeros((0, N_COLUMNS)))
 
@@ -50,8 +50,8 @@ NO_DESIGNS = Designs.from_table(np.zeros((0, N_COLUMNS)))
 def variation_of(
     morphology: Morphology,
     *,
-    mutation: Mutation = MUTATION,
-    parts: tuple[Part, ...] = ("body", "control"),
+    mutation: Mutation = _MUTATION,
+    parts: tuple[GenePart, ...] = ("body", "control"),
     body: Designs | None = None,
 ) -> Variation:
     """Tell the kernels what may vary, and how.
@@ -67,7 +67,7 @@ def variation_of(
 
 
 @cache
-def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[Part, ...]) -> Variation:
+def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart, ...]) -> Variation:
     return Variation(
         body=NO_DESIGNS.table,
         body_columns=_body_columns(n_actuated),
@@ -79,7 +79,7 @@ def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[Part, ..
     )
 
 
-def _part_of(gene: Gene, n_actuated: int | None) -> Part:
+def _part_of(gene: Gene, n_actuated: int | None) -> GenePart:
     """Tell what a gene is of: with a given number of actuated joints, which they are belongs to the body.
 
     Motors are built in; and where passive joints are locked, another set of motors is another set of rigid bodies.
@@ -92,7 +92,7 @@ def _body_columns(n_actuated: int | None) -> Int64:
     return np.concatenate([np.arange(N_COLUMNS)[COLUMNS[name]] for name in names])
 
 
-def _numbers(parts: tuple[Part, ...], n_actuated: int | None) -> Numbers:
+def _numbers(parts: tuple[GenePart, ...], n_actuated: int | None) -> Numbers:
     varying = [gene for gene in GENES if _part_of(gene, n_actuated) in parts]
     of_all = [gene for gene in varying for _ in range(gene.n_numbers)]
     return Numbers(
@@ -128,7 +128,7 @@ def draw_random(
     *,
     body: Designs | None = None,
     morphology: Morphology = ANY_BODY,
-    first: Table | None = None,
+    first: DesignTable | None = None,
 ) -> Drawn:
     """Draw random designs as :func:`random_designs` does, and count the draws.
 
@@ -141,20 +141,20 @@ def draw_random(
     """
     variation = variation_of(morphology, body=body)
 
-    def draw(which: Int64) -> Table:
-        table: Table = random_kernel(len(which), rng, variation)
+    def draw(which: Int64) -> DesignTable:
+        table: DesignTable = random_kernel(len(which), rng, variation)
         return table
 
     return _drawn(draw, n_designs, first, body is None and morphology.unjoined_links == "apart")
 
 
 def _drawn(
-    draw: Callable[[Int64], Table],
+    draw: Callable[[Int64], DesignTable],
     n_designs: int,
-    first: Table | None,
+    first: DesignTable | None,
     apart: bool,
     max_draws: int = MAX_DRAWS,
-    otherwise: Table | None = None,
+    otherwise: DesignTable | None = None,
 ) -> Drawn:
     table = draw(np.arange(n_designs)) if first is None else first
     if apart:
@@ -166,8 +166,8 @@ def mutate(
     designs: Designs,
     rng: Generator,
     *,
-    mutation: Mutation = MUTATION,
-    parts: tuple[Part, ...] = ("body", "control"),
+    mutation: Mutation = _MUTATION,
+    parts: tuple[GenePart, ...] = ("body", "control"),
     morphology: Morphology = ANY_BODY,
 ) -> Designs:
     """Copy designs with some genes changed, at least one each.
@@ -190,18 +190,18 @@ def mutate(
 
 
 def draw_mutants(
-    table: Table,
+    table: DesignTable,
     rng: Generator,
     *,
-    mutation: Mutation = MUTATION,
-    parts: tuple[Part, ...] = ("body", "control"),
+    mutation: Mutation = _MUTATION,
+    parts: tuple[GenePart, ...] = ("body", "control"),
     morphology: Morphology = ANY_BODY,
-    first: Table | None = None,
+    first: DesignTable | None = None,
 ) -> Drawn:
     """Mutate designs, given as their table, as :func:`mutate` does, and count the draws; see :func:`draw_random`."""
     variation = variation_of(morphology, mutation=mutation, parts=parts)
 
-    def draw(which: Int64) -> Table:
+    def draw(which: Int64) -> DesignTable:
         mutants = table[which]
         mutate_kernel(mutants, rng, variation)
         return mutants
@@ -234,12 +234,17 @@ MAX_RECOMBINATIONS = 256
 
 
 def draw_recombinations(
-    one: Table, other: Table, rng: Generator, *, morphology: Morphology = ANY_BODY, first: Table | None = None
+    one: DesignTable,
+    other: DesignTable,
+    rng: Generator,
+    *,
+    morphology: Morphology = ANY_BODY,
+    first: DesignTable | None = None,
 ) -> Drawn:
     """Recombine designs, given as tables, as :func:`crossover` does, and count the draws; see :func:`draw_random`."""
     variation = variation_of(morphology)
 
-    def draw(which: Int64) -> Table:
+    def draw(which: Int64) -> DesignTable:
         child = one[which]
         recombine_kernel(child, other[which], rng, variation)
         return child

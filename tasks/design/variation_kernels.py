@@ -20,16 +20,17 @@ from tasks.design.genes import (
     COLUMNS,
     END,
     FIRST,
-    GENES,
     HIGH,
+    IS_FLAG,
     LINK_OF_COLUMN,
     LOW,
     N_COLUMNS,
+    N_JOINTS,
     N_LINKS,
     OF_ROOT,
-    PARENT,
+    PARENT_COLUMN,
     ROOT_PARENT,
-    Table,
+    DesignTable,
 )
 
 Flags = npt.NDArray[np.bool_]
@@ -37,14 +38,11 @@ Flags = npt.NDArray[np.bool_]
 MOTOR = "motor_on"
 MOTORS = COLUMNS[MOTOR].start + 1
 """Column of the first joint's motor; those of the other joints follow. A root has none."""
-N_JOINTS = N_LINKS - 1
 
 ANY_NUMBER = -1
 """Of actuated joints: however many there happen to be."""
 BODY_STAYS = -1.0
 """In place of a probability that a link is hung from another parent."""
-
-IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])
 
 
 class Numbers(NamedTuple):
@@ -62,7 +60,7 @@ class Numbers(NamedTuple):
 class Variation(NamedTuple):
     """What may vary, and how."""
 
-    body: Table
+    body: DesignTable
     """(1, N_COLUMNS) the design whose body all have; (0, N_COLUMNS) if bodies vary."""
     body_columns: Int64
     """Columns that are of the body."""
@@ -78,7 +76,7 @@ class Variation(NamedTuple):
     """Probability that one link of a design is hung from another parent; BODY_STAYS if none may be."""
 
 
-def random_table(n_designs: int, rng: Generator, variation: Variation) -> Table:
+def random_table(n_designs: int, rng: Generator, variation: Variation) -> DesignTable:
     """Draw designs uniformly within the genes' bounds, with the given body if there is one.
 
     A motor is on with probability 1/2; where their number is given, any joints are as likely to have them.
@@ -102,10 +100,10 @@ def random_table(n_designs: int, rng: Generator, variation: Variation) -> Table:
                     table[design, column] = LOW[gene] + (HIGH[gene] - LOW[gene]) * drawn
             if not OF_ROOT[gene]:
                 table[design, FIRST[gene]] = 0.0  # so that designs that behave alike are equal
-    table[:, PARENT] = ROOT_PARENT
+    table[:, PARENT_COLUMN] = ROOT_PARENT
     for link in range(1, N_LINKS):
         for design in range(n_designs):
-            table[design, PARENT + link] = rng.integers(0, link)
+            table[design, PARENT_COLUMN + link] = rng.integers(0, link)
     if variation.n_actuated != ANY_NUMBER:
         for design in range(n_designs):
             _switch_on_highest(table[design, MOTORS : MOTORS + N_JOINTS], rng.random(N_JOINTS), variation.n_actuated)
@@ -127,7 +125,7 @@ def _switch_on_highest(flags: Float64, score: Float64, n: int) -> None:
         flags[this] = 1.0 if n_before < n else 0.0
 
 
-def mutate_table(table: Table, rng: Generator, variation: Variation) -> None:
+def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> None:
     """Change some numbers of designs, at least one each, and hang some links from another parent, in place.
 
     Args:
@@ -179,7 +177,7 @@ def _stepped(numbers: Numbers, number: int, old: float, by: float) -> float:
 
 
 @inline
-def _move_motors(table: Table, changes: Flags, rng: Generator, numbers: Numbers) -> None:
+def _move_motors(table: DesignTable, changes: Flags, rng: Generator, numbers: Numbers) -> None:
     """Let each motor that is to change change places with one that is its opposite, drawn uniformly; none then is."""
     for number in range(len(numbers.column)):
         if not numbers.is_motor[number]:
@@ -197,18 +195,18 @@ def _move_motors(table: Table, changes: Flags, rng: Generator, numbers: Numbers)
 
 
 @inline
-def _rewire(table: Table, rng: Generator, probability: float) -> None:
+def _rewire(table: DesignTable, rng: Generator, probability: float) -> None:
     """Hang one link of some designs from another of the links before it. Link 1 has the root alone."""
     n_designs = len(table)
     chosen, link, place = rng.random(n_designs), rng.integers(2, N_LINKS, n_designs), rng.random(n_designs)
     for design in range(n_designs):
         if chosen[design] < probability:
             other = np.floor(place[design] * (link[design] - 1))
-            column = PARENT + link[design]
+            column = PARENT_COLUMN + link[design]
             table[design, column] = other + (other >= table[design, column])  # skips the present parent
 
 
-def recombine_tables(child: Table, other: Table, rng: Generator, variation: Variation) -> None:
+def recombine_tables(child: DesignTable, other: DesignTable, rng: Generator, variation: Variation) -> None:
     """Give designs some links' genes of others, in place; at least one link comes from each, at least one stays.
 
     Args:

@@ -30,14 +30,14 @@ from tasks.design import (
     genes,
     variation,
 )
-from tasks.design.genes import N_COLUMNS, Part, Table
-from tasks.design.variation import SOURCES, variation_of
+from tasks.design.genes import N_COLUMNS, DesignTable, GenePart
+from tasks.design.variation import VARIATION_SOURCES, variation_of
 from tasks.evolution import breeding
 from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Children, Population
 from tasks.kernel_generators import hold
 from tasks.parameters import Parameters
 
-_breed = compiled(breeding.breed, [*SOURCES, variation, breeding], seconds=10)
+_breed = compiled(breeding.breed, [*VARIATION_SOURCES, variation, breeding], seconds=10)
 _survive = compiled(breeding.survive, [genes, breeding], seconds=4)
 _select = compiled(breeding.select, [breeding], seconds=4)
 
@@ -99,7 +99,7 @@ def ask(
         body: one design whose body all children get; only controllers evolve then.
         morphology: what bodies keep to.
     """
-    parts: tuple[Part, ...] = ("body", "control") if body is None else ("control",)
+    parts: tuple[GenePart, ...] = ("body", "control") if body is None else ("control",)
     varying = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
     children: Children = _breed(
         afpo.population_size, hold(rng).held, population, afpo.random_share, afpo.mutation_share, varying
@@ -109,7 +109,9 @@ def ask(
     return children
 
 
-def _draw_again(children: Children, parents: Table, rng: Generator, mutation: Mutation, morphology: Morphology) -> None:
+def _draw_again(
+    children: Children, parents: DesignTable, rng: Generator, mutation: Mutation, morphology: Morphology
+) -> None:
     """Draw those children again, by their own operators, that the morphology refuses; in place."""
     for operator in range(len(OPERATORS)):
         which = np.flatnonzero(children.operator == operator)

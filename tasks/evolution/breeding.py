@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tasks.arrays import Float64, Int64
 from tasks.compiled import inline
-from tasks.design.genes import N_COLUMNS, Designs, Table
+from tasks.design.genes import N_COLUMNS, Designs, DesignTable
 from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel
 from tasks.design.variation_kernels import Variation
 
@@ -29,7 +29,7 @@ NOBODY = -1
 class Population(NamedTuple):
     """The survivors of a generation; axis 0 is the design."""
 
-    table: Table
+    table: DesignTable
     """(n_designs, N_COLUMNS) their genes; fewer than the population's size only if too many diverged."""
     fitness: Float64
     """(n_designs,) finite [m]"""
@@ -74,7 +74,7 @@ class Population(NamedTuple):
 class Children(NamedTuple):
     """Designs that wait to be evaluated; axis 0 is the child."""
 
-    table: Table
+    table: DesignTable
     """(n_children, N_COLUMNS) their genes, not to be changed once ``designs`` was read."""
     age: Int64
     """(n_children,) generations: that of the older parent; 0 where there is none."""
@@ -146,7 +146,7 @@ def breed(
 
 
 @inline
-def _parents(population: Population, operator: Int64, wanted: int, place: Int64) -> tuple[Int64, Table]:
+def _parents(population: Population, operator: Int64, wanted: int, place: Int64) -> tuple[Int64, DesignTable]:
     """List the children of an operator, and copy the genes of their parents at given places in the population."""
     children = np.empty(len(operator), dtype=np.int64)
     n = 0
@@ -161,7 +161,7 @@ def _parents(population: Population, operator: Int64, wanted: int, place: Int64)
 
 
 @inline
-def _copy_genes(one: Table, to: Table) -> None:
+def _copy_genes(one: DesignTable, to: DesignTable) -> None:
     for column in range(N_COLUMNS):
         to[column] = one[column]
 

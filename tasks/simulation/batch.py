@@ -24,7 +24,7 @@ from tasks.simulation.rigid_bodies.engine import Robots
 from tasks.simulation.simd import lanes, rotation, vectors
 from tasks.simulation.simd.lanes import Block, widest
 from tasks.simulation.trees import contact, joint, layout, packing, step
-from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, World
+from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
 from tasks.world import Environment, LinkStates, Medium, Physics, Slush
 from tasks.world import slush as slush_source
 
@@ -66,7 +66,7 @@ def _is_built_in(medium: Medium | None) -> bool:
     return type(medium) is Slush
 
 
-def shared_world(environment: Environment, physics: Physics) -> World:
+def scene_of(environment: Environment, physics: Physics) -> Scene:
     """Round what all robots share to float32, as Box2D and NumPy do on the way in."""
     single = np.float32
     dt = single(physics.time_step)
@@ -74,7 +74,7 @@ def shared_world(environment: Environment, physics: Physics) -> World:
     slush = medium if isinstance(medium, Slush) else Slush()
     top = single(GROUND_HALF_HEIGHT) + single(-environment.depth - GROUND_HALF_HEIGHT)
     friction = single(physics.friction)
-    return World(
+    return Scene(
         dt=dt,
         dt_ratio=(single(1) / dt) * dt,
         fall=dt * single(-physics.gravity),
@@ -161,7 +161,7 @@ class Groups:
         """(n_robots, n_links) numbers that the kernels give to the designs' links."""
         return np.tile(self._place, (self._n_members, 1))
 
-    def advance(self, world: World, first_step: int, n_steps: int, kept: Float32 | None) -> None:
+    def advance(self, world: Scene, first_step: int, n_steps: int, kept: Float32 | None) -> None:
         """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""
         for group in range(self.n_groups if kept is not None else 1):
             n_groups = 1 if kept is not None else self.n_groups
@@ -175,7 +175,7 @@ class Groups:
                 place = self._place_of_robot()[mine, None, :, None]
                 kept[mine] = np.take_along_axis(states[: mine.stop - mine.start], place, axis=2)
 
-    def advance_among(self, learned_medium: PackedNetworks, world: World, first_step: int, n_steps: int) -> None:
+    def advance_among(self, learned_medium: PackedNetworks, world: Scene, first_step: int, n_steps: int) -> None:
         """Take steps in a medium that is one network for each member: all of it in one kernel, and without a trace."""
         coupling = coupled.couple(learned_medium, self.blocks, self.n_robots)
         with np.errstate(all="ignore"):
@@ -236,7 +236,7 @@ def roll_out_on(
         groups = Robots(designs, environment.depth, physics, n_members=n_members)
     else:
         groups = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes)
-    world = shared_world(environment, physics)
+    world = scene_of(environment, physics)
     n_steps = n_settle + n_measure
     shape = (n_members, len(designs))
     kept = np.empty((groups.n_robots, n_steps, N_LINKS, 6), np.float32) if trace else None

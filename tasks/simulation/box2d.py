@@ -11,8 +11,11 @@ GROUND_HALF_WIDTH = 10_000.0
 GROUND_HALF_HEIGHT = 10.0
 """[m]. Far thicker than any link moves in a step (Box2D allows 2 m), so nothing tunnels."""
 
-X, Y, ANGLE, VX, VY, OMEGA = range(6)
-"""Columns of a link's state: x, y [m], angle [rad], vx, vy [m/s], omega [rad/s]."""
+
+class Column:
+    """Columns of a link's state: x, y [m], angle [rad], vx, vy [m/s], omega [rad/s]."""
+
+    X, Y, ANGLE, VX, VY, OMEGA = range(6)
 
 
 @dataclass(frozen=True, eq=False)

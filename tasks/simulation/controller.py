@@ -36,7 +36,7 @@ def sine_of_turns(turns: Float32) -> Float32:
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class Controllers:
     """Controllers of designs, rounded once to the engines' precision."""
 
     frequency: Float32
@@ -51,11 +51,11 @@ class Drive:
     """(n_designs, n_links); False for the root, which hangs from no joint."""
 
     @staticmethod
-    def of(designs: Designs) -> Drive:
+    def of(designs: Designs) -> Controllers:
         """Take the controllers out of designs."""
         single = np.float32
         jointed = np.arange(designs.parent.shape[1]) > 0
-        return Drive(
+        return Controllers(
             frequency=designs.frequency[:, None].astype(single),
             phase_turns=(designs.phase / TURN).astype(single),
             motion_range=designs.motion_range.astype(single),

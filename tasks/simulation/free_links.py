@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from tasks.arrays import Float32
 from tasks.compiled import compiled
-from tasks.simulation.box2d import ANGLE, OMEGA, VX, VY, Y
+from tasks.simulation.box2d import Column
 from tasks.simulation.simd import lanes, rotation, vectors
 from tasks.simulation.simd.lanes import Block
 from tasks.simulation.trees.step import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
@@ -59,19 +59,19 @@ class FreeLinks:
         Returns:
             (n_links, 6) the next states.
         """
-        velocity = state[:, VX:]
+        velocity = state[:, Column.VX :]
         if medium is not None:
-            sin, cos = sines_and_cosines(state[:, ANGLE])
+            sin, cos = sines_and_cosines(state[:, Column.ANGLE])
             links = LinkStates(
                 length_scale=self._length_scale,
                 mass=self._mass,
                 inertia=self._inertia,
-                y=state[:, Y],
+                y=state[:, Column.Y],
                 cos=cos,
                 sin=sin,
-                vx=state[:, VX],
-                vy=state[:, VY],
-                omega=state[:, OMEGA],
+                vx=state[:, Column.VX],
+                vy=state[:, Column.VY],
+                omega=state[:, Column.OMEGA],
             )
             change = medium.velocity_change(links, self._physics)
             velocity = (velocity + np.stack((change.vx, change.vy, change.omega), axis=1)).astype(np.float32)
@@ -88,4 +88,4 @@ class FreeLinks:
         turn = np.float32(MAX_ROTATION) / np.maximum(abs(turned), np.float32(1))
         omega = np.where(too_much, omega * turn, omega)
         velocity = np.stack((vx, vy, omega), axis=1)
-        return np.concatenate((state[:, : ANGLE + 1] + dt * velocity, velocity), axis=1)
+        return np.concatenate((state[:, : Column.ANGLE + 1] + dt * velocity, velocity), axis=1)

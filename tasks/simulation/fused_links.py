@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tasks.arrays import Floats
 from tasks.design.body import RigidBodies
 from tasks.design.genes import N_LINKS
-from tasks.simulation.box2d import ANGLE, OMEGA, VX, VY, X, Y
+from tasks.simulation.box2d import Column
 from tasks.world import VelocityChange
 
 
@@ -51,12 +51,12 @@ def place_links(rigid: RigidBodies, body: npt.NDArray[np.float32], cos: Floats, 
     lever_x = cos * rigid.lever_x - sin * rigid.lever_y
     lever_y = sin * rigid.lever_x + cos * rigid.lever_y
     state = np.empty_like(body)
-    state[..., X] = body[..., X] + (cos * rigid.x - sin * rigid.y)
-    state[..., Y] = body[..., Y] + (sin * rigid.x + cos * rigid.y)
-    state[..., ANGLE] = body[..., ANGLE] + rigid.angle
-    state[..., VX] = body[..., VX] - body[..., OMEGA] * lever_y
-    state[..., VY] = body[..., VY] + body[..., OMEGA] * lever_x
-    state[..., OMEGA] = body[..., OMEGA]
+    state[..., Column.X] = body[..., Column.X] + (cos * rigid.x - sin * rigid.y)
+    state[..., Column.Y] = body[..., Column.Y] + (sin * rigid.x + cos * rigid.y)
+    state[..., Column.ANGLE] = body[..., Column.ANGLE] + rigid.angle
+    state[..., Column.VX] = body[..., Column.VX] - body[..., Column.OMEGA] * lever_y
+    state[..., Column.VY] = body[..., Column.VY] + body[..., Column.OMEGA] * lever_x
+    state[..., Column.OMEGA] = body[..., Column.OMEGA]
     return PlacedLinks(
         state=state,
         cos=cos * rigid.cos - sin * rigid.sin,

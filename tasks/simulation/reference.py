@@ -20,8 +20,8 @@ import numpy.typing as npt
 from tasks.arrays import Float32
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation.box2d import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, OMEGA, VX, VY, Motion, Y
-from tasks.simulation.controller import Drive
+from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column, Motion
+from tasks.simulation.controller import Controllers
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, VelocityChange
 
@@ -107,7 +107,13 @@ class _Robot:
     """One robot in a world of its own."""
 
     def __init__(
-        self, trees: KinematicTrees, rigid: RigidBodies, design: int, drive: Drive, depth: float, physics: Physics
+        self,
+        trees: KinematicTrees,
+        rigid: RigidBodies,
+        design: int,
+        controllers: Controllers,
+        depth: float,
+        physics: Physics,
     ) -> None:
         self.world = _empty_world(physics)
         ground = self.world.CreateStaticBody(position=(0.0, -depth - GROUND_HALF_HEIGHT))
@@ -137,7 +143,7 @@ class _Robot:
                 localAnchorA=(float(rigid.joint_x[design, link]), float(rigid.joint_y[design, link])),
                 localAnchorB=(0.0, float(trees.child_anchor[design, link])),
                 referenceAngle=0.0,
-                enableMotor=bool(drive.motor_on[design, link]),
+                enableMotor=bool(controllers.motor_on[design, link]),
                 maxMotorTorque=physics.max_motor_torque,
                 collideConnected=physics.link_collisions,  # the filters above know which links a joint ties
             )
@@ -172,7 +178,7 @@ class _Links:
             of_body = body_change(self._rigid, links.lever_x, links.lever_y, change)
             vx, vy, omega = (
                 (self._state[:, column] + added[self._is_first]).astype(np.float32)
-                for column, added in ((VX, of_body.vx), (VY, of_body.vy), (OMEGA, of_body.omega))
+                for column, added in ((Column.VX, of_body.vx), (Column.VY, of_body.vy), (Column.OMEGA, of_body.omega))
             )
         self._bodies.set_velocities(vx, vy, omega)
 
@@ -185,9 +191,9 @@ def roll_out(
     n_designs, n_steps = len(designs), n_settle + n_measure
     trees = kinematic_trees(designs, density=physics.link_density)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
-    drive = Drive.of(designs)
+    controllers = Controllers.of(designs)
     robots = [
-        _Robot(trees, rigid, design, drive, environment.depth, physics)
+        _Robot(trees, rigid, design, controllers, environment.depth, physics)
         for _ in range(n_members)
         for design in range(n_designs)
     ]
@@ -198,7 +204,7 @@ def roll_out(
     torque = np.zeros((n_members, n_designs, n_steps, N_LINKS), np.float32) if trace else None
     settled = placed.state
     for step in range(n_steps):
-        _command_motors(robots, drive, trees, placed.state, step, physics)
+        _command_motors(robots, controllers, trees, placed.state, step, physics)
         if environment.medium is not None:
             _push(links, environment.medium, designs, trees, placed, physics)
         for robot, robot_alive in zip(robots, alive.flat, strict=True):
@@ -229,15 +235,15 @@ def _motor_torques(robots: list[_Robot], physics: Physics) -> Float32:
 
 
 def _command_motors(
-    robots: list[_Robot], drive: Drive, trees: KinematicTrees, state: Float32, step: int, physics: Physics
+    robots: list[_Robot], controllers: Controllers, trees: KinematicTrees, state: Float32, step: int, physics: Physics
 ) -> None:
     """Set each driven joint's motor speed to gain · (θ* - θ)."""
-    angle = state[..., ANGLE]
+    angle = state[..., Column.ANGLE]
     parent = np.broadcast_to(np.maximum(trees.parent, 0), angle.shape)
     joint_angle = angle - np.take_along_axis(angle, parent, axis=2)
-    error = drive.target_angle(step, physics.time_step) - joint_angle
+    error = controllers.target_angle(step, physics.time_step) - joint_angle
     speed = (np.float32(physics.motor_gain) * error).reshape(len(robots), N_LINKS).tolist()
-    on = np.broadcast_to(drive.motor_on, angle.shape).reshape(len(robots), N_LINKS).tolist()
+    on = np.broadcast_to(controllers.motor_on, angle.shape).reshape(len(robots), N_LINKS).tolist()
     for robot, speeds, flags in zip(robots, speed, on, strict=True):
         for link, joint in robot.joints.items():
             if flags[link]:
@@ -254,12 +260,12 @@ def _push(
         length_scale=np.broadcast_to(designs.length_scale.astype(np.float32), shape),
         mass=np.broadcast_to(trees.mass, shape),
         inertia=np.broadcast_to(trees.inertia, shape),
-        y=state[..., Y],
+        y=state[..., Column.Y],
         cos=placed.cos,
         sin=placed.sin,
-        vx=state[..., VX],
-        vy=state[..., VY],
-        omega=state[..., OMEGA],
+        vx=state[..., Column.VX],
+        vy=state[..., Column.VY],
+        omega=state[..., Column.OMEGA],
     )
     links.push(placed, medium.velocity_change(states, physics))
 
@@ -271,7 +277,7 @@ def _pushed(links: LinkStates, change: VelocityChange) -> tuple[Float32, Float32
     return vx, vy, omega
 
 
-class FreeLinks:
+class ReferenceFreeLinks:
     """Single links without ground or joints: what is thrown. Paper, "Dataset Collection"."""
 
     def __init__(self, length_scale: npt.NDArray[np.floating], physics: Physics) -> None:
@@ -307,12 +313,12 @@ class FreeLinks:
                 length_scale=self._length_scale,
                 mass=self._mass,
                 inertia=self._inertia,
-                y=state[:, Y],
+                y=state[:, Column.Y],
                 cos=rotation[:, 0],
                 sin=rotation[:, 1],
-                vx=state[:, VX],
-                vy=state[:, VY],
-                omega=state[:, OMEGA],
+                vx=state[:, Column.VX],
+                vy=state[:, Column.VY],
+                omega=state[:, Column.OMEGA],
             )
             self._bodies.set_velocities(*_pushed(links, medium.velocity_change(links, self._physics)))
         physics = self._physics

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tasks.design.genes import Designs, check
 from tasks.simulation import batch, reference
-from tasks.simulation.box2d import Motion, X
+from tasks.simulation.box2d import Column, Motion
 from tasks.world import Environment, Physics
 
 Engine = Literal["batch", "reference"]
@@ -80,7 +80,7 @@ def simulate(
 def _measure(motion: Motion, *, squeeze: bool) -> Rollouts:
     """Turn the states at two instants into displacements."""
     finite = np.asarray(np.isfinite(motion.final).all(axis=(2, 3)))
-    x_settled, x_final = (states[..., X].astype(np.float64) for states in (motion.settled, motion.final))
+    x_settled, x_final = (states[..., Column.X].astype(np.float64) for states in (motion.settled, motion.final))
     moved = np.where(finite[..., None], x_final - x_settled, np.nan)
     root = moved[..., 0]
     whole = moved.mean(axis=2)  # every link has the same mass

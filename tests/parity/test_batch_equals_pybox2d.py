@@ -9,7 +9,7 @@ from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, 
 
 from tasks.design import random_designs
 from tasks.simulation import batch, free_links, reference
-from tasks.simulation.box2d import ANGLE
+from tasks.simulation.box2d import Column
 from tasks.simulation.simd import rotation
 from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import packing
@@ -48,7 +48,7 @@ def test_motors_far_beyond_the_paper_s_range(
     rng = np.random.default_rng(seed)
     designs = wild(random_designs(33, rng), rng, motor_on=1.0)
     motion = assert_equal(designs, kind(depth), Physics(**STRONG_MOTORS), n_settle=100, n_measure=1300)
-    assert abs(motion.final[..., ANGLE]).max() > rotation.NEAR  # so that the other reduction of angles is met
+    assert abs(motion.final[..., Column.ANGLE]).max() > rotation.NEAR  # so that the other reduction of angles is met
 
 
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])
@@ -94,7 +94,7 @@ def test_throws(speed: float, medium: Slush | None, same_libm: None, seed: int) 
     state = rng.uniform(-1, 1, (n, 6)) * (0.2, 6, np.pi, speed, speed, speed)
     state = theirs = state.astype(np.float32)
     our_links = free_links.FreeLinks(length_scale, Physics())
-    their_links = reference.FreeLinks(length_scale, Physics())
+    their_links = reference.ReferenceFreeLinks(length_scale, Physics())
     for _ in range(200):
         state, theirs = our_links.step(state, medium), their_links.step(theirs, medium)
         np.testing.assert_array_equal(state, theirs)

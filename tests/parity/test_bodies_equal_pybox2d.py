@@ -10,8 +10,8 @@ from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, 
 
 from tasks.design import Morphology, kinematic_trees, random_designs, rigid_bodies
 from tasks.simulation import batch, reference
-from tasks.simulation.box2d import ANGLE, GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
-from tasks.simulation.controller import Drive
+from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column
+from tasks.simulation.controller import Controllers
 from tasks.simulation.rigid_bodies import broad_phase, engine, layout, polygons
 from tasks.simulation.simd.lanes import Block
 from tasks.simulation.simd.rotation import NEAR
@@ -64,7 +64,7 @@ def test_motors_far_beyond_the_paper_s_range(kind, depth: float, variant, same_l
     rng = np.random.default_rng(seed)
     designs = wild(random_designs(16, rng), rng, motor_on=0.8)
     motion = assert_equal(designs, kind(depth), Physics(**variant, **STRONG_MOTORS), n_settle=20, n_measure=480)
-    assert abs(motion.final[..., ANGLE]).max() > NEAR  # so that the other reduction of angles is met
+    assert abs(motion.final[..., Column.ANGLE]).max() > NEAR  # so that the other reduction of angles is met
 
 
 @pytest.mark.parametrize("environment", [DryLand(0.3), TrueSlush(0.3), TrueSlush(9.0)], ids=str)
@@ -193,7 +193,7 @@ def test_masses_are_those_of_b2_body(seed: int) -> None:
     trees, rigid = kinematic_trees(designs, density=1.7), rigid_bodies(designs, passive_joints="locked")
     packed = engine.Robots(designs, 0.0, physics, n_members=1).blocks[..., 0]
     for design in range(len(designs)):
-        bodies = reference._Robot(trees, rigid, design, Drive.of(designs), 0.0, physics).bodies
+        bodies = reference._Robot(trees, rigid, design, Controllers.of(designs), 0.0, physics).bodies
         for number, body in enumerate(bodies):
             ours = packed[design, layout.BODIES + number * layout.N_BODY :][: layout.N_BODY]
             assert tuple(ours[[layout.CENTER_X, layout.CENTER_Y]]) == tuple(body.localCenter)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tasks.simulation.reference import FreeLinks
+from tasks.simulation.reference import ReferenceFreeLinks
 from tasks.world import LinkStates, Medium, Physics, Slush, TrueSlush, VelocityChange
 from tasks.world.slush import submerged_part
 
@@ -16,7 +16,7 @@ EPS32 = 2.0**-24
 X, Y, ANGLE, VX, VY, OMEGA = range(6)
 
 
-def run(links: FreeLinks, state: np.ndarray, medium: Medium | None, n_steps: int) -> np.ndarray:
+def run(links: ReferenceFreeLinks, state: np.ndarray, medium: Medium | None, n_steps: int) -> np.ndarray:
     """States after each step, (n_steps, n_links, 6)."""
     states = []
     for _ in range(n_steps):
@@ -35,7 +35,7 @@ def test_free_fall() -> None:
     n_steps = 120
     start = at_rest(3, y=2.0)
     start[:, VX], start[:, OMEGA] = 3.0, 2.0
-    states = run(FreeLinks(np.array([1.0, 2.0, 3.0]), Physics()), start, None, n_steps)
+    states = run(ReferenceFreeLinks(np.array([1.0, 2.0, 3.0]), Physics()), start, None, n_steps)
     n = np.arange(1, n_steps + 1)[:, None]
     # Semi-implicit Euler: v takes its change first, then x moves by the new v. So v_n = -g n dt and
     # y_n = y_0 - g dt² (1 + 2 + … + n). Each step rounds v and the product g dt, and then y and the product v dt.
@@ -54,7 +54,7 @@ def test_free_fall() -> None:
 def test_terminal_velocity_of_a_link_that_sinks(density: float, v0: float) -> None:
     start = at_rest(3, y=-20.0, angle=np.array([0.0, 0.7, np.pi / 2], dtype=np.float32))
     start[:, VY] = v0
-    links = FreeLinks(np.array([1.0, 2.0, 3.0]), Physics(link_density=density))
+    links = ReferenceFreeLinks(np.array([1.0, 2.0, 3.0]), Physics(link_density=density))
     speed = -run(links, start, Slush(), 300)[-1, :, VY]
     # Wholly submerged, A_s = 1 m² and m = density. In steps, a speed s (downward) becomes s / (1 + k s dt) + b with
     # k = ½ ρ C_dl / m and b = (g - ρ g / m) dt. Its fixed point solves k dt s² - b k dt s - b = 0.
@@ -72,7 +72,7 @@ def test_a_link_floats_with_four_fifths_submerged() -> None:
     lengths = np.array([1.0, 2.0, 3.0, 2.0, 2.0])
     angle = np.array([0.0, 0.0, 0.0, np.pi / 2, 0.8], dtype=np.float32)
     seconds = 60
-    states = run(FreeLinks(lengths, Physics()), at_rest(5, y=0.0, angle=angle), Slush(), seconds * 60)[-1]
+    states = run(ReferenceFreeLinks(lengths, Physics()), at_rest(5, y=0.0, angle=angle), Slush(), seconds * 60)[-1]
     area, _ = submerged_part(lengths, states[:, Y], np.cos(states[:, ANGLE]), np.sin(states[:, ANGLE]))
     # Archimedes: ρ A_s = m, so A_s = 1 / 1.25. A link bobs about it with ω² = ρ g w / m, w its length at the water
     # line, and quadratic drag of k = ½ ρ C_dl A_s / m = 5 /m takes the amplitude A down by dA/dt = -(4 / 3π) k ω A²
@@ -87,7 +87,7 @@ def test_a_link_floats_with_four_fifths_submerged() -> None:
 
 def test_an_upright_link_at_its_floating_depth_stays() -> None:
     # Of a link of 2 m, 1.6 m are below the surface: the centre is at -0.6 m.
-    states = run(FreeLinks(np.array([2.0]), Physics()), at_rest(1, y=-0.6), Slush(), 600)
+    states = run(ReferenceFreeLinks(np.array([2.0]), Physics()), at_rest(1, y=-0.6), Slush(), 600)
     # Rounding unbalances weight and buoyancy by a few parts of 2^-24, and the water line pushes back: a bob no larger
     # than some roundings of y over the stiffness of a step, (ω dt)² with ω² = ρ g w = 6.1 /s².
     assert np.abs(states[:, 0, Y] + 0.6).max() < 4 * EPS32 / (6.1 * DT**2)
@@ -97,11 +97,11 @@ def test_a_step_depends_on_the_given_state_alone() -> None:
     rng = np.random.default_rng(21)
     lengths = rng.uniform(1, 3, 40)
     state = rng.uniform([0, -6, 0, -20, -20, -20], [0.2, 6, 2 * np.pi, 20, 20, 20], (40, 6)).astype(np.float32)
-    links = FreeLinks(lengths, Physics())
+    links = ReferenceFreeLinks(lengths, Physics())
     first = links.step(state, Slush())
     links.step(-state, Slush())  # something else in between
     np.testing.assert_array_equal(links.step(state, Slush()), first)
-    alone = FreeLinks(lengths[7:8], Physics()).step(state[7:8], Slush())
+    alone = ReferenceFreeLinks(lengths[7:8], Physics()).step(state[7:8], Slush())
     np.testing.assert_array_equal(alone, first[7:8])
 
 
@@ -112,7 +112,7 @@ def test_the_residual_of_a_step_is_the_mediums_velocity_change(medium_of: Callab
     lengths = rng.uniform(1, 3, n)
     low, high = [-0.2, -6, 0, -20, -20, -20], [0.2, 6, 2 * np.pi, 20, 20, 20]
     state = rng.uniform(low, high, (n, 6)).astype(np.float32)
-    links, medium, physics = FreeLinks(lengths, Physics()), medium_of(), Physics()
+    links, medium, physics = ReferenceFreeLinks(lengths, Physics()), medium_of(), Physics()
     with_it, without = links.step(state, medium).astype(np.float64), links.step(state, None).astype(np.float64)
     residual = with_it - without
     s = state.astype(np.float64)

@@ -22,7 +22,7 @@ from tasks.simulation.simd import lanes, rotation, vectors
 from tasks.simulation.simd.lanes import Block
 from tasks.simulation.trees import contact, joint, layout
 from tasks.simulation.trees import step as tree_step
-from tasks.simulation.trees.step import World
+from tasks.simulation.trees.step import Scene
 from tasks.world import LinkStates, Medium, Physics
 from tasks.world import slush as slush_source
 
@@ -96,7 +96,7 @@ class Robots:
         state[np.isnan(self.blocks[:, layout.DIVERGENCE, 0])] = np.nan
         return state
 
-    def advance(self, world: World, first_step: int, n_steps: int, kept: Float32 | None) -> None:
+    def advance(self, world: Scene, first_step: int, n_steps: int, kept: Float32 | None) -> None:
         """Take steps, and keep the states after each in (n_robots, at least n_steps, n_links, 6) if that is given."""
         each = max(1, self.n_robots) if kept is None else step.TEAM
         for first in range(0, self.n_robots, each):
@@ -109,7 +109,7 @@ class Robots:
                 states = trace.rows.reshape(n_robots, n_steps, 6, N_LINKS)
                 kept[first : first + n_robots] = states.transpose(0, 1, 3, 2)
 
-    def advance_among(self, learned_medium: PackedNetworks, world: World, first_step: int, n_steps: int) -> None:
+    def advance_among(self, learned_medium: PackedNetworks, world: Scene, first_step: int, n_steps: int) -> None:
         """Take steps in a medium that is one network for each member: all of it in one kernel, and without a trace."""
         coupling = coupled.couple(learned_medium, self.blocks, self.n_robots)
         with np.errstate(all="ignore"):

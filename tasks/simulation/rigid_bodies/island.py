@@ -47,7 +47,7 @@ from tasks.simulation.rigid_bodies.layout import (
 from tasks.simulation.rigid_bodies.records import bodies_of, body_at, contact_at, joint_at, place, synchronize_transform
 from tasks.simulation.simd.lanes import any_lane, from_row, load_whole, sqrt, store_whole
 from tasks.simulation.trees import layout
-from tasks.simulation.trees.contact import DEEPEST
+from tasks.simulation.trees.contact import LEAST_SEPARATION
 from tasks.simulation.trees.step import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 
 
@@ -205,7 +205,7 @@ def sweep_positions(team: Any, n_robots: int, world: Any) -> None:
                 if unsolved & (1 << robot) and i < load_whole(block, N_ISLAND_CONTACTS):
                     contact, body_a, body_b = island_contact(block, i)
                     least = contact_solver.solve_position_constraint(contact, body_a, body_b)
-                    if not any_lane(least >= DEEPEST):
+                    if not any_lane(least >= LEAST_SEPARATION):
                         failed |= 1 << robot
         for i in range(n_joints):
             for robot in range(n_robots):

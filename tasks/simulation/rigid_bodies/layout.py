@@ -8,9 +8,8 @@ of things and how many there are lie as int32, all else as float32.
 
 from __future__ import annotations
 
-from tasks.design.genes import N_LINKS
+from tasks.design.genes import N_JOINTS, N_LINKS
 from tasks.simulation.trees import layout
-from tasks.simulation.trees.layout import N_JOINTS
 
 GROUND = N_LINKS
 """The ground's number among the bodies and among the fixtures."""

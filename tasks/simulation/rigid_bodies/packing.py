@@ -11,7 +11,7 @@ from tasks.arrays import Float32, Int64
 from tasks.design.body import KinematicTrees, RigidBodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
-from tasks.simulation.controller import Drive
+from tasks.simulation.controller import Controllers
 from tasks.simulation.free_links import sines_and_cosines
 from tasks.simulation.rigid_bodies import layout as body_rows
 from tasks.simulation.trees import layout
@@ -181,19 +181,19 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
 
 
 def _pack_links(records: Float32, designs: Designs, trees: KinematicTrees, rigid: RigidBodies) -> None:
-    drive = Drive.of(designs)
+    controllers = Controllers.of(designs)
     length = designs.length_scale.astype(np.float32)
     for row, quantity in (
         (layout.HALF_HEIGHT, trees.half_height),
-        (layout.LENGTH, length),
-        (layout.WIDTH, 1 / length),
+        (layout.LONG_AXIS, length),
+        (layout.SHORT_AXIS, 1 / length),
         (layout.MASS, trees.mass),
         (layout.INERTIA, trees.inertia),
         (layout.PARENT, trees.parent[:, 1:]),
-        (layout.PHASE, drive.phase_turns[:, 1:]),
-        (layout.MOTION_RANGE, drive.motion_range[:, 1:]),
-        (layout.REST_ANGLE, drive.rest_angle[:, 1:]),
-        (layout.FREQUENCY, drive.frequency),
+        (layout.PHASE, controllers.phase_turns[:, 1:]),
+        (layout.MOTION_RANGE, controllers.motion_range[:, 1:]),
+        (layout.REST_ANGLE, controllers.rest_angle[:, 1:]),
+        (layout.FREQUENCY, controllers.frequency),
         (body_rows.PLACE_X, rigid.x),
         (body_rows.PLACE_Y, rigid.y),
         (body_rows.PLACE_ANGLE, rigid.angle),

@@ -30,13 +30,13 @@ NEAR = 120.0
 TWO_OVER_PI_SCALED = float.fromhex("0x1.45F306DC9C883p+23")  # 2/π · 2^24
 HALF_PI = float.fromhex("0x1.921FB54442D18p0")
 PI_63 = float.fromhex("0x1.921FB54442D18p-62")  # 2π · 2^-64
-C1 = float.fromhex("-0x1.ffffffd0c621cp-2")
-C2 = float.fromhex("0x1.55553e1068f19p-5")
-C3 = float.fromhex("-0x1.6c087e89a359dp-10")
-C4 = float.fromhex("0x1.99343027bf8c3p-16")
-S1 = float.fromhex("-0x1.555545995a603p-3")
-S2 = float.fromhex("0x1.1107605230bc4p-7")
-S3 = float.fromhex("-0x1.994eb3774cf24p-13")
+_C1 = float.fromhex("-0x1.ffffffd0c621cp-2")
+_C2 = float.fromhex("0x1.55553e1068f19p-5")
+_C3 = float.fromhex("-0x1.6c087e89a359dp-10")
+_C4 = float.fromhex("0x1.99343027bf8c3p-16")
+_S1 = float.fromhex("-0x1.555545995a603p-3")
+_S2 = float.fromhex("0x1.1107605230bc4p-7")
+_S3 = float.fromhex("-0x1.994eb3774cf24p-13")
 FOUR_OVER_PI = np.array(
     [
         0xA2,
@@ -103,8 +103,8 @@ def sincos(angle: Any) -> Any:
     x2 = x * x
     x3 = x2 * x
     x4 = x2 * x2
-    s = to_single(fma(x3 * x2, fma(x2, S3, S2), fma(x3, S1, x)))
-    c = to_single(fma(x4 * x2, fma(x2, C4, C3), fma(x4, C2, fma(x2, C1, 1.0))))
+    s = to_single(fma(x3 * x2, fma(x2, _S3, _S2), fma(x3, _S1, x)))
+    c = to_single(fma(x4 * x2, fma(x2, _C4, _C3), fma(x4, _C2, fma(x2, _C1, 1.0))))
     s = select(((signs + 1) & 2) == 2, -s, s)
     c = select((signs & 2) == 2, -c, c)
     odd = (n & 1) == 1

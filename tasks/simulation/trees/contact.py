@@ -67,7 +67,7 @@ MAX_CONDITION_NUMBER = 1000.0
 BAUMGARTE = 0.2
 MAX_LINEAR_CORRECTION = 0.2
 """b2_maxLinearCorrection [m]."""
-DEEPEST = float(-np.float32(3.0) * np.float32(LINEAR_SLOP))
+LEAST_SEPARATION = float(-np.float32(3.0) * np.float32(LINEAR_SLOP))
 """Least separation that is good enough [m]."""
 
 
@@ -313,10 +313,10 @@ def solve_position_constraint(block: Any, link: int, ground: Any, unsolved: Any)
     touches = block[VERTEX_1 + link] != NO_VERTEX
     local_x, local_y = block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link]
     separation = _push_out(block, link, local_x, local_y, ground, unsolved & touches)
-    shallow = ~touches | (separation >= DEEPEST)
+    shallow = ~touches | (separation >= LEAST_SEPARATION)
     both = block[VERTEX_2 + link] != NO_VERTEX
     if any_lane(both):
         local_x, local_y = block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link]
         separation = _push_out(block, link, local_x, local_y, ground, unsolved & both)
-        shallow = shallow & (~both | (separation >= DEEPEST))
+        shallow = shallow & (~both | (separation >= LEAST_SEPARATION))
     return shallow

@@ -7,9 +7,7 @@ vx. What a step touches of 32 robots just fits a core's L1 cache: a quantity mor
 
 from __future__ import annotations
 
-from tasks.design.genes import N_LINKS
-
-N_JOINTS = N_LINKS - 1
+from tasks.design.genes import N_JOINTS, N_LINKS
 
 # State: what one step hands to the next. The first six are a trace's columns.
 X, Y, ANGLE, VX, VY, OMEGA, COS, SIN = range(0, 8 * N_LINKS, N_LINKS)
@@ -25,7 +23,7 @@ N_STATE = DIVERGENCE + 1
 # Parameters of the links, as Box2D has them: half sizes [m], inverse mass and inertia.
 HALF_WIDTH, HALF_HEIGHT, INVERSE_MASS, INVERSE_INERTIA = range(N_STATE, N_STATE + 4 * N_LINKS, N_LINKS)
 # And as a medium sees them: long and short axis [m], mass [kg], inertia [kg·m²].
-LENGTH, WIDTH, MASS, INERTIA = range(INVERSE_INERTIA + N_LINKS, INVERSE_INERTIA + 5 * N_LINKS, N_LINKS)
+LONG_AXIS, SHORT_AXIS, MASS, INERTIA = range(INVERSE_INERTIA + N_LINKS, INVERSE_INERTIA + 5 * N_LINKS, N_LINKS)
 # Parameters of the joints: the parent's number, inverse mass and inertia; anchors along both links' y axes [m].
 PARENT, PARENT_INVERSE_MASS, PARENT_INVERSE_INERTIA, PARENT_ANCHOR, CHILD_ANCHOR, MAX_MOTOR_IMPULSE = range(
     INERTIA + N_LINKS, INERTIA + N_LINKS + 6 * N_JOINTS, N_JOINTS
@@ -65,7 +63,7 @@ _CONTACT = MOTOR_SPEED + N_JOINTS
 N_ROWS = K_INVERSE_DETERMINANT + N_LINKS
 
 QUANTITIES = {
-    "length_scale": LENGTH,
+    "length_scale": LONG_AXIS,
     "mass": MASS,
     "inertia": INERTIA,
     "y": Y,

@@ -15,7 +15,7 @@ import numpy as np
 from tasks.arrays import Float32, Int64
 from tasks.compiled import inline
 from tasks.design.body import JOINT_ANGLE, LENGTH, spawn_kernel
-from tasks.design.genes import COLUMNS, N_LINKS, PARENT, Table
+from tasks.design.genes import COLUMNS, N_LINKS, PARENT_COLUMN, DesignTable
 from tasks.simulation.controller import TURN
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.contact import NO_VERTEX
@@ -70,7 +70,7 @@ TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in ran
 
 
 def pack_robots(
-    table: Table,
+    table: DesignTable,
     n_members: int,
     n_lanes: int,
     density: float,
@@ -98,7 +98,7 @@ def pack_robots(
     for design in range(len(table)):
         genes, tree = table[design], 0
         for link in range(N_LINKS):
-            tree += int(genes[PARENT + link]) * TREE_WEIGHTS[link]
+            tree += int(genes[PARENT_COLUMN + link]) * TREE_WEIGHTS[link]
         for link in range(N_LINKS):
             place[design, link] = PLACE_OF_TREE[tree, link]
         robot = np.zeros(layout.FREQUENCY + 1, single)  # what comes after is scratch
@@ -114,11 +114,11 @@ def pack_robots(
             robot[layout.HALF_WIDTH + i] = half_width[design, link]
             robot[layout.HALF_HEIGHT + i] = half_height[design, link]
             robot[layout.INVERSE_MASS + i], robot[layout.INVERSE_INERTIA + i] = inverse_mass, inverse_inertia
-            robot[layout.LENGTH + i], robot[layout.WIDTH + i] = length, ONE / length
+            robot[layout.LONG_AXIS + i], robot[layout.SHORT_AXIS + i] = length, ONE / length
             robot[layout.MASS + i], robot[layout.INERTIA + i] = mass[design, link], inertia[design, link]
             robot[layout.VERTEX_1 + i] = robot[layout.VERTEX_2 + i] = NO_VERTEX
             if i > 0:
-                j, above = i - 1, place[design, int(genes[PARENT + link])]
+                j, above = i - 1, place[design, int(genes[PARENT_COLUMN + link])]
                 robot[layout.PARENT + j] = above
                 robot[layout.PARENT_INVERSE_MASS + j] = robot[layout.INVERSE_MASS + above]  # which comes before
                 robot[layout.PARENT_INVERSE_INERTIA + j] = robot[layout.INVERSE_INERTIA + above]

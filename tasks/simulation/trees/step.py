@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tasks.compiled import inline
+from tasks.design.genes import N_JOINTS
 from tasks.simulation.controller import SINE_OF_TURNS
 from tasks.simulation.simd.lanes import any_lane, count_parts, floor, from_row, part, select, sqrt
 from tasks.simulation.simd.rotation import sincos
@@ -28,23 +29,22 @@ from tasks.simulation.trees.layout import (
     MASS,
     MOTION_RANGE,
     MOTOR_SPEED,
-    N_JOINTS,
     N_ROWS,
     N_TRACED,
     OMEGA,
     PARENT,
     PHASE,
     REST_ANGLE,
+    SHORT_AXIS,
     SIN,
     VX,
     VY,
-    WIDTH,
     X,
     Y,
 )
 from tasks.world.slush import TINY
 
-C1, C3, C5, C7, C9 = SINE_OF_TURNS
+_C1, _C3, _C5, _C7, _C9 = SINE_OF_TURNS
 MAX_TRANSLATION = 2.0
 """b2_maxTranslation [m]: no body moves farther in a step."""
 MAX_ROTATION = float(np.float32(0.5) * np.float32(3.14159265359))
@@ -55,7 +55,7 @@ MAX_GROUPS_AT_ONCE = 2
 """Groups that take a step together; what the velocity solver touches of two still fits a core's L1 cache."""
 
 
-class World(NamedTuple):
+class Scene(NamedTuple):
     """What all robots of a call share, rounded once to float32."""
 
     dt: np.float32
@@ -93,7 +93,7 @@ def command_motor(block: Any, j: int, time: Any, gain: Any) -> None:
     r = turns - floor(turns + 0.5)
     folded = 0.25 - abs(abs(r) - 0.25)
     square = folded * folded
-    sine = folded * (C1 + square * (C3 + square * (C5 + square * (C7 + square * C9))))
+    sine = folded * (_C1 + square * (_C3 + square * (_C5 + square * (_C7 + square * _C9))))
     target = block[REST_ANGLE + j] + block[MOTION_RANGE + j] * select(r < 0.0, -sine, sine)
     block[MOTOR_SPEED + j] = gain * (target - joint_angle)
 
@@ -108,7 +108,7 @@ def _share(lanes: Any) -> Any:
 @inline
 def immersion(block: Any, link: int) -> Any:
     """Half the rises of a link's edges, and the depth of its lowest corner; see tasks/world/slush.py."""
-    length, width = 2.0 * block[HALF_HEIGHT + link], block[WIDTH + link]  # halving was exact
+    length, width = 2.0 * block[HALF_HEIGHT + link], block[SHORT_AXIS + link]  # halving was exact
     rise_short, rise_long = abs(block[SIN + link]) * width / 2.0, abs(block[COS + link]) * length / 2.0
     return rise_short, rise_long, rise_short + rise_long - block[Y + link]
 
@@ -116,7 +116,7 @@ def immersion(block: Any, link: int) -> Any:
 @inline
 def slush_change(block: Any, link: int, world: Any, rise_short: Any, rise_long: Any, depth: Any) -> Any:
     """Change of a link's velocities by drag and buoyancy of the slush over one step; see tasks/world/slush.py."""
-    length, width = 2.0 * block[HALF_HEIGHT + link], block[WIDTH + link]
+    length, width = 2.0 * block[HALF_HEIGHT + link], block[SHORT_AXIS + link]
     per_short = 0.5 / select(rise_short > TINY, rise_short, TINY)
     per_long = 0.5 / select(rise_long > TINY, rise_long, TINY)
     t1, t2 = _share(depth * per_short), _share(depth * per_long)
@@ -318,7 +318,7 @@ def advance(blocks: Any, n_groups: int, world: Any, first_step: int, n_steps: in
     Args:
         blocks: n_groups blocks of N_ROWS rows, one after the other.
         n_groups: how many there are.
-        world: a :class:`World`.
+        world: a :class:`Scene`.
         first_step: number of the first step since the spawn; 0 orients the links first.
         n_steps: how many to take, 0 or more.
         trace: a block of n_groups · n_steps · N_TRACED rows to fill with the states after each step.

@@ -4,7 +4,7 @@ from pydantic import ValidationError
 
 from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
 from tasks.residual.observation import VELOCITIES
-from tasks.simulation.reference import FreeLinks
+from tasks.simulation.reference import ReferenceFreeLinks
 from tasks.world import LinkStates, Physics, Slush
 
 PHYSICS = Physics()
@@ -57,8 +57,8 @@ def test_residual_is_the_difference_of_two_separate_one_step_simulations(transit
     rng = np.random.default_rng(1)
     for i in rng.choice(len(transitions), 60, replace=False):
         x, a = transitions.state[i : i + 1], transitions.length_scale[i : i + 1]
-        in_slush = FreeLinks(a, PHYSICS).step(x, SLUSH)[0]
-        on_dry_land = FreeLinks(a, PHYSICS).step(x, None)[0]
+        in_slush = ReferenceFreeLinks(a, PHYSICS).step(x, SLUSH)[0]
+        on_dry_land = ReferenceFreeLinks(a, PHYSICS).step(x, None)[0]
         assert (transitions.next_in_slush[i] == in_slush).all()
         assert (transitions.next_on_dry_land[i] == on_dry_land).all()
         assert (transitions.residual[i] == in_slush - on_dry_land).all()

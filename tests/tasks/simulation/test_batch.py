@@ -106,7 +106,7 @@ def test_it_does_not_settle_if_not_asked_to(designs):
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 3e38])
 @pytest.mark.parametrize("row", [VX, OMEGA + 3])
 def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, row):
-    world = batch.shared_world(TrueSlush(0.5), PHYSICS)
+    world = batch.scene_of(TrueSlush(0.5), PHYSICS)
     clean, spoiled = (batch.Groups(designs, PHYSICS, n_members=1, n_lanes=widest()) for _ in range(2))
     for groups in (clean, spoiled):
         groups.advance(world, 0, 60, None)
@@ -188,5 +188,5 @@ def test_the_kernels_are_plain_python_too():
 @compiled_only
 def test_robots_of_plain_python_stand_on_two_points():
     groups = batch.Groups(random_designs(4, np.random.default_rng(0)), PHYSICS, n_members=1, n_lanes=widest())
-    groups.advance(batch.shared_world(DryLand(0.0), PHYSICS), 0, 15, None)
+    groups.advance(batch.scene_of(DryLand(0.0), PHYSICS), 0, 15, None)
     assert (groups.blocks[:, VERTEX_2 : VERTEX_2 + N_LINKS] != contact.NO_VERTEX).any()

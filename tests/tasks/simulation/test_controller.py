@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tasks.design import random_designs
-from tasks.simulation.controller import Drive, sine_of_turns
+from tasks.simulation.controller import Controllers, sine_of_turns
 
 DT = 1 / 60
 EPS32 = 2.0**-24
@@ -39,7 +39,7 @@ def test_the_sine_is_odd_and_bounded(turns: float) -> None:
 
 def test_the_target_angle() -> None:
     designs = random_designs(50, np.random.default_rng(42))
-    drive = Drive.of(designs)
+    controllers = Controllers.of(designs)
     for step in (0, 1, 199, 1399, 5999):
         expected = designs.rest_angle + designs.motion_range * np.sin(
             2 * np.pi * designs.frequency[:, None] * step * DT + designs.phase
@@ -48,11 +48,11 @@ def test_the_target_angle() -> None:
         # is the sine's own error and the rounding of two numbers up to 5 rad.
         turns = designs.frequency[:, None] * step * DT + 1
         tolerance = np.pi / 2 * (2 * np.pi * 5 * EPS32 * turns + 3e-7) + 3 * EPS32 * 5
-        assert (np.abs(drive.target_angle(step, DT) - expected)[:, 1:] <= tolerance).all()
+        assert (np.abs(controllers.target_angle(step, DT) - expected)[:, 1:] <= tolerance).all()
 
 
 def test_targets_are_single_precision_and_shaped_by_link() -> None:
-    angle = Drive.of(random_designs(7, np.random.default_rng(43))).target_angle(3, DT)
+    angle = Controllers.of(random_designs(7, np.random.default_rng(43))).target_angle(3, DT)
     assert angle.shape == (7, 6)
     assert angle.dtype == np.float32
 
@@ -60,9 +60,9 @@ def test_targets_are_single_precision_and_shaped_by_link() -> None:
 def test_the_range_is_an_amplitude() -> None:
     # science.md: with half of it for an amplitude, robots got half as far as the paper's.
     designs = random_designs(20, np.random.default_rng(44))
-    drive = Drive.of(designs)
+    controllers = Controllers.of(designs)
     period = int(60 / designs.frequency.min()) + 1
-    angles = np.stack([drive.target_angle(step, DT) for step in range(period)]).astype(np.float64)
+    angles = np.stack([controllers.target_angle(step, DT) for step in range(period)]).astype(np.float64)
     swing = (angles.max(axis=0) - angles.min(axis=0))[:, 1:]
     # The extreme between two steps is missed by at most range · (π f dt)² / 2.
     reached = 2 * designs.motion_range[:, 1:] * (1 - (np.pi * designs.frequency[:, None] * DT) ** 2 / 2)
@@ -72,6 +72,6 @@ def test_the_range_is_an_amplitude() -> None:
 
 def test_a_root_has_no_motor() -> None:
     designs = replace(random_designs(5, np.random.default_rng(45)), motor_on=np.ones((5, 6), dtype=bool))
-    on = Drive.of(designs).motor_on
+    on = Controllers.of(designs).motor_on
     assert not on[:, 0].any()
     assert on[:, 1:].all()

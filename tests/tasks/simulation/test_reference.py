@@ -10,7 +10,7 @@ import shapely
 
 from tasks.design import Designs, Morphology, kinematic_trees, random_designs, rigid_bodies
 from tasks.simulation import reference, simulate
-from tasks.simulation.controller import Drive
+from tasks.simulation.controller import Controllers
 from tasks.world import DryLand, Physics, TrueSlush
 
 DT, G = 1 / 60, 9.8
@@ -34,8 +34,8 @@ def test_motors_hold_what_the_drive_tells_them() -> None:
         designs, DryLand(100.0), n_settle=0, n_measure=400, engine="reference", trace=True, physics=physics
     ).trace
     assert trace is not None
-    drive = Drive.of(designs)
-    target = np.stack([drive.target_angle(step, DT) for step in range(400)], axis=1)[..., 1:]
+    controllers = Controllers.of(designs)
+    target = np.stack([controllers.target_angle(step, DT) for step in range(400)], axis=1)[..., 1:]
     error = np.abs(joint_angles(trace, designs) - target)[:, 100:]
     lag = designs.motion_range[:, 1:].max() * 2 * np.pi * 0.05 / 10
     assert error.max() < 1.5 * lag
@@ -157,7 +157,7 @@ def test_box2d_has_the_mass_the_centre_and_the_inertia_of_the_links_that_fuse() 
     trees = kinematic_trees(designs, density=density)
     rigid = rigid_bodies(designs, passive_joints="locked")
     for design in range(60):
-        robot = reference._Robot(trees, rigid, design, Drive.of(designs), 1.0, physics)
+        robot = reference._Robot(trees, rigid, design, Controllers.of(designs), 1.0, physics)
         firsts = np.unique(rigid.first_link[design])
         assert len(robot.bodies) == len(firsts) == 3
         assert len(robot.joints) == 2

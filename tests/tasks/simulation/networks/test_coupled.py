@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tasks.design import random_designs
-from tasks.simulation.batch import Groups, shared_world
+from tasks.simulation.batch import Groups, scene_of
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.inference import N_LANES
 from tasks.simulation.simd.lanes import widest
@@ -31,7 +31,7 @@ PHYSICS = Physics()
 def test_one_kernel_gives_the_bits_of_asking_between_steps(n_designs, n_lanes, seed):
     rng = np.random.default_rng(seed)
     environment = ResidualSlush(1.0, networks(rng))
-    designs, world = random_designs(n_designs, rng), shared_world(environment, PHYSICS)
+    designs, world = random_designs(n_designs, rng), scene_of(environment, PHYSICS)
     together, apart = (Groups(designs, PHYSICS, n_members=3, n_lanes=n_lanes) for _ in range(2))
     together.advance(world, 0, 0, None)
     together.advance_among(environment.ensemble.networks, world, 0, 12)

@@ -66,7 +66,7 @@ def test_without_a_trace_the_ends_are_the_same(designs, environment):
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 3e38])
 @pytest.mark.parametrize("row", [layout.V_X, layout.W, layout.A])
 def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, row):
-    world = batch.shared_world(TrueSlush(0.5), PHYSICS)
+    world = batch.scene_of(TrueSlush(0.5), PHYSICS)
     clean, spoiled = (engine.Robots(designs, 0.5, PHYSICS, n_members=1) for _ in range(2))
     for each in (clean, spoiled):
         each.advance(world, 0, 60, None)
