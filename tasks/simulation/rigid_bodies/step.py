@@ -1,6 +1,6 @@
 """A step of robots of rigid bodies: the motors, the slush, and Box2D 2.3's b2World::Step.
 
-Links are to their bodies as tasks/simulation/fused_links.py says. Everything equals the reference engine to the last bit.
+The relation of links to bodies is that of tasks/simulation/fused_links.py. Every bit equals the reference engine's.
 """
 
 from __future__ import annotations
@@ -99,10 +99,14 @@ def push(block: Any, world: Any) -> None:
 @inline
 def submerge(block: Any, link: int, world: Any) -> None:
     """Change of a link's velocities by the slush."""
-    rise_short, rise_long, depth = tree_step.immersion(block, link)
+    length, width = 2.0 * block[layout.HALF_HEIGHT + link], block[layout.SHORT_AXIS + link]
+    y, cos, sin = block[layout.Y + link], block[layout.COS + link], block[layout.SIN + link]
+    rise_short, rise_long, depth = tree_step.immersion(length, width, y, cos, sin)
     if any_lane(depth > 0.0):
-        dvx, dvy, domega = tree_step.slush_change(block, link, world, rise_short, rise_long, depth)
-        block[CHANGE_VX + link], block[CHANGE_VY + link], block[CHANGE_OMEGA + link] = dvx, dvy, domega
+        velocity = block[layout.VX + link], block[layout.VY + link], block[layout.OMEGA + link]
+        mass, inertia = block[layout.MASS + link], block[layout.INERTIA + link]
+        change = tree_step.slush_change(length, width, mass, inertia, velocity, rise_short, rise_long, depth, world)
+        block[CHANGE_VX + link], block[CHANGE_VY + link], block[CHANGE_OMEGA + link] = change
 
 
 @inline

@@ -6,6 +6,10 @@ kernel is compiled for as many lanes as its block has, and gives the same bits f
 rounded on its own, nothing is contracted or reassociated. A Python number that meets lanes takes their precision, as
 in NumPy. There are no in-place operators, which would change an array under every name that it has.
 
+Functions that take lanes take numbers too, except those that count or pick lanes. So a formula that must be the same in
+the tree engine and in scalar code is written once; its constants are float32, because numba widens a number that meets
+a Python float.
+
 Without the compiler (NUMBA_DISABLE_JIT=1) the same kernels run in plain Python, their lanes being NumPy arrays, and the
 functions below are what they call. Under the compiler each of these is a typing rule and a few instructions instead:
 see simd.py.
@@ -89,8 +93,8 @@ def part(block: Any, index: int) -> Any:
 def select(mask: Any, yes: Any, no: Any) -> Any:
     """Take ``yes`` in the lanes where the mask holds, ``no`` in the others; two Python numbers make float32."""
     if isinstance(yes, float) and isinstance(no, float):
-        return np.where(mask, np.float32(yes), np.float32(no))
-    return np.where(mask, yes, no)
+        yes, no = np.float32(yes), np.float32(no)
+    return np.where(mask, yes, no)[()]  # of numbers a number
 
 
 def any_lane(mask: Any) -> bool:
@@ -129,7 +133,7 @@ def fma(a: Any, b: Any, c: Any) -> Any:
     def one(a: float, b: float, c: float) -> float:
         return float(Fraction(a) * Fraction(b) + Fraction(c)) if np.isfinite(a + b + c) else a * b + c
 
-    return np.array([one(*abc) for abc in zip(*np.broadcast_arrays(a, b, c), strict=True)])
+    return np.vectorize(one, otypes=[np.float64])(a, b, c)
 
 
 def lane(lanes: Any, index: int) -> Any:

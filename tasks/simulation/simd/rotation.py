@@ -84,22 +84,22 @@ def _reduce_large(angle: Any) -> Any:
 
 
 @inline
-def sincos(angle: Any) -> Any:
-    """Sine and cosine of lanes of angles [rad]."""
-    near = abs(angle) < NEAR
-    x = to_double(select(near, angle, 0.0))
-    n = (truncate(x * TWO_OVER_PI_SCALED) + 0x800000) >> 24
-    x = fma(to_double(n), -HALF_PI, x)
-    signs = n
-    if any_lane(~near):
-        for i in range(count_lanes(angle)):
-            one = lane(angle, i)
-            if not abs(one) < NEAR:
-                rest, quadrant = _reduce_large(one)
-                x = with_lane(x, i, rest if abs(one) < np.inf else np.nan)
-                n = with_lane(n, i, quadrant)
-                signs = with_lane(signs, i, quadrant + (1 if one < 0.0 else 0))
+def _reduce(angle: Any) -> Any:
+    """Reduce float64 angles below NEAR to quadrant n and the rest x in [-π/4, π/4]."""
+    n = (truncate(angle * TWO_OVER_PI_SCALED) + 0x800000) >> 24
+    return fma(to_double(n), -HALF_PI, angle), n
 
+
+@inline
+def _reduce_far(angle: Any) -> Any:
+    """Reduce one float32 angle that is large, infinite or not a number; return the rest, the quadrant and the signs."""
+    rest, n = _reduce_large(angle)
+    return rest if abs(angle) < np.inf else np.nan, n, n + (1 if angle < np.float32(0.0) else 0)
+
+
+@inline
+def _evaluate(x: Any, n: Any, signs: Any) -> Any:
+    """Evaluate both polynomials of the rest, and assign them by quadrant."""
     x2 = x * x
     x3 = x2 * x
     x4 = x2 * x2
@@ -109,3 +109,32 @@ def sincos(angle: Any) -> Any:
     c = select((signs & 2) == 2, -c, c)
     odd = (n & 1) == 1
     return select(odd, c, s), select(odd, s, c)
+
+
+@inline
+def sincos(angle: Any) -> Any:
+    """Sine and cosine of lanes of angles [rad]."""
+    near = abs(angle) < NEAR
+    x, n = _reduce(to_double(select(near, angle, 0.0)))
+    signs = n
+    if any_lane(~near):
+        for i in range(count_lanes(angle)):
+            one = lane(angle, i)
+            if not abs(one) < NEAR:
+                rest, quadrant, sign = _reduce_far(one)
+                x = with_lane(x, i, rest)
+                n = with_lane(n, i, quadrant)
+                signs = with_lane(signs, i, sign)
+    return _evaluate(x, n, signs)
+
+
+@inline
+def scalar_sincos(angle: np.float32) -> tuple[np.float32, np.float32]:
+    """Sine and cosine of one angle [rad]."""
+    if abs(angle) < NEAR:
+        x, n = _reduce(to_double(angle))
+        signs = n
+    else:
+        x, n, signs = _reduce_far(angle)
+    sin, cos = _evaluate(x, n, signs)
+    return sin, cos

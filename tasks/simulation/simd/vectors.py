@@ -10,14 +10,16 @@ vectors, which it splits or widens to whatever registers the machine has.
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin, lower_cast
-from numba.extending import NativeValue, models, register_model, type_callable, typeof_impl, unbox
+from numba.extending import NativeValue, intrinsic, models, overload, register_model, type_callable, typeof_impl, unbox
 
 from tasks.simulation.simd.lanes import (
     ALIGNMENT,
@@ -421,3 +423,40 @@ def _lower_store_whole(context: Any, builder: ir.IRBuilder, signature: Any, args
 @lower_cast(Lanes, Lanes)
 def _cast_lanes(context: Any, builder: ir.IRBuilder, from_type: Any, to_type: Any, value: ir.Value) -> ir.Value:
     return value
+
+
+# The same functions of numbers, for formulas that scalar code shares with the lanes.
+
+
+@overload(select, strict=False)
+def _select_number(mask: Any, yes: Any, no: Any) -> Any:
+    return (lambda mask, yes, no: yes if mask else no) if isinstance(mask, types.Boolean) else None
+
+
+def _of_number(function: Any, of_number: Callable[[Any], Any]) -> None:
+    """Teach numba what a function of lanes returns for a number."""
+
+    @overload(function, strict=False)
+    def _overload(number: Any) -> Any:
+        return of_number if _is_number(number) else None
+
+
+_of_number(any_lane, lambda mask: mask)
+_of_number(sqrt, lambda number: math.sqrt(number))
+_of_number(floor, lambda number: np.floor(number))
+_of_number(to_double, lambda number: np.float64(number))
+_of_number(to_single, lambda number: np.float32(number))
+_of_number(truncate, lambda number: np.int32(number))
+
+
+@intrinsic
+def _fused(context: Any, a: Any, b: Any, c: Any) -> Any:
+    def lower(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
+        return builder.fma(*args)
+
+    return types.float64(types.float64, types.float64, types.float64), lower
+
+
+@overload(fma, strict=False)
+def _fma_number(a: Any, b: Any, c: Any) -> Any:
+    return (lambda a, b, c: _fused(a, b, c)) if _is_number(a) else None

@@ -44,7 +44,10 @@ from tasks.simulation.trees.layout import (
 )
 from tasks.world.slush import TINY
 
-_C1, _C3, _C5, _C7, _C9 = SINE_OF_TURNS
+# float32, because motor_speed and slush_change serve lanes and the numbers of tasks/simulation/rigid_bodies.
+_C1, _C3, _C5, _C7, _C9 = (np.float32(c) for c in SINE_OF_TURNS)
+_ZERO, _QUARTER, _HALF, _ONE, _TWO, _FOUR, _TWENTY_FOUR = (np.float32(x) for x in (0, 0.25, 0.5, 1, 2, 4, 24))
+_TINY = np.float32(TINY)
 MAX_TRANSLATION = 2.0
 """b2_maxTranslation [m]: no body moves farther in a step."""
 MAX_ROTATION = float(np.float32(0.5) * np.float32(3.14159265359))
@@ -85,66 +88,98 @@ class Scene(NamedTuple):
 
 
 @inline
+def motor_speed(turns: Any, rest_angle: Any, motion_range: Any, joint_angle: Any, gain: Any) -> Any:
+    """Motor speed gain · (θ* - θ) of lanes or numbers, at a phase in turns; see tasks/simulation/controller.py."""
+    r = turns - floor(turns + _HALF)
+    folded = _QUARTER - abs(abs(r) - _QUARTER)
+    square = folded * folded
+    sine = folded * (_C1 + square * (_C3 + square * (_C5 + square * (_C7 + square * _C9))))
+    target = rest_angle + motion_range * select(r < 0.0, -sine, sine)
+    return gain * (target - joint_angle)
+
+
+@inline
 def command_motor(block: Any, j: int, time: Any, gain: Any) -> None:
-    """Motor speed gain · (θ* - θ); see tasks/simulation/controller.py."""
+    """Set a joint's motor speed."""
     parent = block[PARENT + j]
     joint_angle = block[ANGLE + j + 1] - of_parent(from_row(block, ANGLE), parent, j)
     turns = block[FREQUENCY] * time + block[PHASE + j]
-    r = turns - floor(turns + 0.5)
-    folded = 0.25 - abs(abs(r) - 0.25)
-    square = folded * folded
-    sine = folded * (_C1 + square * (_C3 + square * (_C5 + square * (_C7 + square * _C9))))
-    target = block[REST_ANGLE + j] + block[MOTION_RANGE + j] * select(r < 0.0, -sine, sine)
-    block[MOTOR_SPEED + j] = gain * (target - joint_angle)
+    block[MOTOR_SPEED + j] = motor_speed(turns, block[REST_ANGLE + j], block[MOTION_RANGE + j], joint_angle, gain)
 
 
 @inline
-def _share(lanes: Any) -> Any:
+def _share(share: Any) -> Any:
     """Clamp to [0, 1]."""
-    positive = select(lanes > 0.0, lanes, 0.0)
-    return select(positive < 1.0, positive, 1.0)
+    positive = select(share > 0.0, share, _ZERO)
+    return select(positive < 1.0, positive, _ONE)
 
 
 @inline
-def immersion(block: Any, link: int) -> Any:
+def immersion(length: Any, width: Any, y: Any, cos: Any, sin: Any) -> Any:
     """Half the rises of a link's edges, and the depth of its lowest corner; see tasks/world/slush.py."""
-    length, width = 2.0 * block[HALF_HEIGHT + link], block[SHORT_AXIS + link]  # halving was exact
-    rise_short, rise_long = abs(block[SIN + link]) * width / 2.0, abs(block[COS + link]) * length / 2.0
-    return rise_short, rise_long, rise_short + rise_long - block[Y + link]
+    rise_short, rise_long = abs(sin) * width / _TWO, abs(cos) * length / _TWO
+    return rise_short, rise_long, rise_short + rise_long - y
 
 
 @inline
-def slush_change(block: Any, link: int, world: Any, rise_short: Any, rise_long: Any, depth: Any) -> Any:
-    """Change of a link's velocities by drag and buoyancy of the slush over one step; see tasks/world/slush.py."""
-    length, width = 2.0 * block[HALF_HEIGHT + link], block[SHORT_AXIS + link]
-    per_short = 0.5 / select(rise_short > TINY, rise_short, TINY)
-    per_long = 0.5 / select(rise_long > TINY, rise_long, TINY)
-    t1, t2 = _share(depth * per_short), _share(depth * per_long)
-    t3, t4 = _share((depth - 2.0 * rise_short) * per_long), _share((depth - 2.0 * rise_long) * per_short)
-    area = (t1 * (t2 + t3) + t4 * (t2 - t3)) / 2.0
-    p1, p4 = 2.0 * t1 - 1.0, 2.0 * t4 - 1.0
-    q3, q2 = 2.0 * t3 - 1.0, 2.0 * t2 - 1.0
-    across = width * width * ((t2 + t3) + (t2 - t3) * ((p1 * p1 + p4 * p4) * (p1 + p4)) / 4.0)
-    along = length * length * ((t1 + t4) + (t1 - t4) * ((q2 * q2 + q3 * q3) * (q2 + q3)) / 4.0)
-    second_moment = (across + along) / 24.0
-    second_moment = select(second_moment > 0.0, second_moment, 0.0)
+def slush_change(
+    length: Any,
+    width: Any,
+    mass: Any,
+    inertia: Any,
+    velocity: Any,
+    rise_short: Any,
+    rise_long: Any,
+    depth: Any,
+    world: Any,
+) -> Any:
+    """Change of a link's velocities by drag and buoyancy of the slush over one step; see tasks/world/slush.py.
 
-    vx, vy, omega = block[VX + link], block[VY + link], block[OMEGA + link]
-    k_dt = world.drag * area / block[MASS + link]
-    k_r_dt = world.angular_drag * second_moment / block[INERTIA + link]
-    slowed = 1.0 + k_dt * sqrt(vx * vx + vy * vy)
-    lift = world.lift * area / block[MASS + link]
-    return vx / slowed - vx, (vy / slowed + lift) - vy, omega / (1.0 + k_r_dt * abs(omega)) - omega
+    Args:
+        length: long axis of the link [m].
+        width: short axis [m].
+        mass: [kg].
+        inertia: [kg·m²].
+        velocity: vx, vy [m/s] and omega [rad/s].
+        rise_short: from :func:`immersion`.
+        rise_long: from :func:`immersion`.
+        depth: from :func:`immersion`; above 0.
+        world: a :class:`Scene`.
+
+    Returns:
+        Changes of vx, vy [m/s] and omega [rad/s].
+    """
+    per_short = _HALF / select(rise_short > _TINY, rise_short, _TINY)
+    per_long = _HALF / select(rise_long > _TINY, rise_long, _TINY)
+    t1, t2 = _share(depth * per_short), _share(depth * per_long)
+    t3, t4 = _share((depth - _TWO * rise_short) * per_long), _share((depth - _TWO * rise_long) * per_short)
+    area = (t1 * (t2 + t3) + t4 * (t2 - t3)) / _TWO
+    p1, p4 = _TWO * t1 - _ONE, _TWO * t4 - _ONE
+    q3, q2 = _TWO * t3 - _ONE, _TWO * t2 - _ONE
+    across = width * width * ((t2 + t3) + (t2 - t3) * ((p1 * p1 + p4 * p4) * (p1 + p4)) / _FOUR)
+    along = length * length * ((t1 + t4) + (t1 - t4) * ((q2 * q2 + q3 * q3) * (q2 + q3)) / _FOUR)
+    second_moment = (across + along) / _TWENTY_FOUR
+    second_moment = select(second_moment > 0.0, second_moment, _ZERO)
+
+    vx, vy, omega = velocity
+    k_dt = world.drag * area / mass
+    k_r_dt = world.angular_drag * second_moment / inertia
+    slowed = _ONE + k_dt * sqrt(vx * vx + vy * vy)
+    lift = world.lift * area / mass
+    return vx / slowed - vx, (vy / slowed + lift) - vy, omega / (_ONE + k_r_dt * abs(omega)) - omega
 
 
 @inline
 def submerge(block: Any, link: int, world: Any) -> None:
     """Add the change by the slush to a link's velocities, if it touches the slush in any lane."""
-    rise_short, rise_long, depth = immersion(block, link)
+    length, width = _TWO * block[HALF_HEIGHT + link], block[SHORT_AXIS + link]  # halving was exact
+    rise_short, rise_long, depth = immersion(length, width, block[Y + link], block[COS + link], block[SIN + link])
     if any_lane(depth > 0.0):
-        dvx, dvy, domega = slush_change(block, link, world, rise_short, rise_long, depth)
-        block[VX + link], block[VY + link] = block[VX + link] + dvx, block[VY + link] + dvy
-        block[OMEGA + link] = block[OMEGA + link] + domega
+        velocity = block[VX + link], block[VY + link], block[OMEGA + link]
+        mass, inertia = block[MASS + link], block[INERTIA + link]
+        change = slush_change(length, width, mass, inertia, velocity, rise_short, rise_long, depth, world)
+        block[VX + link], block[VY + link] = velocity[0] + change[0], velocity[1] + change[1]
+        block[OMEGA + link] = velocity[2] + change[2]
 
 
 @inline
