@@ -1,45 +1,41 @@
-"""Age-fitness Pareto optimisation by ask and tell. Schmidt and Lipson (2011); paper, "Evolutionary Design".
+"""Age-fitness Pareto optimisation (AFPO) by ask and tell. Schmidt and Lipson (2011); paper, "Evolutionary Design".
 
-The population is a plain value: asking for children and telling their fitness give new values, and all randomness comes
-from the generator that is passed in. So a trial can stop after any generation and go on from what it was.
+A generation asks for children, has them evaluated elsewhere, and tells their fitness:
 
-A design is non-dominated if no design of its age or younger has a higher fitness. Survivors are the non-dominated in
-order of decreasing fitness, then a uniform sample of the dominated. New random designs are of age 0 and so compete with
-the young alone, which keeps lines of descent apart until they have had time to improve.
+- Children: a share are new random designs of age 0; the others are mutants, of their parent's age, or recombinations of
+  two designs, of the older parent's age.
+- Selection: parents and children compete. A design is dominated if another of its age or younger is fitter. The Pareto
+  front, all designs that are not dominated, survives; a uniform sample of the others fills the population.
+- Ageing: each survivor grows older by one generation.
+
+New designs compete with the young alone, which keeps lines of descent apart until they have had time to improve.
+
+The population is a plain value and all randomness comes from the generator that is passed in, so a trial can stop after
+any generation and resume.
 """
 
 from __future__ import annotations
 
-from typing import Self
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from tasks.arrays import Int64
-from tasks.compiled import compiled
-from tasks.design import (
-    ANY_BODY,
-    Designs,
-    Morphology,
-    Mutation,
-    draw_mutants,
-    draw_random,
-    draw_recombinations,
-    genes,
-    variation,
-)
+from tasks.arrays import Float64, Int64
+from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
 from tasks.design.genes import N_COLUMNS, DesignTable, GenePart
-from tasks.design.variation import VARIATION_SOURCES, variation_of
-from tasks.evolution import breeding
-from tasks.evolution.breeding import MUTATION, OPERATORS, RANDOM, Children, Population
-from tasks.kernel_generators import hold
+from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel, variation_of
 from tasks.parameters import Parameters
 
-_breed = compiled(breeding.breed, [*VARIATION_SOURCES, variation, breeding], seconds=10)
-_survive = compiled(breeding.survive, [genes, breeding], seconds=4)
-_select = compiled(breeding.select, [breeding], seconds=4)
+OPERATORS = ("random", "mutation", "crossover")
+"""Operators that make a child, in the order of their codes."""
+RANDOM, MUTATION, CROSSOVER = range(3)
+
+NO_PARENT = -1
+"""Index and identity of a parent that a child does not have."""
 
 
 class Afpo(Parameters):
@@ -69,6 +65,51 @@ class Afpo(Parameters):
         return self.random_share, self.mutation_share, self.crossover_share
 
 
+class Population(NamedTuple):
+    """The survivors of a generation; axis 0 is the design."""
+
+    table: DesignTable
+    """Genes (n_designs, N_COLUMNS); n_designs is below the population's size only if too many designs diverged."""
+    fitness: Float64
+    """(n_designs,) [m], finite."""
+    age: Int64
+    """(n_designs,) generations since the oldest ancestor was drawn at random."""
+    identity: Int64
+    """(n_designs,) running number within the trial, in order of evaluation."""
+    n_evaluated: int
+    """Designs evaluated in the trial so far."""
+
+    @property
+    def designs(self) -> Designs:
+        """The n_designs designs."""
+        return Designs.from_table(self.table)
+
+    def champion(self) -> int:
+        """Return the index of the fittest design, the first among equals."""
+        return int(np.argmax(self.fitness))
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return the state as named arrays; the inverse of :meth:`from_arrays`."""
+        return {
+            **dict(self.designs.arrays()),
+            "fitness": self.fitness,
+            "age": self.age,
+            "identity": self.identity,
+            "n_evaluated": np.array([self.n_evaluated], dtype=np.int64),
+        }
+
+    @staticmethod
+    def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Population:
+        """Restore a state from its named arrays."""
+        return Population(
+            table=Designs.from_arrays(arrays).table,
+            fitness=arrays["fitness"],
+            age=arrays["age"],
+            identity=arrays["identity"],
+            n_evaluated=int(arrays["n_evaluated"][0]),
+        )
+
+
 EMPTY_POPULATION = Population(
     table=np.zeros((0, N_COLUMNS)),
     fitness=np.zeros(0),
@@ -79,6 +120,28 @@ EMPTY_POPULATION = Population(
 """The population before the first generation."""
 
 
+class Children(NamedTuple):
+    """Designs that wait to be evaluated; axis 0 is the child."""
+
+    table: DesignTable
+    """Genes (n_children, N_COLUMNS)."""
+    age: Int64
+    """(n_children,) generations: the older parent's age, 0 without parents."""
+    identity: Int64
+    """(n_children,) running number within the trial."""
+    operator: Int64
+    """(n_children,) index into OPERATORS."""
+    parents: Int64
+    """(n_children, 2) identities of the parents, or NO_PARENT."""
+    n_draws: Int64
+    """(n_children,) draws of the operator until the morphology allowed the design."""
+
+    @property
+    def designs(self) -> Designs:
+        """The n_children designs."""
+        return Designs.from_table(self.table)
+
+
 def ask(
     population: Population,
     rng: Generator,
@@ -87,82 +150,118 @@ def ask(
     body: Designs | None = None,
     morphology: Morphology = ANY_BODY,
 ) -> Children:
-    """Draw a generation of children; the first generation is random throughout.
+    """Draw a generation of children; all are random if the population is empty.
 
-    A mutant is of its parent's age, a recombination of the older parent's. Operators are drawn for each child alone, so
-    that their shares hold on average.
+    Each child draws its operator independently, so the shares hold on average.
 
     Args:
-        population: the survivors.
+        population: the survivors so far.
         rng: source of randomness.
         afpo: the algorithm's parameters.
         body: one design whose body all children get; only controllers evolve then.
-        morphology: what bodies keep to.
+        morphology: constraints on bodies.
+
+    Returns:
+        ``afpo.population_size`` children.
     """
+    n_children, n_parents = afpo.population_size, len(population.age)
     parts: tuple[GenePart, ...] = ("body", "control") if body is None else ("control",)
-    varying = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
-    children: Children = _breed(
-        afpo.population_size, hold(rng).held, population, afpo.random_share, afpo.mutation_share, varying
+    variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
+
+    chance = rng.random(n_children)
+    table = random_kernel(n_children, rng, variation)
+    first = rng.integers(0, max(n_parents, 1), n_children)
+    second = (first + rng.integers(1, max(n_parents, 2), n_children)) % max(n_parents, 1)  # never first, if it can be
+    operator = np.digitize(chance, np.cumsum(afpo.shares[:2])) if n_parents else np.full(n_children, RANDOM)
+    mutants, crosses = operator == MUTATION, operator == CROSSOVER
+
+    mutated = population.table[first[mutants]]
+    mutate_kernel(mutated, rng, variation)
+    table[mutants] = mutated
+    crossed, others = population.table[first[crosses]], population.table[second[crosses]]
+    recombine_kernel(crossed, others, rng, variation)
+    table[crosses] = crossed
+
+    parent = np.stack((np.where(mutants | crosses, first, NO_PARENT), np.where(crosses, second, NO_PARENT)), axis=1)
+    children = Children(
+        table=table,
+        age=np.append(population.age, 0)[parent].max(axis=1),  # NO_PARENT is the index of what is appended
+        identity=np.arange(population.n_evaluated, population.n_evaluated + n_children),
+        operator=operator,
+        parents=np.append(population.identity, NO_PARENT)[parent],
+        n_draws=np.ones(n_children, dtype=np.int64),
     )
     if body is None and morphology.unjoined_links == "apart":
-        _draw_again(children, population.table, rng, afpo.mutation, morphology)
+        _draw_until_apart(children, population.table, parent, rng, afpo.mutation, morphology)
     return children
 
 
-def _draw_again(
-    children: Children, parents: DesignTable, rng: Generator, mutation: Mutation, morphology: Morphology
+def _draw_until_apart(
+    children: Children, parents: DesignTable, parent: Int64, rng: Generator, mutation: Mutation, morphology: Morphology
 ) -> None:
-    """Draw those children again, by their own operators, that the morphology refuses; in place."""
-    for operator in range(len(OPERATORS)):
-        which = np.flatnonzero(children.operator == operator)
-        first, (one, other) = children.table[which], children.places[which].T
-        if operator == RANDOM:
-            again = draw_random(len(which), rng, morphology=morphology, first=first)
-        elif operator == MUTATION:
-            again = draw_mutants(parents[one], rng, mutation=mutation, morphology=morphology, first=first)
+    """Replace, in place, children whose links overlap by further draws of the same operator from the same parents."""
+    for code in range(len(OPERATORS)):
+        chosen = np.flatnonzero(children.operator == code)
+        drawn, (one, other) = children.table[chosen], parent[chosen].T
+        if code == RANDOM:
+            again = draw_random(len(chosen), rng, morphology=morphology, first=drawn)
+        elif code == MUTATION:
+            again = draw_mutants(parents[one], rng, mutation=mutation, morphology=morphology, first=drawn)
         else:
-            again = draw_recombinations(parents[one], parents[other], rng, morphology=morphology, first=first)
-        children.table[which], children.n_draws[which] = again.table, again.n_draws
+            again = draw_recombinations(parents[one], parents[other], rng, morphology=morphology, first=drawn)
+        children.table[chosen], children.n_draws[chosen] = again.table, again.n_draws
 
 
-def tell(
-    population: Population, children: Children, fitness: npt.NDArray[np.float64], rng: Generator, afpo: Afpo
-) -> Population:
-    """Select the survivors of parents and children, and let everybody grow older by a generation.
+def tell(population: Population, children: Children, fitness: Float64, rng: Generator, afpo: Afpo) -> Population:
+    """Select the survivors of parents and children, and age them by one generation.
 
     Args:
-        population: the parents, who keep their fitness: the simulation is deterministic.
-        children: as :func:`ask` gave them.
-        fitness: (n_children,) theirs [m]; a design whose fitness is not finite can't be selected.
+        population: the parents; they keep their fitness, because the simulation is deterministic.
+        children: the children that :func:`ask` returned.
+        fitness: (n_children,) their fitness [m]; a design whose fitness is not finite is never selected.
         rng: source of randomness.
         afpo: the algorithm's parameters.
 
+    Returns:
+        The survivors.
+
     Raises:
-        ValueError: there is not one fitness for each child.
+        ValueError: fitness does not have one value for each child.
     """
     if fitness.shape != children.age.shape:
         raise ValueError(f"fitness has shape {fitness.shape}, expected {children.age.shape}: one for each child")
-    told = np.array(fitness, dtype=np.float64)  # kernels are compiled for one that can be written to
-    survivors: Population = _survive(population, children, told, hold(rng).held, afpo.population_size)
-    return survivors
+    all_fitness = np.concatenate((population.fitness, fitness))
+    all_ages = np.concatenate((population.age, children.age))
+    survivors = select(all_fitness, all_ages, rng, afpo.population_size)
+    return Population(
+        table=np.concatenate((population.table, children.table))[survivors],
+        fitness=all_fitness[survivors],
+        age=all_ages[survivors] + 1,
+        identity=np.concatenate((population.identity, children.identity))[survivors],
+        n_evaluated=population.n_evaluated + len(fitness),
+    )
 
 
-def select(fitness: npt.NDArray[np.float64], age: Int64, rng: Generator, n_survivors: int) -> Int64:
-    """Choose survivors: the non-dominated by decreasing fitness, then a uniform sample of the dominated.
+def select(fitness: Float64, age: Int64, rng: Generator, n_survivors: int) -> Int64:
+    """Choose survivors: the Pareto front on (age, fitness), the fittest first, then a sample of the dominated.
 
     Args:
         fitness: (n_designs,) [m]; a design whose fitness is not finite does not survive.
-        age: (n_designs,) generations, 0 or more; the oldest decides how much memory it takes.
+        age: (n_designs,) [generations].
         rng: source of randomness.
-        n_survivors: how many to choose; fewer are chosen only if fewer have a finite fitness.
+        n_survivors: number of designs to choose; fewer are chosen only if fewer have a finite fitness.
 
     Returns:
         Indices of the survivors.
-
-    Raises:
-        ValueError: an age is negative.
     """
-    if len(age) and age.min() < 0:
-        raise ValueError(f"age of design {age.argmin()} is {age.min()}, expected 0 or more generations")
-    survivors: Int64 = _select(fitness, age, hold(rng).held, n_survivors)
+    finite = np.flatnonzero(np.isfinite(fitness))
+    fitness, age = fitness[finite], age[finite]
+    order = np.lexsort((-fitness, age))  # by age; at the same age, the fittest first
+    best = np.empty_like(fitness)
+    best[order] = np.maximum.accumulate(fitness[order])  # best fitness at each design's age or younger
+    front, dominated = np.flatnonzero(fitness == best), np.flatnonzero(fitness < best)
+    front = front[np.argsort(-fitness[front], kind="stable")][:n_survivors]
+    n_sampled = min(n_survivors - len(front), len(dominated))
+    sampled = rng.choice(dominated, n_sampled, replace=False)
+    survivors: Int64 = finite[np.concatenate((front, sampled))]
     return survivors

@@ -15,10 +15,8 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.design import ANY_BODY, Designs, Morphology
-from tasks.evolution.afpo import EMPTY_POPULATION, Afpo, ask, tell
-from tasks.evolution.breeding import OPERATORS, Children, Population
+from tasks.evolution.afpo import EMPTY_POPULATION, OPERATORS, Afpo, Children, Population, ask, tell
 from tasks.evolution.objective import Evaluation
-from tasks.kernel_generators import hold
 
 History = dict[str, npt.NDArray[Any]]
 """Columns of equal length, a row per evaluated design: see :data:`HISTORY_UNITS`."""
@@ -83,7 +81,7 @@ def evolve(
     # After some milliseconds of anything else, Python's own work takes about twice as long. So what
     # can be done before or after all rollouts is.
     numbers = range(first_generation, first_generation + n_generations)
-    generators = [[hold(trial.generator_of(number)) for number in numbers] for trial in trials]
+    generators = [[trial.generator_of(number) for number in numbers] for trial in trials]
     populations = [trial.population for trial in trials]
     steps: list[list[_Step]] = [[] for _ in trials]
     for rngs in zip(*generators, strict=True):

@@ -17,7 +17,7 @@ from tasks.evolution import (
     evaluate,
     evolve,
 )
-from tasks.evolution.breeding import CROSSOVER, MUTATION, RANDOM
+from tasks.evolution.afpo import CROSSOVER, MUTATION, RANDOM
 from tasks.seeding import generator
 from tasks.simulation import simulate
 from tasks.world import TrueSlush

@@ -1,0 +1,83 @@
+"""Trials give the bits that they gave before, with the compiler and without it."""
+
+import copy
+import hashlib
+import os
+import subprocess
+import sys
+
+import numba
+import numpy as np
+import pytest
+from safetensors.numpy import load as decode
+from safetensors.numpy import save as encode
+
+from tasks.design import Morphology, random_designs
+from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel
+from tasks.evolution import EMPTY_POPULATION, Afpo, Population, ask, tell
+from tasks.seeding import generator
+
+compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="plain Python has nothing to compare with")
+
+TWO = Morphology(n_actuated=2)
+APART = Morphology(n_actuated=2, unjoined_links="apart")
+
+GOLDEN = {
+    "plain": "2bfba7b398f36229",
+    "small": "da2f6d5ccd2dd935",
+    "body": "4a28b68e44c97a02",
+    "two": "c46da44548bb32a3",
+    "two, body": "763bc5d878e85b86",
+    "apart": "54b817f4247716a9",
+}
+"""A study begun with other bits can't be resumed or repeated. If these change, so does VERSION in stages/evolve.py."""
+
+
+def evolved(kind: str, n_generations: int) -> str:
+    """Evolve on a cheap landscape with ties and diverged designs; return a digest of every array on the way."""
+    morphology = {"two": TWO, "two, body": TWO, "apart": APART}.get(kind, Morphology())
+    body = random_designs(1, np.random.default_rng(3), morphology=morphology) if "body" in kind else None
+    afpo = Afpo(population_size=64 if kind in ("plain", "body") else 12)
+    population, digest = EMPTY_POPULATION, hashlib.sha256()
+    for generation in range(n_generations):
+        rng = generator(1, kind, generation)
+        children = ask(population, rng, afpo, body=body, morphology=morphology)
+        fitness = np.round(rng.normal(size=afpo.population_size) + children.designs.length_scale.sum(axis=1), 1)
+        fitness[rng.random(afpo.population_size) < 0.05] = -np.inf
+        population = tell(population, children, fitness, rng, afpo)
+        for array in (children.age, children.operator, children.parents, children.n_draws, children.designs.table):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        for array in population.arrays().values():
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:16]
+
+
+@pytest.mark.parametrize("kind", GOLDEN)
+def test_a_trial_has_the_bits_that_it_had_before(kind: str) -> None:
+    assert evolved(kind, 10 if kind == "apart" else 60) == GOLDEN[kind]
+
+
+@compiled_only
+def test_plain_python_has_the_same_bits() -> None:
+    kinds = [kind for kind in GOLDEN if kind != "apart"]  # which takes 10,000 draws
+    script = f"""
+import runpy
+evolved = runpy.run_path({__file__!r})["evolved"]
+print(*(evolved(kind, 4) for kind in {kinds}))
+"""
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)
+    assert done.stdout.split() == [evolved(kind, 4) for kind in kinds], done.stderr
+
+
+@compiled_only
+def test_operators_are_compiled_once_whatever_a_population_was_restored_from() -> None:
+    """A second compilation would take as long as the first, without a message."""
+    for body in None, random_designs(3, np.random.default_rng(4))[[1]]:
+        population, rng, small = EMPTY_POPULATION, np.random.default_rng(5), Afpo(population_size=6)
+        for _ in range(2):
+            restored = Population.from_arrays(decode(encode(population.arrays())))
+            for parents in population, restored, copy.deepcopy(population):
+                children = ask(parents, rng, small, body=body)
+                population = tell(parents, children, np.arange(6.0), rng, small)
+    assert [len(kernel.signatures) for kernel in (random_kernel, mutate_kernel, recombine_kernel)] == [1, 1, 1]
