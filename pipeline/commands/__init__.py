@@ -1,1 +1,1 @@
-"""The command line: one module for each command or family of commands."""
+"""The command line: one module per command, and what a command does where that is not done elsewhere."""

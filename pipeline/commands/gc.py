@@ -1,194 +1,26 @@
-"""Collect garbage: what no study of a store needs, and what drivers that were killed left in /tmp.
-
-A study needs the items that its record lists, and those that its settings lead to: a study that was stopped half-way
-has no record of its last stage yet. Where an item on the way is gone, discarded as damaged, its settings lead no
-further; but it will be computed again, to the same bytes, so the study also needs what stands behind such a gap. A gap
-is a digest that no item has: of two items of the same bytes, the loss of one shows nowhere, and what only an unfinished
-study needs behind it goes, to be computed again. While a study is driven nothing is removed, and where it can't be told
-what a study needs, nothing is either.
-"""
+"""puddle gc: remove what no study needs."""
 
 from __future__ import annotations
 
-import contextlib
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from typing import Annotated
 
-from pipeline.cluster import session
-from pipeline.errors import PuddleError
-from pipeline.stages import STAGES
-from pipeline.store import disk
-from pipeline.store.encoding import canonical_json, decode_json
-from pipeline.store.manifest import Manifest
-from pipeline.store.store import Store
-from pipeline.workflow.driver import settings_of
-from pipeline.workflow.graph import Walk, follow, results_of
-from pipeline.workflow.stage import Results, Stage
+import typer
+
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions
 
 
-@dataclass(frozen=True)
-class Garbage:
-    """What nothing needs."""
+def gc(
+    store: StorePath = DEFAULT_STORE,
+    remove: Annotated[bool, typer.Option("--remove", help="Remove the garbage; without it, only list it.")] = False,
+) -> None:
+    """List items that no study of a store needs and leftovers of killed processes, or remove them."""
+    from pipeline.commands.garbage import find_garbage, garbage_lines, remove_garbage
 
-    items: tuple[tuple[str, str], ...]
-    """Stage and key of the items that no study needs, each before those that it was made from."""
-    halves: tuple[tuple[str, str], ...]
-    """Stage and key of the items whose commit never came to its end."""
-    temporary: tuple[Path, ...]
-    """Files of studies that were on their way to their place when a process died; see :meth:`Store.temporary`."""
-    sessions: tuple[Path, ...]
-    """Folders of Ray's in /tmp that no driver holds any more."""
-
-
-def find_garbage(store: Store) -> Garbage:
-    """Find what nothing needs. The caller holds the store alone (:meth:`Store.lock_all`).
-
-    Raises:
-        PuddleError: where it can't be told what a study needs; says why, and what to do.
-    """
-    kept = list(_readable(store))
-    behind_gaps = _behind_gaps(kept)
-    needed: set[tuple[str, str]] = set()
-    for name in (*store.studies(), *store.studies(recorded=False)):
-        try:
-            needed.update(_needs(store, name, behind_gaps))
-        except PuddleError as error:
-            raise PuddleError(
-                f"{error}\nSo it can't be told what study {name} needs, and nothing is removed. Run it again, or "
-                f"delete {store.study_path(name)} to forget it; then collect garbage."
-            ) from error
-    stages = store.stages()
-    unneeded = [(stage, key) for stage in stages for key in store.keys(stage) if (stage, key) not in needed]
-    users_first = _users_first([one for one in kept if (one.stage, one.key) not in needed])
-    return Garbage(
-        items=tuple(dict.fromkeys([*((one.stage, one.key) for one in users_first), *unneeded])),
-        halves=tuple((stage, key) for stage in stages for key in store.keys(stage, committed=False)),
-        temporary=tuple(store.temporary()),
-        sessions=tuple(session.abandoned_sessions()),
-    )
-
-
-def _readable(store: Store) -> Iterator[Manifest]:
-    """Give the manifest of every item but those whose manifest is damaged or a newer puddle's."""
-    for stage in store.stages():
-        for key in store.keys(stage):
-            with contextlib.suppress(PuddleError):
-                if manifest := store.listing(stage, key):
-                    yield manifest
-
-
-def _made_from(manifest: Manifest) -> list[str]:
-    """Return the digests of an item's inputs; whoever sealed the manifest may have written anything for them."""
-    inputs = manifest.identity.get("inputs")
-    return sorted({one for one in inputs.values() if isinstance(one, str)}) if isinstance(inputs, dict) else []
-
-
-def _behind_gaps(kept: Sequence[Manifest]) -> list[Manifest]:
-    """Choose the items that were made from one that is gone, by however many steps."""
-    users: dict[str, list[Manifest]] = {}
-    for one in kept:
-        for digest in _made_from(one):
-            users.setdefault(digest, []).append(one)
-    gone = list(users.keys() - {one.digest for one in kept})
-    behind: dict[tuple[str, str], Manifest] = {}
-    while gone:
-        for user in users.get(gone.pop(), ()):
-            if (user.stage, user.key) not in behind:
-                behind[user.stage, user.key] = user
-                gone.append(user.digest)
-    return list(behind.values())
-
-
-def _users_first(garbage: Sequence[Manifest]) -> list[Manifest]:
-    """Order items so that each comes before those that it was made from.
-
-    Removed in this order, they never have a gap before them: whenever this process dies, the next one finds the same
-    garbage.
-    """
-    n_users = Counter(digest for one in garbage for digest in _made_from(one))
-    of_digest: dict[str, list[Manifest]] = {}
-    for one in garbage:
-        of_digest.setdefault(one.digest, []).append(one)
-    ordered = [one for one in garbage if not n_users[one.digest]]
-    for one in ordered:  # it grows meanwhile
-        for digest in _made_from(one):
-            n_users[digest] -= 1
-            if not n_users[digest]:
-                ordered += of_digest.get(digest, [])
-    return ordered
-
-
-def _in_reach(stage: Stage, walks: Sequence[Walk], behind_gaps: Sequence[Manifest]) -> list[Manifest]:
-    """Choose the items behind gaps that are of a stage's unfinished chains.
-
-    Their keys can't be told while what they were made from is gone; but what an item is says what its chain is.
-    """
-    chains = [decode_json(canonical_json(walk.chain.spec), "spec").items() for walk in walks if not walk.finished]
-    of_stage = [one for one in behind_gaps if (one.stage, one.identity.get("version")) == (stage.name, stage.version)]
-    specified = [(one, one.identity.get("spec")) for one in of_stage]
-    return [
-        one
-        for one, spec in specified
-        if isinstance(spec, dict) and any(spec.items() >= of_chain for of_chain in chains)
-    ]
-
-
-def _needs(store: Store, name: str, behind_gaps: Sequence[Manifest]) -> Iterator[tuple[str, str]]:
-    """Give stage and key of every item that a study needs."""
-    record = store.read_study(name)
-    if record is None:
-        raise PuddleError(f"{store.study_path(name) / 'study.json'}: expected a study's record, came no file.")
-    damage: list[str] = []
-    settings = settings_of(record)
-    upstream: dict[str, Results] = {}
-    for stage in STAGES:
-        walks = follow(stage, settings, store, upstream, say=damage.append)
-        upstream[stage.name] = results_of(stage, walks)
-        found = [manifest for walk in walks for manifest in walk.manifests]
-        yield from ((stage.name, one.key) for one in (*found, *_in_reach(stage, walks, behind_gaps)))
-    if damage:
-        raise PuddleError(damage[0])
-    yield from ((item.stage, item.key) for item in record.items)
-
-
-def remove(store: Store, garbage: Garbage) -> None:
-    """Remove garbage. The caller has held the store alone since it was found."""
-    for path in garbage.temporary:  # first: they are known by the reports that the store holds
-        with disk.explained("removing", path):
-            disk.unlink(path)
-    for stage, key in (*garbage.items, *garbage.halves):
-        store.remove(stage, key)
-    session.sweep()
-
-
-def gc_lines(store: Store, garbage: Garbage, *, removed: bool, command: str) -> Iterator[str]:
-    """Say what nothing needs. Call it before it is removed: it is weighed.
-
-    Args:
-        store: that holds it.
-        garbage: what was found.
-        removed: whether it will be removed now.
-        command: the command line that removes it.
-    """
-    total = 0
-    names = store.studies()
-    yield f"{store.root}: {len(names)} studies{': ' if names else ''}{', '.join(names)}"
-    for what, items in (("that no study needs", garbage.items), ("whose commit never ended", garbage.halves)):
-        for stage in sorted({stage for stage, _ in items}):
-            sizes = [store.item_bytes(stage, key) for one, key in items if one == stage]
-            total += sum(sizes)
-            yield f"  {stage}: {len(sizes):,} items {what}, {sum(sizes) / 1e6:,.1f} MB"
-    for path in garbage.temporary:
-        total += path.lstat().st_size
-        yield f"  {path}: on its way when a process died, {path.lstat().st_size / 1e6:,.1f} MB"
-    for folder in garbage.sessions:
-        total += disk.size_bytes(folder)
-        yield f"  {folder}: left by a driver that is dead, {disk.size_bytes(folder) / 1e6:,.1f} MB"
-    if not any((garbage.items, garbage.halves, garbage.temporary, garbage.sessions)):
-        yield "Everything in it is needed."
-    elif removed:
-        yield f"Removed: {total / 1e6:,.1f} MB are free again."
-    else:
-        yield f"Nothing is removed yet. `{command}` removes it, and frees {total / 1e6:,.1f} MB."
+    options = StudyOptions(store=store)
+    opened = options.open_store(create=False)
+    with opened.lock_all():
+        found = find_garbage(opened)
+        lines = list(garbage_lines(opened, found, removed=remove, command=f"{options.command('gc')} --remove"))
+        if remove:
+            remove_garbage(opened, found)
+    typer.echo("\n".join(lines))

@@ -1,35 +1,53 @@
-"""What of a study is done, running and missing."""
+"""puddle status: what of a study is done, running, failed and missing."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Annotated
 
-from pipeline.config.settings import Settings
+import typer
+
+from pipeline.commands.options import StudyOptions, with_options
 from pipeline.errors import DamagedArtifact
-from pipeline.stages import STAGES
-from pipeline.store.store import Store
-from pipeline.workflow.graph import survey
-from pipeline.workflow.stage import Results, Stage
+
+if TYPE_CHECKING:
+    from pipeline.config.settings import Settings
+    from pipeline.store.store import Store
+    from pipeline.workflow.stage import Results, Stage
+
+
+@with_options
+def status(
+    options: StudyOptions,
+    digests: Annotated[bool, typer.Option("--digests", help="Print the SHA-256 of everything that is done.")] = False,
+) -> None:
+    """Print what of a study is done, running, failed and missing."""
+    lines = digest_lines if digests else status_lines
+    for line in lines(options.settings(), options.open_store(create=False)):
+        typer.echo(line)
 
 
 def status_lines(settings: Settings, store: Store) -> Iterator[str]:
-    """Give lines for the study and each stage, for each piece set aside, and for each trial whose designs diverged.
+    """Describe the study and each stage, each failed chain, and each trial whose designs diverged.
 
     Raises:
-        PuddleError: where `puddle gc` is at work.
+        PuddleError: `puddle gc` is running.
     """
     with store.lock_to_read():
         yield from _status_lines(settings, store)
 
 
 def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
+    from pipeline.stages import STAGES
+    from pipeline.workflow.graph import survey
+
     notes: list[str] = []
     upstream = survey(settings, STAGES, store, say=notes.append)
-    failed = _set_aside(settings, store)
+    failed = _failed(settings, store)
     driver = store.driver_of(settings.name)
     yield f"study {settings.name} in {store.root} ({store.size_bytes() / 1e6:.1f} MB)"
     yield f"driven by {driver}" if driver else "no process is driving it"
-    any_diverged = any_open = False  # a driver runs the stages in order: the first that is open is the one that runs
+    any_diverged = any_open = False  # a driver runs the stages in order: the first open one is the one that runs
     for stage in STAGES:
         chains = stage.plan(settings)
         total = sum(sum(chain.units) for chain in chains)
@@ -44,7 +62,7 @@ def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
             state = "started" if n_done else "missing"
         any_open = any_open or bool(found.unfinished)
         yield (
-            f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} pieces, {done:,.0f} of {total:,.0f} {stage.unit}, "
+            f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} items, {done:,.0f} of {total:,.0f} {stage.unit}, "
             f"{found.seconds:.0f} core-seconds"
         )
         for label, why in failed.get(stage.name, {}).items():
@@ -55,24 +73,24 @@ def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
         for label, what in diverged.items():
             yield f"    {label}: {what}"
     if any_diverged:
-        yield "What diverged does so again under the same settings; all else is safe."
-    if any(label not in upstream[name].done for name, lost in failed.items() for label in lost):
-        yield "Pieces that were set aside are tried again by the next `puddle study`; all else is safe."
+        yield "Designs that diverged would diverge again with the same settings; everything else is safe."
+    if any(label not in upstream[name].done for name, of_stage in failed.items() for label in of_stage):
+        yield "Failed work items are tried again by the next `puddle study`; everything else is safe."
     yield from notes
 
 
-def _set_aside(settings: Settings, store: Store) -> dict[str, dict[str, str]]:
-    """Give what the study's last run gave up, and why, by stage and label; nothing where its settings were others."""
+def _failed(settings: Settings, store: Store) -> dict[str, dict[str, str]]:
+    """Return why chains failed in the study's last run, by stage and label; empty if that had other settings."""
     record = store.read_study(settings.name)
-    lost: dict[str, dict[str, str]] = {}
+    failed: dict[str, dict[str, str]] = {}
     if record is not None and record.settings == settings.model_dump(mode="json"):
         for one in record.failed:
-            lost.setdefault(one.stage, {})[one.label] = one.why
-    return lost
+            failed.setdefault(one.stage, {})[one.label] = one.why
+    return failed
 
 
 def _diverged(stage: Stage, settings: Settings, found: Results, store: Store, notes: list[str]) -> Mapping[str, str]:
-    """Say what diverged in a stage, by label; what can't be read is noted."""
+    """Describe what diverged in a stage, by label; damage met on the way is added to the notes."""
     try:
         return stage.diverged(settings, found, store)
     except DamagedArtifact as damage:
@@ -83,11 +101,14 @@ def _diverged(stage: Stage, settings: Settings, found: Results, store: Store, no
 def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
     """Give the SHA-256 of every item of the study that is done, and of its files, in the order of the study's plan.
 
-    An item's is that of the list of its files with theirs: the digest that the report and MLflow show.
+    An item's digest covers the list of its files with their digests; the report and MLflow show the same one.
 
     Raises:
-        PuddleError: where `puddle gc` is at work.
+        PuddleError: `puddle gc` is running.
     """
+    from pipeline.stages import STAGES
+    from pipeline.workflow.graph import survey
+
     with store.lock_to_read():
         upstream = survey(settings, STAGES, store, say=lambda line: None)
     for results in upstream.values():

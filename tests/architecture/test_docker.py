@@ -25,7 +25,8 @@ import yaml
 from containers import COMPOSE, DOCKER, KUBERNETES, instructions, words_of
 from sqlalchemy import make_url
 
-from pipeline.commands.app import INCOMPLETE, app
+from pipeline.commands.app import app
+from pipeline.commands.exit_codes import INCOMPLETE
 from pipeline.config.loading import PRESETS
 
 with warnings.catch_warnings():

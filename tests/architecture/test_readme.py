@@ -13,7 +13,7 @@ import typer
 
 from benchmarks.readme import PAGE, RESULTS, with_section
 from pipeline.commands.app import app
-from pipeline.commands.options import Chosen
+from pipeline.commands.options import StudyOptions
 from pipeline.config.loading import parse
 from pipeline.fabrication.choices import FabricationSettings
 
@@ -79,7 +79,7 @@ def test_a_command_is_taken_as_it_is_given(line):
         parse(FabricationSettings, "", name="the kit's settings", overrides=overrides)
         overrides = ()
     if options.get("preset"):
-        Chosen(options["preset"], None, overrides, ROOT).settings()
+        StudyOptions(options["preset"], None, overrides, ROOT).settings()
 
 
 def test_targets_of_make_that_it_gives_exist():

@@ -28,8 +28,8 @@ import yaml
 
 import pipeline.workflow.dispatcher
 from pipeline.cluster import Cluster, serial_cluster
-from pipeline.commands.gc import find_garbage, remove
-from pipeline.commands.verify import find_damage, verify_lines
+from pipeline.commands.damage import find_damage, verify_lines
+from pipeline.commands.garbage import find_garbage, remove_garbage
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -181,7 +181,7 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
 def collect_garbage(store: Store) -> None:
     """Be a `puddle gc --remove`."""
     with store.lock_all():
-        remove(store, find_garbage(store))
+        remove_garbage(store, find_garbage(store))
 
 
 def study(settings: Settings, root: Path, answer: dict[str, Any], *, mlflow: bool = False) -> None:

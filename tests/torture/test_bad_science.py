@@ -16,9 +16,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 import ray
+import typer
 from command_line import call
 
-import pipeline.commands.app
 import pipeline.commands.status
 import pipeline.stages
 import pipeline.tracking.mirror
@@ -26,6 +26,9 @@ import pipeline.workflow.dispatcher
 import pipeline.workflow.driver
 import pipeline.workflow.graph
 from pipeline.cluster import Cluster
+from pipeline.commands.exit_codes import INCOMPLETE
+from pipeline.commands.options import StudyOptions
+from pipeline.commands.study import run_stages
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, segments
@@ -100,7 +103,7 @@ def seconds_of_a_crash(cluster: Cluster) -> float:
 
 def injected(monkeypatch: pytest.MonkeyPatch, **computes) -> tuple[Stage, ...]:
     stages = tuple(dataclasses.replace(stage, compute=computes.get(stage.name, stage.compute)) for stage in STAGES)
-    for module in (pipeline.stages, pipeline.workflow.driver, pipeline.commands.status):
+    for module in (pipeline.stages, pipeline.workflow.driver):
         monkeypatch.setattr(module, "STAGES", stages)
     return stages
 
@@ -110,13 +113,13 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
     torture, local_ray, tmp_path, monkeypatch, capsys
 ):
     injected(monkeypatch, train=train_one_on_a_nan, evolve=evolve_some_badly)
-    monkeypatch.setattr(pipeline.commands.app, "_cluster", lambda *_: lambda: contextlib.nullcontext(local_ray))
     monkeypatch.setattr(
         pipeline.workflow.dispatcher, "LEAST_PATIENCE_SECONDS", max(10.0, 8 * seconds_of_a_crash(local_ray))
     )
     monkeypatch.setattr(pipeline.workflow.dispatcher, "PATIENCE", 3.0)
     (tmp_path / "tiny.yaml").write_text(TINY)
-    options = ("--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"))
+    chosen = StudyOptions(settings_file=tmp_path / "tiny.yaml", store=tmp_path / "store")
+    options = ("--settings", str(chosen.settings_file), "--store", str(chosen.store))
     reasons = {
         "train: member-01": "TrainingDiverged: member 1: the training loss is nan at iteration 1",
         "evolve: dry_land/1m/trial-1": "MemoryError",
@@ -126,7 +129,9 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
         "evolve: residual_slush/1m/trial-0": "train of member-01 is set aside",
     }
     for _ in torture.attempts(1, 3):
-        assert call("study", *options) == 1
+        with pytest.raises(typer.Exit) as ended:
+            run_stages(chosen, open_cluster=lambda: contextlib.nullcontext(local_ray))
+        assert ended.value.exit_code == INCOMPLETE
         said = capsys.readouterr().err
         assert call("status", *options) == 0
         status = capsys.readouterr().out
@@ -148,8 +153,8 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
     injected(monkeypatch)
     monkeypatch.setattr(pipeline.workflow.dispatcher, "LEAST_PATIENCE_SECONDS", 600.0)
     before = {(stage, key) for stage in store.stages() for key in store.keys(stage)}
-    assert call("train", *options) == 0
-    assert call("evolve", *options) == 0
+    for stage in ("train", "evolve"):
+        run_stages(chosen, (stage,), open_cluster=lambda: contextlib.nullcontext(local_ray))
     assert call("status", *options) == 0
     trained_and_evolved = capsys.readouterr().out.split("  transfer")[0]
     assert "  evolve" in trained_and_evolved and "set aside" not in trained_and_evolved

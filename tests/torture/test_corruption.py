@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.commands.verify import damaged_items, find_damage
+from pipeline.commands.damage import damaged_items, find_damage
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError

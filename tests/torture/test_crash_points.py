@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.commands.verify import damaged_items, find_damage
+from pipeline.commands.damage import damaged_items, find_damage
 from pipeline.store.store import Store
 
 pytestmark = pytest.mark.timeout(1800)  # a machine may have much else to do

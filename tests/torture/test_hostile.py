@@ -24,8 +24,8 @@ from hypothesis import strategies as st
 from nursery import tree
 
 from pipeline.cluster import session
-from pipeline.commands.gc import Garbage, find_garbage, remove
-from pipeline.commands.verify import find_damage
+from pipeline.commands.damage import find_damage
+from pipeline.commands.garbage import Garbage, find_garbage, remove_garbage
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.errors import Irreproducible, PuddleError
@@ -319,7 +319,7 @@ def look_and_remove(store: Store) -> list[str]:
     said = [str(error) for error in find_damage(store)]
     try:
         with store.lock_all():
-            remove(store, find_garbage(store))
+            remove_garbage(store, find_garbage(store))
     except PuddleError as error:
         said.append(str(error))
     return said
@@ -372,7 +372,7 @@ def test_no_hostile_name_reaches_what_writes_and_removes(pristine, place, canary
                 with pytest.raises(PuddleError, match="expected"):
                     forget(*item)
             with pytest.raises(PuddleError, match="expected"):
-                remove(store, Garbage(items=(item,), halves=(), temporary=(), sessions=()))
+                remove_garbage(store, Garbage(items=(item,), uncommitted=(), temporary=(), sessions=()))
         for write in (
             lambda name=name: store.write_study(name, {}, ()),
             lambda name=name: store.export(name, {"index.html": b""}),

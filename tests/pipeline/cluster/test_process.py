@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from pipeline.cluster.process import memory_bounded, signals_deferred, signals_unwind
-from pipeline.commands.app import _interruptible
+from pipeline.commands.exit_codes import interruptible
 
 ROOT = Path(__file__).parents[3]
 
@@ -98,7 +98,7 @@ def stopped_by(number: int) -> None:
     """Run a command that a signal stops."""
     before = signal.signal(number, signal.SIG_DFL)  # whoever runs the tests may ignore it
     try:
-        with _interruptible(), signals_unwind():
+        with interruptible(), signals_unwind():
             os.kill(os.getpid(), number)
             time.sleep(1)
     finally:
@@ -111,7 +111,7 @@ def test_whoever_stops_a_command_is_told_how_it_goes_on(number, capsys, monkeypa
         stopped_by(number)
     assert ended.value.code == 128 + number
     said = capsys.readouterr().err
-    assert said == "\nStopped. What is done is kept: the same command goes on from there.\n"
+    assert said == "\nStopped. Finished work is safe: the same command resumes from there.\n"
 
     class Closed(io.StringIO):
         """A terminal that is gone."""

@@ -1,4 +1,4 @@
-"""The command line as a person uses it: each mistake gives one clear message and exit code 2, never a traceback."""
+"""The command line as a user sees it: every mistake gives one clear message and exit code 2, never a traceback."""
 
 import json
 import os
@@ -8,9 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from command_line import call
 
 from pipeline.cluster import serial_cluster
+from pipeline.commands.app import main
+from pipeline.commands.options import ExecutionOptions, with_options
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -80,37 +83,37 @@ def test_a_study_from_the_command_line(study, capsys, tmp_path):
     assert page.read_text().lower().startswith("<!doctype html>")
 
 
-def test_simulate_reports_every_world_and_films(study, design, capsys, tmp_path):
-    for world in ("dry_land", "true_slush", "residual_slush"):
-        film = "mp4" if world == "residual_slush" else "gif"
-        out = tmp_path / f"{world}.{film}"
-        arguments = (str(design), "--environment", world, "--depth", "1", "--out", str(out))
+def test_simulate_reports_every_environment_and_films(study, design, capsys, tmp_path):
+    for environment in ("dry_land", "true_slush", "residual_slush"):
+        film = "mp4" if environment == "residual_slush" else "gif"
+        out = tmp_path / f"{environment}.{film}"
+        arguments = (str(design), "--environment", environment, "--depth", "1", "--out", str(out))
         assert call("simulate", *arguments, *study) == 0
         said = capsys.readouterr().out
         assert "root" in said and "whole robot" in said and str(out) in said
         assert out.read_bytes()[:12].endswith(b"ftypisom") if film == "mp4" else out.read_bytes().startswith(b"GIF89a")
-    assert "members" in said  # of the last world
+    assert "members" in said  # the last environment is residual_slush
 
 
-def test_simulate_tells_the_seconds_of_the_simulation(study, design, capsys):
+def test_simulate_prints_the_simulated_seconds(study, design, capsys):
     arguments = (str(design), "--environment", "dry_land", "--depth", "1", "--set", "physics.time_step=0.05")
     assert call("simulate", *arguments, *study) == 0
     assert "Dry Land, 1 m deep, 1 s:" in capsys.readouterr().out  # 20 steps
 
 
-def test_a_page_of_one_design_shows_what_networks_say_of_it(study, design, capsys, tmp_path):
-    for world, depth in (("dry_land", "1"), ("true_slush", "1"), ("residual_slush", "1")):
-        out = tmp_path / f"{world}.html"
-        arguments = (str(design), "--environment", world, "--depth", depth, "--out", str(out))
+def test_a_page_of_one_design_shows_the_networks_view(study, design, capsys, tmp_path):
+    for environment, depth in (("dry_land", "1"), ("true_slush", "1"), ("residual_slush", "1")):
+        out = tmp_path / f"{environment}.html"
+        arguments = (str(design), "--environment", environment, "--depth", depth, "--out", str(out))
         assert call("simulate", *arguments, *study) == 0
         (replay,) = json.loads(re.search(r'id="replays">(.*?)</script>', out.read_text()).group(1))
         assert [overlay["unit"] for overlay in replay["overlays"]] == ["m/s²", "× usual"]
-        assert bool(replay["push"]) == (world != "dry_land")
+        assert bool(replay["push"]) == (environment != "dry_land")
     alone = tmp_path / "alone.html"
     arguments = (str(design), "--environment", "dry_land", "--depth", "1", "--out", str(alone))
     capsys.readouterr()
     assert call("simulate", *arguments, "--store", str(tmp_path / "none")) == 0
-    assert "shown without what networks say of it" in capsys.readouterr().out
+    assert "shown without the networks' view" in capsys.readouterr().out
     assert "<canvas" in alone.read_text()
 
 
@@ -126,18 +129,18 @@ def test_simulate_names_a_damaged_network(study, design, capsys, tmp_path):
 NO_NETWORKS = ("--set", "grid.environments=[true_slush]", "--set", "grid.single_member_depths=[]")
 
 
-def test_simulate_says_where_settings_train_no_networks(design, settings, capsys, tmp_path):
-    """No command would make them: the advice to run the study would be in vain."""
+def test_simulate_names_settings_that_train_no_networks(design, settings, capsys, tmp_path):
+    """No command trains any, so the message must not advise to run the study."""
     options = ("--depth", "1", "--settings", str(settings), "--store", str(tmp_path / "none"), *NO_NETWORKS)
     said = refused(capsys, "simulate", str(design), "--environment", "residual_slush", *options)
     assert "study tiny trains no networks" in said and "grid.environments" in said and "puddle study" not in said
     out = tmp_path / "alone.html"
     assert call("simulate", str(design), "--environment", "dry_land", "--out", str(out), *options) == 0
     said = capsys.readouterr().out
-    assert "shown without what networks say of it: study tiny trains no networks" in said and "puddle study" not in said
+    assert "shown without the networks' view: study tiny trains no networks" in said and "puddle study" not in said
 
 
-def test_forecast_prices_what_is_left(study, settings, capsys, tmp_path):
+def test_forecast_counts_the_remaining_work(study, settings, capsys, tmp_path):
     arguments = ("--settings", str(settings), "--cores", "64")
     assert call("forecast", *arguments, "--store", str(tmp_path / "none")) == 0
     said = capsys.readouterr().out
@@ -185,13 +188,13 @@ def test_unknown_words(capsys, tmp_path, design):
 
 
 @pytest.mark.parametrize("depth", ["-1", "nan", "inf", "deep", "1e39", "1000.1"])
-def test_depths_that_are_none(depth, design, capsys):
+def test_invalid_depths(depth, design, capsys):
     reference = ("--set", "work.engine=reference")
     said = refused(capsys, "simulate", str(design), "--environment", "dry_land", "--depth", depth, *reference)
     assert "depth" in said
 
 
-def test_designs_that_are_none(capsys, tmp_path, design):
+def test_invalid_designs(capsys, tmp_path, design):
     def refusal(text: str) -> str:
         path = tmp_path / "bad.json"
         path.write_text(text)
@@ -223,7 +226,7 @@ def test_designs_that_are_none(capsys, tmp_path, design):
     assert "--out" in said and "Is a directory" in said and "store" not in said and "kept" not in said
 
 
-def test_a_store_that_is_none_or_too_new(study, capsys, tmp_path):
+def test_a_missing_or_newer_store(study, capsys, tmp_path):
     settings = study[:2]
     assert "expected a store" in refused(capsys, "status", *settings, "--store", str(tmp_path / "nowhere"))
     (tmp_path / "full").mkdir()
@@ -236,20 +239,20 @@ def test_a_store_that_is_none_or_too_new(study, capsys, tmp_path):
     assert "99" in refused(capsys, "study", *settings, "--store", str(newer))
 
 
-def test_damaged_weights_are_made_again(study, capsys, tmp_path):
+def test_damaged_weights_are_computed_again(study, capsys, tmp_path):
     store = tmp_path / "store"
     shutil.copytree(study[-1], store)
     options = ("--workers", "0", *study[:2], "--store", str(store))
     weights = sorted(store.glob("items/train/*/*/weights.safetensors"))[0]
     intact = weights.read_bytes()
     weights.write_bytes(intact[:100] + bytes([intact[100] ^ 1]) + intact[101:])
-    # Longer trials read the weights, find the damage, and have them made again.
+    # Longer trials read the weights, find the damage, and have the weights computed again.
     assert call("study", *options, "--set", "evolution.n_generations=4") == 0
     assert "weights.safetensors" in "".join(capsys.readouterr())
     assert weights.read_bytes() == intact
 
 
-def test_a_manifest_that_is_not_ours_is_made_again(study, capsys, tmp_path):
+def test_a_foreign_manifest_is_computed_again(study, capsys, tmp_path):
     store = tmp_path / "store"
     shutil.copytree(study[-1], store)
     manifest = sorted(store.glob("items/collect/*/*/manifest.json"))[0]
@@ -260,7 +263,7 @@ def test_a_manifest_that_is_not_ours_is_made_again(study, capsys, tmp_path):
     assert json.loads(manifest.read_text())["digest"] == intact["digest"]
 
 
-def test_a_database_that_mlflow_cannot_use_is_told_before_its_ui_starts(study, capsys, tmp_path):
+def test_a_damaged_database_is_reported_before_the_ui_starts(study, capsys, tmp_path):
     store = tmp_path / "store"
     shutil.copytree(study[-1], store)
     (store / "mlflow.db").write_bytes(b"no database at all" * 100)
@@ -286,19 +289,19 @@ def test_single_members_evolve_only_at_depths_of_the_grid():
         ("single_member_depths: [123.4567, 123.4568]", "single_member_depths holds 123.4567 and 123.4568, and both"),
     ],
 )
-def test_depths_that_go_by_one_name_are_refused(grid, said):
-    """Results go by it: one trial's would stand for the other's."""
+def test_depths_with_the_same_label_are_refused(grid, said):
+    """Results are found by label: one trial's would stand for the other's."""
     with pytest.raises(PuddleError, match=re.escape(said)):
         parse(Settings, f"grid: {{{grid}}}", name="mine")
     assert parse(Settings, "grid: {depths: [123.456, 123.457]}", name="mine").grid.depths == (123.456, 123.457)
 
 
-def test_workers_here_and_a_cluster_elsewhere_are_not_chosen_together(study, monkeypatch, capsys):
+def test_workers_and_an_address_are_refused_together(study, monkeypatch, capsys):
     for workers in ("0", "4"):
         assert call("study", *study, "--workers", workers, "--address", "head:6379") == 2
-        assert f"came --workers {workers} with --address head:6379" in capsys.readouterr().err
+        assert f"got --workers {workers} with --address head:6379" in capsys.readouterr().err
     monkeypatch.setenv("RAY_ADDRESS", "head:6379")
-    assert call("study", *study, "--workers", "0") == 0  # all is done; what the environment says, an option overrides
+    assert call("study", *study, "--workers", "0") == 0  # an option overrides the environment
     assert call("study", *study, "--workers", "2", "--address", "local") == 0
 
 
@@ -311,22 +314,27 @@ def test_workers_here_and_a_cluster_elsewhere_are_not_chosen_together(study, mon
         ("", ["--workers", "2"], {"address": "local", "n_workers": 2}),
     ],
 )
-def test_workers_are_this_machines_whatever_the_environment_says(
-    variable, options, expected, settings, monkeypatch, tmp_path
-):
-    asked = []
-    monkeypatch.setattr("pipeline.commands.app.ray_cluster", lambda **where: asked.append(where) or serial_cluster())
+def test_workers_are_this_machines_whatever_the_environment_says(variable, options, expected, monkeypatch):
+    requested = []
+
+    @with_options
+    def command(execution: ExecutionOptions) -> None:
+        with execution.cluster(on_ray=lambda **where: requested.append(where) or serial_cluster())():
+            pass
+
+    alone = typer.Typer()
+    alone.command()(command)
     monkeypatch.setenv("RAY_ADDRESS", variable)
-    assert call("collect", "--settings", str(settings), "--store", str(tmp_path / "store"), *options) == 0
-    assert asked == [expected]
+    alone(options, standalone_mode=False)
+    assert requested == [expected]
 
 
-def test_a_defect_of_ours_shows_where_and_is_no_study_that_is_done(settings, capsys, monkeypatch, tmp_path):
-    def defective(*given, **execution):
-        raise ZeroDivisionError("of ours")
+def test_a_bug_ends_in_a_traceback_and_its_own_exit_code(capsys):
+    def defective(arguments):
+        raise ZeroDivisionError("ours")
 
-    monkeypatch.setattr("pipeline.workflow.driver.drive", defective)
-    code = call("study", "--settings", str(settings), "--store", str(tmp_path / "store"))
-    assert code == 70
+    with pytest.raises(SystemExit) as ended:
+        main(["study"], run=defective)
+    assert ended.value.code == 70
     said = capsys.readouterr().err
-    assert said.startswith("Traceback") and "in defective" in said and said.endswith("ZeroDivisionError: of ours\n")
+    assert said.startswith("Traceback") and "in defective" in said and said.endswith("ZeroDivisionError: ours\n")

@@ -10,7 +10,7 @@ import pytest
 from numpy.random import default_rng
 
 from pipeline.commands.app import main
-from pipeline.commands.forecast import forecast_lines
+from pipeline.commands.cost_model import forecast_lines
 from pipeline.commands.rates import Rates, seconds_of_a_result, time_of_selection
 from pipeline.commands.sizes import BYTES_OF_A_DESIGN
 from pipeline.config.loading import load, preset_path
@@ -99,13 +99,13 @@ def measured(monkeypatch) -> None:
         simulation=dict.fromkeys(("true_slush", "dry_land", "residual_slush", "single_member"), 0.01),
         selection={"evolve": 0.002, "transfer": 0.001},
     )
-    monkeypatch.setattr("pipeline.commands.forecast.measure", lambda settings, say: rates)
+    monkeypatch.setattr("pipeline.commands.cost_model.measure", lambda settings, say: rates)
 
 
 def test_what_a_result_costs_is_asked_for_other_cores_alone(measured, smoke, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "pipeline.commands.forecast.seconds_of_a_result", lambda settings, root: asked.append(root) or 0.01
+        "pipeline.commands.cost_model.seconds_of_a_result", lambda settings, root: asked.append(root) or 0.01
     )
     forecast_lines(smoke, tmp_path / "store", (), say=str)
     assert asked == []

@@ -1,4 +1,4 @@
-"""`puddle gc` as a person uses it, on a store with a study that is done, or half-way."""
+"""`puddle gc` on a store with a finished study, or one stopped halfway."""
 
 import shutil
 from pathlib import Path
@@ -8,7 +8,8 @@ from command_line import call
 from small_study import ON_DRY_LAND, n_items
 
 from pipeline.cluster import session
-from pipeline.commands import doctor, gc
+from pipeline.commands.examination import examine_store
+from pipeline.commands.garbage import find_garbage, remove_garbage
 from pipeline.config.loading import parse
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.errors import PuddleError
@@ -23,13 +24,13 @@ def store(options) -> Store:
     return Store.open(Path(options[-1]), create=False)
 
 
-def test_nothing_that_a_study_needs_is_garbage(options, store, capsys):
+def test_what_a_study_needs_is_not_garbage(options, store, capsys):
     assert call("gc", "--remove", "--store", str(store.root)) == 0
     assert "that no study needs" not in capsys.readouterr().out
     assert call("verify", *options) == 0
 
 
-def test_what_no_study_needs_is_listed_then_removed(options, store, capsys):
+def test_items_that_no_study_needs_are_listed_and_then_removed(options, store, capsys):
     before = n_items(store)
     assert call("study", "--workers", "0", *options, "--set", "seed=2") == 0
     said = capsys.readouterr().err
@@ -51,7 +52,7 @@ def test_what_no_study_needs_is_listed_then_removed(options, store, capsys):
     assert "that no study needs" not in capsys.readouterr().out
 
 
-def test_what_gc_advises_is_for_the_store_that_it_looked_at(options, store, monkeypatch, capsys):
+def test_the_advised_command_names_the_same_store(options, store, monkeypatch, capsys):
     monkeypatch.chdir(store.root.parent)
     monkeypatch.setenv("PUDDLE_STORE", "elsewhere")
     (store.root / "items" / "evolve" / "00" / ("0" * 64)).mkdir(parents=True)
@@ -59,7 +60,7 @@ def test_what_gc_advises_is_for_the_store_that_it_looked_at(options, store, monk
     assert "`puddle gc --store store --remove` removes it" in capsys.readouterr().out
 
 
-def test_a_persons_files_are_no_garbage_whatever_their_names(options, store, capsys):
+def test_the_users_own_files_are_not_garbage_whatever_their_names(options, store, capsys):
     folder = store.export_path("tiny")
     ours, theirs = folder / ".index.html.tmp", folder / ".notes.tmp"
     ours.write_text("half")
@@ -71,19 +72,19 @@ def test_a_persons_files_are_no_garbage_whatever_their_names(options, store, cap
     assert theirs.read_text() == "mine" and (folder / ".drafts.tmp").is_dir() and "notes" not in said
 
 
-def test_a_study_that_was_stopped_half_way_keeps_what_it_has(options, store):
+def test_a_study_stopped_halfway_needs_its_finished_items(options, store):
     record = store.read_study("tiny")
     chosen = {**record.settings, "evolution": {**record.settings["evolution"], "n_generations": 8}}
-    store.write_study("tiny", chosen, ())  # as a driver does before the first piece: it lists none
+    store.write_study("tiny", chosen, ())  # as a driver does before the first work item
     evolved = [item.key for item in record.items if item.stage == "evolve"]
-    found = {key for _, key in gc.find_garbage(store).items}
+    found = {key for _, key in find_garbage(store).items}
     assert evolved and not found & set(evolved)  # its first four generations are those of the longer study
     assert found >= {item.key for item in record.items if item.stage == "report"}
 
 
 @pytest.fixture
 def evolving(study, settings, tmp_path, monkeypatch) -> Store:
-    """A copy of a store with a study in every world, whose record lists nothing yet: as while it evolves."""
+    """A copy of a store whose study has every environment and a record that lists no items, as during evolution."""
     monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)
     found = Store.open(shutil.copytree(study[0].root, tmp_path / "evolving"), create=False)
     found.write_study(settings.name, settings.model_dump(mode="json"), ())
@@ -100,30 +101,30 @@ LOST = [
 
 
 @pytest.mark.parametrize("lost", [[one] for one in LOST] + [LOST])
-def test_what_stands_behind_a_gap_is_no_garbage(lost, study, settings, evolving):
-    """What was discarded is computed again, to the same bytes: what depends on it will be found where it is."""
-    assert not gc.find_garbage(evolving).items
+def test_items_behind_a_gap_are_not_garbage(lost, study, settings, evolving):
+    """A discarded item is computed again, to the same bytes, so the items made from it will be found again."""
+    assert not find_garbage(evolving).items
     _, upstream = study
     gone = [upstream[stage].done[label][index] for stage, label, index in lost]
     files = [{name: evolving.read(one, name) for name in one.files} for one in gone]
     for one in gone:
         evolving.discard(one.stage, one.key)
-    garbage = gc.find_garbage(evolving)
-    assert not garbage.items and len(garbage.halves) == len(gone)
-    gc.remove(evolving, garbage)
-    assert not gc.find_garbage(evolving).items
+    garbage = find_garbage(evolving)
+    assert not garbage.items and len(garbage.uncommitted) == len(gone)
+    remove_garbage(evolving, garbage)
+    assert not find_garbage(evolving).items
     for one, data in zip(gone, files, strict=True):
         evolving.commit(one.stage, one.key, one.identity, data, record=one.record)
     found = survey(settings, STAGES, evolving, say=str)
     assert not any(of.unfinished or of.failed for of in found.values())
 
 
-def test_what_follows_from_other_networks_is_garbage_though_those_are_not_made_yet(study, settings, evolving):
-    """And a gc that dies leaves what the next one removes: who depends on something goes before it."""
+def test_items_made_with_earlier_networks_are_garbage_before_the_new_ones_exist(study, settings, evolving):
+    """If gc dies, the next one removes the rest: an item is removed before the items that it was made from."""
     other = settings.model_dump(mode="json")
     other["training"]["n_iterations"] += 1
     evolving.write_study(settings.name, other, ())
-    garbage = gc.find_garbage(evolving)
+    garbage = find_garbage(evolving)
     _, upstream = study
     old = [*upstream["train"].done.values(), *upstream["assess"].done.values()]
     old += [
@@ -135,21 +136,21 @@ def test_what_follows_from_other_networks_is_garbage_though_those_are_not_made_y
     assert set(garbage.items) >= {(one.stage, one.key) for chain in old for one in chain}
     for n_removed, (stage, key) in enumerate(garbage.items, 1):
         evolving.remove(stage, key)
-        assert set(gc.find_garbage(evolving).items) == set(garbage.items[n_removed:])
+        assert set(find_garbage(evolving).items) == set(garbage.items[n_removed:])
 
 
 @pytest.mark.parametrize(
     "identity",
     [{}, {"inputs": [7]}, {"inputs": {"before": []}}, {"inputs": {"before": "gone"}, "version": 2, "spec": 7}],
 )
-def test_an_item_that_a_stranger_sealed_is_garbage(identity, study, evolving):
+def test_a_foreign_item_with_a_valid_seal_is_garbage(identity, study, evolving):
     key = key_of(identity)
     evolving.commit("evolve", key, identity, {"population.safetensors": b"?"}, record={})
     evolving.discard("evolve", study[1]["evolve"].done["dry_land/1m/trial-0"][0].key)  # a chain with a gap
-    assert ("evolve", key) in gc.find_garbage(evolving).items
+    assert ("evolve", key) in find_garbage(evolving).items
 
 
-def test_nothing_is_removed_while_a_study_is_driven_or_can_not_be_read(options, store, capsys):
+def test_nothing_is_removed_while_a_study_is_driven_or_unreadable(options, store, capsys):
     with store.lock_study("other"):
         assert call("gc", "--remove", "--store", str(store.root)) == 2
     assert "study other is driven by process" in capsys.readouterr().err
@@ -161,19 +162,19 @@ def test_nothing_is_removed_while_a_study_is_driven_or_can_not_be_read(options, 
     assert n_items(store) == sum(1 for _ in store.root.glob("items/*/*/*/manifest.json"))
 
 
-def test_nothing_is_looked_at_while_garbage_is_removed(options, store, capsys):
-    """An item on its way out would be called damaged."""
+def test_other_commands_refuse_to_run_while_garbage_is_removed(options, store, capsys):
+    """An item that is being removed would look damaged."""
     with store.lock_all():
         for command in ("status", "--digests"), ("status",), ("verify",):
             assert call(*command, *options) == 2
             assert "`puddle gc` is removing what no study needs. Wait for its end." in capsys.readouterr().err
-        (found,) = doctor._store(store.root, parse(Settings, ON_DRY_LAND, name="tiny"))
+        (found,) = examine_store(store.root, parse(Settings, ON_DRY_LAND, name="tiny"))
         assert found.verdict == "fail" and "`puddle gc` is removing" in found.found
     with store.lock_to_read():
         assert call("status", *options) == call("verify", *options) == 0
 
 
-def test_a_study_of_another_puddle_is_told(options, store, tmp_path, capsys):
+def test_settings_of_another_version_are_named(options, store, tmp_path, capsys):
     store.write_study("tiny", {**store.read_study("tiny").settings, "wings": 2}, ())
     assert call("gc", "--remove", "--store", str(store.root)) == 2
     said = capsys.readouterr().err
@@ -184,23 +185,23 @@ def test_a_study_of_another_puddle_is_told(options, store, tmp_path, capsys):
     assert said.startswith("puddle: study tiny: expected settings of this puddle") and "wings" in said
 
 
-def test_what_a_study_needs_that_lost_its_record_stays_until_it_is_forgotten(options, store, capsys):
+def test_items_of_a_study_without_a_record_stay_until_the_study_is_deleted(options, store, capsys):
     before = n_items(store)
     (store.study_path("tiny") / "study.json").unlink()
     assert call("gc", "--remove", "--store", str(store.root)) == 2
     said = capsys.readouterr().err
-    assert "study.json: expected a study's record, came no file" in said and "Run it again, or delete" in said
+    assert "study.json: expected a study's record, found no file" in said and "Run the study again, or delete" in said
     assert n_items(store) == before
     shutil.rmtree(store.study_path("tiny"))
     assert call("gc", "--remove", "--store", str(store.root)) == 0
     assert n_items(store) == 0
 
 
-def test_a_study_that_begins_while_garbage_is_collected_is_not_in_the_way(options, store):
+def test_a_study_that_starts_during_gc_leaves_no_folder(options, store):
     with store.lock_all():
         with pytest.raises(PuddleError, match="`puddle gc` is removing"), store.lock_study("new"):
             pass
-        assert not gc.find_garbage(store).items
+        assert not find_garbage(store).items
     assert not store.study_path("new").exists()
 
 

@@ -1,10 +1,10 @@
-"""The options that commands share: the command lines that messages advise mean what the person chose."""
+"""Command lines that messages advise carry the user's own options."""
 
 from pathlib import Path
 
 import pytest
 
-from pipeline.commands.options import Chosen
+from pipeline.commands.options import StudyOptions
 
 
 @pytest.mark.parametrize(
@@ -19,8 +19,8 @@ from pipeline.commands.options import Chosen
     ],
 )
 def test_an_advised_command_is_for_the_same_store(variable, chosen, expected, monkeypatch):
-    """It names the store unless the command would take that one by itself: the variable's, where there is one."""
+    """The store is named unless it is the default, which the environment variable may set."""
     monkeypatch.delenv("PUDDLE_STORE", raising=False)
     if variable is not None:
         monkeypatch.setenv("PUDDLE_STORE", variable)
-    assert Chosen("laptop", None, (), Path(chosen)).command("gc") == expected
+    assert StudyOptions("laptop", None, None, Path(chosen)).command("gc") == expected

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.engines import N_DESIGNS, N_STEPS
 from benchmarks.readme import RESULTS
-from pipeline.commands.forecast import schedule, schedule_lines
+from pipeline.commands.cost_model import schedule, schedule_lines
 from pipeline.commands.rates import Rates
 from pipeline.commands.schedule import TASK_SECONDS, Work, play
 from pipeline.config.loading import load, preset_path

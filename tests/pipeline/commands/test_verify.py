@@ -1,4 +1,4 @@
-"""`puddle verify` as a person uses it, on a store with a study that is done."""
+"""`puddle verify` on a store with a finished study."""
 
 import json
 import re
@@ -20,16 +20,16 @@ def store(options) -> Store:
     return Store.open(Path(options[-1]), create=False)
 
 
-def test_a_store_that_is_well_verifies(options, store, capsys):
+def test_an_intact_store_passes(options, store, capsys):
     n_bytes = store.bytes_to_verify()
-    (store.root / "mlflow.db").write_bytes(bytes(9_000_000))  # a mirror, which is not looked at
+    (store.root / "mlflow.db").write_bytes(bytes(9_000_000))  # a mirror, which is not checked
     assert call("verify", *options) == 0
     said = capsys.readouterr()
     assert f"{n_items(store)} items, {n_bytes / 1e6:,.1f} MB: every byte" in said.out and n_bytes < 9_000_000
     assert said.err.splitlines()[-1].startswith("verify: 100%, ")
 
 
-def test_damage_is_named_discarded_and_mended(options, store, capsys):
+def test_damage_is_named_discarded_and_repaired(options, store, capsys):
     (path,) = list(store.root.glob("items/evolve/*/*/history.parquet"))[:1]
     good = path.read_bytes()
     path.write_bytes(good[:-1] + b"?")
@@ -49,15 +49,15 @@ def swap_for_a_manifest(record: Path) -> None:
 
 
 def make_newer(document: Path) -> None:
-    """As a newer puddle would have sealed it."""
+    """Seal a document with the next schema version."""
     found = json.loads(document.read_text())
     body = {name: inner for name, inner in found.items() if name not in ("schema", "version", "sha256")}
     document.write_bytes(encode_sealed(body, schema=found["schema"], version=found["version"] + 1))
 
 
-@pytest.mark.parametrize(("spoil", "mends"), [(swap_for_a_manifest, True), (make_newer, False)])
-def test_damage_is_named_where_the_record_can_not_be_read_either(spoil, mends, options, store, capsys):
-    """A foreign file where the record was is damage; a newer puddle's record is none, and is left as it is."""
+@pytest.mark.parametrize(("spoil", "repaired"), [(swap_for_a_manifest, True), (make_newer, False)])
+def test_damage_is_named_even_if_the_record_is_unreadable(spoil, repaired, options, store, capsys):
+    """A foreign file in place of the record is damage; a newer puddle's record is not, and is left alone."""
     (path,) = list(store.root.glob("items/evolve/*/*/history.parquet"))[:1]
     path.write_bytes(b"")
     record = store.root / "studies" / "tiny" / "study.json"
@@ -66,26 +66,26 @@ def test_damage_is_named_where_the_record_can_not_be_read_either(spoil, mends, o
     said = capsys.readouterr().out
     assert str(record) in said and f"of no study: evolve {path.parent.name}" in said
     assert not path.exists()
-    assert call("study", "--workers", "0", *options) == (0 if mends else 2)
-    assert call("verify", *options) == (0 if mends else 1)
+    assert call("study", "--workers", "0", *options) == (0 if repaired else 2)
+    assert call("verify", *options) == (0 if repaired else 1)
 
 
-def test_a_report_that_was_edited_is_noticed(options, store, capsys):
+def test_an_edited_report_is_reported(options, store, capsys):
     (store.export_path("tiny") / "index.html").write_text("better")
     assert call("verify", *options) == 1
     said = capsys.readouterr().out
-    assert "index.html: expected SHA-256" in said and "puts it back" in said and "computed again" not in said
+    assert "index.html: expected SHA-256" in said and "restores it" in said and "computed again" not in said
     assert call("study", "--workers", "0", *options) == 0
     assert call("verify", *options) == 0
 
 
-def test_the_report_of_a_study_that_is_driven_is_left_out(options, store, capsys):
-    """Its driver keeps the record before it puts the report where people look."""
+def test_the_report_of_a_driven_study_is_not_checked(options, store, capsys):
+    """A driver writes the record before it exports the report."""
     (store.export_path("tiny") / "index.html").write_text("an earlier one")
     with store.lock_study("tiny"), store.lock_study("new"):
         assert call("verify", *options) == 0
     said = capsys.readouterr().out
-    assert "study tiny is driven by process" in said and "the copy of its report was left out" in said
+    assert "study tiny is driven by process" in said and "the copy of its report was not checked" in said
     assert "every byte is as it was committed" in said
     assert call("verify", *options) == 1
 
@@ -100,7 +100,7 @@ def make_another_record_newer(store: Store) -> None:
 
 
 def put_a_file_for_a_folder(store: Store) -> None:
-    """No item is found below it, and asking for one that the record lists fails."""
+    """Hide a folder of items, so that looking for a listed item fails."""
     prefix = next(store.root.glob("items/analyse/*"))
     shutil.rmtree(prefix)
     prefix.touch()
@@ -114,7 +114,7 @@ def put_a_file_for_a_folder(store: Store) -> None:
         (put_a_file_for_a_folder, "Not a directory"),
     ],
 )
-def test_what_discarding_does_not_mend_hides_nothing_else(spoil, expected, options, store, capsys):
+def test_problems_that_discarding_does_not_repair_hide_no_others(spoil, expected, options, store, capsys):
     spoil(store)
     (lost,) = list(store.root.glob("items/evolve/*/*/manifest.json"))[:1]
     lost.unlink()
@@ -126,8 +126,8 @@ def test_what_discarding_does_not_mend_hides_nothing_else(spoil, expected, optio
     assert "index.html: expected SHA-256" in said
 
 
-def test_files_that_lost_their_manifest_are_told_of_as_unfinished(options, store, capsys):
-    """Of a study that was stopped, whose record lists no items; so are those of a driver that is at work."""
+def test_files_without_a_manifest_are_reported_as_unfinished(options, store, capsys):
+    """As in a study that was stopped, whose record lists no items, or while a driver runs."""
     store.write_study("tiny", store.read_study("tiny").settings, ())
     assert call("verify", *options) == 0
     assert "unfinished" not in capsys.readouterr().out
@@ -143,7 +143,7 @@ def test_files_that_lost_their_manifest_are_told_of_as_unfinished(options, store
     assert "unfinished" not in capsys.readouterr().out
 
 
-def test_what_a_study_lists_and_lacks_is_damage_and_not_unfinished(options, store, capsys):
+def test_a_missing_item_that_a_study_lists_is_damage(options, store, capsys):
     lost = next(store.root.glob("items/evolve/*/*/manifest.json"))
     lost.unlink()
     assert call("verify", *options) == 1
@@ -151,8 +151,8 @@ def test_what_a_study_lists_and_lacks_is_damage_and_not_unfinished(options, stor
     assert f"{lost}: expected the manifest" in said and "unfinished" not in said
 
 
-def test_what_a_message_of_damage_advises_mends_it(options, store, capsys):
-    """Whoever reads the item, and from whatever folder."""
+def test_the_advice_in_a_message_repairs_the_damage(options, store, capsys):
+    """The advised commands work from any folder."""
     (path,) = list(store.root.glob("items/evolve/*/*/history.parquet"))[:1]
     good = path.read_bytes()
     path.write_bytes(good[:-1] + b"?")

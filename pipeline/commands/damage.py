@@ -1,0 +1,155 @@
+"""Damage: hash a whole store again, name what is damaged or missing and what will be computed again."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.store import disk
+from pipeline.store.store import WRITTEN_ANEW, Store, StudyItem
+from pipeline.workflow.progress import Progress, Work
+
+
+def find_damage(
+    store: Store,
+    *,
+    checked: Callable[[int], None] = lambda n_bytes: None,
+    say: Callable[[str], None] = lambda line: None,
+) -> list[PuddleError]:
+    """Hash everything in a store, and look for items that its studies list and the store lacks.
+
+    Args:
+        store: the store to verify.
+        checked: called with the number of bytes checked, file by file.
+        say: called with a line about what was skipped.
+
+    Returns:
+        What is wrong; empty if the store is intact. Damage to an item is a DamagedArtifact with its stage and key.
+    """
+    wrong = store.verify(checked=checked)
+    if not store.links():
+        for name in store.studies(recorded=False):
+            if store.driver_of(name):  # it has just started, and is about to write the record
+                continue
+            path = store.study_path(name) / "study.json"
+            wrong.append(DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}"))
+        for name in store.studies():
+            wrong += _missing(store, name, say)
+    return list({str(error): error for error in wrong}.values())  # a damaged manifest is found twice
+
+
+def _missing(store: Store, name: str, say: Callable[[str], None]) -> Iterator[PuddleError]:
+    """Check that a study's items exist, and that the exported report equals the item in the store."""
+    if driver := store.driver_of(name):  # before the record is read: a driver writes the record, then the report
+        say(f"study {name} is driven by {driver}: the copy of its report was not checked.")
+    for item in _items(store, name):
+        try:
+            yield from _check_item(store, name, item, with_report=not driver)
+        except PuddleError as error:
+            yield error
+
+
+def _check_item(store: Store, name: str, item: StudyItem, *, with_report: bool) -> Iterator[PuddleError]:
+    manifest = store.listing(item.stage, item.key)
+    if manifest is None:
+        yield DamagedArtifact(
+            f"{store.manifest_path(item.stage, item.key)}: expected the manifest of study {name}'s {item.stage} "
+            f"{item.label}, found no file. {store.computed_again()}",
+            stage=item.stage,
+            key=item.key,
+        )
+    elif item.stage == "report" and with_report:
+        for file, entry in manifest.files.items():
+            path = disk.inside(store.export_path(name), file)
+            with disk.explained("reading the report", path):
+                found = disk.digest_of(path, at_most=entry.n_bytes) if path.is_file() else "no file"
+            if found != entry.sha256:
+                yield DamagedArtifact(
+                    f"{path}: expected SHA-256 {entry.sha256}, found {found}. It is a copy of a file in the store: "
+                    f"running study {name} restores it."
+                )
+
+
+def _items(store: Store, name: str) -> Sequence[StudyItem]:
+    try:
+        record = store.read_study(name)
+    except PuddleError:  # Store.verify reports it
+        return ()
+    return record.items if record else ()
+
+
+def damaged_items(wrong: Sequence[PuddleError]) -> set[tuple[str, str]]:
+    """Return stage and key of the damaged items."""
+    damage = [error for error in wrong if isinstance(error, DamagedArtifact)]
+    return {(error.stage, error.key) for error in damage if error.stage and error.key}
+
+
+def _uncommitted_lines(store: Store, wrong: Sequence[PuddleError]) -> Iterator[str]:
+    """Count the items that have files but no manifest, except those that a study lists."""
+    uncommitted = {(stage, key) for stage in store.stages() for key in store.keys(stage, committed=False)}
+    n_items = sum(store.item_bytes(*item) > 0 for item in uncommitted - damaged_items(wrong))
+    if n_items:
+        remove = shlex.join(["puddle", "gc", "--remove", "--store", str(store.root)])
+        yield (
+            f"{n_items:,} unfinished items: files without a manifest, which is written last. A running driver will "
+            f"finish its own; `{remove}` removes what a killed driver left, or what lost its manifest."
+        )
+
+
+def verify_lines(
+    store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
+) -> tuple[list[str], bool]:
+    """Verify a store, and describe the result.
+
+    Args:
+        store: the store to verify.
+        discard: whether to remove the damaged items. The caller then holds the store alone.
+        progress: the progress display.
+        how_to_run: returns the command line that runs a command, for messages.
+
+    Returns:
+        Lines that name what was skipped, unfinished and wrong, and how to repair it; and whether the store is intact.
+
+    Raises:
+        PuddleError: `puddle gc` is running.
+    """
+    with contextlib.nullcontext() if discard else store.lock_to_read():  # an item being removed would look damaged
+        return _verify_lines(store, discard=discard, progress=progress, how_to_run=how_to_run)
+
+
+def _verify_lines(
+    store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
+) -> tuple[list[str], bool]:
+    n_bytes = store.bytes_to_verify()
+    lines: list[str] = []
+
+    def megabytes(n: int) -> Work:
+        return Work(n / 1e6, cost=n / 1e6)
+
+    with progress.stage("verify", unit="MB", total=megabytes(n_bytes)) as bar:
+        wrong = find_damage(store, checked=lambda n_checked: bar.advance(megabytes(n_checked)), say=lines.append)
+    n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
+    lines += _uncommitted_lines(store, wrong)
+    if not wrong:
+        intact = f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."
+        return [*lines, intact], True
+    lines += [str(error) for error in wrong]
+    lines.append(f"{store.root}: {len(wrong)} problems in {n_items:,} items.")
+    if damaged := damaged_items(wrong):
+        used = [
+            (f"  study {name}: {item.stage} {item.label}", (item.stage, item.key))
+            for name in store.studies()
+            for item in _items(store, name)
+            if (item.stage, item.key) in damaged
+        ]
+        lines += ["Only these have to be computed again:", *(line for line, _ in used)]
+        lines += [f"  of no study: {stage} {key}" for stage, key in sorted(damaged - {item for _, item in used})]
+        if discard:
+            for stage, key in damaged:
+                store.discard(stage, key)
+            lines.append(f"They are discarded: `{how_to_run('study')}` computes them again.")
+        else:
+            lines.append(f"`{how_to_run('verify')} --discard` removes them; then `{how_to_run('study')}` does it.")
+    return lines, False

@@ -1,0 +1,65 @@
+"""puddle fabricate: the kit of a robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.commands.exit_codes import INCOMPLETE, interruptible, to_stderr
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, TrackingUri
+from pipeline.errors import PuddleError
+
+
+def fabricate(
+    design: Annotated[Path | None, typer.Argument(help="A design file (design.json).")] = None,
+    study: Annotated[str | None, typer.Option("--study", help="Use this study's proposed champion instead.")] = None,
+    out: Annotated[Path, typer.Option("--out", help="The kit's folder: a new one, or a kit to replace.")] = Path("kit"),
+    settings: Annotated[Path | None, typer.Option("--settings", help="A file with the kit's settings.")] = None,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Change one: kit.servo=mg90s, kit.bed_mm=[180,180,180].")
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", help="Settings that simulate a design file; default pontoon.")
+    ] = None,
+    store: StorePath = DEFAULT_STORE,
+    tracking_uri: TrackingUri = None,
+) -> None:
+    """Make the kit of a robot: printable parts, bill of materials, drawings, scaling, and the servos' timeline.
+
+    Exits with 1 where the kit names a reason not to build the robot.
+    """
+    from pipeline.config.loading import load, parse
+    from pipeline.fabrication.choices import FabricationSettings
+    from pipeline.fabrication.make_kit import fabricate as make
+    from pipeline.tracking.mirror import open_tracker
+    from pipeline.workflow.driver import settings_of
+
+    if (design is None) == (study is None):
+        raise PuddleError("expected either a design file or --study NAME: `puddle fabricate design.json`")
+    if study is not None and preset is not None:
+        raise PuddleError(
+            f"--preset: expected with a design file, got with --study {study}, whose champion is simulated with the "
+            f"study's own settings"
+        )
+    of_kit = (
+        load(FabricationSettings, settings, overrides or ())
+        if settings is not None
+        else parse(FabricationSettings, "", name="the kit's settings", overrides=overrides or ())
+    )
+    options = StudyOptions(preset=preset or "pontoon", store=store)
+    opened = options.open_store(create=study is None)
+    if study is None:
+        of_study = options.settings()
+    elif (record := opened.read_study(study)) is None:
+        raise PuddleError(f"--study: {store} holds no study named {study!r}")
+    else:
+        of_study = settings_of(record)
+    with interruptible():
+        tracker = open_tracker(opened.root, tracking_uri, say=to_stderr)
+        made = make(design, of_study, of_kit, out, store=opened, tracker=tracker)
+    for line in made.lines:
+        typer.echo(line)
+    if made.faults:
+        raise typer.Exit(INCOMPLETE)

@@ -1,0 +1,155 @@
+"""Simulation of one design: its displacement, a film of it, or a page with what the networks say about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from pipeline.config.settings import DEEPEST, ENVIRONMENTS, RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.errors import PuddleError
+from pipeline.report import render_gif, render_mp4, render_robot, replay_of
+from pipeline.report.data import ENVIRONMENTS as STYLES
+from pipeline.stages import collect, train
+from pipeline.stages.analyses.filmed_rollouts import NOBODY, median_member
+from pipeline.stages.collect import data_set
+from pipeline.stages.report_replays import looked_at, push_of
+from pipeline.stages.segments import segment_spec, world_inputs, world_of
+from pipeline.store.design_file import read_design
+from pipeline.store.store import Store
+from pipeline.workflow.graph import survey
+from pipeline.workflow.stage import Files, MissingInputs
+from tasks.evolution import evaluate
+from tasks.simulation import OK, simulate
+
+_ENVIRONMENTS = tuple(name for name in ENVIRONMENTS if name != "single_member")
+_RENDERERS = {".gif": render_gif, ".mp4": render_mp4}
+_PAGE_SUFFIX = ".html"
+
+
+def simulate_design(
+    path: Path,
+    environment: str,
+    depth: float,
+    out: Path | None,
+    *,
+    settings: Settings,
+    open_store: Callable[[], Store],
+    how_to_run: Callable[[str], str],
+) -> list[str]:
+    """Simulate the design in a file, and show it if asked to.
+
+    A page shows the members' disagreement at each link and the distance of each state from the throws, in any
+    environment, as long as the store holds networks for these settings.
+
+    Args:
+        path: the design file.
+        environment: dry_land, true_slush or residual_slush.
+        depth: depth of the ground below the surface [m], 0 to DEEPEST.
+        out: the GIF, MP4 or HTML file to write, if any; in Residual Slush it shows the median member.
+        settings: they choose the length of the rollout, and the networks of residual_slush.
+        open_store: opens the store that holds the networks.
+        how_to_run: returns the command line that runs a command, for messages.
+
+    Returns:
+        Lines that state the design's displacement.
+
+    Raises:
+        PuddleError: an argument is invalid, the networks are missing, the rollout diverges, or the file can't be
+            written.
+    """
+    design = read_design(path)
+    if environment not in _ENVIRONMENTS:
+        raise PuddleError(f"--environment: expected one of {', '.join(_ENVIRONMENTS)}, got {environment!r}")
+    if not 0.0 <= depth <= DEEPEST:
+        raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, got {depth:g}")
+    world = cast(EnvironmentName, environment)
+    kind = None if out is None else out.suffix.lower()
+    if out is not None and (kind not in (*_RENDERERS, _PAGE_SUFFIX) or not out.parent.is_dir()):
+        suffixes = " or ".join((*_RENDERERS, _PAGE_SUFFIX))
+        raise PuddleError(f"--out: expected a file name that ends in {suffixes}, in an existing folder, got {out}")
+    spec = segment_spec(settings, stage="simulate", environment=world, world=world, depth=depth, trial=0)
+    spec["held_out"] = settings.training.held_out
+    files: dict[str, Files] = {}
+    why = ""
+    if world == "residual_slush" or kind == _PAGE_SUFFIX:
+        try:
+            files = _networks(settings, open_store, throws=kind == _PAGE_SUFFIX)
+        except PuddleError as missing:
+            advice = f". `{how_to_run('study')}` computes it." if isinstance(missing, MissingInputs) else ""
+            why = f"{missing}{advice}"
+            if world == "residual_slush":
+                raise PuddleError(why) from None
+    rollouts = simulate(
+        design,
+        world_of(spec, files),
+        n_settle=settings.rollout.n_settle,
+        n_measure=settings.rollout.n_measure,
+        engine=settings.work.engine,
+        trace=out is not None,
+        physics=settings.physics,
+    )
+    if not (rollouts.status == OK).all():
+        raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is no displacement.")
+    measured_seconds = settings.rollout.n_measure * settings.physics.time_step
+    lines = [f"{STYLES[world].label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
+    evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
+    root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
+    lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
+    if world == "residual_slush":
+        members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
+        lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
+    if out is not None and rollouts.trace is not None:
+        member = median_member(rollouts.displacement[:, 0]) if world == "residual_slush" else NOBODY
+        trace = rollouts.trace if member == NOBODY else rollouts.trace[member]
+        replay = replay_of(
+            design,
+            trace[0],
+            title=path.stem,
+            environment=world,
+            world=STYLES[world].label if member == NOBODY else f"{STYLES[world].label} (member {member})",
+            depth=depth,
+            has_medium=world != "dry_land",
+            imagined=world == "residual_slush",
+            other_medium=world != "true_slush",
+            n_settle=settings.rollout.n_settle,
+            time_step=settings.physics.time_step,
+            overlays=looked_at(spec, design, trace, files) if kind == _PAGE_SUFFIX and files else (),
+            push=push_of(spec, member, design, trace, files) if kind == _PAGE_SUFFIX else None,
+        )
+        if kind == _PAGE_SUFFIX and why:
+            lines.append(f"  shown without the networks' view: {why}")
+        content = _RENDERERS[kind]([replay]) if kind in _RENDERERS else render_robot(replay, lines).encode()
+        try:
+            out.write_bytes(content)
+        except OSError as error:
+            raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
+        lines.append(f"  shown in {out}")
+    return lines
+
+
+def _networks(settings: Settings, open_store: Callable[[], Store], *, throws: bool) -> dict[str, Files]:
+    """Read every member of the ensemble, and the throws that they learned from if asked to.
+
+    Raises:
+        MissingInputs: names what the store lacks.
+        PuddleError: these settings train no networks, one is damaged, or `puddle gc` is running.
+    """
+    if not settings.needs_ensemble:
+        raise PuddleError(
+            f"study {settings.name} trains no networks: expected one of {', '.join(RESIDUAL_ENVIRONMENTS)} in "
+            f"grid.environments, or a depth of the grid in grid.single_member_depths. Choose the settings of a study "
+            f"that trains networks: --preset, --settings, --set."
+        )
+    store = open_store()
+    damage: list[str] = []
+    with store.lock_to_read():
+        upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=damage.append)
+        if damage:
+            raise PuddleError(damage[0])
+        inputs = world_inputs(settings, "residual_slush", 0, upstream)
+        if throws:
+            inputs |= data_set(upstream["collect"])
+        return {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()}
