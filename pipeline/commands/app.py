@@ -21,7 +21,7 @@ from pipeline.commands.fabricate import fabricate
 from pipeline.commands.forecast import forecast
 from pipeline.commands.gc import gc
 from pipeline.commands.list_settings import list_settings
-from pipeline.commands.servo import drive
+from pipeline.commands.play_timeline import drive
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
 from pipeline.commands.ui import ui

@@ -8,7 +8,7 @@ import pytest
 from small_study import run
 
 from pipeline.cluster import serial_cluster
-from pipeline.commands.simulate import simulate_design
+from pipeline.commands.one_design import simulate_design
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
