@@ -20,7 +20,7 @@ from numpy.random import Generator
 
 from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_constant
 from tasks.arrays import Float64, Floats
-from tasks.evolution.objective import penalised_mean
+from tasks.evolution import penalised_mean
 
 Figure = Literal["r", "slope"]
 """Of a regression: Pearson's R, or the slope of true on predicted."""

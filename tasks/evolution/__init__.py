@@ -1,12 +1,13 @@
-"""How designs get better: age-fitness Pareto optimisation, and what it is told to optimise."""
+"""How designs improve: age-fitness Pareto optimisation (AFPO), its objectives, and trials."""
 
 from tasks.evolution.afpo import EMPTY_POPULATION, OPERATORS, Afpo, Children, Population, ask, select, tell
-from tasks.evolution.objective import Evaluation, evaluate, penalised_mean
+from tasks.evolution.objectives import OBJECTIVES, Evaluation, evaluate, penalised_mean
 from tasks.evolution.trial import HISTORY_UNITS, History, Trial, evolve
 
 __all__ = [
     "EMPTY_POPULATION",
     "HISTORY_UNITS",
+    "OBJECTIVES",
     "OPERATORS",
     "Afpo",
     "Children",

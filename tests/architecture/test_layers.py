@@ -50,7 +50,7 @@ FILE_CALLS = re.compile(
 GLOSSARY = ("n_members", "n_designs", "n_steps", "n_links")
 """Axes in their order."""
 
-TABLES = {ROOT / "tasks/evolution/objective.py"}
+TABLES = {ROOT / "tasks/evolution/objectives/evaluation.py"}
 """Where arrays are columns of a history, a table with a row per design: there n_designs leads, whatever follows."""
 
 

@@ -16,7 +16,7 @@ import pipeline.store.items
 import pipeline.store.manifest
 import pipeline.store.store
 import tasks.evolution.afpo
-import tasks.evolution.objective
+import tasks.evolution.objectives.evaluation
 import tasks.residual.training
 from pipeline.store import disk
 from pipeline.store.manifest import Manifest
@@ -24,7 +24,7 @@ from pipeline.store.store import Store
 
 STORE, ARTIFACTS = "tests/pipeline/store/test_store.py::test_", "tests/pipeline/store/test_encoding.py::test_"
 PROCESS = "tests/pipeline/cluster/test_process.py::test_"
-EVOLUTION = "tests/tasks/evolution/test_"
+EVOLUTION = "tests/tasks/evolution/"
 FAULTS, REFUSALS = (
     "tests/pipeline/store/test_store_faults.py::test_",
     "tests/pipeline/store/test_store_refusals.py::test_",
@@ -135,12 +135,12 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
         lambda patch: patch.setattr(tasks.residual.training, "_finite", lambda loss, *where: loss.item()),
     ),
     "check that a survivor's fitness is finite": (
-        EVOLUTION + "afpo.py::test_a_fitness_that_is_not_finite_is_never_selected_and_dominates_nobody",
+        EVOLUTION + "test_afpo.py::test_a_fitness_that_is_not_finite_is_never_selected_and_dominates_nobody",
         lambda patch: patch.setattr(tasks.evolution.afpo, "np", every_array_is_finite()),
     ),
     "check that a design got somewhere with every member": (
-        EVOLUTION + "objective.py::test_one_diverged_member_is_enough[nan]",
-        lambda patch: patch.setattr(tasks.evolution.objective, "np", every_array_is_finite()),
+        EVOLUTION + "objectives/test_evaluation.py::test_one_diverged_member_is_enough[nan]",
+        lambda patch: patch.setattr(tasks.evolution.objectives.evaluation, "np", every_array_is_finite()),
     ),
     "refusal of numbers that are not finite": (
         ARTIFACTS + "what_json_has_no_exact_form_for_is_refused",

@@ -1,0 +1,18 @@
+"""Objectives of evolution. Each is one file in this folder, which registers it."""
+
+import importlib
+import pkgutil
+
+from tasks.evolution.objectives.evaluation import (
+    OBJECTIVES,
+    Evaluation,
+    Objective,
+    evaluate,
+    penalised_mean,
+    register_objective,
+)
+
+for _module in pkgutil.iter_modules(__path__):
+    importlib.import_module(f"{__name__}.{_module.name}")  # an objective registers itself when imported
+
+__all__ = ["OBJECTIVES", "Evaluation", "Objective", "evaluate", "penalised_mean", "register_objective"]

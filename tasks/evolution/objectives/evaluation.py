@@ -1,0 +1,85 @@
+"""The registry of objectives, and fitness from the scores of an ensemble. Paper, "Performance Evaluation"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.arrays import Float64
+from tasks.simulation import Rollouts
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A quantity of rollouts that evolution maximises."""
+
+    name: str
+    label: str
+    unit: str
+    score: Callable[[Rollouts], Float64]
+    """Maps rollouts to one score for each, in the unit and in the shape of ``rollouts.displacement``."""
+
+
+OBJECTIVES: dict[str, Objective] = {}
+"""Objectives by name."""
+
+
+def register_objective(objective: Objective) -> None:
+    """Add an objective to the registry.
+
+    Raises:
+        ValueError: another objective has the name.
+    """
+    if objective.name in OBJECTIVES:
+        raise ValueError(f"objective {objective.name!r} is registered twice, expected one objective of that name")
+    OBJECTIVES[objective.name] = objective
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Scores of n_designs designs; environments without an ensemble have one member."""
+
+    fitness: Float64
+    """(n_designs,) in the objective's unit; -inf where any rollout diverged."""
+    displacement: Float64
+    """(n_designs, n_members) displacement of the root [m]; NaN where diverged."""
+    com_displacement: Float64
+    """(n_designs, n_members) displacement of the whole robot's centre of mass [m]; NaN where diverged."""
+
+
+def evaluate(rollouts: Rollouts, *, disagreement_penalty: float, objective: str = "displacement") -> Evaluation:
+    """Score rollouts; in an environment without an ensemble, the fitness is the score itself.
+
+    Args:
+        rollouts: rollouts of n_designs designs.
+        disagreement_penalty: k in μ - k σ over members.
+        objective: name of the objective.
+
+    Returns:
+        Fitness and displacements of the designs.
+    """
+    return Evaluation(
+        fitness=penalised_mean(
+            np.atleast_2d(OBJECTIVES[objective].score(rollouts)).T, disagreement_penalty=disagreement_penalty
+        ),
+        displacement=np.atleast_2d(rollouts.displacement).T,
+        com_displacement=np.atleast_2d(rollouts.com_displacement).T,
+    )
+
+
+def penalised_mean(scores: Float64, *, disagreement_penalty: float) -> Float64:
+    """Aggregate scores over members: μ - k σ, where σ is the population deviation of these members.
+
+    Args:
+        scores: (n_designs, n_members), in the objective's unit.
+        disagreement_penalty: k; the paper's is 1.
+
+    Returns:
+        (n_designs,) fitness; -inf where a member's rollout diverged.
+    """
+    finite = np.asarray(np.isfinite(scores).all(axis=1))
+    known = np.where(finite[:, None], scores, 0.0)
+    fitness = known.mean(axis=1) - disagreement_penalty * known.std(axis=1)
+    return np.where(finite, fitness, -np.inf)

@@ -1,0 +1,85 @@
+"""Objectives and fitness on figures worked out by hand."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tasks.evolution import OBJECTIVES, evaluate, penalised_mean
+from tasks.evolution.objectives import Objective, register_objective
+from tasks.simulation import DIVERGED, OK, Rollouts
+
+ENSEMBLE = Rollouts(  # (n_members, n_designs)
+    displacement=np.array([[1.0, 4.0, np.nan], [3.0, 4.0, 5.0]]),
+    com_displacement=np.array([[0.5, 2.0, np.nan], [1.5, 2.5, 3.0]]),
+    status=np.array([[OK, OK, DIVERGED], [OK, OK, OK]]),
+    trace=None,
+)
+
+
+def test_fitness_is_the_mean_minus_the_deviation() -> None:
+    # 1, 3, 8: μ = 4, σ² = (9 + 1 + 16) / 3 = 26/3. -2, -2, -2: μ = -2, σ = 0.
+    scores = np.array([[1.0, 3.0, 8.0], [-2.0, -2.0, -2.0]])
+    sigma = np.sqrt(26 / 3)
+    np.testing.assert_allclose(penalised_mean(scores, disagreement_penalty=1.0), [4 - sigma, -2], rtol=1e-15)
+    np.testing.assert_allclose(penalised_mean(scores, disagreement_penalty=2.0), [4 - 2 * sigma, -2], rtol=1e-15)
+
+
+def test_without_a_penalty_it_is_the_mean() -> None:
+    np.testing.assert_array_equal(penalised_mean(np.array([[1.0, 3.0, 8.0]]), disagreement_penalty=0.0), [4.0])
+
+
+@pytest.mark.parametrize("penalty", [0.0, 1.0, 3.0])
+def test_a_single_environment_has_no_disagreement(penalty: float) -> None:
+    scores = np.array([[0.1], [-7.3]])
+    np.testing.assert_array_equal(penalised_mean(scores, disagreement_penalty=penalty), [0.1, -7.3])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_one_diverged_member_is_enough(bad: float) -> None:
+    scores = np.array([[1.0, bad], [1.0, 3.0]])
+    np.testing.assert_array_equal(penalised_mean(scores, disagreement_penalty=1.0), [-np.inf, 1.0])
+
+
+def test_an_evaluation_has_designs_first() -> None:
+    evaluation = evaluate(ENSEMBLE, disagreement_penalty=1.0)
+    np.testing.assert_array_equal(evaluation.fitness, [1.0, 4.0, -np.inf])
+    np.testing.assert_array_equal(evaluation.displacement, [[1.0, 3.0], [4.0, 4.0], [np.nan, 5.0]])
+    np.testing.assert_array_equal(evaluation.com_displacement, [[0.5, 1.5], [2.0, 2.5], [np.nan, 3.0]])
+
+
+def test_an_environment_without_members_has_one() -> None:
+    rollouts = Rollouts(
+        displacement=np.array([1.0, np.nan]),
+        com_displacement=np.array([0.5, np.nan]),
+        status=np.array([OK, DIVERGED]),
+        trace=None,
+    )
+    evaluation = evaluate(rollouts, disagreement_penalty=1.0)
+    np.testing.assert_array_equal(evaluation.fitness, [1.0, -np.inf])
+    np.testing.assert_array_equal(evaluation.displacement, [[1.0], [np.nan]])
+
+
+@pytest.fixture
+def com() -> Iterator[Objective]:
+    """The displacement of the centre of mass, registered as an objective."""
+    objective = Objective("com", "Displacement of the centre of mass", "m", lambda rollouts: rollouts.com_displacement)
+    register_objective(objective)
+    yield objective
+    del OBJECTIVES["com"]
+
+
+def test_a_registered_objective_decides_the_fitness(com: Objective) -> None:
+    # 0.5 and 1.5: μ = 1, σ = 0.5. 2 and 2.5: μ = 2.25, σ = 0.25.
+    evaluation = evaluate(ENSEMBLE, disagreement_penalty=1.0, objective=com.name)
+    np.testing.assert_array_equal(evaluation.fitness, [0.5, 2.0, -np.inf])
+    np.testing.assert_array_equal(evaluation.displacement[0], [1.0, 3.0])
+
+
+def test_a_name_is_registered_once(com: Objective) -> None:
+    with pytest.raises(ValueError, match="objective 'com' is registered twice"):
+        register_objective(com)
+
+
+def test_the_papers_objective_is_displacement() -> None:
+    assert [(one.name, one.label, one.unit) for one in OBJECTIVES.values()] == [("displacement", "Displacement", "m")]
