@@ -62,8 +62,8 @@ def short_film(settings: Settings) -> Replay:
         rollouts.trace[0],
         title="a film",
         environment="dry_land",
-        world="Dry Land",
+        seen_in="Dry Land",
         depth=0.0,
-        has_medium=False,
+        surroundings="air",
         n_settle=0,
     )

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from pipeline.fabrication.bench import Bench, driven
-from pipeline.report.drawing import FAINT, INK, WIDTH, Drawing, Missing, NothingToDraw, finish
+from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, NothingToDraw, finish
 from tasks.design import Designs
 from tasks.fabrication.scaling import line_use
 
@@ -30,7 +30,7 @@ def _torque(design: Designs, bench: Bench) -> tuple[Figure, str]:
         raise NothingToDraw("the simulation diverged")
     if not bench.loads:
         raise NothingToDraw("no joint is driven")
-    figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH, 3.3), layout="constrained")
     axes = figure.subplots()
     every = max(1, len(bench.simulated.torque) // _POINTS)
     for column, (joint, colour) in enumerate(zip(driven(design), COLOURS, strict=False)):
@@ -81,7 +81,7 @@ def _timeline(bench: Bench) -> tuple[Figure, str]:
         raise NothingToDraw(
             "the servos can't play this gait; the findings say why" if bench.calibration else "no joint is driven"
         )
-    figure = Figure(figsize=(WIDTH, 2.6), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.6), layout="constrained")
     axes = figure.subplots()
     time = bench.timeline.time
     shown = time <= SHOWN

@@ -1,19 +1,17 @@
-"""What a study has to show: pictures, moving robots and one page. Plain data in, text and bytes out; no store here.
+"""The report of a study: figures, films and one page. Plain data in, text and bytes out; no store here.
 
 To add a figure: draw it in the module of its subject, list it in figures.py, and give it a place in page.html.
 """
 
-from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.data import ArtifactDigest, ResidualError, StudyReport, TrialResult
 from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
-from pipeline.report.films import render_films
-from pipeline.report.gif import render_gif
-from pipeline.report.mp4 import render_mp4
+from pipeline.report.films import render_films, render_gif, render_mp4
 from pipeline.report.page import render_page, render_robot
 from pipeline.report.replay import Replay, replay_of
 
 __all__ = [
-    "Digest",
+    "ArtifactDigest",
     "Drawing",
     "Missing",
     "Replay",

@@ -1,8 +1,8 @@
-"""Figures of prediction accuracy: paper, Fig. 3, and beyond it every way of taking the members together."""
+"""Figures of prediction accuracy: paper, Fig. 3, and every way of aggregating the ensemble members."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,158 +11,148 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.data import ENVIRONMENTS, PAPER_DEPTH, StudyReport
-from pipeline.report.drawing import INK, PAPER_MARK, WIDTH, NothingToDraw, count
-from tasks.analysis import Estimate, Regression
-from tasks.analysis.paper import AGGREGATES, RANGES
+from pipeline.report.data import ENVIRONMENTS, StudyReport
+from pipeline.report.drawing import (
+    DASHED,
+    DOTTED,
+    FIGURE_WIDTH,
+    INK,
+    PAPER_MARK,
+    NothingToDraw,
+    count,
+    draw_interval,
+    legend,
+    panel_grid,
+)
+from pipeline.report.wording import signed
+from tasks.analysis import Estimate, Regression, paper
+from tasks.analysis.prediction import Figure as Statistic
 from tasks.analysis.prediction import mean_less_deviations
 
-MEAN, CAUTIOUS = mean_less_deviations(0), mean_less_deviations(1)
+_MEAN, _CAUTIOUS = mean_less_deviations(0), mean_less_deviations(1)
 """The paper's two aggregates, μ and μ − σ."""
 
-DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
-"""The more designs, the less of the page shows through: legible by day and by night."""
+_DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
+"""Opacity grows with the number of designs, so that it is legible on a light and on a dark page."""
+
+_MEMBER, _AGGREGATE = (ENVIRONMENTS["single_member"].color, "o"), (ENVIRONMENTS["residual_slush"].color, "D")
+_NOT_ASSESSED = "no design has been simulated under every member yet"
 
 
 def prediction_accuracy(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]:
-    """Panels, one for each member and one for their mean: 2-D histograms with regression and ideal lines."""
+    """Draw 2-D histograms with regression and ideal lines, for each member and for the mean of the members."""
     accuracy = report.findings.accuracy
     if accuracy is None or accuracy.histograms.reason is not None:
-        reason = "no design has been simulated under every member yet"
-        raise NothingToDraw(report.findings.why("accuracy", (accuracy and accuracy.histograms.reason) or reason))
+        reason = accuracy and accuracy.histograms.reason
+        raise NothingToDraw(report.findings.why("accuracy", reason or _NOT_ASSESSED))
     histograms = accuracy.histograms
     fits = {fit.name: fit for fit in accuracy.regressions}
-    n_columns = min(n_columns, len(histograms.names))
-    n_rows = -(-len(histograms.names) // n_columns)
-    figure = Figure(figsize=(WIDTH * max(1.0, n_columns / 2), 2.45 * n_rows + 0.75), layout="constrained")
-    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
+    figure, panels = panel_grid(len(histograms.names), n_columns, row_height=2.45)
     norm = LogNorm(1, max(2, int(histograms.counts.max())))
     low, high = float(histograms.edges[0]), float(histograms.edges[-1])
-    for panel, name, counts in zip(panels, histograms.names, histograms.counts, strict=False):
+    for panel, name, counts in zip(panels, histograms.names, histograms.counts, strict=True):
         seen = np.ma.masked_equal(counts.T, 0)
-        panel.imshow(seen, origin="lower", extent=(low, high, low, high), cmap=DENSITY, norm=norm, interpolation="none")
-        panel.plot([low, high], [low, high], color=INK, lw=0.9, ls=(0, (4, 3)))
-        lines = [(fits.get(name), "-")] + ([(fits.get(CAUTIOUS), (0, (1, 1.2)))] if name == MEAN else [])
-        words = []
-        for fit, dashes in lines:
-            if fit is not None:
+        square = (low, high, low, high)
+        panel.imshow(seen, origin="lower", extent=square, cmap=_DENSITY, norm=norm, interpolation="none")
+        panel.plot([low, high], [low, high], color=INK, lw=0.9, ls=DASHED)
+        title = ["ensemble" if name == _MEAN else name]
+        for predictor, dashes in ((name, "-"), (_CAUTIOUS, DOTTED)) if name == _MEAN else ((name, "-"),):
+            if fit := fits.get(predictor):
                 _regression_line(panel, fit, low, high, dashes)
-                symbol = {MEAN: "μ: ", CAUTIOUS: "μ − σ: "}.get(fit.name, "")
-                words.append(f"{symbol}R {_two(fit.r)}, m {_two(fit.slope)}")
-        title = "ensemble" if name == MEAN else name
-        panel.set_title("\n".join((title, *words)), loc="left", fontsize=9)
-        panel.set_xlim(low, high)
-        panel.set_ylim(low, high)
+                symbol = f"{_symbols(predictor)}: " if name == _MEAN else ""
+                title.append(f"{symbol}R {_two_digits(fit.r)}, m {_two_digits(fit.slope)}")
+        panel.set_title("\n".join(title), fontsize=9)
+        panel.set(xlim=(low, high), ylim=(low, high))
         panel.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         panel.yaxis.set_major_locator(MaxNLocator(4, integer=True))
-    for panel in panels[len(histograms.names) :]:
-        panel.set_visible(False)
-    for panel in panels[max(0, len(histograms.names) - n_columns) : len(histograms.names)]:
-        panel.xaxis.set_tick_params(labelbottom=True)
-    figure.supxlabel("predicted displacement [m]", fontsize=10.5)
-    figure.supylabel("displacement in True Slush [m]", fontsize=10.5)
+    figure.supxlabel("predicted displacement [m]")
+    figure.supylabel("displacement in True Slush [m]")
     handles = [
         Line2D([], [], color=INK, lw=1.6, label="regression"),
-        Line2D([], [], color=INK, lw=1.6, ls=(0, (1, 1.2)), label="that of μ − σ"),
-        Line2D([], [], color=INK, lw=0.9, ls=(0, (4, 3)), label="y = x"),
+        Line2D([], [], color=INK, lw=1.6, ls=DOTTED, label="regression on μ − σ"),
+        Line2D([], [], color=INK, lw=0.9, ls=DASHED, label="y = x"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3, handlelength=1.9, columnspacing=1.2)
+    legend(figure, handles, above=True)
     n = max((fit.n for fit in accuracy.regressions), default=0)
     return figure, (
-        f"Displacement in {accuracy.depth:g} m of True Slush of {n} designs from all generations of evolution in True "
-        "Slush and on Dry Land, against what each member predicts, and against the mean μ of the members; the more "
-        "designs, the deeper the colour. R is Pearson’s correlation, m the regression’s slope: below 1, the world "
-        "promises more than it keeps. The dotted line is the regression on μ − σ, the fitness in Residual Slush. "
-        f"{_outside(histograms.n_outside)}"
+        f"Displacement in {accuracy.depth:g} m of True Slush against the displacement that each member predicts, and "
+        f"against the mean μ of the members, for {n} designs from all generations of evolution in True Slush and on "
+        "Dry Land. Darker cells hold more designs. R is Pearson’s correlation and m the slope of the regression: a "
+        "slope below 1 means that the model overestimates how far robots get. The dotted line is the regression on "
+        f"μ − σ, the fitness in Residual Slush. {_outside(histograms.n_outside)}"
     )
 
 
 def _outside(n_outside: Any) -> str:
     most = int(np.max(n_outside, initial=0))
-    return f"Up to {most} designs of a panel lie outside it or diverged." if most else "No design lies outside."
+    return f"Up to {most} designs per panel lie outside it or diverged." if most else "No design lies outside."
 
 
-def _two(found: Estimate) -> str:
-    return "–" if found.value is None else f"{found.value:.2f}".replace("-", "−")
+def _two_digits(found: Estimate) -> str:
+    return "–" if found.value is None else signed("{:.2f}", found.value)
 
 
 def _regression_line(panel: Any, fit: Regression, low: float, high: float, dashes: Any) -> None:
-    if fit.slope.value is None or fit.intercept.value is None:
-        return
-    x = np.array([low, high])
-    panel.plot(x, fit.intercept.value + fit.slope.value * x, color=INK, lw=1.6, ls=dashes)
+    if fit.slope.value is not None and fit.intercept.value is not None:
+        x = np.array([low, high])
+        panel.plot(x, fit.intercept.value + fit.slope.value * x, color=INK, lw=1.6, ls=dashes)
 
 
 def aggregates(report: StudyReport) -> tuple[Figure, str]:
-    """Draw R and slope with their intervals of every member and of every way to take the members together."""
+    """Draw R and slope with their intervals, for every member and every way of aggregating the members."""
     accuracy = report.findings.accuracy
-    fits = [fit for fit in accuracy.regressions if fit.r.value is not None] if accuracy else []
+    found = accuracy.regressions if accuracy else ()
+    fits = [fit for fit in found if fit.r.value is not None]
     if accuracy is None or not fits:
-        reasons = [fit.r.reason for fit in accuracy.regressions if fit.r.reason] if accuracy else []
-        reason = reasons[0] if reasons else "no design has been simulated under every member yet"
+        reason = next((fit.r.reason for fit in found if fit.r.reason), _NOT_ASSESSED)
         raise NothingToDraw(report.findings.why("accuracy", reason))
-    figure = Figure(figsize=(WIDTH, 0.24 * len(fits) + 1.3), layout="constrained")
+    beside_paper = accuracy.depth == paper.DEPTH
+    figure = Figure(figsize=(FIGURE_WIDTH, 0.24 * len(fits) + 1.3))
     panels = figure.subplots(1, 2, sharey=True)
-    for panel, (figure_name, label, ideal) in zip(
-        panels, (("r", "Pearson’s R", 1.0), ("slope", "slope", 1.0)), strict=True
-    ):
-        panel.axvline(ideal, color=INK, lw=0.9, ls=(0, (4, 3)))
-        _forest(panel, fits, figure_name)
-        if accuracy.depth == PAPER_DEPTH:
-            _paper_marks(panel, fits, figure_name)
+    statistics: tuple[tuple[Statistic, str], ...] = (("r", "Pearson’s R"), ("slope", "slope"))
+    for panel, (statistic, label) in zip(panels, statistics, strict=True):
+        panel.axvline(1.0, color=INK, lw=0.9, ls=DASHED)
+        for row, fit in enumerate(fits):
+            draw_interval(panel, row, getattr(fit, statistic), *(_MEMBER if _is_member(fit) else _AGGREGATE))
+        if beside_paper:
+            _paper_marks(panel, fits, statistic)
         panel.set_xlabel(label)
         panel.grid(axis="x")
-        panel.set_axisbelow(True)
-    panels[0].set_yticks(range(len(fits)), [_shown(fit.name) for fit in fits], fontsize=9)
+    panels[0].set_yticks(range(len(fits)), [_symbols(fit.name) for fit in fits], fontsize=9)
     panels[0].invert_yaxis()
     handles = [
-        Line2D([], [], color=_MEMBER, marker="o", ms=4.5, lw=2.2, label="a member"),
-        Line2D([], [], color=_TOGETHER, marker="D", ms=4.5, lw=2.2, label="together"),
+        Line2D([], [], color=color, marker=marker, ms=4.5, lw=2.2, label=label)
+        for (color, marker), label in ((_MEMBER, "member"), (_AGGREGATE, "aggregate"))
     ]
-    if accuracy.depth == PAPER_DEPTH:
+    if beside_paper:
         handles.append(Line2D([], [], color=PAPER_MARK, marker="|", ms=9, mew=2.5, ls="none", label="paper"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, handlelength=1.6, columnspacing=1.2)
-    n_members = [fit for fit in fits if fit.name.startswith("member ")]
+    legend(figure, handles)
+    members = [fit for fit in fits if _is_member(fit)]
     return figure, (
-        f"Correlation and slope of true on predicted displacement with their 95 % intervals: of "
-        f"{count(n_members, 'member')}, "
-        "and of what the members say together: the mean less k deviations, the lowest, the median, a low quantile, and "
-        "CVaR, the mean of the lowest quarter. Both are best at the dashed line."
-        + (
-            " Upright marks are the paper’s; the band is its range over members."
-            if accuracy.depth == PAPER_DEPTH
-            else ""
-        )
+        "Correlation and slope of the regression of true on predicted displacement, with 95 % intervals, for "
+        f"{count(members, 'member')} and for aggregates of the members: the mean minus k standard deviations, the "
+        "minimum, the median, a low quantile, and CVaR, the mean of the lowest quarter. The dashed line marks the "
+        "ideal value of both."
+        + (" Vertical marks are the paper’s values; the band is its range over members." if beside_paper else "")
     )
 
 
-_MEMBER, _TOGETHER = ENVIRONMENTS["single_member"].color, ENVIRONMENTS["residual_slush"].color
+def _is_member(fit: Regression) -> bool:
+    return fit.name.startswith("member ")
 
 
-def _shown(name: str) -> str:
-    """Write a predictor as the paper does."""
-    if name == MEAN:
+def _symbols(predictor: str) -> str:
+    """Write a predictor in the paper's symbols."""
+    if predictor == _MEAN:
         return "μ"
-    return name.replace("mean - 1 sd", "μ − σ").replace("mean - ", "μ − ").replace(" sd", " σ")
+    return predictor.replace("mean - 1 sd", "μ − σ").replace("mean - ", "μ − ").replace(" sd", " σ")
 
 
-def _forest(panel: Any, fits: Sequence[Regression], figure_name: str) -> None:
+def _paper_marks(panel: Any, fits: Sequence[Regression], statistic: Statistic) -> None:
     for row, fit in enumerate(fits):
-        found: Estimate = getattr(fit, figure_name)
-        alone = fit.name.startswith("member ")
-        color, marker = (_MEMBER, "o") if alone else (_TOGETHER, "D")
-        if found.low is not None and found.high is not None:
-            panel.plot([found.low, found.high], [row, row], color=color, lw=2.2)
-        if found.value is not None:
-            panel.plot(found.value, row, marker, color=color, mec=INK, mew=0.7, ms=4.5)
-
-
-def _paper_marks(panel: Any, fits: Sequence[Regression], figure_name: Any) -> None:
-    rows: Mapping[str, int] = {fit.name: row for row, fit in enumerate(fits)}
-    for (name, of), (stated, _) in AGGREGATES.items():
-        if of == figure_name and name in rows:
-            panel.plot([stated, stated], [rows[name] - 0.42, rows[name] + 0.42], color=PAPER_MARK, lw=2.5)
-    alone = [row for name, row in rows.items() if name.startswith("member ")]
-    if alone:
-        low, high, _ = RANGES[figure_name]
-        panel.fill_betweenx([min(alone) - 0.45, max(alone) + 0.45], low, high, color=PAPER_MARK, alpha=0.13, lw=0)
+        if stated := paper.AGGREGATES.get((fit.name, statistic)):
+            panel.plot([stated[0]] * 2, [row - 0.42, row + 0.42], color=PAPER_MARK, lw=2.5)
+    members = [row for row, fit in enumerate(fits) if _is_member(fit)]
+    if members:
+        low, high, _ = paper.RANGES[statistic]
+        panel.fill_betweenx([min(members) - 0.45, max(members) + 0.45], low, high, color=PAPER_MARK, alpha=0.13, lw=0)

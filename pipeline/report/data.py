@@ -1,6 +1,6 @@
-"""What the page needs to know of a study, as plain frozen data, and the sums over trials that it shows.
+"""The input of the page, as plain frozen data, and the averages over trials that it shows.
 
-Nothing is required to be there: a study that has only begun, or that lost some of its trials, still makes a report.
+Nothing is required: a study that has only begun, or that lost some of its trials, still makes a report.
 """
 
 from __future__ import annotations
@@ -10,15 +10,17 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.config.settings import EnvironmentName
 from pipeline.report.findings import Findings
 from pipeline.report.replay import Replay
+from tasks.analysis import paper
+from tasks.analysis.comparison import BEST
 from tasks.analysis.uncertainty import RESOLUTION
+from tasks.arrays import Float64
 
-Quantity = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]
-"""What is measured of a champion [m]."""
+Measure = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]
+"""A column of the table of champions [m]."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class EnvironmentStyle:
     """The paper's."""
     color: str
     adapted_color: str
-    """Of the same arm once its controllers have adapted to True Slush; drawn hatched."""
+    """The same arm once its controllers have adapted to True Slush; drawn hatched."""
     marker: str
     """So that colour is never the only difference."""
     evolved: str
@@ -45,26 +47,15 @@ ENVIRONMENTS: Mapping[EnvironmentName, EnvironmentStyle] = {
 }
 """In the order in which they are listed everywhere."""
 
-PAPER_DEPTH = 9.0
-"""Depth at which the paper states its numbers [m]."""
 
-PAPER_TRUE_SLUSH = 13.6
-"""Mean displacement of designs evolved in True Slush, at 9 m [m]. Paper, "Evolution"."""
-
-PAPER: Mapping[tuple[EnvironmentName, Quantity], float] = {
-    ("true_slush", "predicted"): PAPER_TRUE_SLUSH,
-    ("true_slush", "zero_shot"): PAPER_TRUE_SLUSH,
-    ("dry_land", "zero_shot"): -0.8,
-    ("dry_land", "adapted"): 4.8,
-    ("residual_slush", "zero_shot"): 0.67 * PAPER_TRUE_SLUSH,
-    ("residual_slush", "adapted"): 0.87 * PAPER_TRUE_SLUSH,
-}
-"""Means over 10 trials that the paper states at 9 m [m]; for Residual Slush it states the share of E, 67 and 87 %."""
+def arm_words(environment: EnvironmentName, depth: float) -> str:
+    """Name an arm: where its champions evolved, and the depth [m]."""
+    return f"{ENVIRONMENTS[environment].label}, {depth:g} m"
 
 
 @dataclass(frozen=True, eq=False)
 class TrialResult:
-    """One trial's champion and how it fared [m]; NaN where its rollout diverged."""
+    """The champion of one trial and its displacements [m]; NaN where its rollout diverged."""
 
     environment: EnvironmentName
     """Where it evolved."""
@@ -72,39 +63,44 @@ class TrialResult:
     """[m]"""
     trial: int
     predicted: float
-    """Fitness in the world where it evolved (in Residual Slush the mean of its members less k deviations)."""
+    """Fitness where it evolved (in Residual Slush the mean of the members minus k standard deviations)."""
     zero_shot: float | None = None
-    """Displacement of its root in True Slush; None before it has been there."""
+    """Displacement of its root in True Slush; None if not simulated yet."""
     zero_shot_com: float | None = None
-    """The same of the whole robot's centre of mass."""
+    """Displacement of its centre of mass in True Slush."""
     adapted: float | None = None
-    """Displacement of its root in True Slush with a controller that evolved there; None before that."""
+    """Displacement of its root in True Slush with a controller that evolved there; None if not adapted."""
     adapted_com: float | None = None
-    """The same of the whole robot's centre of mass."""
-    curve: npt.NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    """(n_generations,) best fitness so far in the world where it evolves [m]."""
+    """Displacement of its centre of mass, likewise."""
+    curve: Float64 = field(default_factory=lambda: np.empty(0))
+    """(n_generations,) best fitness so far where it evolves [m]."""
+
+    @property
+    def all_diverged(self) -> bool:
+        """Whether the trial has run and no design of it stayed finite."""
+        return len(self.curve) > 0 and not np.isfinite(self.curve).any()
 
 
 @dataclass(frozen=True)
 class ResidualError:
-    """How well one member predicts one component of the residual, over held-out transitions in one band of speed."""
+    """Error of one member in one component of the residual, on held-out transitions in one band of speed."""
 
     member: int
     component: str
     """Such as "vx"."""
     unit: str
-    """Of ``rmse`` and ``rms_residual``, such as "m/s"."""
+    """Unit of ``rmse`` and ``rms_residual``, such as "m/s"."""
     speed_band: str
     """Such as "0.5-2 m/s"; bands are shown in the order in which they first appear."""
     rmse: float
-    """Root mean square of prediction less residual."""
+    """Root mean square of prediction minus residual."""
     rms_residual: float
-    """Root mean square of the residual itself: the error of one who predicts nothing. 0 where it is not known."""
+    """Root mean square of the residual: the error of predicting 0. 0 where it is unknown."""
 
 
 @dataclass(frozen=True)
 class Draws:
-    """How often an operator of evolution drew designs, and how many of them the morphology refused."""
+    """How many designs an operator drew, and how many of them were rejected as not buildable."""
 
     operator: str
     n_drawn: int
@@ -112,7 +108,7 @@ class Draws:
 
 
 @dataclass(frozen=True)
-class Digest:
+class ArtifactDigest:
     """An artifact of the study and its SHA-256."""
 
     stage: str
@@ -122,40 +118,40 @@ class Digest:
 
 @dataclass(frozen=True, eq=False)
 class StudyReport:
-    """A study, or as much of it as there is."""
+    """A study, or as much of it as is done."""
 
     name: str
     title: str
     created_with: Mapping[str, str]
-    """What -> version."""
+    """Version by package."""
     settings_yaml: str
     trials: Sequence[TrialResult] = ()
     residual_errors: Sequence[ResidualError] = ()
     replays: Sequence[Replay] = ()
     findings: Findings = field(default_factory=Findings)
     draws: Sequence[Draws] = ()
-    """Of each operator that drew again; none where any body would do."""
+    """Operators that rejected designs; empty where every design is buildable."""
     measured_seconds: float = 20.0
-    """How long robots' way is measured [s]. [P]"""
-    digests: Sequence[Digest] = ()
+    """How long displacement is measured [s]. [P]"""
+    digests: Sequence[ArtifactDigest] = ()
     failed: Sequence[str] = ()
-    """Work that failed twice, named."""
+    """Work items that failed, with their errors."""
     not_possible: Sequence[str] = ()
-    """Work that needs some of that, named."""
+    """Work items that were not tried because an input failed."""
     diverged: Sequence[str] = ()
-    """Trials some of whose designs diverged, or all, named."""
+    """Trials with designs that diverged, and how many."""
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A quantity over trials."""
+class TrialMean:
+    """Mean and standard deviation of a measure over trials."""
 
     mean: float
     """[m]"""
     sd: float | None
     """Sample standard deviation [m]; None with a single trial."""
     values: tuple[float, ...]
-    """One per trial, in the trials' order [m]."""
+    """One per trial with a finite value, in the order of the trials [m]."""
 
     @property
     def n(self) -> int:
@@ -163,52 +159,78 @@ class Estimate:
         return len(self.values)
 
 
-def estimate(trials: Iterable[TrialResult], quantity: Quantity) -> Estimate | None:
-    """Take the mean and deviation of a quantity over trials that have it; None where no trial has."""
-    values = [value for trial in trials if (value := getattr(trial, quantity)) is not None and np.isfinite(value)]
+def trial_mean(trials: Iterable[TrialResult], measure: Measure) -> TrialMean | None:
+    """Average a measure over the trials that have it; None if none has."""
+    values = [value for trial in trials if (value := getattr(trial, measure)) is not None and np.isfinite(value)]
     if not values:
         return None
-    return Estimate(
+    return TrialMean(
         mean=float(np.mean(values)),
         sd=float(np.std(values, ddof=1)) if len(values) > 1 else None,
         values=tuple(float(value) for value in values),
     )
 
 
+def ratio(part: TrialMean | None, whole: TrialMean | None) -> float | None:
+    """Divide two means; None where one is missing or the whole is not positive."""
+    if part is None or whole is None or whole.mean <= RESOLUTION:
+        return None
+    return part.mean / whole.mean
+
+
+def paper_mean(environment: EnvironmentName, measure: Measure, depth: float) -> float | None:
+    """Look up the paper's mean over 10 trials.
+
+    Args:
+        environment: where the champions evolved.
+        measure: what is averaged.
+        depth: [m]
+
+    Returns:
+        The mean [m], or the share of True Slush's mean where the paper gives only that; None where it gives neither.
+    """
+    if depth != paper.DEPTH:
+        return None
+    arms = {(name, quantity): mean for (name, quantity), (mean, _) in paper.MEANS.items()}
+    shares = {(name, quantity): share for (name, quantity), (share, _) in paper.RATIOS.items()}
+    best = arms[BEST]
+    arm = BEST if (environment, measure) == (BEST[0], "predicted") else (environment, measure)
+    return arms[arm] if arm in arms else shares[arm] * best if arm in shares else None
+
+
 def all_diverged(trials: Sequence[TrialResult]) -> bool:
-    """Tell whether trials have run, and no design of any of them stayed finite."""
-    return bool(trials) and all(len(trial.curve) > 0 and not np.isfinite(trial.curve).any() for trial in trials)
+    """Return whether trials have run and no design of any of them stayed finite."""
+    return bool(trials) and all(trial.all_diverged for trial in trials)
 
 
 ALL_DIVERGED = "every design of every trial diverged"
-"""Why there is then nothing to show of champions."""
+"""Reason for a page without champions."""
 
 
 def depths(trials: Iterable[TrialResult]) -> list[float]:
-    """List the depths that trials were made at [m], shallowest first."""
+    """List the depths of trials [m], shallowest first."""
     return sorted({trial.depth for trial in trials})
 
 
 def deepest_scored(trials: Iterable[TrialResult]) -> float | None:
-    """Find the greatest depth at which a champion went to True Slush as it was [m]; None where none has."""
+    """Find the greatest depth with a zero-shot champion [m]; None if there is none."""
     scored = [trial.depth for trial in trials if trial.zero_shot is not None and np.isfinite(trial.zero_shot)]
     return max(scored, default=None)
 
 
 def arm(trials: Iterable[TrialResult], environment: EnvironmentName, depth: float) -> list[TrialResult]:
-    """Choose the trials of one environment and depth, in the order of their numbers."""
+    """Select the trials of one environment and depth, ordered by number.
+
+    Args:
+        trials: of any environment and depth.
+        environment: where the champions evolved.
+        depth: [m]
+    """
     chosen = [trial for trial in trials if trial.environment == environment and trial.depth == depth]
     return sorted(chosen, key=lambda trial: trial.trial)
 
 
 def environments(trials: Iterable[TrialResult]) -> list[EnvironmentName]:
-    """List the environments that designs evolved in, in their usual order."""
+    """List the environments in which trials evolved, in their usual order."""
     present = {trial.environment for trial in trials}
     return [environment for environment in ENVIRONMENTS if environment in present]
-
-
-def ratio(part: Estimate | None, whole: Estimate | None) -> float | None:
-    """Say what share of one mean another is; None where there is none to compare with, or it went nowhere."""
-    if part is None or whole is None or whole.mean <= RESOLUTION:
-        return None
-    return part.mean / whole.mean

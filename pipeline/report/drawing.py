@@ -1,8 +1,8 @@
-"""How every figure looks, and what it becomes: an SVG and a PNG. The same report always gives the same bytes.
+"""The common look of all figures, and their output as SVG and PNG. The same report always gives the same bytes.
 
-Figures are as narrow as a phone (360 units), so that their text stays legible there; a page may show them larger. The
-SVG keeps text as text. Its colours are those of ``INK``, ``FAINT`` and the environments alone, so that the page can put
-its own in their place when it is dark.
+Figures are as narrow as a phone (360 units), so that their text stays legible there; a page may enlarge them. The SVG
+keeps text as text. It uses no colours but ``INK``, ``FAINT``, ``PAPER_MARK`` and those of the environments, which the
+page replaces by its own in dark mode.
 """
 
 from __future__ import annotations
@@ -13,41 +13,52 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from matplotlib import style as mpl_style
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
+
+from tasks.analysis import Estimate
 
 INK = "#1d2129"
 FAINT = "#c9ced6"
 PAPER_MARK = "#c2185b"
+DASHED, DOTTED = (0, (4, 3)), (0, (1, 1.2))
 
-WIDTH = 360 / 72
-"""Of a figure [inch]; 360 units of its SVG."""
+FIGURE_WIDTH = 360 / 72
+"""Width of a figure [inch]; 360 units of its SVG."""
 
-STYLE: dict[str, Any] = {
+_STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "puddle",
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
     "font.size": 10.5,
     "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.8,
+    "axes.axisbelow": True,
     "text.color": INK,
     "xtick.color": INK,
     "ytick.color": INK,
     "grid.color": FAINT,
     "grid.linewidth": 0.6,
     "legend.frameon": False,
+    "legend.handlelength": 1.6,
+    "legend.columnspacing": 1.2,
     "hatch.linewidth": 1.0,
     "lines.linewidth": 1.8,
+    "figure.labelsize": 10.5,
+    "figure.constrained_layout.use": True,
     "figure.facecolor": "none",
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
 }
-NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
+_NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
 
 
 @dataclass(frozen=True)
@@ -57,34 +68,40 @@ class Drawing:
     name: str
     title: str
     description: str
-    """What it shows, for those who read it and for those who can't see it."""
+    """The caption, which is also the text for readers who cannot see the figure."""
     svg: bytes
     png: bytes
-    """On white, at three pixels a unit."""
+    """The figure on white, three pixels per unit."""
 
 
 @dataclass(frozen=True)
 class Missing:
-    """A figure that this study cannot fill, and why."""
+    """A figure for which the study has no data, and why."""
 
     name: str
     title: str
     reason: str
 
 
-class NothingToDraw(Exception):  # noqa: N818 (what it is, not that it went wrong)
-    """Raised by a figure that has no data; its message is the reason, for a reader."""
+class NothingToDraw(Exception):  # noqa: N818 (a condition, not a failure)
+    """Raised by a figure that has no data; the message is the reason shown to the reader."""
 
 
 def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Drawing | Missing:
-    """Draw a figure and write it as SVG and PNG, or say why there is none."""
-    with mpl_style.context(["default", STYLE]):  # whatever style the user has set
+    """Draw a figure and encode it as SVG and PNG.
+
+    Args:
+        name: name of the figure, used for its files and its id on the page.
+        title: heading.
+        draw: returns the figure and its description, or raises NothingToDraw.
+    """
+    with mpl_style.context(["default", _STYLE]):  # overrides any style that the user has set
         try:
             figure, description = draw()
         except NothingToDraw as nothing:
             return Missing(name=name, title=title, reason=str(nothing))
         svg, png = io.BytesIO(), io.BytesIO()
-        figure.savefig(svg, format="svg", metadata=NO_METADATA)
+        figure.savefig(svg, format="svg", metadata=_NO_METADATA)
         figure.savefig(png, format="png", dpi=216, facecolor="white", metadata={"Software": None})
     return Drawing(
         name=name, title=title, description=description, svg=_round_paths(svg.getvalue()), png=png.getvalue()
@@ -92,21 +109,76 @@ def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Dra
 
 
 def _round_paths(svg: bytes) -> bytes:
-    """Cut the coordinates of paths to hundredths of a unit, so that a figure of many lines stays small."""
+    """Round the coordinates of paths to hundredths of a unit, so that a figure of many lines stays small."""
     return re.sub(rb' d="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path[0]), svg)
 
 
-LEAST_RANGE = 0.1
-"""Of an axis of displacements [m]: where nothing moves, rounding is not blown up to a figure."""
+# -- parts of figures -------------------------------------------------------------------------------------------------
 
 
-def show_at_least(axes: Any, span: float) -> None:
-    """Widen the upright axis to a span around its middle, if it is narrower."""
+def panel_grid(n_panels: int, n_columns: int, *, row_height: float) -> tuple[Figure, Any]:
+    """Make a figure with panels in rows that share both axes.
+
+    Args:
+        n_panels: number of panels.
+        n_columns: panels per row at most; more than two widen the figure.
+        row_height: height of a row [inch].
+
+    Returns:
+        The figure and its panels, (n_panels,).
+    """
+    n_columns = min(n_columns, n_panels)
+    n_rows = -(-n_panels // n_columns)
+    figure = Figure(figsize=(FIGURE_WIDTH * max(1.0, n_columns / 2), row_height * n_rows + 0.75))
+    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
+    for panel in panels[n_panels:]:
+        panel.set_visible(False)
+    for panel in panels[n_panels - n_columns : n_panels]:
+        panel.xaxis.set_tick_params(labelbottom=True)
+    return figure, panels[:n_panels]
+
+
+def legend(figure: Figure, handles: Sequence[Artist], *, n_columns: int = 3, above: bool = False) -> None:
+    """Put a legend outside the panels.
+
+    Args:
+        figure: the figure.
+        handles: legend entries; without any there is no legend.
+        n_columns: entries per row.
+        above: whether it goes above the panels instead of below.
+    """
+    if handles:
+        figure.legend(handles=handles, loc=f"outside {'upper' if above else 'lower'} center", ncols=n_columns)
+
+
+def show_at_least(axes: Any, span: float = 0.1) -> None:
+    """Widen the vertical axis to a span [m] around its middle, so that rounding errors do not fill the figure."""
     low, high = axes.get_ylim()
     if high - low < span:
         axes.set_ylim((low + high - span) / 2, (low + high + span) / 2)
 
 
+def sampled(n: int, n_shown: int) -> Any:
+    """Return at most n_shown indices that are evenly spread over n."""
+    return np.unique(np.linspace(0, n - 1, n_shown).round().astype(int))
+
+
 def count(things: Sequence[Any], name: str) -> str:
-    """Say how many there are: "1 member", "8 members"."""
+    """Return a number with its noun: "1 member", "8 members"."""
     return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
+
+
+def draw_interval(panel: Any, row: int, found: Estimate, color: str, marker: str = "o") -> None:
+    """Draw an estimate as a mark with a horizontal line for its interval.
+
+    Args:
+        panel: where to draw.
+        row: vertical position.
+        found: the estimate; nothing is drawn where it has no value.
+        color: of the line and the mark.
+        marker: shape of the mark.
+    """
+    if found.low is not None and found.high is not None:
+        panel.plot([found.low, found.high], [row, row], color=color, lw=2.2)
+    if found.value is not None:
+        panel.plot(found.value, row, marker, color=color, mec=INK, mew=0.7, ms=4.5)

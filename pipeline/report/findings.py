@@ -1,9 +1,10 @@
-"""What the analysis of a study found, as the page shows it: plain frozen data, and why some is missing."""
+"""The results of the analysis as the page shows them: rows of the analysis tables, and why some are missing."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from tasks.analysis import (
     Attribution,
@@ -11,7 +12,6 @@ from tasks.analysis import (
     Crossing,
     Estimate,
     EvolvedIn,
-    Exploiter,
     Histograms,
     MemberError,
     Regression,
@@ -20,6 +20,86 @@ from tasks.analysis import (
     TransferMatrix,
 )
 from tasks.arrays import Float64
+
+# -- rows of tables of the analysis -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ExploiterRow:
+    """A ranked design: the prediction of the ensemble and its true displacement [m]; None where it diverged."""
+
+    rank: int
+    kind: Literal["champion", "assessed"]
+    environment: EvolvedIn
+    depth: float
+    trial: int
+    generation: int
+    """-1 for a champion, like ``identity``."""
+    identity: int
+    predicted: float | None
+    true: float | None
+    excess: float | None
+    disagreement: float | None
+    """Standard deviation over the members."""
+    ranked_by: str
+    reason: str | None
+    by_member: tuple[float, ...]
+    """(n_members,) displacement under each member."""
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Displacements of one champion [m]; None where it diverged or was not simulated."""
+
+    displacement: float | None
+    com: float | None
+    reach: float | None
+    """Displacement of the root minus that of the centre of mass."""
+
+
+@dataclass(frozen=True)
+class ChampionRow:
+    """A champion simulated again, where it evolved and in True Slush; lengths in m, None where it diverged."""
+
+    trial: int
+    best: bool
+    """Whether it is the best zero-shot, or the best where it evolved if none survives True Slush."""
+    home: Moved
+    """Where it evolved, mean over members."""
+    slush: Moved
+    """In True Slush."""
+    claimed: float | None
+    """Fitness where it evolved."""
+    again: float | None
+    """Mean fitness of its repeats, with attachments shifted by 1e-4."""
+    loss: Estimate
+    """``claimed`` minus ``again``: the winner's luck."""
+    share_below: float | None
+    """Share of repeats with a lower fitness."""
+    n_diverged: int
+    n_tries: int
+
+
+@dataclass(frozen=True)
+class TankRow:
+    """A champion in the virtual tank; displacements in m, None where it diverged."""
+
+    trial: int
+    proposed: bool
+    """Whether it is proposed for building: the nearest to the champions' mean in True Slush."""
+    zero_shot: float | None
+    """Displacement of its root in True Slush, at its own depth."""
+    dry_land: float | None
+    """Displacement of its root on Dry Land, at its own depth and for as long."""
+    dry_land_com: float | None
+    """Displacement of its centre of mass on Dry Land."""
+    wet: Crossing
+    """In the filled tank."""
+    dry: Crossing
+    """On the floor of the drained tank."""
+
+
+# -- everything else --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,104 +111,54 @@ class ThrownPaths:
     path: Float64
     """(n_throws, n_steps, 3) x, y [m], angle [rad]."""
     seconds: float
-    """How long each lasts [s]."""
+    """Duration of each [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
-    """How well designs' displacement in True Slush is predicted: paper, Fig. 3."""
+    """Accuracy of the predicted displacement in True Slush: paper, Fig. 3."""
 
     depth: float
     """[m]"""
     regressions: Sequence[Regression]
-    """Of every member ("member 0" and on) and every aggregate ("mean", "mean - 1 sd", "min" and on)."""
+    """For every member ("member 0", ...) and every aggregate ("mean", "mean - 1 sd", "min", ...)."""
     histograms: Histograms
-    """Of the members and of the mean."""
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A design that may live off what its world imagined."""
-
-    label: str
-    """Where it evolved, depth and trial, in words."""
-    exploiter: Exploiter
-
-
-@dataclass(frozen=True)
-class Retried:
-    """A champion tried again, with its attachments moved by next to nothing; and how much of its way is reach."""
-
-    label: str
-    """Where it evolved, depth and trial, in words."""
-    claimed: float | None
-    """Displacement where it evolved [m]; None where it diverged."""
-    loss: Estimate
-    """Claimed less the mean when tried again [m]."""
-    reach: float | None
-    """Displacement of the root less that of the centre of mass, in True Slush [m]; None where it is not known."""
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A champion that might be built; lengths in the simulation's metres, None where it diverged."""
-
-    trial: int
-    proposed: bool
-    """Whether it is the one to build: the nearest the champions' mean in True Slush."""
-    zero_shot: float | None
-    """Displacement in True Slush [m]."""
-    dry_land: float | None
-    """Displacement on Dry Land [m]."""
-    wet: Crossing
-    """In the tank."""
-    dry: Crossing
-    """On the tank's dry floor."""
-
-
-@dataclass(frozen=True)
-class TankTest:
-    """The champions of one arm in the tank."""
-
-    label: str
-    """Where they evolved, and the depth, in words."""
-    tank: Tank
-    candidates: Sequence[Candidate]
+    """For the members and their mean."""
 
 
 @dataclass(frozen=True)
 class Ancestor:
-    """A design of a champion's family, the champion included."""
+    """A design in the family of a champion, which includes the champion."""
 
     identity: int
     """Running number within the trial."""
     generation: int
-    """In which it was born."""
+    """Generation of its birth."""
     age: int
-    """Of its genes when it was born [generations]."""
+    """Age of its genes at birth [generations]."""
     operator: str
-    """Which made it: "random", "mutation" or "crossover"."""
+    """Operator that made it: "random", "mutation" or "crossover"."""
     parents: tuple[int, ...]
-    """Identities; none of a random design."""
+    """Identities; empty for a random design."""
     fitness: float
-    """Where it evolved [m]; -inf where it diverged."""
+    """Where it evolved [m]; -inf if it diverged."""
     n_genes_changed: int | None
-    """Genes in which it differs from the parent that it resembles more; None of a random design."""
+    """Genes that differ from the more similar parent; None for a random design."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """Everyone that a champion descends from."""
+    """The ancestors of a champion."""
 
     label: str
     """The champion, in words."""
     ancestors: Sequence[Ancestor]
-    """By identity, the champion last."""
+    """Ordered by identity, the champion last."""
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """All of it, or as much as there is."""
+    """All results of the analysis, or as many as there are."""
 
     throws: ThrownPaths | None = None
     accuracy: Accuracy | None = None
@@ -137,18 +167,20 @@ class Findings:
     attributions: Sequence[Attribution] = ()
     transfer_matrices: Mapping[EvolvedIn, TransferMatrix] = field(default_factory=dict)
     """By where the champions evolved."""
-    suspects: Sequence[Suspect] = ()
-    """The worst first."""
-    retried: Sequence[Retried] = ()
+    exploiters: Sequence[ExploiterRow] = ()
+    """Ordered by rank."""
+    champions: Mapping[str, Sequence[ChampionRow]] = field(default_factory=dict)
+    """By arm, in words."""
     phantom_thrust: Sequence[Estimate] = ()
-    """One a member [m/s²]."""
+    """One per member [m/s²]."""
     member_errors: Sequence[MemberError] = ()
     family: Family | None = None
-    tank_tests: Sequence[TankTest] = ()
-    """One an arm; none where the study has no tank."""
+    tank: Tank | None = None
+    tank_tests: Mapping[str, Sequence[TankRow]] = field(default_factory=dict)
+    """By arm, in words."""
     missing: Mapping[str, str] = field(default_factory=dict)
-    """Field of this class -> why it is not here, where a stage could say so."""
+    """Reason by field of this class, where a stage gives one."""
 
     def why(self, name: str, otherwise: str) -> str:
-        """Say why a field is empty."""
+        """Return the reason why a field is empty."""
         return self.missing.get(name, otherwise)

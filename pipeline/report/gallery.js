@@ -1,10 +1,10 @@
-// The gallery: a small canvas for each exemplar, which plays for as long as it can be seen.
+// The gallery: a small canvas for each robot, which plays while it is visible.
 (() => {
   const { replays, drawPane } = robots;
   const films = Array.from(document.querySelectorAll(".film"), (film) => {
     return { canvas: film.querySelector("canvas"), replay: replays[Number(film.dataset.replay)], visible: false };
   });
-  const PAUSE = 1; // seconds between the end and the start again
+  const PAUSE = 1; // seconds between the end and the next start
   let playing = false;
 
   function draw(film, time) {

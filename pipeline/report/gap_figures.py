@@ -1,4 +1,4 @@
-"""Figures of transfer gaps: whose fault they are, and how far a design's depth can be from where it is used."""
+"""Figures of the transfer gap: its attribution to body and controller, and transfer between depths."""
 
 from __future__ import annotations
 
@@ -11,30 +11,31 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pipeline.report.data import ENVIRONMENTS, StudyReport
-from pipeline.report.drawing import INK, LEAST_RANGE, WIDTH, NothingToDraw, show_at_least
+from pipeline.report.drawing import FIGURE_WIDTH, INK, NothingToDraw, legend, show_at_least
 from pipeline.report.wording import number
 from tasks.analysis import Attribution, TransferMatrix
 
 
 def attribution(report: StudyReport) -> tuple[Figure, str]:
-    """Panels, one for each arm: the gap to True Slush's own designs by depth, split into controller and body."""
+    """Draw a panel for each arm: the gap to the designs evolved in True Slush by depth, split into its two causes."""
     rows = [row for row in report.findings.attributions if row.gap.value is not None]
     if not rows:
-        raise NothingToDraw(report.findings.why("attributions", _no_gap(report.findings.attributions)))
+        reasons = (row.gap.reason for row in report.findings.attributions if row.gap.reason)
+        reason = next(reasons, "no champion’s controller has been adapted yet")
+        raise NothingToDraw(report.findings.why("attributions", reason))
     arms = list(dict.fromkeys(row.evolved_in for row in rows))
     listed = sorted({row.depth for row in rows})
-    figure = Figure(figsize=(WIDTH, 2.0 * len(arms) + 0.9), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.0 * len(arms) + 0.9))
     panels = figure.subplots(len(arms), 1, sharex=True, sharey=True, squeeze=False).ravel()
     for panel, arm in zip(panels, arms, strict=True):
         for row in rows:
             if row.evolved_in == arm:
                 _stack(panel, listed.index(row.depth), row)
         panel.axhline(0, color=INK, lw=0.8)
-        panel.set_title(ENVIRONMENTS[arm].label, loc="left")
+        panel.set_title(ENVIRONMENTS[arm].label)
         panel.grid(axis="y")
-        panel.set_axisbelow(True)
         panel.set_ylabel("gap [m]")
-    show_at_least(panels[0], LEAST_RANGE)
+    show_at_least(panels[0])
     panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
     panels[-1].set_xlim(-0.6, len(listed) - 0.4)
     panels[-1].set_xlabel("depth [m]")
@@ -43,21 +44,17 @@ def attribution(report: StudyReport) -> tuple[Figure, str]:
         Patch(facecolor=INK, edgecolor=INK, lw=0.8, label="body"),
         Line2D([], [], color=INK, marker="D", mfc="#ffffff", ms=4.5, ls="none", label="gap, 95 %"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, handlelength=1.4, columnspacing=1.2)
+    legend(figure, handles)
     return figure, (
-        "How much less far champions get in True Slush, zero-shot, than those that evolved there (diamonds, with 95 % "
-        "intervals), and what is to blame: the controller (hatched) is what adapting it wins back, the body (plain) "
-        "what even an adapted controller does not. A part below 0 made up for some of the other."
+        "How far zero-shot champions fall short, in True Slush, of champions that evolved there (diamonds with 95 % "
+        "intervals), and why. The controller’s part (hatched) is recovered when the controller adapts; the body’s part "
+        "(plain) remains. A part below 0 compensates for some of the other."
     )
-
-
-def _no_gap(rows: Any) -> str:
-    return next((row.gap.reason for row in rows if row.gap.reason), "no champion’s controller has been adapted yet")
 
 
 def _stack(panel: Any, place: int, row: Attribution) -> None:
     style = ENVIRONMENTS[row.evolved_in]
-    tops = {True: 0.0, False: 0.0}  # parts above 0 and below it are stacked apart
+    tops = {True: 0.0, False: 0.0}  # parts above and below 0 are stacked separately
     for part, looks in (
         (row.lost_to_body.value, {"facecolor": style.color}),
         (row.lost_to_controller.value, {"facecolor": style.adapted_color, "hatch": "////"}),
@@ -70,38 +67,35 @@ def _stack(panel: Any, place: int, row: Attribution) -> None:
     panel.plot(place, row.gap.value, "D", mfc="#ffffff", mec=INK, ms=4.5)
 
 
-SHARES = LinearSegmentedColormap.from_list("shares", ["#f7f4ec", "#f0c987", "#c9701a", "#5a2a06"])
-"""From nothing of the native champions' way to all of it: light to dark, in one hue."""
+_SHARE_COLORS = LinearSegmentedColormap.from_list("shares", ["#f7f4ec", "#f0c987", "#c9701a", "#5a2a06"])
+"""Share of the native champions' displacement, 0 to 1: light to dark, in one hue."""
 
 
 def transfer_matrix(report: StudyReport) -> tuple[Figure, str]:
-    """Heat maps, one for each arm: trained at a depth (rows), tested at another (columns)."""
-    matrices = {name: matrix for name, matrix in report.findings.transfer_matrices.items() if (matrix.n > 0).any()}
-    if not matrices:
-        raise NothingToDraw(
-            report.findings.why("transfer_matrices", "no champion has been tested at a depth other than its own yet")
-        )
-    ordered = [(name, matrices[name]) for name in ENVIRONMENTS if name in matrices]
-    heights = [0.34 * len(matrix.trained) + 0.55 for _, matrix in ordered]
-    figure = Figure(figsize=(WIDTH, sum(heights) + 0.5), layout="constrained")
-    panels = figure.subplots(
-        len(ordered), 1, squeeze=False, gridspec_kw={"height_ratios": [len(m.trained) for _, m in ordered]}
-    ).ravel()
-    natives = _natives(matrices.get("true_slush"))
+    """Draw a heat map for each arm: the depth of evolution by row, the depth of the test by column."""
+    matrices = report.findings.transfer_matrices
+    ordered = [(name, matrices[name]) for name in ENVIRONMENTS if name in matrices and (matrices[name].n > 0).any()]
+    if not ordered:
+        reason = "no champion has been tested at another depth than its own yet"
+        raise NothingToDraw(report.findings.why("transfer_matrices", reason))
+    n_rows = [len(matrix.trained) for _, matrix in ordered]
+    figure = Figure(figsize=(FIGURE_WIDTH, sum(0.34 * n + 0.55 for n in n_rows) + 0.5))
+    panels = figure.subplots(len(ordered), 1, squeeze=False, gridspec_kw={"height_ratios": n_rows}).ravel()
+    natives = _natives(dict(ordered).get("true_slush"))
     for panel, (name, matrix) in zip(panels, ordered, strict=True):
         _heat(panel, matrix, natives)
-        panel.set_title(f"evolved {ENVIRONMENTS[name].evolved}", loc="left")
-    panels[-1].set_xlabel("tested at [m]")
-    figure.supylabel("evolved at [m]", fontsize=10.5)
+        panel.set_title(f"evolved {ENVIRONMENTS[name].evolved}")
+    panels[-1].set_xlabel("depth of the test [m]")
+    figure.supylabel("depth of evolution [m]")
     return figure, (
         "Mean displacement [m] in True Slush of champions that evolved at one depth (rows) and were tested at another "
-        "(columns). The darker a cell, the closer they come to those that evolved in True Slush at the depth of the "
-        "test; grey where there are none. On the diagonal, champions are where they evolved."
+        "(columns). The darker a cell, the closer they come to the champions that evolved in True Slush at the depth "
+        "of the test; grey where there are none. On the diagonal, champions are tested where they evolved."
     )
 
 
 def _natives(matrix: TransferMatrix | None) -> dict[float, float]:
-    """Give the mean displacement [m] of designs that evolved in True Slush by depth, where they get anywhere."""
+    """Return by depth the mean displacement [m] of designs that evolved in True Slush there, where it is positive."""
     if matrix is None:
         return {}
     means = {
@@ -118,15 +112,12 @@ def _heat(panel: Any, matrix: TransferMatrix, natives: dict[float, float]) -> No
         if not np.isfinite(value):
             continue
         share = value / natives.get(float(matrix.tested[column]), np.nan)
-        face = SHARES(norm(share)) if np.isfinite(share) else (0.6, 0.6, 0.6, 0.25)
+        face = _SHARE_COLORS(norm(share)) if np.isfinite(share) else (0.6, 0.6, 0.6, 0.25)
         panel.fill_between([column - 0.5, column + 0.5], row - 0.5, row + 0.5, facecolor=face, lw=0)
-        dark = np.isfinite(share) and share > 0.75
-        # Not INK: these stand on a cell's colour, which is the same by day and by night.
-        panel.text(
-            column, row, number(value), ha="center", va="center", fontsize=7.5, color="#fffffe" if dark else "#000001"
-        )
-    panel.set_xlim(-0.5, len(matrix.tested) - 0.5)
-    panel.set_ylim(len(matrix.trained) - 0.5, -0.5)
+        # Not INK, which changes in dark mode: the colour of the cell does not.
+        ink = "#fffffe" if np.isfinite(share) and share > 0.75 else "#000001"
+        panel.text(column, row, number(value), ha="center", va="center", fontsize=7.5, color=ink)
+    panel.set(xlim=(-0.5, len(matrix.tested) - 0.5), ylim=(len(matrix.trained) - 0.5, -0.5))
     panel.set_xticks(range(len(matrix.tested)), [f"{depth:g}" for depth in matrix.tested])
     panel.set_yticks(range(len(matrix.trained)), [f"{depth:g}" for depth in matrix.trained])
     panel.tick_params(length=0)

@@ -1,85 +1,66 @@
-"""The tables of the analysis: against the paper, tests, exploiters, champions tried again, a champion's line."""
+"""The tables of the analysis on the page: against the paper, tests, exploiters, luck, the tank, a champion's line."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from html import escape
 from itertools import groupby
 from math import isfinite
 
-from pipeline.report.findings import Findings, TankTest
+from pipeline.report.data import arm_words
+from pipeline.report.findings import ExploiterRow, Findings, TankRow
 from pipeline.report.lineage import main_line
-from pipeline.report.wording import NONE, absent, interval, number, p_value
+from pipeline.report.wording import NONE, absent, folded, interval, number, p_value, signed, table
 from tasks.analysis import Contrast, Crossing, Row, SignificanceTest, Tank
 from tasks.analysis.paper import Verdict, name_of
 
-MOST_SUSPECTS = 15
-"""Designs of the ranking that the page lists; the table of the study has all."""
+MOST_EXPLOITERS = 15
+"""Designs listed on the page; the table of the study has all."""
 LINE_ENDS = 12
 """Ancestors listed from each end of a champion's line."""
 
 
-def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], label: str, *, kind: str) -> str:
-    """Put cells, which are HTML, into a table that scrolls sideways where the page is narrow."""
-    head = "".join(f"<th>{column}</th>" for column in columns)
-    # The column's name stands with each cell, since where a page is narrow a wordy row becomes a card.
-    body = "".join(
-        "<tr>"
-        + "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(columns, row, strict=True))
-        + "</tr>"
-        for row in rows
-    )
-    return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(label)}">'
-        f'<table class="{kind}"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
-    )
-
-
 # -- against the paper ------------------------------------------------------------------------------------------------
 
-MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}
+_MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}
 """So that colour is never the only difference."""
+_PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}
 
 
 def against_paper(findings: Findings) -> str:
     """Tabulate every number and statement of the paper beside this run's."""
     rows = findings.against_paper
-    title = "The table against the paper"
+    title = "The comparison with the paper"
     if not rows:
         return absent(title, findings.why("against_paper", "the study has not been analysed yet"))
     columns = ("What", "Paper", "This run", "Verdict", "Why")
     unmeasured = [row for row in rows if row.this_run == "-"]
     tests = [row for row in rows if row.what.startswith("Student") and row not in unmeasured]
     numbers = [row for row in rows if row not in tests and row not in unmeasured]
-    table = _table(columns, (_paper_cells(row) for row in numbers), title, kind="wordy") if numbers else ""
-    for folded, name in ((tests, "t tests of the paper"), (unmeasured, "more that this run has nothing for")):
-        if folded:
-            rest = _table(columns, (_paper_cells(row) for row in folded), name, kind="wordy")
-            gist = f" <small>{_verdicts(folded)}</small>" if folded is tests else ""
-            table += f"<details><summary>{len(folded)} {name}{gist}</summary>{rest}</details>"
+    content = table(columns, (_paper_cells(row) for row in numbers), title, kind="wordy") if numbers else ""
+    for hidden, name in ((tests, "t tests of the paper"), (unmeasured, "numbers that this run did not measure")):
+        if hidden:
+            gist = f" <small>{_verdicts(hidden)}</small>" if hidden is tests else ""
+            rest = table(columns, (_paper_cells(row) for row in hidden), name, kind="wordy")
+            content += folded(f"{len(hidden)} {name}{gist}", rest)
     return (
-        f'<div id="against_paper"><h3>Against the paper: {_verdicts(rows)}</h3>{table}'
-        '<p class="small">Under this run’s number stands its 95 % interval: how well these trials or designs know it '
-        "(of means Student’s t, of ratios and regressions the bootstrap, which draws whole trials; of a range over "
-        "members those of its two ends, for these members and other trials; of a t test that of the difference of the "
-        "means). A number agrees "
-        "where the paper’s lies in the wider 95 % prediction interval, under “Why”: the range into which a repeat of "
-        "this run with as many trials as the paper’s would fall. What the paper gives as a range over members agrees "
-        "where this run’s median member is in it; the ratio of deviations where its whole interval is above 1. A t "
-        "test agrees where its p is on the paper’s side of the paper’s "
-        "threshold; fewer trials than the paper’s make large p-values easy and small ones hard, so what they fail to "
-        "show is not comparable.</p></div>"
+        f'<div id="against_paper"><h3>Comparison with the paper: {_verdicts(rows)}</h3>{content}'
+        '<p class="small">Below each number of this run is its 95 % interval: Student’s t for means, the bootstrap '
+        "over whole trials for ratios and regressions, the intervals of both ends for a range over members, and the "
+        "difference of the means for a t test. A number agrees if the paper’s value lies in the 95 % prediction "
+        "interval given under “Why”. That interval is wider: it is where a repeat of this run with the paper’s number "
+        "of trials would fall. A range over members agrees if it contains this run’s median member, and the ratio of "
+        "deviations if its whole interval is above 1. A t test agrees if its p-value is on the same side of the "
+        "paper’s threshold. With fewer trials than the paper, large p-values are easy to get and small ones hard, so "
+        "a difference that such a test fails to show is not comparable.</p></div>"
     )
 
 
 def _verdicts(rows: Sequence[Row]) -> str:
     counts = Counter(row.verdict for row in rows)
-    return ", ".join(f"{counts[verdict]} {_PLURAL[verdict]}" for verdict in MARKS if counts[verdict])
-
-
-_PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}
+    return ", ".join(f"{counts[verdict]} {_PLURAL[verdict]}" for verdict in _MARKS if counts[verdict])
 
 
 def _paper_cells(row: Row) -> list[str]:
@@ -88,13 +69,13 @@ def _paper_cells(row: Row) -> list[str]:
         f"{_minus(escape(row.what))}<small>{escape(row.source)}</small>",
         _minus(escape(row.paper)),
         _minus(escape(row.this_run) + (f"<small>{escape(row.interval)}</small>" if row.interval else "")),
-        f'<span class="verdict {kind}"><span aria-hidden="true">{MARKS[row.verdict]}</span> {row.verdict}</span>',
+        f'<span class="verdict {kind}"><span aria-hidden="true">{_MARKS[row.verdict]}</span> {row.verdict}</span>',
         _minus(escape(row.why)),
     ]
 
 
 def _minus(text: str) -> str:
-    """Write the minus of numbers as such, and keep a number and its metres on one line."""
+    """Replace hyphens before numbers by minus signs, and keep a number and its unit on one line."""
     return re.sub(r"(?<=\d) m\b", "\u00a0m", re.sub(r"(?<![\w.])-(?=\d)", "−", text))
 
 
@@ -102,46 +83,33 @@ def _minus(text: str) -> str:
 
 
 def contrasts(findings: Findings) -> str:
-    """Tabulate every contrast over depths, each folded under its name."""
+    """Tabulate every contrast by depth, each folded under its name."""
     title = "The table of tests"
     if not findings.contrasts:
-        return absent(title, findings.why("contrasts", "no two arms have champions at one depth yet"))
-    folded = []
+        return absent(title, findings.why("contrasts", "no two arms have champions at the same depth yet"))
+    content = ""
     for (a, b), group in groupby(findings.contrasts, key=lambda contrast: (contrast.a, contrast.b)):
         rows = list(group)
         name = f"{name_of(a)} against {name_of(b)}"
         deepest = rows[-1]
-        ratio = deepest.comparison.ratio.value
-        gist = f"{deepest.depth:g}\u00a0m: " + (_times(ratio) if ratio is not None else "")
-        gist += f"p\u00a0{_relation(deepest.comparison.student.p)}"
-        table = _table(
-            ("Depth", "Means [m]", "Ratio", "Student’s t", "Welch", "Mann–Whitney", "Hedges’ g"),
-            (_contrast_cells(row) for row in rows),
-            name,
-            kind="tests",
-        )
-        folded.append(f"<details><summary>{escape(name)} <small>{escape(gist)}</small></summary>{table}</details>")
+        ratio, p = deepest.comparison.ratio.value, deepest.comparison.student.p
+        gist = f"{deepest.depth:g}\u00a0m: " + ("" if ratio is None else f"ratio {signed('{:.2f}', ratio)}, ")
+        gist += f"p\u00a0{'' if p is not None and p < 1e-4 else '= '}{p_value(p)}"
+        columns = ("Depth", "Means [m]", "Ratio", "Student’s t", "Welch", "Mann–Whitney", "Hedges’ g")
+        rest = table(columns, (_contrast_cells(row) for row in rows), name, kind="tests")
+        content += folded(f"{escape(name)} <small>{escape(gist)}</small>", rest)
     return (
-        f'<div id="contrasts"><h3>Tests</h3>{"".join(folded)}<p class="small">Two-sided p-values; under each the same '
-        "after Holm’s correction over the depths. Student’s t is the paper’s; Welch’s does not assume equal variances, "
-        "Mann–Whitney no normality either. Ratios of means with 95 % bootstrap intervals; Hedges’ g is the difference "
-        "in standard deviations.</p></div>"
+        f'<div id="contrasts"><h3>Tests</h3>{content}<p class="small">Two-sided p-values, and below each the p-value '
+        "after Holm’s correction over the depths. The paper uses Student’s t test. Welch’s test does not assume equal "
+        "variances, and Mann–Whitney’s does not assume normality either. Ratios of means have 95 % bootstrap "
+        "intervals. Hedges’ g is the difference in standard deviations.</p></div>"
     )
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.0%} of it, ".replace("-", "−") if ratio < 2 else f"{ratio:.1f} times it, "
-
-
-def _relation(p: float | None) -> str:
-    return p_value(p) if p is not None and p < 1e-4 else f"= {p_value(p)}"
 
 
 def _contrast_cells(row: Contrast) -> list[str]:
     made = row.comparison
     means = "<br>".join(
-        f"{NONE if side.mean.value is None else number(side.mean.value)}"
-        f"{f' ± {number(side.sd)}' if side.sd is not None else ''} (n\u00a0=\u00a0{side.n})"
+        f"{number(side.mean.value)}{f' ± {number(side.sd)}' if side.sd is not None else ''} (n\u00a0=\u00a0{side.n})"
         for side in (made.a, made.b)
     )
     return [
@@ -164,121 +132,116 @@ def _test_cell(test: SignificanceTest, holm: float | None) -> str:
 # -- exploiters, and luck ---------------------------------------------------------------------------------------------
 
 
-def suspects(findings: Findings) -> str:
-    """Tabulate the designs that promise most and keep least."""
+def exploiters(findings: Findings) -> str:
+    """Tabulate the designs whose prediction exceeds the truth most."""
     title = "The list of exploiters"
-    if not findings.suspects:
-        return absent(title, findings.why("suspects", "no design has been ranked yet"))
-    listed = findings.suspects[:MOST_SUSPECTS]
-    rows = []
-    for suspect in listed:
-        found = suspect.exploiter
-        excess = f"<small>{escape(found.reason)}</small>" if found.reason else ""
-        rows.append(
-            [
-                f"{found.rank}. {escape(suspect.label)}",
-                _metres(found.predicted),
-                _metres(found.true),
-                f"{_metres(found.excess)}{excess}",
-                _metres(found.disagreement),
-            ]
-        )
-    columns = ("Design", "Predicted [m]", "True [m]", "Imagined [m]", "σ of members [m]")
+    if not findings.exploiters:
+        return absent(title, findings.why("exploiters", "no design has been ranked yet"))
+    listed = findings.exploiters[:MOST_EXPLOITERS]
+    columns = ("Design", "Predicted [m]", "True [m]", "Hallucinated [m]", "σ of members [m]")
     return (
-        f'<div id="suspects"><h3>Exploiters: the worst {len(listed)} of {len(findings.suspects)}</h3>'
-        f'{_table(columns, rows, title, kind="named")}<p class="small">Ranked by how much further the members '
-        "together say a design gets than it does in True Slush; where that is not known, by how much they disagree."
-        "</p></div>"
+        f'<div id="suspects"><h3>Exploiters: the top {len(listed)} of {len(findings.exploiters)}</h3>'
+        f"{table(columns, (_exploiter_cells(row) for row in listed), title, kind='named')}"
+        '<p class="small">Ranked by the hallucinated displacement, which is the ensemble’s prediction minus the '
+        "displacement in True Slush; where that is unknown, by the standard deviation over the members.</p></div>"
     )
 
 
-def _metres(value: float | None) -> str:
-    return NONE if value is None else number(value)
+def _exploiter_cells(row: ExploiterRow) -> list[str]:
+    which = "champion" if row.kind == "champion" else f"generation {row.generation}"
+    return [
+        f"{row.rank}. {escape(arm_words(row.environment, row.depth))}, trial {row.trial}, {which}",
+        number(row.predicted),
+        number(row.true),
+        number(row.excess) + (f"<small>{escape(row.reason)}</small>" if row.reason else ""),
+        number(row.disagreement),
+    ]
 
 
 def retried(findings: Findings) -> str:
-    """Tabulate what champions lose when they are tried again, and how much of their way is reach."""
+    """Tabulate what champions lose when they are simulated again, and the reach in their displacement."""
     title = "The table of luck and reach"
-    if not findings.retried:
-        return absent(title, findings.why("retried", "no champion has been tried again yet"))
     rows = [
-        [escape(row.label), _metres(row.claimed), interval(row.loss), _metres(row.reach)] for row in findings.retried
+        [f"{escape(arm)}, trial {row.trial}", number(row.claimed), interval(row.loss), number(row.slush.reach)]
+        for arm, champions in findings.champions.items()
+        for row in champions
     ]
-    columns = ("Champion", "Claimed [m]", "Lost when tried again [m]", "Reach [m]")
-    return (
-        f'<details id="retried"><summary>Luck and reach of {len(rows)} champions</summary>'
-        f'{_table(columns, rows, title, kind="named")}<p class="small">Each champion was tried again where it evolved, '
-        "with its attachments moved by 1e-4 of half a link: what it loses on average was luck that no copy of it has. "
-        "Reach is the root’s displacement less the whole robot’s, in True Slush: gained by "
-        "stretching out.</p></details>"
+    if not rows:
+        return absent(title, findings.why("champions", "no champion has been simulated again yet"))
+    columns = ("Champion", "Fitness [m]", "Luck [m]", "Reach [m]")
+    note = (
+        '<p class="small">Luck: each champion was simulated again where it evolved, with its attachments shifted by '
+        "1e-4 of half a link. The mean loss of fitness is luck that no copy of the robot shares. Reach: displacement "
+        "of the root minus that of the centre of mass in True Slush, which a robot gains by stretching out.</p>"
     )
+    content = table(columns, rows, title, kind="named") + note
+    return folded(f"Luck and reach of {len(rows)} champions", content, attributes=' id="retried"')
 
 
 # -- the robot to build -----------------------------------------------------------------------------------------------
 
 
 def tank_tests(findings: Findings) -> str:
-    """Tabulate the champions in the virtual tank, and say which is proposed for building; nothing without a tank."""
-    if not findings.tank_tests:
+    """Tabulate the champions in the virtual tank and mark the one proposed for building; nothing without a tank."""
+    tank = findings.tank
+    if tank is None or not findings.tank_tests:
         return ""
-    tank = findings.tank_tests[0].tank
-    said = (
-        "<p>The champion nearest the champions’ mean in True Slush is the one to build (✓). Each was let loose in a "
-        f"tank of {tank.length:g} m, filled {1000 * tank.depth:g} mm deep, at {1000 * tank.scale:g} mm for a metre of "
-        f"simulation: {tank.simulated_length:.1f} m by {tank.simulated_depth:.2f} m to the robot; and on its dry "
-        "floor. It has crossed when its centre of mass has come as far as its front was from the other end, in "
-        f"{tank.seconds:g} s at most. What is said of the tank is of the robot as built: lengths by that scale, "
-        f"times by Froude’s law, under which a second of simulation is {tank.built_seconds(1.0):.3f} s; it alone keeps "
-        "the proportions of all forces. The paper gives no scale of times. Its robot crossed in 8 of 8 trials, and "
-        "moved a few centimetres on the dry floor.</p>"
+    intro = (
+        "<p>In each arm, the champion nearest to the champions’ mean in True Slush is proposed for building (✓). Each "
+        f"champion was simulated in a tank of {tank.length:g} m, filled {1000 * tank.depth:g} mm deep, and on the "
+        f"floor of the drained tank. At a scale of {1000 * tank.scale:g} mm per simulated metre, the tank measures "
+        f"{tank.simulated_length:.1f} m by {tank.simulated_depth:.2f} m for the robot. A robot has crossed the tank "
+        "when its centre of mass has travelled as far as the distance from its front to the far end at the start, "
+        f"within {tank.seconds:g} s. Lengths and times are those of the built robot. By Froude’s law, "
+        f"which alone preserves the ratios of all forces, a simulated second is {tank.built_seconds(1.0):.3f} s. The "
+        "paper gives no scale of time. Its robot crossed in 8 of 8 trials, and moved a few centimetres on the dry "
+        "floor.</p>"
     )
-    tables = "".join(_tank_table(test) for test in findings.tank_tests)
-    return f'<section id="tank"><h2>The robot to build</h2>{said}{tables}</section>'
+    tables = "".join(_tank_table(arm, rows, tank) for arm, rows in findings.tank_tests.items())
+    return f'<section id="tank"><h2>The robot to build</h2>{intro}{tables}</section>'
 
 
-def _tank_table(test: TankTest) -> str:
-    if not test.candidates:
-        return absent(f"The tank test of {test.label}", "no trial has a champion")
+def _tank_table(arm: str, rows: Sequence[TankRow], tank: Tank) -> str:
+    label = f"The tank test of {arm}"
+    if not rows:
+        return absent(label, "no trial has a champion")
     columns = ("Champion", "True Slush [m]", "Dry Land [m]", "Length [m]", "In the tank", "On its dry floor")
-    rows = [
+    cells = [
         [
-            f"{'✓ ' if of.proposed else ''}trial {of.trial}",
-            _metres(of.zero_shot),
-            _metres(of.dry_land),
-            _metres(of.wet.length if isfinite(of.wet.length) else None),
-            _crossing(of.wet, test.tank),
-            _crossing(of.dry, test.tank),
+            f"{'✓ ' if row.proposed else ''}trial {row.trial}",
+            number(row.zero_shot),
+            number(row.dry_land),
+            number(row.wet.length if isfinite(row.wet.length) else None),
+            _crossing(row.wet, tank),
+            _crossing(row.dry, tank),
         ]
-        for of in test.candidates
+        for row in rows
     ]
-    n = len(rows)
-    wet, dry = (sum(getattr(of, where).crossed for of in test.candidates) for where in ("wet", "dry"))
-    return (
-        f"<h3>{escape(test.label)}: {wet} of {n} cross, {dry} on the dry floor</h3>"
-        f"{_table(columns, rows, f'The tank test of {test.label}', kind='named')}"
-    )
+    wet, dry = sum(row.wet.crossed for row in rows), sum(row.dry.crossed for row in rows)
+    heading = f"{escape(arm)}: {wet} of {len(rows)} cross the tank, {dry} the dry floor"
+    return f"<h3>{heading}</h3>{table(columns, cells, label, kind='named')}"
 
 
 def _crossing(found: Crossing, tank: Tank) -> str:
-    """Say how long a robot took, or how far it came; and at what speed, both as built."""
+    """State the time to cross or the distance travelled, and the speed, all as built."""
     if not isfinite(found.travelled):
-        return f"{NONE}<small>it diverged</small>"
-    speed = f"{number(1000 * tank.built_speed(found.speed))} mm/s"
+        return f"{NONE}<small>diverged</small>"
+    speed = f"<small>{number(1000 * tank.built_speed(found.speed))} mm/s</small>"
     if found.crossed:
-        return f"{tank.built_seconds(found.seconds):.0f} s<small>{speed}</small>"
+        return f"{tank.built_seconds(found.seconds):.0f} s{speed}"
     if found.distance <= 0:
-        return f"{NONE}<small>it is as long as the tank</small>"
+        return f"{NONE}<small>as long as the tank</small>"
     travelled, distance = (number(100 * tank.scale * metres) for metres in (found.travelled, found.distance))
-    return f"{travelled} of {distance} cm<small>{speed}</small>"
+    return f"{travelled} of {distance} cm{speed}"
 
 
 # -- a champion's line ------------------------------------------------------------------------------------------------
 
 
 def lineage(findings: Findings) -> str:
-    """Tabulate a champion's line back through the fitter parent of each ancestor, its middle left out if long."""
+    """Tabulate a champion's line through the fitter parent of each ancestor; the middle of a long line is left out."""
     if findings.family is None or not findings.family.ancestors:
-        return ""  # the figure beside it says why
+        return ""  # the figure beside it gives the reason
     line = main_line(findings.family)
     rows = [
         [
@@ -293,7 +256,6 @@ def lineage(findings: Findings) -> str:
     if len(rows) > 2 * LINE_ENDS:
         left_out = f"… {len(rows) - 2 * LINE_ENDS} more"
         rows = [*rows[:LINE_ENDS], [left_out, "", "", "", ""], *rows[-LINE_ENDS:]]
-    table = _table(
-        ("Generation", "Made by", "Age", "Genes changed", "Fitness [m]"), rows, "The champion’s line", kind="named"
-    )
-    return f"<details><summary>The champion’s line: {len(line)} designs</summary>{table}</details>"
+    columns = ("Generation", "Made by", "Age", "Genes changed", "Fitness [m]")
+    label = "The champion’s line"
+    return folded(f"{label}: {len(line)} designs", table(columns, rows, label, kind="named"))

@@ -1,4 +1,4 @@
-// A robot's replay: its decoding, and its drawing into a box of any canvas. The viewer and the gallery share it.
+// Decodes the replay of a robot and draws it into a box of a canvas. Shared by the viewer and the gallery.
 "use strict";
 const robots = (() => {
   // -- replays --------------------------------------------------------------------------------------------------------
@@ -28,7 +28,7 @@ const robots = (() => {
     return replay;
   }
 
-  // The way of the whole robot's centre, evened out over a second either way, for the camera to follow.
+  // The centre of the robot, averaged over a second to either side, for the camera to follow.
   function smoothCenter(replay) {
     const window = Math.round(replay.fps);
     const sums = [[0, 0]];
@@ -41,12 +41,12 @@ const robots = (() => {
       sums.push([sums[frame][0] + x, sums[frame][1] + y]);
     }
     return Array.from({ length: replay.nFrames }, (_, frame) => {
-      const reach = Math.min(window, frame, replay.nFrames - 1 - frame); // the same to either side, so it never lags
+      const reach = Math.min(window, frame, replay.nFrames - 1 - frame); // equally long on both sides, so that it never lags
       return [0, 1].map((axis) => (sums[frame + reach + 1][axis] - sums[frame - reach][axis]) / (2 * reach + 1));
     });
   }
 
-  // Lowest and highest y that the links reach, with the surface or the ground where they are near.
+  // Lowest and highest y of the links, including the surface or the ground where they are near.
   function verticalExtent(replay) {
     let low = Infinity, high = -Infinity;
     for (let i = 0; i < replay.poses.length; i += 3) {
@@ -59,7 +59,7 @@ const robots = (() => {
     return [low - 0.5, high + 0.5];
   }
 
-  // Where the links are at a time, between frames: [[x, y, angle], ...], and the camera's centre.
+  // The links at a time, interpolated between frames: [[x, y, angle], ...], and the camera's centre.
   function poseAt(replay, time) {
     const place = Math.min(Math.max(time * replay.fps, 0), replay.nFrames - 1);
     const frame = Math.min(Math.floor(place), replay.nFrames - 2), share = place - frame;
@@ -70,7 +70,7 @@ const robots = (() => {
     return { frame: Math.round(place), links, center: [0, 1].map((axis) => mix(replay.center[frame][axis], replay.center[frame + 1][axis])) };
   }
 
-  // What an overlay says of the links at a frame, as shares of the most that is shown; null where it says nothing.
+  // The values of an overlay at a frame, as shares of the value of the darkest colour; null where unknown.
   function sharesAt(replay, label, frame, most) {
     const overlay = replay.overlays.find((candidate) => candidate.label === label);
     if (!overlay) return null;
@@ -80,7 +80,7 @@ const robots = (() => {
 
   // -- colours --------------------------------------------------------------------------------------------------------
 
-  // Looked up once: a page that plays twenty robots asks thousands of times a second.
+  // Cached, because a page that plays twenty robots needs colours thousands of times per second.
   let palette = {};
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { palette = {}; });
 
@@ -89,7 +89,7 @@ const robots = (() => {
     return palette[name];
   }
 
-  // From pale to dark, which every eye tells apart; grey where nothing is known.
+  // From pale to dark, which works for colour-blind readers; grey where unknown.
   const HEAT = [[246, 243, 238], [243, 178, 99], [208, 72, 72], [60, 10, 74]];
 
   function heat(share) {
@@ -101,7 +101,7 @@ const robots = (() => {
 
   // -- drawing --------------------------------------------------------------------------------------------------------
 
-  // Draw a replay at a time into a box of a canvas. Options: follow, caption (and scale), overlay (a label) and most, push.
+  // Draw a replay at a time into a box of a canvas. Options: follow, caption (with scale), overlay (a label), most, push.
   function drawPane(context, replay, time, box, options) {
     const { links, center, frame } = poseAt(replay, time);
     const camera = cameraOf(replay, box, center, options);
@@ -121,13 +121,13 @@ const robots = (() => {
     const shares = options.overlay ? sharesAt(replay, options.overlay, frame, options.most) : null;
     drawRobot(context, replay, links, camera, shares);
     if (replay.hasMedium && surface < box.height) {
-      context.globalAlpha = shares ? 0.12 : 0.45; // colours that mean something are not dimmed
+      context.globalAlpha = shares ? 0.12 : 0.45; // colours with a meaning are not dimmed
       context.fillStyle = color("slush");
       context.fillRect(0, surface, box.width, box.height - surface);
       context.globalAlpha = 1;
       context.strokeStyle = color("surface");
       context.lineWidth = 2;
-      context.setLineDash(replay.imagined ? [10, 6] : []); // a medium that is only imagined has a dashed surface
+      context.setLineDash(replay.hallucinated ? [10, 6] : []);
       context.beginPath();
       context.moveTo(0, surface);
       context.lineTo(box.width, surface);
@@ -148,7 +148,7 @@ const robots = (() => {
     context.restore();
   }
 
-  // World to canvas. Following, it keeps the robot in the middle; otherwise it shows the whole way from start to end.
+  // Metres to canvas. With follow, the robot stays in the middle; otherwise the view spans its path from start to end.
   function cameraOf(replay, box, center, options) {
     const [low, high] = replay.extent;
     const caption = options.caption ? 52 : 0;
@@ -202,7 +202,7 @@ const robots = (() => {
     dot(context, camera.x(links[0][0]), camera.y(links[0][1]), 4.5, "#1d2129", "#ffffff");
   }
 
-  // An arrow from each link's centre: how the medium speeds it up, 1 m for 15 m/s².
+  // An arrow from each link's centre: its acceleration by the medium, 1 m for 15 m/s².
   function drawPush(context, replay, links, frame, camera) {
     context.strokeStyle = context.fillStyle = color("mark");
     context.lineWidth = 2;
@@ -258,7 +258,7 @@ const robots = (() => {
     eachDistance(replay, camera, every, (at, x) => {
       context.fillRect(x - 0.5, box.height - 8, 1, 8);
       const label = metres(at, 0), half = context.measureText(label).width / 2;
-      if (half <= x && x <= box.width - half) context.fillText(label, x, box.height - 9); // "−10 m" cut short is another distance
+      if (half <= x && x <= box.width - half) context.fillText(label, x, box.height - 9); // a label that is cut off would be a wrong distance
     });
   }
 
@@ -267,7 +267,7 @@ const robots = (() => {
     context.fillStyle = color("ink");
     context.textAlign = "left";
     context.font = "13px system-ui, sans-serif";
-    context.fillText("in " + replay.world + ", " + replay.depth + " m", 12, 10);
+    context.fillText("in " + replay.seenIn + ", " + replay.depth + " m", 12, 10);
     context.fillStyle = color("soft");
     context.fillText(replay.title, 12, 28);
     context.fillStyle = color("ink");

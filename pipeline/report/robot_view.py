@@ -1,77 +1,54 @@
-"""One robot in its world, picture by picture: a lane of a film.
+"""One robot in its environment, picture by picture: a lane of a film.
 
-Drawn with Pillow at twice the size and reduced. Where things are is computed for all pictures at once; the caption's
-strip and each word are drawn once.
+Drawn with Pillow at ZOOM times the size and reduced. Positions are computed for all pictures at once; captions and
+words are drawn once.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
+from pipeline.report.camera import CAPTION_HEIGHT, LANE_SIZE, ZOOM, Camera
 from pipeline.report.data import ENVIRONMENTS
+from pipeline.report.drawing import INK
 from pipeline.report.replay import Replay
+from tasks.arrays import Float64
 
-WIDTH = 640
-"""Of the picture [pixel]. A multiple of 128, so that no row of an MP4's planes has padding, see mp4.py."""
-LANE_HEIGHT = 240
-"""Of each robot's part of it [pixel]."""
-OVERSAMPLING = 2
-SIZE = WIDTH * OVERSAMPLING, LANE_HEIGHT * OVERSAMPLING
-"""Of a lane before it is reduced [pixel]."""
-
-CAPTION_HEIGHT = 44
-"""Of the strip at a lane's top where words stand [pixel]."""
-EDGE = 1.75 * OVERSAMPLING
-"""Width of a link's edge before it is reduced [pixel]."""
-
-SKY, SLUSH, GROUND, INK, FAINT, WHITE = "#f5f8fb", "#bcd9ee", "#8b7d6b", "#1d2129", "#d5dde5", "#ffffff"
-SURFACE, GROUND_EDGE, UNKNOWN = "#5d9fcd", "#5f5446", "#566270"
+SKY, SLUSH, GROUND_FILL, GROUND_EDGE, SURFACE = "#f5f8fb", "#bcd9ee", "#8b7d6b", "#5f5446", "#5d9fcd"
+DISTANCE_LINE, UNKNOWN, WHITE = "#d5dde5", "#566270", "#ffffff"
 SLUSH_OVER_ROBOT = 0.45
-"""How much of a submerged robot's colour the slush in front of it takes."""
+"""Opacity of the slush in front of a submerged robot."""
+
+_EDGE = 1.75 * ZOOM
+"""Width of a link's edge as drawn [pixel]."""
 
 Rgb = tuple[int, int, int]
-Points = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Camera:
-    """What a lane shows: (x, y) [m] to pixels of the oversampled lane."""
-
-    scale: float
-    """[pixel/m]"""
-    x: Points
-    """(n_pictures,) in the middle of the picture [m]."""
-    bottom: Points
-    """(n_pictures,) y at the lane's lower edge [m]."""
-
-    def project(self, points: Points) -> Points:
-        """Map (n_pictures, ..., 2) x, y [m] to columns and rows."""
-        over_all = (slice(None), *[None] * (points.ndim - 2))
-        column = SIZE[0] / 2 + (points[..., 0] - self.x[over_all]) * self.scale
-        row = SIZE[1] - (points[..., 1] - self.bottom[over_all]) * self.scale
-        return np.stack([column, row], axis=-1)
 
 
 class Lane:
-    """A robot in its world, ready to be drawn at any of its poses."""
+    """A robot in its environment, ready to be drawn at each of its poses."""
 
-    def __init__(self, replay: Replay, poses: Points, camera: Camera) -> None:
-        """Place everything in all pictures: poses are (n_pictures, n_links, 3) x, y [m], angle [rad]."""
+    def __init__(self, replay: Replay, poses: Float64, camera: Camera) -> None:
+        """Project everything for all pictures.
+
+        Args:
+            replay: the replay.
+            poses: (n_pictures, n_links, 3) x, y [m], angle [rad].
+            camera: the view.
+        """
         self._replay, self._camera = replay, camera
         self._start = float(poses[0, 0, 0])
         self._moved = poses[:, 0, 0] - self._start
         length = replay.length_scale
         self._edges = camera.project(link_outline(poses, length))
-        self._insides = camera.project(link_outline(poses, length, inset=EDGE / camera.scale))
+        self._insides = camera.project(link_outline(poses, length, inset=_EDGE / camera.scale))
         self._joints = camera.project(_joints(replay, poses))
         self._roots = camera.project(poses[:, 0, :2])
         zero = np.zeros(len(poses))
@@ -80,78 +57,76 @@ class Lane:
         self._strip = _strip(replay)
 
     def draw(self, frame: int, time: float) -> Image.Image:
-        """Draw one picture, WIDTH by LANE_HEIGHT, and write a time [s] on it."""
-        picture = Image.new("RGB", SIZE, SKY)
+        """Draw one picture, PICTURE_WIDTH by LANE_HEIGHT, with a time [s] on it."""
+        picture = Image.new("RGB", LANE_SIZE, SKY)
         draw = ImageDraw.Draw(picture)
-        top = min(max(round(float(self._surface[frame])), 0), SIZE[1]) if self._replay.has_medium else SIZE[1]
-        if top < SIZE[1]:
-            draw.rectangle((0, top, *SIZE), fill=SLUSH)
+        top = min(max(round(float(self._surface[frame])), 0), LANE_SIZE[1]) if self._replay.has_medium else LANE_SIZE[1]
+        if top < LANE_SIZE[1]:
+            draw.rectangle((0, top, *LANE_SIZE), fill=SLUSH)
         veiled = self._submerged(frame, top)
         self._distances(draw, frame, top, veiled)
         self._robot(draw, frame)
         if veiled is not None:
             seen = picture.crop(veiled)
             picture.paste(Image.blend(seen, Image.new("RGB", seen.size, SLUSH), SLUSH_OVER_ROBOT), veiled)
-        if top < SIZE[1]:
-            _surface(draw, top, dashed=self._replay.imagined)
+        if top < LANE_SIZE[1]:
+            _surface(draw, top, dashed=self._replay.hallucinated)
         ground = float(self._ground[frame])
-        if ground < SIZE[1]:
-            draw.rectangle((0, ground, *SIZE), fill=GROUND)
-            draw.line((0, ground, SIZE[0], ground), fill=GROUND_EDGE, width=2 * OVERSAMPLING)
+        if ground < LANE_SIZE[1]:
+            draw.rectangle((0, ground, *LANE_SIZE), fill=GROUND_FILL)
+            draw.line((0, ground, LANE_SIZE[0], ground), fill=GROUND_EDGE, width=2 * ZOOM)
         self._scale(draw, frame)
         picture.paste(self._strip, (0, 0))
-        right = SIZE[0] - 10 * OVERSAMPLING
-        _write(draw, (right, 6 * OVERSAMPLING), _metres(float(self._moved[frame]), 1), 14, bold=True, anchor="ra")
-        _write(draw, (right, 25 * OVERSAMPLING), f"{time:.1f} s", 12, anchor="ra")
-        draw.line((0, SIZE[1] - 1, SIZE[0], SIZE[1] - 1), fill=WHITE, width=2 * OVERSAMPLING)
-        return picture.reduce(OVERSAMPLING)
+        right = LANE_SIZE[0] - 10 * ZOOM
+        _write(draw, (right, 6 * ZOOM), _metres(float(self._moved[frame]), 1), 14, bold=True, anchor="ra")
+        _write(draw, (right, 25 * ZOOM), f"{time:.1f} s", 12, anchor="ra")
+        draw.line((0, LANE_SIZE[1] - 1, LANE_SIZE[0], LANE_SIZE[1] - 1), fill=WHITE, width=2 * ZOOM)
+        return picture.reduce(ZOOM)
 
     def _submerged(self, frame: int, top: int) -> tuple[int, int, int, int] | None:
-        """Box of what may show of the robot through the slush; None where there is nothing."""
-        reach = 5 * OVERSAMPLING  # dots lie over the edges
+        """Return the bounding box of the submerged part of the robot, or None."""
+        reach = 5 * ZOOM  # dots lie over the edges
         left, upper = (self._edges[frame].min(axis=(0, 1)) - reach).astype(int).tolist()
         right, lower = (self._edges[frame].max(axis=(0, 1)) + reach).astype(int).tolist()
-        box = max(left, 0), max(upper, top), min(right, SIZE[0]), min(lower, SIZE[1])
+        box = max(left, 0), max(upper, top), min(right, LANE_SIZE[0]), min(lower, LANE_SIZE[1])
         return box if box[0] < box[2] and box[1] < box[3] else None
 
     def _ticks(self, frame: int, every: float) -> list[tuple[float, float]]:
-        """Distances from the start [m] that are in view, and their columns."""
+        """Return the distances from the start [m] that are in view, with their columns."""
         camera, x = self._camera, float(self._camera.x[frame])
-        half = SIZE[0] / 2 / camera.scale
+        half = LANE_SIZE[0] / 2 / camera.scale
         first = math.ceil((x - half - self._start) / every)
         last = math.floor((x + half - self._start) / every)
         distances = [every * number for number in range(first, last + 1)]
-        return [(at, SIZE[0] / 2 + (self._start + at - x) * camera.scale) for at in distances]
+        return [(at, LANE_SIZE[0] / 2 + (self._start + at - x) * camera.scale) for at in distances]
 
     def _distances(
         self, draw: ImageDraw.ImageDraw, frame: int, top: int, veiled: tuple[int, int, int, int] | None
     ) -> None:
-        """Draw an upright line every 5 m, so that motion shows where nothing else is near; the start's is darker."""
+        """Draw a vertical line every 5 m, which makes motion visible; the line at the start is darker."""
         for at, column in self._ticks(frame, 5.0):
-            color = UNKNOWN if at == 0 else FAINT
-            draw.line((column, CAPTION_HEIGHT * OVERSAMPLING, column, top), fill=color, width=OVERSAMPLING)
-            if top < SIZE[1]:
+            color = UNKNOWN if at == 0 else DISTANCE_LINE
+            draw.line((column, CAPTION_HEIGHT * ZOOM, column, top), fill=color, width=ZOOM)
+            if top < LANE_SIZE[1]:
                 paler = mix(color, SLUSH, SLUSH_OVER_ROBOT)
-                draw.line((column, top, column, SIZE[1]), fill=paler, width=OVERSAMPLING)
-            if veiled is not None and veiled[0] <= column < veiled[2]:  # it is to be veiled with the robot
-                draw.line((column, veiled[1], column, veiled[3] - 1), fill=color, width=OVERSAMPLING)
+                draw.line((column, top, column, LANE_SIZE[1]), fill=paler, width=ZOOM)
+            if veiled is not None and veiled[0] <= column < veiled[2]:  # will be veiled with the robot
+                draw.line((column, veiled[1], column, veiled[3] - 1), fill=color, width=ZOOM)
 
     def _scale(self, draw: ImageDraw.ImageDraw, frame: int) -> None:
-        """Draw a tick every metre and, where it fits whole, its distance every five, along the lower edge."""
+        """Draw a scale along the lower edge: a tick every metre, and a label every five where it fits."""
         for at, column in self._ticks(frame, 1.0):
             long = at % 5 == 0
-            draw.line(
-                (column, SIZE[1] - (8 if long else 4) * OVERSAMPLING, column, SIZE[1]), fill=INK, width=OVERSAMPLING
-            )
+            draw.line((column, LANE_SIZE[1] - (8 if long else 4) * ZOOM, column, LANE_SIZE[1]), fill=INK, width=ZOOM)
             if not long:
                 continue
             label = _metres(at, 0)
             half = _length(label, 11) / 2
-            if half <= column <= SIZE[0] - half:  # "−10 m" cut short is another distance
-                _write(draw, (column, SIZE[1] - 9 * OVERSAMPLING), label, 11, anchor="mb")
+            if half <= column <= LANE_SIZE[0] - half:  # a label that is cut off would be a wrong distance
+                _write(draw, (column, LANE_SIZE[1] - 9 * ZOOM), label, 11, anchor="mb")
 
     def _robot(self, draw: ImageDraw.ImageDraw, frame: int) -> None:
-        """Draw links from the last to the root, so that the root lies on top, then the joints."""
+        """Draw the links from the last to the root, so that the root is on top, then the joints."""
         color, paler, edge = robot_colors(self._replay.environment)
         for link in reversed(range(self._edges.shape[1])):
             draw.polygon(self._edges[frame, link].ravel().tolist(), fill=edge)
@@ -162,25 +137,40 @@ class Lane:
 
 
 def _surface(draw: ImageDraw.ImageDraw, row: int, *, dashed: bool) -> None:
-    """Draw the medium's surface; that of a medium which is only imagined is dashed."""
-    dash, every = (10 * OVERSAMPLING, 16 * OVERSAMPLING) if dashed else (SIZE[0], SIZE[0])
-    for left in range(0, SIZE[0], every):
-        draw.line((left, row, left + dash, row), fill=SURFACE, width=2 * OVERSAMPLING)
+    """Draw the surface of the medium, dashed if the medium is hallucinated."""
+    dash, every = (10 * ZOOM, 16 * ZOOM) if dashed else (LANE_SIZE[0], LANE_SIZE[0])
+    for left in range(0, LANE_SIZE[0], every):
+        draw.line((left, row, left + dash, row), fill=SURFACE, width=2 * ZOOM)
 
 
 def robot_colors(environment: str) -> tuple[Rgb, Rgb, Rgb]:
-    """Give the colours of a root, of the other links and of their edges."""
+    """Return the colours of the root, of the other links and of their edges."""
     color = _color(environment)
     return color, mix(color, WHITE, 0.28), mix(color, INK, 0.55)
 
 
-def link_outline(pose: Points, length: Points, *, inset: float = 0.0) -> Points:
-    """Give the corners of links, rounded, in the world.
+def palette(replays: Sequence[Replay]) -> list[Rgb]:
+    """Return the colours in the pictures of replays, and those halfway between colours that meet at an edge."""
+    flat = (WHITE, SKY, SLUSH, GROUND_FILL, INK, DISTANCE_LINE, SURFACE, GROUND_EDGE, UNKNOWN)
+    colors = [mix(color, color, 0) for color in flat]
+    colors += [mix(INK, WHITE, share) for share in (0.25, 0.5, 0.75)]
+    edges = ((INK, GROUND_FILL), (INK, SLUSH), (GROUND_EDGE, SKY), (SURFACE, SKY), (UNKNOWN, SKY))
+    colors += [mix(one, other, 0.5) for one, other in edges]
+    colors += [mix(color, SLUSH, SLUSH_OVER_ROBOT) for color in (INK, WHITE, UNKNOWN, DISTANCE_LINE)]
+    for environment in sorted({replay.environment for replay in replays}):
+        color, paler, edge = robot_colors(environment)
+        dry = [color, paler, edge, mix(edge, paler, 0.5), mix(edge, SKY, 0.5)]
+        colors += [*dry, mix(color, WHITE, 0.6), *(mix(part, SLUSH, SLUSH_OVER_ROBOT) for part in dry)]
+    return list(dict.fromkeys(colors))
+
+
+def link_outline(pose: Float64, length: Float64, *, inset: float = 0.0) -> Float64:
+    """Return the outlines of links with rounded corners.
 
     Args:
         pose: (..., 3) x, y of their centres [m], angle [rad].
-        length: (...) or what broadcasts to it: their long axes, along their own y [m].
-        inset: how far inside the outline to stay [m].
+        length: (...) or broadcastable to it, their long axes along their own y [m].
+        inset: distance inside the outline [m].
 
     Returns:
         (..., n_points, 2) x, y [m].
@@ -203,8 +193,8 @@ def link_outline(pose: Points, length: Points, *, inset: float = 0.0) -> Points:
     return np.stack([pose[..., 0, None] + cos * x - sin * y, pose[..., 1, None] + sin * x + cos * y], axis=-1)
 
 
-def _joints(replay: Replay, poses: Points) -> Points:
-    """Place the joints of links with their parents: (n_pictures, n_links - 1, 2) x, y [m]."""
+def _joints(replay: Replay, poses: Float64) -> Float64:
+    """Return the joints of links with their parents: (n_pictures, n_links - 1, 2) x, y [m]."""
     parent = replay.parent[1:]
     x, y, angle = np.moveaxis(poses[:, parent], -1, 0)
     along = replay.parent_attachment[1:] * replay.length_scale[parent] / 2
@@ -212,18 +202,18 @@ def _joints(replay: Replay, poses: Points) -> Points:
 
 
 def _dot(draw: ImageDraw.ImageDraw, place: Sequence[float], radius: float, fill: str | Rgb, edge: str | Rgb) -> None:
-    reach = radius * OVERSAMPLING
+    reach = radius * ZOOM
     box = (place[0] - reach, place[1] - reach, place[0] + reach, place[1] + reach)
-    draw.ellipse(box, fill=fill, outline=edge, width=round(1.5 * OVERSAMPLING))
+    draw.ellipse(box, fill=fill, outline=edge, width=round(1.5 * ZOOM))
 
 
 def _strip(replay: Replay) -> Image.Image:
-    """Write the title and the world on the left of a plain strip."""
-    strip = Image.new("RGB", (SIZE[0], CAPTION_HEIGHT * OVERSAMPLING + 1), WHITE)
+    """Draw the caption: the title, and where the robot is seen."""
+    strip = Image.new("RGB", (LANE_SIZE[0], CAPTION_HEIGHT * ZOOM + 1), WHITE)
     draw = ImageDraw.Draw(strip)
-    left = 10 * OVERSAMPLING
-    _write(draw, (left, 6 * OVERSAMPLING), replay.title, 14, bold=True, fill=_color(replay.environment))
-    _write(draw, (left, 25 * OVERSAMPLING), f"in {replay.world}, {replay.depth:g} m", 12)
+    left = 10 * ZOOM
+    _write(draw, (left, 6 * ZOOM), replay.title, 14, bold=True, fill=_color(replay.environment))
+    _write(draw, (left, 25 * ZOOM), f"in {replay.seen_in}, {replay.depth:g} m", 12)
     return strip
 
 
@@ -237,20 +227,19 @@ def _write(
     anchor: str = "la",
     fill: str | Rgb = INK,
 ) -> None:
-    """Write words; an anchor is Pillow's."""
+    """Write text; the anchor is one of Pillow's."""
     word, left, top = _word(text, size, bold, anchor)
     draw.bitmap((round(place[0]) + left, round(place[1]) + top), word, fill=fill)
 
 
 @lru_cache(maxsize=1000)
 def _length(text: str, size: int) -> float:
-    """Measure a word [pixel]."""
     return float(_font(size).getlength(text))
 
 
 @lru_cache(maxsize=1000)
 def _word(text: str, size: int, bold: bool, anchor: str) -> tuple[Image.Image, int, int]:
-    """Draw a word once: how much of each pixel it covers, and where that lies from the anchor."""
+    """Return the coverage of a text, and its offset from the anchor."""
     font = _font(size, bold=bold)
     left, top, right, bottom = (math.floor(side) for side in font.getbbox(text, anchor=anchor))
     word = Image.new("L", (right + 1 - left, bottom + 1 - top))
@@ -264,9 +253,9 @@ def _metres(value: float, digits: int) -> str:
 
 @cache
 def _font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """Load DejaVu Sans, which comes with matplotlib and so is the same everywhere."""
+    """Load DejaVu Sans, which matplotlib contains and is therefore the same everywhere."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / name), size * OVERSAMPLING)
+    return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / name), size * ZOOM)
 
 
 def _color(environment: str) -> Rgb:
@@ -276,7 +265,13 @@ def _color(environment: str) -> Rgb:
 
 
 def mix(first: str | Rgb, second: str | Rgb, share: float) -> Rgb:
-    """Blend two colours, given as #rrggbb or as numbers."""
+    """Blend two colours, given as #rrggbb or as numbers.
+
+    Args:
+        first: result for a share of 0.
+        second: result for a share of 1.
+        share: 0 to 1.
+    """
     rgb = [
         tuple(int(color[i : i + 2], 16) for i in (1, 3, 5)) if isinstance(color, str) else color
         for color in (first, second)

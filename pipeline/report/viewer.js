@@ -1,10 +1,10 @@
-// The replay viewer: one clock, one canvas, and a pane for each robot shown: one, or two side by side.
+// The replay viewer: one clock, one canvas, and a pane for each of one or two robots.
 (() => {
   const { replays, drawPane, sharesAt, color, heat } = robots;
   const control = (id) => document.getElementById(id);
   const canvas = control("stage"), timeline = control("timeline");
   const state = { panes: [], time: 0, playing: false, speed: 1, before: null };
-  const NARROW = 640; // pixels, below which two panes stand above one another
+  const NARROW = 640; // pixels; below this width, two panes are stacked
 
   // -- drawing --------------------------------------------------------------------------------------------------------
 
@@ -46,13 +46,13 @@
     drawTimeline(options.overlay, options.most);
   }
 
-  // The value of the darkest colour: the same for every robot shown, so that they can be compared.
+  // The value of the darkest colour, the same for all robots shown so that they can be compared.
   function mostOf(label) {
     const shown = state.panes.flatMap((replay) => replay.overlays.filter((overlay) => overlay.label === label));
     return Math.max(...shown.map((overlay) => overlay.most), 1e-9);
   }
 
-  // The mean over links of what the colours show, a line for each robot, and where the clock stands.
+  // The mean over links of the colours' value, a line for each robot, and the current time.
   function drawTimeline(label, darkest) {
     const shown = state.panes.filter((replay) => replay.overlays.some((overlay) => overlay.label === label));
     control("line").hidden = shown.length === 0;
@@ -81,7 +81,7 @@
     const ramp = [0, 0.25, 0.5, 0.75, 1].map((share) => heat(share)).join(", ");
     const unit = shown[0].overlays.find((overlay) => overlay.label === label).unit;
     const scale = " " + darkest.toPrecision(2) + " " + unit + " or more. Line: mean over links, up to " + most.toPrecision(2) + " " + unit + ".";
-    const which = shown.length > 1 ? " Solid: in " + shown[0].world + "; dashed: in " + shown[1].world + "." : "";
+    const which = shown.length > 1 ? " Solid: in " + shown[0].seenIn + "; dashed: in " + shown[1].seenIn + "." : "";
     const legend = control("legend"), text = scale + which;
     if (legend.dataset.text !== text) {
       legend.dataset.text = text;
@@ -122,7 +122,7 @@
     draw();
   }
 
-  // The same robot in its other world: where it evolved, or True Slush. One that evolved in True Slush has none.
+  // The same robot in its other environment: where it evolved, or True Slush. Robots from True Slush have none.
   function twinOf(one) {
     return replays.find((other) => other !== one && ["title", "environment", "depth"].every((name) => other[name] === one[name]));
   }

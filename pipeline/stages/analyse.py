@@ -59,7 +59,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from math import ceil
 from pathlib import PurePosixPath
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -73,7 +73,7 @@ from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.store.tables import Columns, csv_of
+from pipeline.store.tables import Columns, csv_of, rows_of
 from pipeline.workflow.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
 from tasks.analysis import Tank
 from tasks.analysis.prediction import mean_less_deviations
@@ -92,6 +92,8 @@ STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS, TANK = (
 
 REASONS = "reasons.json"
 
+AnyRow = TypeVar("AnyRow")
+
 COMPUTE: Mapping[str, Callable[[Job, Mapping[str, Files]], tuple[Tables, Reasons]]] = {
     STATISTICS: statistics.compute,
     MEMBERS: instruments.compute_members,
@@ -103,6 +105,11 @@ COMPUTE: Mapping[str, Callable[[Job, Mapping[str, Files]], tuple[Tables, Reasons
 
 TOO_LONG_FOR_CSV = ("links", "histograms")
 """Tables that are not for reading."""
+
+
+def arms_of(trials: Sequence[tuple[EnvironmentName, float, int]]) -> list[tuple[EnvironmentName, float]]:
+    """List the environment and depth of every arm, deepest first."""
+    return sorted(dict.fromkeys((environment, depth) for environment, depth, _ in trials), key=lambda arm: -arm[1])
 
 
 def arm_label(environment: str, depth: float) -> str:
@@ -221,6 +228,17 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
 def read_table(files: Files, name: str) -> Columns:
     """Read a table of an item by its name, such as "regressions"."""
     return decode_table(files[f"{name}.parquet"], schema=name, version=VERSION, source=f"{name}.parquet")
+
+
+def read_rows(files: Files | None, name: str, kind: type[AnyRow]) -> list[AnyRow]:
+    """Read a table of an item as rows of the dataclass that it was written from; none where the item is missing.
+
+    Args:
+        files: files of the item.
+        name: name of the table, such as "regressions".
+        kind: the dataclass.
+    """
+    return rows_of(kind, read_table(files, name)) if files else []
 
 
 def read_reasons(files: Files) -> Reasons:

@@ -10,9 +10,10 @@ from typing import Any
 
 from pipeline.config.settings import EnvironmentName, Settings
 from pipeline.report.data import ENVIRONMENTS
+from pipeline.report.findings import TankRow
 from pipeline.report.replay import Replay, replay_of
 from pipeline.stages import segments
-from pipeline.stages.analyse import read_table, tank_label
+from pipeline.stages.analyse import read_rows, tank_label
 from pipeline.stages.transfer import CHAMPION
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
@@ -34,10 +35,8 @@ def proposed(settings: Settings, inputs: Mapping[str, Files]) -> list[Row]:
     """Find each arm's champion that is proposed for building; none without a tank."""
     found: list[Row] = []
     for environment, depth in dict.fromkeys(trial[:2] for trial in settings.grid.trials()):
-        files = inputs.get(f"analyse/{tank_label(environment, depth)}")
-        if files:
-            table = read_table(files, "tank")
-            found += [(environment, depth, int(trial)) for trial in table["trial"][table["proposed"]]]
+        rows = read_rows(inputs.get(f"analyse/{tank_label(environment, depth)}"), "tank", TankRow)
+        found += [(environment, depth, row.trial) for row in rows if row.proposed]
     return found
 
 
@@ -79,9 +78,9 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
                     rollouts.trace[0],
                     title=f"To build: evolved {ENVIRONMENTS[environment].evolved}, trial {trial}, in {words}",
                     environment="",
-                    world=words,
+                    seen_in=words,
                     depth=round(world.depth, 2),
-                    has_medium=world.medium is not None,
+                    surroundings="air" if world.medium is None else "true slush",
                     n_settle=n_settle,
                     time_step=time_step,
                 )

@@ -11,14 +11,15 @@ import yaml
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.report import Drawing, Replay, draw_all, render_films, render_page
-from pipeline.report.data import Digest, Draws, ResidualError, StudyReport, TrialResult
-from pipeline.report.film import FPS
+from pipeline.report.camera import FILM_FPS
+from pipeline.report.data import ArtifactDigest, Draws, ResidualError, StudyReport, TrialResult
 from pipeline.stages import divergence, segments
+from pipeline.stages.analyse import arms_of
 from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.collect import data_set
 from pipeline.stages.proposed_design import PROPOSED, proposal_files, proposed, tank_replays
 from pipeline.stages.report_findings import HISTORIES, findings
-from pipeline.stages.report_replays import arms_of, replays_of
+from pipeline.stages.report_replays import replays_of
 from pipeline.stages.train import ERRORS, UNIT_OF, read_errors
 from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store.encoding import decode_json, encode_json
@@ -66,7 +67,7 @@ def plan(settings: Settings) -> Sequence[Chain]:
     whole = settings.model_dump(mode="json", exclude={"work"})
     trials = settings.grid.trials()
     measured_seconds = settings.rollout.n_measure * settings.physics.time_step
-    pictures = measured_seconds * FPS
+    pictures = measured_seconds * FILM_FPS
     deepest = max(settings.grid.depths)
 
     def films(label: str, of: Sequence[tuple[Any, float, int]], n_films: int, *, together: bool) -> Chain:
@@ -159,7 +160,9 @@ def _films(job: Job, inputs: Mapping[str, Files]) -> Files:
     files: dict[str, bytes] = {}
     for name, shown in named.items():
         files[f"{name}.gif"], files[f"{name}.mp4"] = render_films(shown)
-    listed = {name: [f"{one.title}, in {one.world}, {one.depth:g} m" for one in shown] for name, shown in named.items()}
+    listed = {
+        name: [f"{one.title}, in {one.seen_in}, {one.depth:g} m" for one in shown] for name, shown in named.items()
+    }
     return {**files, job.spec["listing"]: encode_json(listed)}
 
 
@@ -185,12 +188,10 @@ def _page(job: Job, inputs: Mapping[str, Files]) -> Files:
         trials=trials,
         residual_errors=_residual_errors(inputs),
         replays=[*replays, *in_tank],
-        findings=findings(
-            inputs, assessed_depth=settings.assessed_depth, tank=settings.tank, time_step=settings.physics.time_step
-        ),
+        findings=findings(inputs, settings),
         draws=_draws(evolved.values()),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
-        digests=[Digest(*row) for row in job.spec["digests"]],
+        digests=[ArtifactDigest(*row) for row in job.spec["digests"]],
         failed=job.spec["failed"],
         not_possible=job.spec["not_possible"],
         diverged=_diverged(settings, inputs, evolved),

@@ -5,17 +5,16 @@ Part of the stage report.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName
 from pipeline.report.data import ENVIRONMENTS
-from pipeline.report.replay import Overlay, Replay, at_frames, replay_of
+from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import segments
-from pipeline.stages.analyse import arm_label, read_table
+from pipeline.stages.analyse import arm_label, arms_of, read_table
 from pipeline.stages.analyses.champions import champions, ensemble_of
 from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, film_arm
 from pipeline.stages.analyses.instruments import transitions_of
@@ -30,11 +29,6 @@ LAID_OVER = (
 )
 """Column of the instruments' links, what the page calls it, its unit, and what the darkest colour is at least: within
 the usual distance a state is not new."""
-
-
-def arms_of(trials: Sequence[tuple[Any, float, int]]) -> list[tuple[str, float]]:
-    """List environment and depth of every arm, deepest first."""
-    return sorted(dict.fromkeys((environment, depth) for environment, depth, _ in trials), key=lambda arm: -arm[1])
 
 
 def replays_of(spec: Spec, execution: Spec, inputs: Mapping[str, Files]) -> list[Replay]:
@@ -64,16 +58,21 @@ def _replay(spec: Spec, film: Filmed, overlays: tuple[Overlay, ...], networks: M
         film.trace[0],
         title=f"Evolved {style.evolved}, trial {champion.trial}",
         environment=champion.environment,
-        world=_words(film),
+        seen_in=_words(film),
         depth=champion.depth,
-        has_medium=film.world != "dry_land",
-        imagined=film.world in RESIDUAL_ENVIRONMENTS,
-        other_medium=film.world != "true_slush",
+        surroundings=surroundings_in(film.world),
         n_settle=spec["rollout"]["n_settle"],
         time_step=spec["physics"]["time_step"],
         overlays=overlays,
         push=push_of(here, film.member, champion.design, film.trace, networks),
     )
+
+
+def surroundings_in(environment: EnvironmentName) -> Surroundings:
+    """Return what fills an environment."""
+    if environment in RESIDUAL_ENVIRONMENTS:
+        return "hallucinated slush"
+    return {"dry_land": "air", "true_slush": "true slush"}.get(environment, "another medium")  # type: ignore[return-value]
 
 
 def _words(film: Filmed) -> str:

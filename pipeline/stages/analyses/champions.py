@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.config.settings import EnvironmentName
+from pipeline.report.findings import ExploiterRow
 from pipeline.stages import segments
 from pipeline.stages.analyses.statistics import Reasons, Tables
 from pipeline.stages.assess import read_predictions
@@ -20,7 +22,7 @@ from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.tables import columns_of
 from pipeline.workflow.stage import Files, Job, Spec
-from tasks.analysis import Exploiter, rank_exploiters, transfer_matrix
+from tasks.analysis import Exploiter, TransferMatrix, rank_exploiters, transfer_matrix
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.evolution import penalised_mean
@@ -72,10 +74,10 @@ def roll_out(job: Job, world: Environment, designs: Designs, *, trace: bool = Fa
 
 
 @dataclass(frozen=True)
-class TestRow:
+class MatrixTestRow:
     """A champion of one depth at another, in True Slush; lengths in m."""
 
-    environment: str
+    environment: EnvironmentName
     trained: float
     trial: int
     tested: float
@@ -96,22 +98,31 @@ class CellRow:
     relative: float
 
 
+def matrices_of(tests: Sequence[MatrixTestRow]) -> dict[EnvironmentName, TransferMatrix]:
+    """Return the transfer matrix of each environment."""
+    by_environment: dict[EnvironmentName, list[MatrixTestRow]] = {}
+    for row in tests:
+        by_environment.setdefault(row.environment, []).append(row)
+    return {
+        name: transfer_matrix(
+            [row.trained for row in rows], [row.tested for row in rows], np.array([row.displacement for row in rows])
+        )
+        for name, rows in by_environment.items()
+    }
+
+
 def compute_matrix(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     """Test every champion at every depth of the grid, in True Slush."""
     entrants = champions(job.spec["trials"], inputs)
-    tests: list[TestRow] = []
+    tests: list[MatrixTestRow] = []
     for depth in job.spec["depths"] if entrants else ():
         rollouts = roll_out(job, segments.true_slush(job.spec, depth), concatenate([of.design for of in entrants]))
         tests += [
-            TestRow(of.environment, of.depth, of.trial, depth, float(root), float(whole))
+            MatrixTestRow(of.environment, of.depth, of.trial, depth, float(root), float(whole))
             for of, root, whole in zip(entrants, rollouts.displacement, rollouts.com_displacement, strict=True)
         ]
     cells: list[CellRow] = []
-    for environment in dict.fromkeys(of.environment for of in entrants):
-        rows = [test for test in tests if test.environment == environment]
-        matrix = transfer_matrix(
-            [row.trained for row in rows], [row.tested for row in rows], np.array([row.displacement for row in rows])
-        )
+    for environment, matrix in matrices_of(tests).items():
         for i, j in np.ndindex(matrix.mean.shape):
             mean, sd, relative = (float(of[i, j]) for of in (matrix.mean, matrix.sd, matrix.relative))
             depths = float(matrix.trained[i]), float(matrix.tested[j])
@@ -121,18 +132,18 @@ def compute_matrix(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reaso
         reasons = dict.fromkeys(("tests", "matrix"), "no trial has a champion")
     elif len(job.spec["depths"]) == 1:
         reasons["matrix"] = "a single depth: the matrix has one column"
-    return {"tests": columns_of(TestRow, tests), "matrix": columns_of(CellRow, cells)}, reasons
+    return {"tests": columns_of(MatrixTestRow, tests), "matrix": columns_of(CellRow, cells)}, reasons
 
 
 # -- exploiters ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Suspect:
+class Candidate:
     """A design, its ensemble's promise and the truth [m]; NaN where diverged."""
 
-    kind: str
-    environment: str
+    kind: Literal["champion", "assessed"]
+    environment: EnvironmentName
     depth: float
     trial: int
     generation: int
@@ -141,18 +152,6 @@ class Suspect:
     true: float
     by_member: npt.NDArray[np.float64]
     """(n_members,)"""
-
-
-@dataclass(frozen=True)
-class ExploiterRow:
-    """Who a ranked design is."""
-
-    kind: str
-    environment: str
-    depth: float
-    trial: int
-    generation: int
-    identity: int
 
 
 def compute_exploiters(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
@@ -165,14 +164,15 @@ def compute_exploiters(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, R
         true=np.array([s.true for s in suspects]),
         disagreement=by_member.std(axis=1),
     )
-    who = [suspects[row.design] for row in ranked]
-    order = [row.design for row in ranked]
-    rows = columns_of(Exploiter, ranked)
-    rows.pop("design")
-    names = [ExploiterRow(s.kind, s.environment, s.depth, s.trial, s.generation, s.identity) for s in who]
-    table = {"rank": rows.pop("rank"), **columns_of(ExploiterRow, names), **rows, "by_member": by_member[order]}
+    rows = [_exploiter_row(row, suspects[row.design]) for row in ranked]
     reason = why or ("" if suspects else "no trial has a champion and no design was assessed")
-    return {"exploiters": table}, {"exploiters": reason} if reason else {}
+    return {"exploiters": columns_of(ExploiterRow, rows)}, {"exploiters": reason} if reason else {}
+
+
+def _exploiter_row(row: Exploiter, of: Candidate) -> ExploiterRow:
+    ranking = (row.predicted, row.true, row.excess, row.disagreement, row.ranked_by, row.reason)
+    who = (of.kind, of.environment, of.depth, of.trial, of.generation, of.identity)
+    return ExploiterRow(row.rank, *who, *ranking, by_member=tuple(of.by_member.tolist()))
 
 
 def _promise(by_member: npt.NDArray[np.float64], penalty: float) -> npt.NDArray[np.float64]:
@@ -181,7 +181,7 @@ def _promise(by_member: npt.NDArray[np.float64], penalty: float) -> npt.NDArray[
     return np.where(np.isfinite(promised), promised, np.nan)
 
 
-def _champions_under_members(job: Job, inputs: Mapping[str, Files]) -> list[Suspect]:
+def _champions_under_members(job: Job, inputs: Mapping[str, Files]) -> list[Candidate]:
     """Simulate champions of all environments under every member, at the depth where they evolved."""
     spec, ensemble = job.spec, ensemble_of(inputs)
     entrants = champions(spec["trials"], inputs)
@@ -194,12 +194,12 @@ def _champions_under_members(job: Job, inputs: Mapping[str, Files]) -> list[Susp
         for of, each, promise in zip(here, by_member, promised, strict=True):
             own = each[of.trial % len(each)] if of.environment == "single_member" else promise
             suspects.append(
-                Suspect("champion", of.environment, depth, of.trial, -1, -1, float(own), of.zero_shot, each)
+                Candidate("champion", of.environment, depth, of.trial, -1, -1, float(own), of.zero_shot, each)
             )
     return suspects
 
 
-def _assessed(spec: Spec, inputs: Mapping[str, Files]) -> list[Suspect]:
+def _assessed(spec: Spec, inputs: Mapping[str, Files]) -> list[Candidate]:
     shares = [inputs[name] for name in sorted(inputs) if name.startswith("assess/")]
     if not shares:
         return []
@@ -207,4 +207,4 @@ def _assessed(spec: Spec, inputs: Mapping[str, Files]) -> list[Suspect]:
     promised = _promise(table["predicted"], spec["disagreement_penalty"])
     columns = (table[name].tolist() for name in ("environment", "depth", "trial", "generation", "identity"))
     rows = zip(*columns, promised.tolist(), table["true"].tolist(), table["predicted"], strict=True)
-    return [Suspect("assessed", *row) for row in rows]
+    return [Candidate("assessed", *row) for row in rows]

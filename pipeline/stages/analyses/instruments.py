@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
+from pipeline.report.findings import ChampionRow, Moved
 from pipeline.stages import segments
 from pipeline.stages.analyses.champions import Champion, champions, ensemble_of, roll_out
 from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, best_of, film_at_home, home_of
@@ -85,36 +86,6 @@ def compute_members(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reas
 
 
 # -- instruments of one arm ------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Moved:
-    """How far a champion got [m]; NaN where diverged or unknown."""
-
-    displacement: float
-    com: float
-    reach: float
-
-
-@dataclass(frozen=True)
-class ChampionRow:
-    """One champion of the arm; lengths in m."""
-
-    trial: int
-    best: bool
-    """Whether it is the best zero-shot, or where it evolved if none survives True Slush: its links are shown."""
-    home: Moved
-    """Where it evolved, mean over members."""
-    slush: Moved
-    """In True Slush."""
-    claimed: float
-    """Fitness where it evolved."""
-    again: float
-    """Mean fitness of its tries with attachments moved by 1e-4; NaN where all diverged."""
-    loss: Estimate
-    share_below: float
-    n_diverged: int
-    n_tries: int
 
 
 @dataclass(frozen=True)

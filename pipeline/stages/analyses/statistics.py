@@ -14,7 +14,7 @@ from pipeline.stages import segments
 from pipeline.stages.assess import read_predictions
 from pipeline.stages.transfer import SCORE
 from pipeline.store.encoding import decode_json
-from pipeline.store.tables import Columns, columns_of, text
+from pipeline.store.tables import Columns, columns_of
 from pipeline.workflow.stage import Files, Job
 from tasks.analysis import (
     Attribution,
@@ -107,7 +107,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     return {
         "scores": table,
         "regressions": columns_of(Regression, regressions),
-        "histograms": _drawn(predicted, true),
+        "histograms": columns_of(HistogramRow, _drawn(predicted, true)),
         "contrasts": columns_of(Contrast, contrasts),
         "attribution": columns_of(Attribution, attributions),
         "paper": columns_of(Row, against_paper(scores, *assessed, rng=rng)),
@@ -123,18 +123,27 @@ def _predictions(shares: Sequence[Files]) -> tuple[Float64, Float64, list[str]]:
     return table["predicted"].T, table["true"], trial
 
 
-def _drawn(predicted: Float64, true: Float64) -> Columns:
-    """Draw true over predicted displacement: of each member, their mean, and their mean less a deviation."""
+@dataclass(frozen=True)
+class HistogramRow:
+    """A 2-D histogram of true over predicted displacement."""
+
+    name: str
+    n_outside: int
+    edges: tuple[float, ...]
+    """(n_bins + 1,) of both axes [m]."""
+    counts: tuple[int, ...]
+    """(n_bins²,), predicted by true."""
+
+
+def _drawn(predicted: Float64, true: Float64) -> list[HistogramRow]:
+    """Count true over predicted displacement, for each member, their mean, and their mean minus a deviation."""
     together = aggregates(predicted) if len(predicted) else {}
     chosen = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1)) if name in together}
     found = histograms(members(predicted) | chosen, true)
-    if found.reason is not None:  # no bins: nothing was assessed, or every design diverged, which the regressions say
-        none = np.zeros((0, 1), np.int64)
-        return {"name": text([]), "n_outside": none[:, 0], "edges": none.astype(np.float64), "counts": none}
-    n = len(found.names)
-    return {
-        "name": text(found.names),
-        "n_outside": found.n_outside,
-        "edges": np.tile(found.edges, (n, 1)),
-        "counts": found.counts.reshape(n, -1),
-    }
+    if found.reason is not None:  # nothing was assessed, or every design diverged, which the regressions state
+        return []
+    edges = tuple(found.edges.tolist())
+    return [
+        HistogramRow(name, int(n_outside), edges, tuple(counts.ravel().tolist()))
+        for name, n_outside, counts in zip(found.names, found.n_outside, found.counts, strict=True)
+    ]

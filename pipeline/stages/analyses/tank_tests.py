@@ -6,10 +6,10 @@ Part of the stage analyse, whose page lists the tables. Paper, "Physical Validat
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.report.findings import TankRow
 from pipeline.stages import segments
 from pipeline.stages.analyses.champions import Champion, champions, roll_out
 from pipeline.stages.analyses.statistics import Reasons, Tables
@@ -21,25 +21,6 @@ from tasks.world import DryLand, Environment, Physics
 
 AT_ONCE = 16
 """Champions whose traces are held together: 35,000 steps of one are 5 MB."""
-
-
-@dataclass(frozen=True)
-class TankRow:
-    """One champion; displacements in m, NaN where diverged."""
-
-    trial: int
-    proposed: bool
-    """Whether it is the one to build: the nearest the mean of all in True Slush."""
-    zero_shot: float
-    """Displacement of its root in True Slush, at its own depth."""
-    dry_land: float
-    """Displacement of its root on Dry Land, at its own depth and for as long."""
-    dry_land_com: float
-    """Of its centre of mass."""
-    wet: Crossing
-    """In the tank, filled."""
-    dry: Crossing
-    """In the tank, drained: on its floor."""
 
 
 def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:

@@ -1,4 +1,4 @@
-"""A replay of a real rollout, and a study made of it and of numbers that are easy to check by hand."""
+"""A replay of a real rollout, and a study with it and with numbers that are easy to check by hand."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.report.data import Digest, ResidualError, StudyReport, TrialResult
+from pipeline.report.data import ArtifactDigest, ResidualError, StudyReport, TrialResult
 from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
-from pipeline.report.findings import Accuracy, Ancestor, Family, Findings, Retried, Suspect, ThrownPaths
+from pipeline.report.findings import Accuracy, Ancestor, ChampionRow, ExploiterRow, Family, Findings, Moved, ThrownPaths
 from pipeline.report.replay import Replay, replay_of
 from tasks.analysis import (
     Estimate,
@@ -51,9 +51,9 @@ def slush_replay(rollout) -> Replay:
         trace,
         title="With residuals",
         environment="residual_slush",
-        world="True Slush",
+        seen_in="True Slush",
         depth=2.0,
-        has_medium=True,
+        surroundings="true slush",
         n_settle=N_SETTLE,
     )
 
@@ -67,19 +67,19 @@ def dry_replay(rollout) -> Replay:
         trace,
         title="On dry land",
         environment="dry_land",
-        world="Dry Land",
+        seen_in="Dry Land",
         depth=0.5,
-        has_medium=False,
+        surroundings="air",
         n_settle=0,
     )
 
 
 @pytest.fixture(scope="session")
-def promised(slush_replay) -> Replay:
-    """The same robot as a member has it: twice as far."""
+def predicted_replay(slush_replay) -> Replay:
+    """The same robot as a member predicts it: twice as far."""
     frames = slush_replay.frames.copy()
     frames[..., 0] += np.linspace(0.0, frames[-1, 0, 0] - frames[0, 0, 0], len(frames))[:, None]
-    return replace(slush_replay, frames=frames, world="Residual Slush (member 1)", imagined=True)
+    return replace(slush_replay, frames=frames, seen_in="Residual Slush (member 1)", surroundings="hallucinated slush")
 
 
 def trial(environment: str, depth: float, number: int, predicted: float, zero_shot: float, adapted=None) -> TrialResult:
@@ -101,7 +101,7 @@ ARMS = ("true_slush", "dry_land", "residual_slush", "single_member")
 
 @pytest.fixture(scope="session")
 def findings() -> Findings:
-    """What tasks.analysis says of drawn numbers: 4 members over 300 designs, 4 arms of 5 trials at 1 and 9 m."""
+    """The analysis of random numbers: 4 members over 300 designs, and 4 arms of 5 trials at 1 and 9 m."""
     rng = np.random.default_rng(7)
     true = rng.normal(3.0, 3.0, 300)
     predicted = 0.6 * true + rng.normal(0.0, 2.0, (4, 300))
@@ -115,6 +115,8 @@ def findings() -> Findings:
     ranges = members_ranges(predicted, true, rng=rng)
     shown = members(predicted) | {"mean": aggregates(predicted)["mean"]}
     ranked = rank_exploiters(predicted[:, :6].max(axis=0), true=true[:6], disagreement=predicted[:, :6].std(axis=0))
+    moved, loss = Moved(5.0, 1.0, 4.0), mean(np.array([1.0, 2.0, 3.0]))
+    retried = ChampionRow(0, True, moved, moved, 60.0, 58.0, loss, 1.0, n_diverged=0, n_tries=3)
     time = np.linspace(0.0, 3.3, 60)
     start, speed = rng.uniform(-6, 6, (9, 1)), rng.uniform(-20, 20, (9, 1))
     paths = np.stack((speed * (1 - np.exp(-time)), start - time, 5 * time + start), axis=-1)
@@ -128,8 +130,26 @@ def findings() -> Findings:
             "true_slush": transfer_matrix([1, 1, 9, 9], [1, 9, 1, 9], np.array([30.0, 1, 5, 12])),
             "residual_slush": transfer_matrix([1, 1, 9, 9], [1, 9, 1, 9], np.array([30.0, 2, 18, 9])),
         },
-        suspects=[Suspect(f"Residual Slush, 9 m, trial {row.design}", row) for row in ranked],
-        retried=[Retried("Dry Land, 1 m, trial 0", 60.0, mean(np.array([1.0, 2.0, 3.0])), 4.0)],
+        exploiters=[
+            ExploiterRow(
+                row.rank,
+                "champion",
+                "residual_slush",
+                9.0,
+                row.design,
+                -1,
+                -1,
+                row.predicted,
+                row.true,
+                row.excess,
+                row.disagreement,
+                row.ranked_by,
+                row.reason,
+                by_member=tuple(predicted[:, row.design].tolist()),
+            )
+            for row in ranked
+        ],
+        champions={"Dry Land, 1 m": [retried]},
         phantom_thrust=[mean(rng.normal(0.1 * n, 0.02, 9)) for n in range(3)] + [Estimate.missing("it is not finite")],
         member_errors=[
             MemberError(
@@ -153,7 +173,7 @@ def findings() -> Findings:
 
 
 @pytest.fixture(scope="session")
-def study(slush_replay, dry_replay, promised, findings) -> StudyReport:
+def study(slush_replay, dry_replay, predicted_replay, findings) -> StudyReport:
     """Two depths; at 9 m True Slush has the mean 12, Dry Land −1, Residual Slush 9, a single member 3."""
     trials = [
         trial("true_slush", 9.0, 0, 11.0, 11.0),
@@ -183,15 +203,15 @@ def study(slush_replay, dry_replay, promised, findings) -> StudyReport:
             replace(slush_replay, title="Without", environment="dry_land"),
             slush_replay,
             replace(slush_replay, depth=9.0),
-            replace(promised, depth=9.0),
+            replace(predicted_replay, depth=9.0),
             dry_replay,
         ],
         findings=findings,
-        digests=[Digest("evolve", "true_slush 9 m trial 0", "ab" * 32)],
+        digests=[ArtifactDigest("evolve", "true_slush 9 m trial 0", "ab" * 32)],
     )
 
 
 @pytest.fixture(scope="session")
 def drawn(study) -> dict[str, Drawing | Missing]:
-    """Its figures, which take seconds."""
+    """Its figures, drawn once because that takes seconds."""
     return draw_all(study)

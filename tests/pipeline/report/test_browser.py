@@ -113,13 +113,13 @@ def test_two_robots_stand_side_by_side_or_above_one_another(opened):
     assert all(len(np.unique(half.reshape(-1, 3), axis=0)) > 20 for half in halves)  # a robot in each, not a blank
 
 
-def test_what_it_promised_stands_beside_what_it_does(opened):
-    """Unless told otherwise, for a robot that has been filmed in two worlds; one that has not stands alone."""
-    choose(opened, "choice", "1")  # it has been filmed in True Slush alone
+def test_the_prediction_is_shown_beside_true_slush(opened):
+    """By default, for a robot that was filmed in two environments; other robots are shown alone."""
+    choose(opened, "choice", "1")  # filmed in True Slush only
     alone = opened.picture("#stage")
     choose(opened, "choice", "3")
     choose(opened, "beside", "")
-    promised = opened.picture("#stage")
+    predicted = opened.picture("#stage")
     choose(opened, "beside", "twin")
     both = opened.picture("#stage")
     wide = opened.evaluate("innerWidth") > 600
@@ -127,9 +127,9 @@ def test_what_it_promised_stands_beside_what_it_does(opened):
     assert (first.shape == second.shape) and (first != second).any()
     assert (both.shape[0] > alone.shape[0]) != wide
     choose(opened, "overlay", "disagreement")
-    said = opened.evaluate("document.getElementById('legend').textContent")
-    assert "Solid: in Residual Slush (member 1); dashed: in True Slush." in said
-    assert promised.shape == alone.shape
+    legend = opened.evaluate("document.getElementById('legend').textContent")
+    assert "Solid: in Residual Slush (member 1); dashed: in True Slush." in legend
+    assert predicted.shape == alone.shape
 
 
 def test_overlays_colour_links_and_the_line_below_follows(opened):

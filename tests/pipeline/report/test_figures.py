@@ -50,7 +50,7 @@ def test_the_arms_have_their_colours_and_names(drawn):
     assert ENVIRONMENTS["residual_slush"].adapted_color in svg
 
 
-def test_the_paper_stands_beside_nine_metres_alone(study, drawn):
+def test_the_paper_is_shown_at_nine_metres_only(study, drawn):
     assert PAPER_MARK in drawn["transfer_at_depth"].svg.decode()
     shallow = draw("transfer_at_depth", replace(study, trials=[t for t in study.trials if t.depth == 1.0]))
     assert PAPER_MARK not in shallow.svg.decode()
@@ -72,19 +72,19 @@ def test_an_empty_study_says_why_for_each(study):
     empty = draw_all(replace(study, trials=[], residual_errors=[], findings=Findings()))
     assert {name: missing.reason for name, missing in empty.items() if isinstance(missing, Missing)} == {
         "attribution": "no champion’s controller has been adapted yet",
-        "transfer_matrix": "no champion has been tested at a depth other than its own yet",
-        "data_set": "no link has been thrown yet, or the study needs none",
+        "transfer_matrix": "no champion has been tested at another depth than its own yet",
+        "data_set": "no link has been thrown yet, or the study needs no throws",
         "prediction_accuracy": "no design has been simulated under every member yet",
         "prediction_accuracy_wide": "no design has been simulated under every member yet",
         "aggregates": "no design has been simulated under every member yet",
         "member_error": "no member has been compared with True Slush yet",
-        "phantom_thrust": "no member has been tried at low speed yet",
+        "phantom_thrust": "no member has been tested at low speed yet",
         "family_tree": "no champion’s ancestors have been traced yet",
         "transfer_at_depth": "no trial has finished yet",
         "transfer_across_depths": "no trial has finished yet",
         "fitness_curves": "no trial has finished a generation yet",
         "fitness_curves_wide": "no trial has finished a generation yet",
-        "residual_error": "no member of the residual ensemble has been validated yet, or the study needs none",
+        "residual_error": "no member of the ensemble has been validated yet, or the study needs no networks",
     }
 
 
@@ -117,8 +117,8 @@ def test_a_shorter_trial_cuts_the_mean_curve(study):
     assert "3" in ticks and "8" not in ticks
 
 
-def test_r_and_slope_stand_over_each_histogram(drawn, study):
-    """Of every member; over the ensemble's those of μ and of μ − σ."""
+def test_r_and_slope_are_above_each_histogram(drawn, study):
+    """For every member, and for μ and μ − σ above the ensemble's."""
     fits = {fit.name: fit for fit in study.findings.accuracy.regressions}
     for name in ("prediction_accuracy", "prediction_accuracy_wide"):
         shown = texts(drawn[name])
@@ -129,21 +129,21 @@ def test_r_and_slope_stand_over_each_histogram(drawn, study):
             assert f"{symbol}: R {fit.r.value:.2f}, m {fit.slope.value:.2f}" in shown
 
 
-def test_every_way_to_take_the_members_together_is_drawn(drawn, study):
+def test_every_aggregate_is_drawn(drawn, study):
     shown = texts(drawn["aggregates"])
     assert {"member 0", "μ", "μ − σ", "μ − 2 σ", "min", "median"} <= set(shown)
     assert len([text for text in shown if text.startswith("μ − ")]) == 7  # k of 0.25, 0.5, 0.75, 1, 1.5, 2 and 3
 
 
-def test_a_cell_of_the_matrix_holds_what_was_measured(drawn):
+def test_cells_of_the_matrix_hold_the_means(drawn):
     assert {"30.0", "12.0", "18.0", "9.0"} <= set(texts(drawn["transfer_matrix"]))
 
 
-def test_a_reason_of_the_analysis_stands_in_the_figures_place(study):
-    why = "a single member has nobody to disagree with"
+def test_a_reason_of_the_analysis_replaces_the_figure(study):
+    why = "a single member has no other to disagree with"
     missing = draw("phantom_thrust", replace(study, findings=Findings(missing={"phantom_thrust": why})))
     assert isinstance(missing, Missing) and missing.reason == why
 
 
-def test_colours_of_the_paper_are_marked_apart_from_those_of_the_run(drawn):
+def test_the_papers_values_have_a_colour_of_their_own(drawn):
     assert PAPER_MARK in drawn["aggregates"].svg.decode()

@@ -145,7 +145,7 @@ def test_the_transfer_table_by_hand(html):
 
 def test_the_finding_says_it_in_words(html):
     assert (
-        "In 9 m of True Slush, champions put there as they were moved on average 12.0 m if they evolved in True Slush, "
+        "In 9 m of True Slush, zero-shot champions moved on average 12.0 m if they evolved in True Slush, "
         "−1.0 m (−8 %) if they evolved on Dry Land, 9.0 m (75 %) if they evolved in Residual Slush"
         in re.sub(r" (?=[,.])", "", Page(html).text)
     )
@@ -175,7 +175,7 @@ def test_every_text_of_the_study_is_escaped(study):
             diverged=[NASTY],
             digests=[replace(study.digests[0], label=NASTY, stage=NASTY)],
             residual_errors=[replace(row, speed_band=NASTY, unit=NASTY) for row in study.residual_errors],
-            replays=[replace(study.replays[0], title=NASTY, world=NASTY)],
+            replays=[replace(study.replays[0], title=NASTY, seen_in=NASTY)],
         )
     )
     page = Page(nasty)
@@ -186,29 +186,34 @@ def test_every_text_of_the_study_is_escaped(study):
     assert page.text.count("onerror=alert(2)") >= 8
 
 
-def test_what_was_set_aside_is_named(study, drawn, html):
-    failed, untried, wild = "Not everything ran", "need what is missing", "Designs diverged"
-    for words in (failed, untried, wild, "failed twice"):
+def test_failed_work_items_are_listed(study, drawn, html):
+    failed, untried, wild = "The study is incomplete", "need a failed work item", "Some designs diverged"
+    for words in (failed, untried, wild, "work items failed"):
         assert words not in html
     lacking = Page(render_page(replace(study, failed=["dry_land 9 m trial 3"]), drawn)).text
-    assert f"{failed}; what is below does without it. These failed twice and were set aside. dry_land 9 m" in lacking
+    assert f"{failed}, and so is this page. These work items failed. dry_land 9 m" in lacking
     assert untried not in lacking and wild not in lacking
 
 
-def test_what_did_not_fail_is_not_said_to_have_failed(study, drawn):
+def test_work_items_that_were_not_tried_are_not_called_failed(study, drawn):
     untried = Page(render_page(replace(study, not_possible=["films/together not possible: …"]), drawn)).text
-    assert "These need what is missing, and were not tried. films/together" in untried and "failed" not in untried
+    assert (
+        "These need a failed work item and were not tried. films/together" in untried and "items failed" not in untried
+    )
     wild = Page(render_page(replace(study, diverged=["evolve: dry_land/9m/trial-3: 12 of 700"]), drawn)).text
-    assert "Designs diverged. They were set aside" in wild and "errors. evolve: dry_land/9m/trial-3: 12 of 700" in wild
-    assert "failed twice" not in wild and "Not everything ran" not in wild
+    assert (
+        "Some designs diverged. They count as unfit" in wild
+        and "networks. evolve: dry_land/9m/trial-3: 12 of 700" in wild
+    )
+    assert "failed" not in wild and "incomplete" not in wild
 
 
 def test_a_study_that_has_only_begun_makes_a_page(study):
     started = replace(study, trials=[], residual_errors=[], replays=[], digests=[], findings=Findings())
     page = Page(render_page(started))
     assert page.open == [] and page.scripts == {}
-    for missing in ("The replay viewer", "Transfer at the deepest depth", "The transfer table"):
-        assert f"{missing} is not here" in page.text
+    for missing in ("The replay viewer", "Transfer at the greatest depth", "The transfer table"):
+        assert f"{missing} : not available, because" in page.text
 
 
 def test_how_it_was_made_is_there(html):

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from pipeline.config.settings import Rollout
 from pipeline.report.replay import QUANTUM, EncodedReplay, Overlay, encode, replay_of
 
-WORDS = {"title": "a walk", "environment": "", "world": "True Slush", "depth": 2.0, "has_medium": True}
+WORDS = {"title": "a robot", "environment": "", "seen_in": "True Slush", "depth": 2.0, "surroundings": "true slush"}
 
 
 def decode(encoded: EncodedReplay) -> np.ndarray:
@@ -42,7 +42,7 @@ def test_time_passes_as_in_the_rollout(rollout):
 
 
 def test_a_film_of_another_medium_is_not_of_true_slush(slush_replay):
-    assert slush_replay.in_true_slush and not replace(slush_replay, other_medium=True).in_true_slush
+    assert slush_replay.in_true_slush and not replace(slush_replay, surroundings="another medium").in_true_slush
 
 
 def test_joints_hold_in_the_replay(slush_replay):
@@ -90,7 +90,7 @@ def test_a_diverged_rollout_is_refused(rollout):
     design, trace, _ = rollout
     broken = trace.copy()
     broken[-1, 3, 1] = np.nan
-    with pytest.raises(ValueError, match="'a walk': the rollout diverged"):
+    with pytest.raises(ValueError, match="'a robot': the rollout diverged"):
         replay_of(design, broken, n_settle=0, **WORDS)
 
 
@@ -98,9 +98,9 @@ def test_a_wrong_trace_is_named(rollout):
     design, trace, _ = rollout
     with pytest.raises(ValueError, match=r"shape \(240, 5, 6\), expected \(n_steps, 6, 6\)"):
         replay_of(design, trace[:, :5], n_settle=0, **WORDS)
-    with pytest.raises(ValueError, match="240 steps, expected 242 or more"):
+    with pytest.raises(ValueError, match="expected at least 242 steps, got 240"):
         replay_of(design, trace, n_settle=240, **WORDS)
-    with pytest.raises(ValueError, match="2 designs, expected one"):
+    with pytest.raises(ValueError, match="expected one design, got 2"):
         replay_of(design[[0, 0]], trace, n_settle=0, **WORDS)
 
 
@@ -111,7 +111,7 @@ def test_the_shortest_rollout_that_settings_allow_is_the_shortest_that_can_be_sh
     n_measure = 3 if n_settle == 0 else 2
     n_steps = Rollout(n_settle=n_settle, n_measure=n_measure).n_settle + n_measure
     assert len(replay_of(design, trace[:n_steps], n_settle=n_settle, **WORDS).frames) == 2
-    with pytest.raises(ValueError, match=f"{n_steps - 1} steps, expected {n_steps} or more"):
+    with pytest.raises(ValueError, match=f"expected at least {n_steps} steps, got {n_steps - 1}"):
         replay_of(design, trace[: n_steps - 1], n_settle=n_settle, **WORDS)
     with pytest.raises(ValueError, match=f"n_measure is {n_measure - 1}.*expected {n_measure} or more"):
         Rollout(n_settle=n_settle, n_measure=n_measure - 1)

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.report.findings import Candidate, Findings, TankTest
+from pipeline.report.findings import Findings, TankRow
 from pipeline.report.lineage import main_line
-from pipeline.report.page_tables import against_paper, contrasts, lineage, retried, suspects, tank_tests
+from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, tank_tests
 from pipeline.report.wording import interval, p_value
 from tasks.analysis import Crossing, Estimate, Tank
 
@@ -22,7 +22,7 @@ def words(html: str) -> str:
         (Estimate(1.24, 0.96, 1.55), "1.2 1.0 to 1.6"),
         (Estimate(-0.04, -0.2, 0.04), "0.0 −0.2 to 0.0"),  # no negative zero
         (Estimate(3.0, reason="1 value"), "3.0 1 value"),
-        (Estimate.missing("nobody came & went"), "– nobody came &amp; went"),
+        (Estimate.missing("none & no more"), "– none &amp; no more"),
     ],
 )
 def test_an_estimate_shows_its_interval_or_why_it_has_none(found, shown):
@@ -49,9 +49,9 @@ def test_every_contrast_and_depth_has_a_row(findings):
 
 
 def test_the_worst_exploiter_comes_first(findings):
-    worst = max(findings.suspects, key=lambda suspect: suspect.exploiter.excess)
-    first = re.search(r'<td data-column="Design">(.*?)</td>', suspects(findings))[1]
-    assert first == f"1. {worst.label}"
+    worst = max(findings.exploiters, key=lambda row: row.excess)
+    first = re.search(r'<td data-column="Design">(.*?)</td>', exploiters(findings))[1]
+    assert first == f"1. Residual Slush, 9 m, trial {worst.trial}, champion"
 
 
 def test_luck_shows_its_interval(findings):
@@ -69,29 +69,29 @@ def test_the_line_goes_through_the_fitter_parent(findings):
     assert [ancestor.identity for ancestor in main_line(fitter)] == [21, 5]
 
 
-def test_what_is_missing_says_why_in_its_place():
-    nothing = Findings(missing={"suspects": "no trial of this study needs networks"})
-    assert "no trial of this study needs networks" in suspects(nothing)
+def test_a_missing_table_is_replaced_by_its_reason():
+    nothing = Findings(missing={"exploiters": "no trial of this study needs networks"})
+    assert "no trial of this study needs networks" in exploiters(nothing)
     for table in (against_paper, contrasts, retried):
-        assert "is not here" in table(nothing)
+        assert "not available, because" in table(nothing)
 
 
-def test_the_tank_s_table_says_who_crossed_how_fast_and_why_not():
+def test_the_tank_table_gives_times_speeds_and_reasons():
     nan = float("nan")
     crossed = Crossing(length=4.0, distance=12.7, travelled=12.8, crossed=True, seconds=64.0, speed=0.2)
     slow = Crossing(length=4.0, distance=12.7, travelled=-0.3, crossed=False, seconds=nan, speed=-0.002)
     long = Crossing(length=17.0, distance=-0.3, travelled=5.0, crossed=False, seconds=nan, speed=0.03)
     lost = Crossing(length=nan, distance=nan, travelled=nan, crossed=False, seconds=nan, speed=nan)
-    candidates = [Candidate(0, False, 9.0, 0.2, long, slow), Candidate(3, True, 10.0, None, crossed, lost)]
-    text = words(tank_tests(Findings(tank_tests=[TankTest("Residual Slush, 2 m", Tank(), candidates)])))
-    assert "a tank of 1.17 m, filled 150 mm deep, at 70 mm for a metre of simulation: 16.7 m by 2.14 m" in text
-    assert "Residual Slush, 2 m: 1 of 2 cross, 0 on the dry floor" in text
-    assert "trial 0 9.0 0.2 17.0 – it is as long as the tank −2.1 of 88.9 cm −0.5 mm/s" in text  # 70 mm/m, √0.07 s/s
-    assert "✓ trial 3 10.0 – 4.0 17 s 52.9 mm/s – it diverged" in text
+    rows = [TankRow(0, False, 9.0, 0.2, 0.1, long, slow), TankRow(3, True, 10.0, None, None, crossed, lost)]
+    text = words(tank_tests(Findings(tank=Tank(), tank_tests={"Residual Slush, 2 m": rows})))
+    assert "At a scale of 70 mm per simulated metre, the tank measures 16.7 m by 2.14 m" in text
+    assert "Residual Slush, 2 m: 1 of 2 cross the tank, 0 the dry floor" in text
+    assert "trial 0 9.0 0.2 17.0 – as long as the tank −2.1 of 88.9 cm −0.5 mm/s" in text  # 70 mm/m, √0.07 s/s
+    assert "✓ trial 3 10.0 – 4.0 17 s 52.9 mm/s – diverged" in text
     assert tank_tests(Findings()) == ""
 
 
-def test_an_interval_stands_under_the_number_and_minus_signs_are_true(findings):
+def test_an_interval_is_below_its_number_and_minus_signs_are_true(findings):
     html = against_paper(findings)
     row = next(row for row in findings.against_paper if row.what == "True Slush at 9 m [m]")
     assert f'data-column="This run">{row.this_run}<small>{row.interval}</small>' in html

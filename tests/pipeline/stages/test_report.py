@@ -32,7 +32,7 @@ def page(study, settings):
 
 
 def by_world(replays):
-    return {(replay.environment, replay.world): replay for replay in replays}
+    return {(replay.environment, replay.seen_in): replay for replay in replays}
 
 
 def test_every_arm_is_filmed_in_true_slush_and_where_it_evolved(page):
@@ -57,7 +57,7 @@ def test_every_arm_is_filmed_in_true_slush_and_where_it_evolved(page):
         if environment != "true_slush":
             row = 0 if world == "True Slush" else 1
             assert moved == pytest.approx(worlds[environment]["displacement"][row], abs=1e-5)
-        assert replay.imagined == world.startswith("Residual") and (replay.push is None) == (world == "Dry Land")
+        assert replay.hallucinated == world.startswith("Residual") and (replay.push is None) == (world == "Dry Land")
         assert [overlay.unit for overlay in replay.overlays] == ["m/s²", "× usual"]
     home, slush = found["residual_slush", median["residual_slush"]], found["residual_slush", "True Slush"]
     assert home.title == slush.title and not np.array_equal(home.push, slush.push)
@@ -90,7 +90,8 @@ def test_films_and_throws_take_as_long_as_in_the_simulation(page, settings):
     slow = {**spec, "physics": {**spec["physics"], "time_step": 0.05}}
     for replay in replays_of(slow, HOW, inputs):
         assert replay.duration == pytest.approx(spec["rollout"]["n_measure"] * 0.05)
-    found = findings(inputs, assessed_depth=1.0, tank=None, time_step=0.05)
+    slow_settings = settings.model_copy(update={"physics": settings.physics.model_copy(update={"time_step": 0.05})})
+    found = findings(inputs, slow_settings)
     assert found.throws.seconds == pytest.approx(settings.throws.n_steps * 0.05)
 
 
