@@ -8,14 +8,13 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.config.settings import DEEPEST, ENVIRONMENTS, RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.config.settings import DEEPEST, RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.errors import PuddleError
 from pipeline.report import render_gif, render_mp4, render_robot, replay_of
-from pipeline.report.data import ENVIRONMENTS as STYLES
 from pipeline.stages import collect, train
 from pipeline.stages.analyses.filmed_rollouts import NOBODY, median_member
 from pipeline.stages.collect import data_set
-from pipeline.stages.report_replays import looked_at, push_of
+from pipeline.stages.report_replays import looked_at, push_of, surroundings_in
 from pipeline.stages.segments import segment_spec, world_inputs, world_of
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
@@ -23,8 +22,9 @@ from pipeline.workflow.graph import survey
 from pipeline.workflow.stage import Files, MissingInputs
 from tasks.evolution import evaluate
 from tasks.simulation import OK, simulate
+from tasks.world import ENVIRONMENTS
 
-_ENVIRONMENTS = tuple(name for name in ENVIRONMENTS if name != "single_member")
+_ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kind.networks != "one")
 _RENDERERS = {".gif": render_gif, ".mp4": render_mp4}
 _PAGE_SUFFIX = ".html"
 
@@ -94,7 +94,7 @@ def simulate_design(
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is no displacement.")
     measured_seconds = settings.rollout.n_measure * settings.physics.time_step
-    lines = [f"{STYLES[world].label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
+    lines = [f"{ENVIRONMENTS[world].label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
     evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
@@ -109,11 +109,9 @@ def simulate_design(
             trace[0],
             title=path.stem,
             environment=world,
-            world=STYLES[world].label if member == NOBODY else f"{STYLES[world].label} (member {member})",
+            seen_in=ENVIRONMENTS[world].label if member == NOBODY else f"{ENVIRONMENTS[world].label} (member {member})",
             depth=depth,
-            has_medium=world != "dry_land",
-            imagined=world == "residual_slush",
-            other_medium=world != "true_slush",
+            surroundings=surroundings_in(world),
             n_settle=settings.rollout.n_settle,
             time_step=settings.physics.time_step,
             overlays=looked_at(spec, design, trace, files) if kind == _PAGE_SUFFIX and files else (),

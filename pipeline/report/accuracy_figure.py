@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.report.data import ENVIRONMENTS, StudyReport
+from pipeline.report.data import StudyReport
 from pipeline.report.drawing import (
     DASHED,
     DOTTED,
@@ -28,6 +28,7 @@ from pipeline.report.wording import signed
 from tasks.analysis import Estimate, Regression, paper
 from tasks.analysis.prediction import Figure as Statistic
 from tasks.analysis.prediction import mean_less_deviations
+from tasks.world import ENVIRONMENTS
 
 _MEAN, _CAUTIOUS = mean_less_deviations(0), mean_less_deviations(1)
 """The paper's two aggregates, μ and μ − σ."""

@@ -12,9 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from pipeline.config.settings import EnvironmentName
 from pipeline.report import data
-from pipeline.report.data import ALL_DIVERGED, ENVIRONMENTS, Measure, StudyReport, TrialMean, TrialResult
+from pipeline.report.data import ALL_DIVERGED, Measure, StudyReport, TrialMean, TrialResult
 from pipeline.report.drawing import (
     FAINT,
     FIGURE_WIDTH,
@@ -27,6 +26,7 @@ from pipeline.report.drawing import (
     show_at_least,
 )
 from tasks.analysis import paper
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 CURVE_POINTS = 120
 """Generations drawn per fitness curve, so that a page of a hundred curves stays small."""

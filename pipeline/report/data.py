@@ -11,41 +11,16 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.config.settings import EnvironmentName
 from pipeline.report.findings import Findings
 from pipeline.report.replay import Replay
 from tasks.analysis import paper
 from tasks.analysis.comparison import BEST
 from tasks.analysis.uncertainty import RESOLUTION
 from tasks.arrays import Float64
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 Measure = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]
 """A column of the table of champions [m]."""
-
-
-@dataclass(frozen=True)
-class EnvironmentStyle:
-    """How an environment is named and drawn; the colours are those of the paper's Fig. 4."""
-
-    label: str
-    symbol: str
-    """The paper's."""
-    color: str
-    adapted_color: str
-    """The same arm once its controllers have adapted to True Slush; drawn hatched."""
-    marker: str
-    """So that colour is never the only difference."""
-    evolved: str
-    """Where a robot evolved, in a sentence."""
-
-
-ENVIRONMENTS: Mapping[EnvironmentName, EnvironmentStyle] = {
-    "true_slush": EnvironmentStyle("True Slush", "E", "#1c6fb8", "#a6cbe8", "o", "in True Slush"),
-    "dry_land": EnvironmentStyle("Dry Land", "E′", "#1d6b3c", "#9ed3a9", "s", "on Dry Land"),
-    "residual_slush": EnvironmentStyle("Residual Slush", "Ê", "#dd7700", "#fbcb8f", "^", "in Residual Slush"),
-    "single_member": EnvironmentStyle("Single member", "Ê₁", "#7d4aa5", "#cfb6e2", "D", "with a single member"),
-}
-"""In the order in which they are listed everywhere."""
 
 
 def arm_words(environment: EnvironmentName, depth: float) -> str:

@@ -10,9 +10,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pipeline.report.data import ENVIRONMENTS, StudyReport
+from pipeline.report.data import StudyReport
 from pipeline.report.drawing import FIGURE_WIDTH, INK, NothingToDraw, count, draw_interval, legend, sampled
 from pipeline.report.findings import ThrownPaths
+from tasks.world import ENVIRONMENTS
 
 _COLORS = ("#dd7700", "#1c6fb8", "#7d4aa5")
 """Colours of the projectiles, from short to long."""

@@ -10,10 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pipeline.report.data import ENVIRONMENTS, StudyReport
+from pipeline.report.data import StudyReport
 from pipeline.report.drawing import FIGURE_WIDTH, INK, NothingToDraw, legend, show_at_least
 from pipeline.report.wording import number
 from tasks.analysis import Attribution, TransferMatrix
+from tasks.world import ENVIRONMENTS
 
 
 def attribution(report: StudyReport) -> tuple[Figure, str]:
@@ -74,7 +75,8 @@ _SHARE_COLORS = LinearSegmentedColormap.from_list("shares", ["#f7f4ec", "#f0c987
 def transfer_matrix(report: StudyReport) -> tuple[Figure, str]:
     """Draw a heat map for each arm: the depth of evolution by row, the depth of the test by column."""
     matrices = report.findings.transfer_matrices
-    ordered = [(name, matrices[name]) for name in ENVIRONMENTS if name in matrices and (matrices[name].n > 0).any()]
+    tested = [(name, matrix) for name, matrix in matrices.items() if (matrix.n > 0).any()]
+    ordered = sorted(tested, key=lambda item: list(ENVIRONMENTS).index(item[0]))
     if not ordered:
         reason = "no champion has been tested at another depth than its own yet"
         raise NothingToDraw(report.findings.why("transfer_matrices", reason))

@@ -9,11 +9,11 @@ from importlib.resources import files
 from itertools import groupby
 from string import Template
 
-from pipeline.config.settings import EnvironmentName
 from pipeline.report.replay import Replay, encode
 from pipeline.report.wording import absent, number
+from tasks.world import ENVIRONMENTS
 
-_EXEMPLARS: tuple[EnvironmentName, EnvironmentName] = ("residual_slush", "dry_land")
+_EXEMPLARS = ("residual_slush", "dry_land")
 """Arms of the gallery: with residuals and without. Paper, Fig. 1."""
 
 _SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
@@ -33,8 +33,20 @@ def document(*, title: str, policy: str, body: str, css: str = "") -> str:
         body: HTML.
         css: styles in addition to page.css.
     """
-    texts = {"title": title, "policy": policy, "css": resource("page.css").rstrip() + css, "body": body.rstrip()}
+    styles = f"{resource('page.css').rstrip()}\n{environment_css()}{css}"
+    texts = {"title": title, "policy": policy, "css": styles, "body": body.rstrip()}
     return Template(resource("document.html")).substitute(texts)
+
+
+def environment_css() -> str:
+    """Return the colours of all environments, for a light and for a dark page."""
+    light = dark = swatches = ""
+    for name, kind in ENVIRONMENTS.items():
+        variable = f"--{name.replace('_', '-')}"
+        light += f" {variable}: {kind.color}; {variable}-adapted: {kind.adapted_color};"
+        dark += f" {variable}: {kind.dark_color}; {variable}-adapted: {kind.dark_adapted_color};"
+        swatches += f".{name} {{ background: var({variable}); }}\n"
+    return f":root {{{light} }}\n@media (prefers-color-scheme: dark) {{ :root {{{dark} }} }}\n{swatches}"
 
 
 # -- the gallery ------------------------------------------------------------------------------------------------------

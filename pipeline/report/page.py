@@ -12,7 +12,7 @@ from html import escape
 from string import Template
 
 from pipeline.report import data
-from pipeline.report.data import ALL_DIVERGED, ENVIRONMENTS, Draws, StudyReport, TrialResult
+from pipeline.report.data import ALL_DIVERGED, Draws, StudyReport, TrialResult
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.moving import document, gallery, resource, script, viewer
@@ -20,6 +20,7 @@ from pipeline.report.page_tables import against_paper, contrasts, exploiters, li
 from pipeline.report.replay import Replay
 from pipeline.report.transfer_table import transfer_table
 from pipeline.report.wording import absent, folded, number, percent
+from tasks.world import ENVIRONMENTS
 
 _STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"
 """Nothing is loaded from elsewhere."""

@@ -16,10 +16,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from pipeline.report.camera import CAPTION_HEIGHT, LANE_SIZE, ZOOM, Camera
-from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.drawing import INK
 from pipeline.report.replay import Replay
 from tasks.arrays import Float64
+from tasks.world import ENVIRONMENTS
 
 SKY, SLUSH, GROUND_FILL, GROUND_EDGE, SURFACE = "#f5f8fb", "#bcd9ee", "#8b7d6b", "#5f5446", "#5d9fcd"
 DISTANCE_LINE, UNKNOWN, WHITE = "#d5dde5", "#566270", "#ffffff"

@@ -5,20 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from pipeline.config.settings import EnvironmentName
-from pipeline.report.data import (
-    ENVIRONMENTS,
-    Measure,
-    TrialMean,
-    TrialResult,
-    arm,
-    depths,
-    paper_mean,
-    ratio,
-    trial_mean,
-)
+from pipeline.report.data import Measure, TrialMean, TrialResult, arm, depths, paper_mean, ratio, trial_mean
 from pipeline.report.wording import NONE, absent, number, percent, scrolling
 from tasks.analysis import paper
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 
 def transfer_table(trials: Sequence[TrialResult]) -> str:

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from pipeline.config.settings import EnvironmentName, Settings
-from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.findings import TankRow
 from pipeline.report.replay import Replay, replay_of
 from pipeline.stages import segments
@@ -19,7 +18,7 @@ from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.workflow.stage import Files
 from tasks.simulation import OK, simulate
-from tasks.world import DryLand
+from tasks.world import ENVIRONMENTS, DryLand
 
 Row = tuple[EnvironmentName, float, int]
 """Environment, depth [m] and number of a trial."""

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName
-from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import segments
 from pipeline.stages.analyse import arm_label, arms_of, read_table
@@ -21,7 +20,7 @@ from pipeline.stages.analyses.instruments import transitions_of
 from pipeline.workflow.stage import Files, Spec
 from tasks.analysis import acceleration, disagreement, link_states, novelty, thrown
 from tasks.design import Designs
-from tasks.world import Medium, Physics
+from tasks.world import ENVIRONMENTS, Medium, Physics
 
 LAID_OVER = (
     ("disagreement", "what the members disagree about", "m/s²", 0.0),

@@ -128,18 +128,6 @@ MEDIUM = {
             '    if world == "true_slush":\n',
         ),
     ],
-    "pipeline/report/page.css": [
-        ("--true-slush: #1c6fb8;", "--tar-pit: #333333; --tar-pit-adapted: #999999; --true-slush: #1c6fb8;"),
-        ("--true-slush: #4d9de0;", "--tar-pit: #cccccc; --tar-pit-adapted: #666666; --true-slush: #4d9de0;"),
-        (".true_slush {", ".tar_pit { background: var(--tar-pit); } .true_slush {"),
-    ],
-    "pipeline/report/data.py": [
-        (
-            '    "single_member": Env',
-            '    "tar_pit": EnvironmentStyle("Tar Pit", "T", "#333333", "#999999", "v", "in the Tar Pit"),\n'
-            '    "single_member": Env',
-        )
-    ],
 }
 LEARNT = {
     "pipeline/stages/segments.py": [

@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from importlib.resources import files
 
 import numpy as np
 import pytest
 
 from pipeline.report.data import (
-    ENVIRONMENTS,
     TrialMean,
     TrialResult,
     arm,
@@ -19,14 +17,16 @@ from pipeline.report.data import (
     ratio,
     trial_mean,
 )
+from pipeline.report.moving import environment_css
+from tasks.world import ENVIRONMENTS
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_the_page_has_every_environments_colours_for_light_and_dark(name):
-    css, style = files("pipeline.report").joinpath("page.css").read_text(encoding="utf-8"), ENVIRONMENTS[name]
-    variable = f"--{name.replace('_', '-')}"
-    assert f"{variable}: {style.color};" in css and f"{variable}-adapted: {style.adapted_color};" in css
-    assert css.count(f"{variable}: ") == css.count(f"{variable}-adapted: ") == 2
+    css, kind, variable = environment_css(), ENVIRONMENTS[name], f"--{name.replace('_', '-')}"
+    light, dark = css.split("@media")
+    assert f"{variable}: {kind.color};" in light and f"{variable}-adapted: {kind.adapted_color};" in light
+    assert f"{variable}: {kind.dark_color};" in dark and f"{variable}-adapted: {kind.dark_adapted_color};" in dark
     assert f".{name} {{ background: var({variable}); }}" in css
 
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.report.data import ENVIRONMENTS, TrialResult
+from pipeline.report.data import TrialResult
 from pipeline.report.drawing import PAPER_MARK, Drawing, Missing, finish
 from pipeline.report.figures import FIGURES, draw_all
 from pipeline.report.findings import Findings
+from tasks.world import ENVIRONMENTS
 
 
 def draw(name: str, study) -> Drawing | Missing:

@@ -11,7 +11,6 @@ import pytest
 from PIL import Image, ImageColor
 
 from pipeline.report.camera import FILM_FPS, LANE_HEIGHT, PICTURE_WIDTH
-from pipeline.report.data import ENVIRONMENTS
 from pipeline.report.films import GIF_EVERY, pictures, render_films, render_gif, render_mp4
 from pipeline.report.robot_view import (
     GROUND_EDGE,
@@ -24,6 +23,7 @@ from pipeline.report.robot_view import (
     mix,
     robot_colors,
 )
+from tasks.world import ENVIRONMENTS
 
 
 def count(picture: Image.Image, color: str | tuple[int, int, int]) -> int:
