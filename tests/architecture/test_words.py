@@ -79,14 +79,14 @@ FILES = {
     "keeper": "supervisor",
     "kernels": "trees",
     "marks": "watchdog",
-    "nursery": "fork_server",
+    "fork_server": "fork_server",
     "places": "parent indices",
     "rates": "cost_model",
     "reach": "preflight",
     "rows": "layout",
     "sizes": "storage_model",
     "specimens": "calibration",
-    "volatile": "crash_consistency_disk",
+    "crash_consistency_disk": "crash_consistency_disk",
 }
 """Retired names of modules, and what to call them."""
 

@@ -1,4 +1,4 @@
-"""What the torture shares: the nursery, which forks drivers that may die in milliseconds, and a place for stores."""
+"""Fixtures of the torture tests: the fork server, and folders for stores."""
 
 import contextlib
 import json
@@ -16,12 +16,12 @@ import pytest
 HERE = Path(__file__).parent
 
 
-class Nursery:
-    """The process of tests/torture/nursery.py."""
+class ForkServer:
+    """The process of tests/torture/fork_server.py."""
 
     def __init__(self, size: str, inside: Sequence[str] = ()) -> None:
         self._process = subprocess.Popen(
-            [*inside, sys.executable, str(HERE / "nursery.py"), size],
+            [*inside, sys.executable, str(HERE / "fork_server.py"), size],
             env={**os.environ, "PYTHONPATH": str(HERE.parents[1]), "OMP_NUM_THREADS": "1"},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -29,37 +29,34 @@ class Nursery:
         )
         self.pid = self._process.pid
 
-    def _answer(self) -> Any:
-        line = self._process.stdout.readline()
-        assert line, "the nursery is dead"
-        return json.loads(line)
-
-    def ask(self, **command: Any) -> Any:
-        """Have a command carried out by a child."""
+    def execute(self, **command: Any) -> Any:
+        """Have a child execute a command; return the answer."""
         self._process.stdin.write(json.dumps(command) + "\n")
         self._process.stdin.flush()
-        return self._answer()
+        line = self._process.stdout.readline()
+        assert line, "the fork server is dead"
+        return json.loads(line)
 
     def drive(self, root: Path, **command: Any) -> dict[str, Any]:
-        """Drive the study in a store; return what the driver noted, and how it ended."""
-        told = self.ask(roots=[str(root)], **command)
-        return {**next(iter(told["answers"]), {}), **told}  # none where the driver did not come to its study
+        """Drive the study in a store; return what the driver recorded, and how it ended."""
+        answer = self.execute(roots=[str(root)], **command)
+        return {**next(iter(answer["answers"]), {}), **answer}  # no answers if the driver ended before its study
 
     def finish(self, roots: Sequence[Path], **command: Any) -> list[dict[str, Any]]:
-        """Drive the study in some stores, which should be well afterwards."""
-        told = self.ask(roots=[str(root) for root in roots], **command)
-        assert told["status"] == 0, told["traceback"]
-        for answer in told["answers"]:
-            assert "error" not in answer, answer["error"]
-            assert answer["wrong"] == []
-        return told["answers"]
+        """Drive the study in some stores to its end; check that all is well afterwards."""
+        answer = self.execute(roots=[str(root) for root in roots], **command)
+        assert answer["status"] == 0, answer["traceback"]
+        for one in answer["answers"]:
+            assert "error" not in one, one["error"]
+            assert one["wrong"] == []
+        return answer["answers"]
 
     def drive_at_once(self, root: Path, studies: Sequence[str], **command: Any) -> list[dict[str, Any]]:
-        """Drive studies in one store, each in a process of its own; return what each driver noted."""
-        told = self.ask(roots=[str(root)], studies=studies, **command)
-        for one in told:
+        """Drive studies in one store, each in a process of its own; return what each driver recorded."""
+        answer = self.execute(roots=[str(root)], studies=studies, **command)
+        for one in answer:
             assert one["status"] == 0, one["traceback"]
-        return [one["answers"][0] for one in told]
+        return [one["answers"][0] for one in answer]
 
     def close(self) -> None:
         self._process.stdin.close()
@@ -67,21 +64,21 @@ class Nursery:
 
 
 @pytest.fixture(scope="session")
-def start_nursery(request: pytest.FixtureRequest) -> Iterator[Callable[..., Nursery]]:
-    """Start nurseries, each by the words of a program, if any, which becomes it."""
+def start_fork_server(request: pytest.FixtureRequest) -> Iterator[Callable[..., ForkServer]]:
+    """Start fork servers; the arguments, if any, are a program that execs its remaining arguments."""
     size = "large" if request.config.getoption("--torture") else "small"
     with contextlib.ExitStack() as stack:
-        yield lambda *inside: stack.enter_context(contextlib.closing(Nursery(size, inside)))
+        yield lambda *inside: stack.enter_context(contextlib.closing(ForkServer(size, inside)))
 
 
 @pytest.fixture(scope="session")
-def nursery(start_nursery: Callable[..., Nursery]) -> Nursery:
-    return start_nursery()
+def fork_server(start_fork_server: Callable[..., ForkServer]) -> ForkServer:
+    return start_fork_server()
 
 
 @pytest.fixture
-def place() -> Iterator[Callable[[], Path]]:
-    """Give folders for stores, in memory where there is room: thousands are made."""
+def new_folder() -> Iterator[Callable[[], Path]]:
+    """Make folders for stores, in memory where there is room: thousands are made."""
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(prefix="puddle-torture-", dir=memory if memory.is_dir() else None) as top:
         yield lambda: Path(tempfile.mkdtemp(dir=top))
@@ -89,7 +86,7 @@ def place() -> Iterator[Callable[[], Path]]:
 
 @pytest.fixture
 def short_folder() -> Iterator[Path]:
-    """A folder whose path leaves room for those of Ray's sockets."""
+    """A folder whose path leaves room for the names of Ray's sockets."""
     folder = Path(tempfile.mkdtemp(prefix="puddle-", dir="/tmp"))
     yield folder
     shutil.rmtree(folder, ignore_errors=True)

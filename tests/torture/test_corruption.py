@@ -1,9 +1,9 @@
-"""No damaged file is accepted: reading refuses it by name, `puddle verify` finds it, and it alone is made again.
+"""No damaged file is accepted: reading refuses it by name, `puddle verify` finds it, and it alone is recomputed.
 
-The store holds a whole study: tables, weights, designs, figures, manifests, the study's record and its report. Loose
-files, which a person may edit, can't be sealed: a damaged design, settings, calibration or timeline is refused with its
-name, a value of another type by its field too; or it is another valid one, and of settings, the study says which ones
-changed.
+The store contains a whole study: tables, weights, designs, figures, manifests, the study's record and its report. Loose
+files, which a person may edit, cannot be sealed. A damaged design, settings, calibration or timeline file is either
+refused by name, and by field if a value has the wrong type, or it is another valid file. For settings, the study then
+says which ones changed.
 """
 
 import copy
@@ -29,17 +29,17 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def pristine(nursery, tmp_path_factory):
-    """A store with a study that is done."""
+def pristine(fork_server, tmp_path_factory):
+    """A store with a finished study."""
     root = tmp_path_factory.mktemp("pristine") / "store"
-    nursery.finish([root], study="full")
+    fork_server.finish([root], study="full")
     return root
 
 
 @pytest.fixture
-def store(pristine, place) -> Store:
-    """A copy to be damaged."""
-    root = place() / "store"
+def store(pristine, new_folder) -> Store:
+    """A copy of the store, to be damaged."""
+    root = new_folder() / "store"
     shutil.copytree(pristine, root)
     return Store.open(root, create=False)
 
@@ -49,11 +49,11 @@ def files_of(root: Path) -> list[Path]:
 
 
 def damage(path: Path, others: list[Path], rng: np.random.Generator) -> list[Path]:
-    """Damage a file, or swap it with another; return the files that are not what they were."""
+    """Damage a file, or swap it with another one; return the files that changed."""
     good = path.read_bytes()
     kind = rng.choice(["flip", "flip", "flip", "cut", "more", "zeros", "gone", "folder", "swap"])
     if kind == "folder" and "items" not in path.parts:
-        kind = "gone"  # a folder where the report should be is somebody's: the study says so and stops
+        kind = "gone"  # a folder in place of a report file belongs to the user: the study says so and stops
     bad = bytearray(good)
     match kind:
         case "flip":
@@ -88,10 +88,10 @@ def mend(path: Path, good: bytes) -> None:
 
 
 def named(bad: list[Path], said: list[str]) -> bool:
-    """Tell whether messages name each damaged file.
+    """Return whether messages name each damaged file.
 
-    Where a study's record is damaged, nobody knows what its report should be: naming the record is naming both. Where
-    an item's manifest is, nobody knows what its files should be.
+    If a study's record is damaged, the content of its report is unknown, so naming the record names both. If an item's
+    manifest is damaged, the content of the item's files is unknown.
     """
     lost = {path.parent / "report" for path in bad if path.name == "study.json"}
     lost |= {path.parent for path in bad if path.name == "manifest.json"}
@@ -100,18 +100,18 @@ def named(bad: list[Path], said: list[str]) -> bool:
 
 
 N_AT_ONCE = 10
-"""Files damaged before a store is looked at: to hash it all takes as long for one as for ten."""
+"""Files damaged before the store is verified: hashing all of it takes as long for one as for ten."""
 
 
 def chosen(files: list[Path], rng: np.random.Generator) -> list[Path]:
     """Choose files to damage, half of them as partners of swaps.
 
-    What tells of other files (a study's record; a report's manifest, of its copies) is damaged by itself.
+    Files that describe others (a study's record; a report's manifest, which describes the copies) are damaged alone.
     """
     shuffled = [files[index] for index in rng.permutation(len(files))]
-    tells = [path.match("study.json") or path.match("items/report/*/*/manifest.json") for path in shuffled]
-    to_damage = [path for path, of_others in zip(shuffled, tells, strict=True) if not of_others or path == shuffled[0]]
-    return to_damage[: 2 if tells[0] else 2 * N_AT_ONCE]
+    describes = [path.match("study.json") or path.match("items/report/*/*/manifest.json") for path in shuffled]
+    to_damage = [path for path, alone in zip(shuffled, describes, strict=True) if not alone or path == shuffled[0]]
+    return to_damage[: 2 if describes[0] else 2 * N_AT_ONCE]
 
 
 def test_every_damage_is_found_and_named(torture, store):
@@ -121,7 +121,7 @@ def test_every_damage_is_found_and_named(torture, store):
     n_of: dict[str, int] = {}
     n_attempts = n_damages = 0
     for n_attempts, rng in enumerate(torture.attempts(1000 // N_AT_ONCE, 50_000 // N_AT_ONCE), 1):
-        while n_damages < n_attempts * N_AT_ONCE:  # what tells of others is damaged alone
+        while n_damages < n_attempts * N_AT_ONCE:  # files that describe others are damaged alone
             paths, n_wanted = chosen(files, rng), n_attempts * N_AT_ONCE - n_damages
             alone = len(paths) == 2
             partners = [items[int(rng.integers(len(items)))]] if alone else paths[1::2]
@@ -148,20 +148,20 @@ def test_no_damaged_item_is_read(torture, store):
         good = {path: path.read_bytes() for path in files}
         bad = damage(files[int(rng.integers(len(files)))], files, rng)
         gone = any(path.name == "manifest.json" and not path.exists() for path in bad)
-        if gone:  # then it never happened
+        if gone:  # then the item does not exist
             assert store.manifest(stage, key) is None
         elif bad:
-            with pytest.raises(DamagedArtifact) as told:
+            with pytest.raises(DamagedArtifact) as refusal:
                 for name in store.manifest(stage, key).files:
                     store.read(store.manifest(stage, key), name)
-            assert (told.value.stage, told.value.key) == (stage, key)
-            assert any(str(path) in str(told.value) for path in bad)
+            assert (refusal.value.stage, refusal.value.key) == (stage, key)
+            assert any(str(path) in str(refusal.value) for path in bad)
         for path in bad:
             mend(path, good[path])
 
 
 def a_damaged_copy(pristine: Path, root: Path, rng: np.random.Generator) -> list[Path]:
-    """Copy a store and damage one to five of its files, or more by swaps; return those that are not what they were."""
+    """Copy a store and damage one to five of its files, or more by swaps; return those that changed."""
     shutil.copytree(pristine, root)
     files, touched = [path for path in files_of(root) if path.name != "store.json"], set()
     for path in rng.choice(files, size=int(rng.integers(1, 6)), replace=False):
@@ -172,53 +172,53 @@ def a_damaged_copy(pristine: Path, root: Path, rng: np.random.Generator) -> list
 
 
 def keys_of(bad: list[Path]) -> set[str]:
-    """Give the keys of the items that files are of; copies of a report, and a study's record, are of none."""
+    """Return the keys of the items that files belong to; copies of a report and a study's record belong to none."""
     return {path.parent.name for path in bad if "items" in path.parts}
 
 
-def test_only_what_is_damaged_is_computed_again(torture, nursery, pristine, place):
-    (undisturbed,) = nursery.finish([pristine], study="full")
+def test_only_damaged_items_are_recomputed(torture, fork_server, pristine, new_folder):
+    (undisturbed,) = fork_server.finish([pristine], study="full")
     n_damaged = 0
     for rng in torture.attempts(40, 2000):
-        root = place() / "store"
+        root = new_folder() / "store"
         bad = a_damaged_copy(pristine, root, rng)
         damaged = keys_of(bad)
         found = {key for _, key in damaged_items(find_damage(Store.open(root, create=False)))}
-        listed = not any(path.name == "study.json" for path in bad)  # or what lost its manifest is missed by nobody
+        listed = not any(path.name == "study.json" for path in bad)  # without the record, no item is missed
         gone = {path.parent.name for path in bad if path.name == "manifest.json" and not path.exists()}
         assert found == (damaged if listed else damaged - gone)
-        (answer,) = nursery.finish([root], study="full", discard=True)
+        (answer,) = fork_server.finish([root], study="full", discard=True)
         assert set(answer["computed"]) == damaged
         assert answer["tree"] == undisturbed["tree"]
         n_damaged += len(damaged)
         shutil.rmtree(root)
-    torture.note(f"{n_damaged:,} damaged items computed again, and no other")
+    torture.note(f"{n_damaged:,} damaged items recomputed, and no other")
 
 
-def test_a_run_computes_again_what_it_meets_damaged_and_no_other(torture, nursery, pristine, place):
-    """Without `puddle verify` first. It meets what is not there in its length, and what it reads; the rest stays."""
-    (undisturbed,) = nursery.finish([pristine], study="full")
+def test_a_run_recomputes_the_damage_it_meets_and_nothing_else(torture, fork_server, pristine, new_folder):
+    """Without `puddle verify`, a run notices missing files, wrong lengths, and damage in what it reads."""
+    (undisturbed,) = fork_server.finish([pristine], study="full")
     n_met = n_left = 0
     for rng in torture.attempts(20, 1000):
-        root = place() / "store"
+        root = new_folder() / "store"
         bad = a_damaged_copy(pristine, root, rng)
         lengths = {path: (pristine / path.relative_to(root)).stat().st_size for path in bad}
         plain = [path for path in bad if not path.is_file() or path.stat().st_size != lengths[path]]
         to_be_met = keys_of([*plain, *(path for path in bad if path.name == "manifest.json")])
-        told = nursery.drive(root, study="full")
-        assert told["status"] == 0 and "error" not in told, told
-        computed = set(told["computed"])
+        answer = fork_server.drive(root, study="full")
+        assert answer["status"] == 0 and "error" not in answer, answer
+        computed = set(answer["computed"])
         assert to_be_met <= computed <= keys_of(bad)
         left = [path for path in bad if path.parent.name in keys_of(bad) - computed]
-        differ = {name for name, _ in told["tree"].items() ^ undisturbed["tree"].items()}
+        differ = {name for name, _ in answer["tree"].items() ^ undisturbed["tree"].items()}
         assert differ == {str(path.relative_to(root)) for path in left}
-        assert named(left, told["wrong"]) and len(told["wrong"]) == len(keys_of(left))
+        assert named(left, answer["wrong"]) and len(answer["wrong"]) == len(keys_of(left))
         n_met, n_left = n_met + len(computed), n_left + len(keys_of(left))
         shutil.rmtree(root)
-    torture.note(f"{n_met:,} damaged items met and computed again, {n_left:,} left that verify names, and no other")
+    torture.note(f"{n_met:,} damaged items met and recomputed, {n_left:,} left that verify names, and no other")
 
 
-def test_a_store_whose_mark_is_damaged_is_refused(torture, store):
+def test_a_store_whose_store_json_is_damaged_is_refused(torture, store):
     path = store.root / "store.json"
     good, others = path.read_bytes(), files_of(store.root / "studies")
     for rng in torture.attempts(100, 2000):
@@ -252,7 +252,7 @@ LOOSE = {
     "calibration.yaml": lambda: calibration_yaml(SERVOS, "two servos"),
     "timeline.json": lambda: timeline_json(MOTION, SERVOS),
 }
-"""Files that a person may edit."""
+"""Files that a person may edit, by name."""
 
 
 def meaning(path: Path):
@@ -289,12 +289,12 @@ def test_a_damaged_loose_file_is_refused_by_name_or_means_something_else(torture
 
 
 def values(document, at=()):
-    """List where the single values of a document stand, those apart that say what it is and those that nobody reads."""
+    """List the paths of the single values of a document, except those that identify it and those that are not read."""
     if not isinstance(document, dict | list):
         return [at] if document is not None else []
     inner = document.items() if isinstance(document, dict) else enumerate(document)
     apart = () if at else ("schema", "version", "channels", "pulse_us")
-    return [place for key, value in inner if key not in apart for place in values(value, (*at, key))]
+    return [path for key, value in inner if key not in apart for path in values(value, (*at, key))]
 
 
 @pytest.mark.parametrize("name", LOOSE)
@@ -302,9 +302,9 @@ def test_a_value_of_another_type_is_refused_by_name_and_field(torture, tmp_path,
     path = tmp_path / name
     path.write_bytes(LOOSE[name]())
     document = json.loads(path.read_bytes()) if path.suffix == ".json" else meaning(path)
-    places = values(document)
+    paths = values(document)
     for rng in torture.attempts(100, 5000):
-        *above, last = place = places[int(rng.integers(len(places)))]
+        *above, last = path_of_value = paths[int(rng.integers(len(paths)))]
         group = bad = copy.deepcopy(document)
         for key in above:
             group = group[key]
@@ -312,9 +312,9 @@ def test_a_value_of_another_type_is_refused_by_name_and_field(torture, tmp_path,
         others += [[], {}, [group[last]], *([] if isinstance(group[last], bool) else [True])]
         group[last] = others[int(rng.integers(len(others)))]
         path.write_text(json.dumps(bad))  # which YAML is, too
-        field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).removeprefix(".")
-        field = place[0] if path.suffix == ".json" else field
-        with pytest.raises(PuddleError) as told:
+        field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path_of_value).removeprefix(".")
+        field = path_of_value[0] if path.suffix == ".json" else field
+        with pytest.raises(PuddleError) as refusal:
             meaning(path)
-        assert str(path) in str(told.value) and f" {field}: " in str(told.value), (place, group[last], told.value)
-    torture.note(f"each refused by its field, of {len(places):,} values")
+        assert str(path) in str(refusal.value) and f" {field}: " in str(refusal.value), (path_of_value, group[last])
+    torture.note(f"each refused by its field, of {len(paths):,} values")

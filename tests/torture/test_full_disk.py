@@ -1,4 +1,4 @@
-"""A disk that fills, a file-size limit and a disk that turns read-only stop a study clearly; with room it goes on."""
+"""A full disk, a file-size limit and a read-only disk stop a study with a clear message; with room it continues."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 ALONE = ("unshare", "--mount", "--map-root-user")
-"""Runs a program in a namespace of its own where it may mount, which anybody may have whose system knows such."""
+"""Command that runs a program in its own namespace, where it may mount; it needs no privileges."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """Where disks are mounted: here, or in the namespace of a nursery."""
+    """Where disks are mounted: here, or in the namespace of a fork server."""
 
-    nursery: Any
+    fork_server: Any
     undisturbed: dict[str, Any]
-    """What it says of a study that nothing disturbs."""
+    """Answer of the fork server for an undisturbed study."""
     inside: tuple[str, ...] = ()
-    """Words that run a command there."""
+    """Command prefix that runs a program there."""
     top: Path = Path("/")
-    """Its files, as these tests see them."""
+    """Root of its file system, as these tests see it."""
 
     def run(self, *words: str | Path, **execution: Any) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*self.inside, *words], capture_output=True, text=True, **execution)
@@ -36,13 +36,13 @@ class Machine:
     def mount(self, disk: Path, options: str, *words: str) -> None:
         done = self.run("mount", *words, "-o", options, "tmpfs", disk)
         if done.returncode:
-            pytest.skip(f"may mount a disk neither here nor in a namespace: {done.stderr.strip()}")
+            pytest.skip(f"cannot mount a disk here or in a namespace: {done.stderr.strip()}")
 
     def unmount(self, disk: Path) -> None:
         self.run("umount", disk, check=True)
 
-    def kept(self, disk: Path) -> list[str]:
-        """Give the keys of what a disk's store holds."""
+    def committed(self, disk: Path) -> list[str]:
+        """Return the keys of the items in a disk's store."""
         store = self.top / disk.relative_to("/") / "store"
         return [path.parent.name for path in store.glob("items/*/*/*/manifest.json")]
 
@@ -58,75 +58,75 @@ def may_mount(folder: Path, inside: tuple[str, ...]) -> bool:
 
 
 @pytest.fixture(scope="module")
-def machine(request, start_nursery, tmp_path_factory) -> Machine:
+def machine(request, start_fork_server, tmp_path_factory) -> Machine:
     folder = tmp_path_factory.mktemp("undisturbed")
     in_namespace = not may_mount(folder, ()) and may_mount(folder, ALONE)
-    nursery = start_nursery(*ALONE) if in_namespace else request.getfixturevalue("nursery")
-    (undisturbed,) = nursery.finish([folder / "store"])
+    fork_server = start_fork_server(*ALONE) if in_namespace else request.getfixturevalue("fork_server")
+    (undisturbed,) = fork_server.finish([folder / "store"])
     if not in_namespace:
-        return Machine(nursery, undisturbed)
-    enter = ("nsenter", f"--target={nursery.pid}", "--user", "--mount", "--preserve-credentials")
-    return Machine(nursery, undisturbed, enter, Path(f"/proc/{nursery.pid}/root"))
+        return Machine(fork_server, undisturbed)
+    enter = ("nsenter", f"--target={fork_server.pid}", "--user", "--mount", "--preserve-credentials")
+    return Machine(fork_server, undisturbed, enter, Path(f"/proc/{fork_server.pid}/root"))
 
 
 def stopped(machine: Machine, disk: Path, why: str, **command) -> bool:
-    """Drive the study where it may not end; check that it says why, and that what it kept is whole."""
-    told = machine.nursery.drive(disk / "store", **command)
-    assert told["status"] == 0, told["traceback"]
-    if "error" not in told:
-        assert told["tree"] == machine.undisturbed["tree"]
+    """Drive a study that may be stopped; check that it says why. Return whether it was stopped."""
+    answer = machine.fork_server.drive(disk / "store", **command)
+    assert answer["status"] == 0, answer["traceback"]
+    if "error" not in answer:
+        assert answer["tree"] == machine.undisturbed["tree"]
         return False
-    assert why in told["error"] and str(disk) in told["error"] and "kept before is safe" in told["error"]
+    assert why in answer["error"] and str(disk) in answer["error"] and "kept before is safe" in answer["error"]
     return True
 
 
 def resumes(machine: Machine, disk: Path, committed: list[str]) -> None:
-    (after,) = machine.nursery.finish([disk / "store"])
+    (after,) = machine.fork_server.finish([disk / "store"])
     assert not set(after["computed"]) & set(committed)
     assert after["tree"] == machine.undisturbed["tree"]
 
 
-def test_a_disk_of_any_size_that_fills(torture, machine, place):
+def test_a_disk_of_any_size_that_fills(torture, machine, new_folder):
     n_full = 0
     for rng in torture.attempts(12, 500):
-        disk = place()
+        disk = new_folder()
         n_kilobytes = int(rng.integers(4, 1200))
         machine.mount(disk, f"size={n_kilobytes}k", "-t", "tmpfs")
         try:
-            kept = []
+            committed = []
             if stopped(machine, disk, "No space left on device"):
                 n_full += 1
-                kept = machine.kept(disk)
+                committed = machine.committed(disk)
                 machine.mount(disk, "remount,size=64m")
-            resumes(machine, disk, kept)
+            resumes(machine, disk, committed)
         finally:
             machine.unmount(disk)
     assert n_full
-    torture.note(f"{n_full} disks of 4 kB to 1.2 MB were too small; each study went on once there was room")
+    torture.note(f"{n_full} disks of 4 kB to 1.2 MB were too small; each study continued once there was room")
 
 
-def test_a_limit_on_the_size_of_files(torture, machine, place):
+def test_a_limit_on_the_size_of_files(torture, machine, new_folder):
     n_stopped = 0
     for rng in torture.attempts(6, 200):
-        disk = place()
-        kept = []
+        disk = new_folder()
+        committed = []
         if stopped(machine, disk, "File too large", file_bytes=int(rng.integers(100, 40_000))):
             n_stopped += 1
-            kept = machine.kept(disk)
-        resumes(machine, disk, kept)
+            committed = machine.committed(disk)
+        resumes(machine, disk, committed)
         shutil.rmtree(disk)
     assert n_stopped
     torture.note(f"{n_stopped} limits stopped the study")
 
 
-def test_a_disk_that_turns_read_only(torture, machine, place):
-    """A driver fills the disk half-way; then it is read-only, as a disk is after an error; then it can be written."""
+def test_a_disk_that_turns_read_only(torture, machine, new_folder):
+    """A driver dies half-way, the disk turns read-only, as disks do after an error, and then becomes writable again."""
     for rng in torture.attempts(3, 100):
-        disk = place()
+        disk = new_folder()
         machine.mount(disk, "size=64m", "-t", "tmpfs")
         try:
             at = int(rng.integers(20, len(machine.undisturbed["effects"]) - 1))
-            died = machine.nursery.drive(disk / "store", fault={"kind": "die", "at": at})
+            died = machine.fork_server.drive(disk / "store", fault={"kind": "die", "at": at})
             machine.mount(disk, "remount,ro")
             assert stopped(machine, disk, "Read-only file system")
             machine.mount(disk, "remount,rw")
@@ -171,13 +171,13 @@ subprocess.run(["umount", store], check=True)
 collect(store)
 sys.exit(f"codes: {codes}")
 """
-"""The command three times: elsewhere; on a disk that turns read-only before some effect; on the same, mended."""
+"""Run the command elsewhere, on a disk that turns read-only before some effect, and on the same disk once repaired."""
 
 
-def test_a_disk_that_turns_read_only_under_a_driver(torture, place):
-    """The store's folder is mounted over itself in a namespace of the driver's own, which anybody may have."""
+def test_a_disk_that_turns_read_only_under_a_driver(torture, new_folder):
+    """The store's folder is mounted over itself in the driver's own namespace, which needs no privileges."""
     (number,) = (int(rng.integers(20, 200)) for rng in torture.attempts(1, 1))
-    folder = place()
+    folder = new_folder()
     settings, store, undisturbed = (folder / name for name in ("throws.yaml", "store", "undisturbed"))
     settings.write_text(THROWS)
     store.mkdir()
@@ -200,8 +200,8 @@ def test_a_disk_that_turns_read_only_under_a_driver(torture, place):
     assert len(expected) == 40 and found == expected
 
 
-def test_the_command_says_it_and_ends_with_2(torture, machine, tmp_path):
-    """The whole program: its settings, its store, MLflow's database and Ray apart."""
+def test_the_command_names_the_full_disk_and_exits_with_2(torture, machine, tmp_path):
+    """The whole program, except MLflow's database and Ray."""
     torture.times(1, 1)
     machine.mount(tmp_path, "size=16k", "-t", "tmpfs")
     try:

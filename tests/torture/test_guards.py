@@ -1,4 +1,4 @@
-"""Every guard is needed: with one taken out, a test fails. So these tests would notice the day it goes missing."""
+"""Every guard is tested: when one is removed, a test fails."""
 
 import os
 import re
@@ -37,23 +37,23 @@ def test_without_its_guard_every_test_fails(torture, tmp_path):
     for guard, (test, _) in GUARDS.items():
         file, _, name = test.partition("::")
         ends = [text.splitlines()[-1] for one, text in failed.items() if one.startswith(name)]
-        assert ends, f"nothing fails without the {guard}: {sorted(failed)}"
-        # what fails is what the test says of it (an assert, pytest.raises), and not the patch or what it broke
+        assert ends, f"no test fails without the {guard}: {sorted(failed)}"
+        # the test itself must fail (an assert, pytest.raises), not the patch or something that it broke
         missed = re.compile(re.escape(file) + r":\d+: (AssertionError|Failed)")
-        assert all(missed.fullmatch(end) for end in ends), f"without the {guard} another thing fails: {ends}"
-    torture.note(f"missed: the {', the '.join(GUARDS)}")
+        assert all(missed.fullmatch(end) for end in ends), f"without the {guard}, something else fails: {ends}"
+    torture.note(f"removed one by one: the {', the '.join(GUARDS)}")
 
 
 @pytest.mark.parametrize("kind", ["files", "folders"])
-def test_without_its_fsync_a_cut_takes_what_was_committed(torture, nursery, place, kind):
-    """After it the store is no store any more, or has lost items; with the fsync it is whole (test_crash_points.py)."""
+def test_without_its_fsync_a_power_cut_loses_committed_items(torture, fork_server, new_folder, kind):
+    """The store is no longer a store, or has lost items; with the fsync it is intact (test_crash_points.py)."""
     torture.times(1, 1)
-    top = place()
+    top = new_folder()
     (top / "disk").mkdir()
     fault = {"kind": "power", "at": "end", "loses": "contents" if kind == "files" else "names"}
-    died = nursery.drive(
+    died = fork_server.drive(
         top / "disk" / "store", fault={**fault, "image": str(top / "found")}, without=f"fsync of {kind}"
     )
     assert died["status"] == 9
-    after = nursery.drive(top / "found" / "store")
+    after = fork_server.drive(top / "found" / "store")
     assert "store.json: expected" in after.get("error", "") or set(after["computed"]) & set(died["committed"])

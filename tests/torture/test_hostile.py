@@ -19,9 +19,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from fork_server import tree
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
-from nursery import tree
 
 from pipeline.cluster import session
 from pipeline.commands.damage import find_damage
@@ -40,8 +40,8 @@ MEGABYTE = 2**20
 
 @contextlib.contextmanager
 def memory_below(n_bytes: int):
-    """Check that this process never needs so much more than it has now."""
-    Path("/proc/self/clear_refs").write_text("5")  # sets the peak back to what is used now
+    """Check that the memory of this process does not grow by more than this."""
+    Path("/proc/self/clear_refs").write_text("5")  # resets the peak to the present use
     before = _peak()
     yield
     assert _peak() - before < n_bytes
@@ -54,7 +54,7 @@ def _peak() -> int:
 
 @pytest.fixture
 def sentinel(tmp_path):
-    """A file that appears where hostile input is executed."""
+    """A file that appears if hostile input is executed."""
     path = tmp_path / "executed"
     yield path
     assert not path.exists()
@@ -175,7 +175,7 @@ FIELDS = [
 
 
 def manifest_body() -> dict:
-    """Give what a valid manifest says."""
+    """Return the body of a valid manifest."""
     entry = {"sha256": "0" * 64, "bytes": 5}
     made = {"cpu": "one", "commit": "none"}
     return {
@@ -194,8 +194,8 @@ def decoded(body: dict) -> Manifest:
     return decode_manifest(data, stage="evolve", key=key_of(IDENTITY), source="it")
 
 
-def test_a_manifest_that_a_stranger_sealed(torture):
-    """One field at a time is hostile: it is refused, or what is read has the types and bounds that it should have."""
+def test_a_hostile_manifest_with_a_valid_seal(torture):
+    """One field at a time is hostile: it is refused, or what is read has valid types and bounds."""
     n_manifests, n_read, n_refused = 100, Counter(), Counter()
     whole = decoded(manifest_body())
 
@@ -226,14 +226,14 @@ def test_a_manifest_that_a_stranger_sealed(torture):
 
     for rng in torture.attempts(3, 100):
         seed(int(rng.integers(2**32)))(check)()
-    assert set(n_refused) >= set(FIELDS) - {("digest",)} and n_read[("digest",)]  # which nobody reads
-    torture.note(f"{n_refused.total():,} manifests refused by name, {n_read.total():,} read, which mean no harm")
+    assert set(n_refused) >= set(FIELDS) - {("digest",)} and n_read[("digest",)]  # which is not read
+    torture.note(f"{n_refused.total():,} manifests refused by name, {n_read.total():,} read, which are harmless")
 
 
 @pytest.mark.parametrize("n_bytes", [5.0, 2**27, 2**44])
-def test_files_as_long_as_a_manifest_says_do_not_fill_the_memory(n_bytes, place):
-    """Holes: they take no room. What is hashed is never in memory whole; what is too long is not hashed either."""
-    store = Store.open(place() / "store", create=True)
+def test_files_as_long_as_a_manifest_says_do_not_fill_the_memory(n_bytes, new_folder):
+    """Sparse files take no room. Files are hashed in chunks, and one that is too long is not hashed at all."""
+    store = Store.open(new_folder() / "store", create=True)
     key = store.commit("evolve", key_of(IDENTITY), IDENTITY, {"a.json": b"hello"}, record={}).key
     path = store.manifest_path("evolve", key)
     body = manifest_body()
@@ -250,24 +250,24 @@ def test_files_as_long_as_a_manifest_says_do_not_fill_the_memory(n_bytes, place)
 
 
 @pytest.fixture(scope="module")
-def pristine(nursery, tmp_path_factory):
+def pristine(fork_server, tmp_path_factory):
     root = tmp_path_factory.mktemp("pristine") / "store"
-    nursery.finish([root])
+    fork_server.finish([root])
     return root
 
 
 @pytest.fixture
-def canary(pristine, place):
-    """A folder outside the store, which stays as it is. Hostile names lead to it: it has what they could be taken for.
+def canary(pristine, new_folder):
+    """A folder outside the store that must not change. Hostile names lead to it, and it contains what they could mean.
 
-    ``../../../canary`` is this, from studies/ as a study, from items/ as a stage, and from a stage as an item.
+    ``../../../canary`` is this folder: from studies/ as a study, from items/ as a stage, and from a stage as an item.
     """
-    folder = place().parent / "canary"
+    folder = new_folder().parent / "canary"
     shutil.copytree(pristine / "studies" / "tiny", folder)
     for stage in (pristine / "items").iterdir():
         shutil.copytree(stage, folder, dirs_exist_ok=True)
     for name in ("manifest.json", "index.html", "file"):
-        (folder / name).write_text(f"{name} of somebody")
+        (folder / name).write_text(f"{name} of another user")
 
     def look() -> tuple[dict[str, str], dict[Path, int]]:
         return tree(folder), {path: path.stat().st_mtime_ns for path in (folder, *folder.rglob("*"))}
@@ -277,18 +277,18 @@ def canary(pristine, place):
     assert look() == before
 
 
-def test_links_in_a_store_are_refused_and_not_followed(torture, nursery, pristine, place, canary):
+def test_links_in_a_store_are_refused_and_not_followed(torture, fork_server, pristine, new_folder, canary):
     n_refused = 0
     for rng in torture.attempts(40, 1000):
-        root = place() / "store"
+        root = new_folder() / "store"
         shutil.copytree(pristine, root)
         everything = sorted(root.rglob("*"))
         path = everything[int(rng.integers(len(everything)))]
         shutil.rmtree(path) if path.is_dir() else path.unlink()
         path.symlink_to(canary if rng.random() < 0.5 else canary / "file")
-        told = nursery.drive(root, discard=bool(rng.random() < 0.3))
-        refused = told.get("error") or told.get("traceback", "")
-        assert "symbolic link" in refused and str(path) in refused, (path, told)
+        answer = fork_server.drive(root, discard=bool(rng.random() < 0.3))
+        refused = answer.get("error") or answer.get("traceback", "")
+        assert "symbolic link" in refused and str(path) in refused, (path, answer)
         n_refused += 1
         shutil.rmtree(root)
     torture.note(f"{n_refused} links refused by name")
@@ -314,8 +314,8 @@ HOSTILE_NAMES = [
 ]
 
 
-def look_and_remove(store: Store) -> list[str]:
-    """Verify a store and collect its garbage; return what was refused."""
+def verify_and_collect(store: Store) -> list[str]:
+    """Verify a store and collect its garbage; return the refusals."""
     said = [str(error) for error in find_damage(store)]
     try:
         with store.lock_all():
@@ -325,12 +325,14 @@ def look_and_remove(store: Store) -> list[str]:
     return said
 
 
-def test_a_study_record_that_a_stranger_sealed(torture, nursery, pristine, place, canary, monkeypatch, tmp_path):
-    monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)  # the garbage in /tmp is other tests'
+def test_a_hostile_study_record_with_a_valid_seal(
+    torture, fork_server, pristine, new_folder, canary, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)  # the garbage in /tmp belongs to other tests
     undisturbed, n_refused = tree(pristine), 0
     fields = ["name", "settings", "items", "stage", "label", "key", "folder"]
     for number, rng in enumerate(torture.attempts(28, 3000)):
-        root = place() / "store"
+        root = new_folder() / "store"
         shutil.copytree(pristine, root)
         path = root / "studies" / "tiny" / "study.json"
         whole = json.loads(path.read_text())
@@ -345,27 +347,29 @@ def test_a_study_record_that_a_stranger_sealed(torture, nursery, pristine, place
             case "stage" | "label" | "key":
                 body["items"][0][["stage", "label", "key"].index(field)] = hostile
         path.write_bytes(encode_sealed(body, schema=STUDY_SCHEMA, version=1))
-        means_nothing = {"label": (str,), "settings": (dict,), "items": (list, dict), "folder": (object,)}
-        harmless = isinstance(hostile, means_nothing.get(field, ())) or (field == "items" and hostile == "")
-        said = look_and_remove(Store.open(root, create=False))
-        told = nursery.drive(root, discard=True)
-        assert told["status"] == 0 and "error" not in told and told["wrong"] == [], told
-        assert told["tree"].items() >= undisturbed.items()
+        harmless_types = {"label": (str,), "settings": (dict,), "items": (list, dict), "folder": (object,)}
+        harmless = isinstance(hostile, harmless_types.get(field, ())) or (field == "items" and hostile == "")
+        said = verify_and_collect(Store.open(root, create=False))
+        answer = fork_server.drive(root, discard=True)
+        assert answer["status"] == 0 and "error" not in answer and answer["wrong"] == [], answer
+        assert answer["tree"].items() >= undisturbed.items()
         if not harmless:
             assert any(str(path) in line for line in said), (field, hostile)
-            assert any(str(path) in line for line in told["said"]), (field, hostile)
+            assert any(str(path) in line for line in answer["said"]), (field, hostile)
             n_refused += 1
         shutil.rmtree(root)
     assert n_refused
-    torture.note(f"{n_refused} records refused by name, and written anew")
+    torture.note(f"{n_refused} records refused by name and rewritten")
 
 
-def test_no_hostile_name_reaches_what_writes_and_removes(pristine, place, canary):
-    root = place() / "store"
+def test_no_hostile_name_is_written_or_removed(pristine, new_folder, canary):
+    root = new_folder() / "store"
     shutil.copytree(pristine, root)
     store, undisturbed = Store.open(root, create=False), tree(root)
     key = next(store.keys("evolve"))
-    names = {name for name in HOSTILE_NAMES if isinstance(name, str)} - {"/etc"}  # nor is it harmed if this test fails
+    names = {name for name in HOSTILE_NAMES if isinstance(name, str)} - {
+        "/etc"
+    }  # which must not be harmed if this test fails
     for name in sorted({*names, str(canary)}):
         for item in ((name, key), ("evolve", name)):
             for forget in (store.discard, store.remove, store.listing):
@@ -419,7 +423,7 @@ print(n_refused, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def test_headers_and_pages_that_lie(torture):
-    """In a process of its own: a decoder that crashes would take the tests with it."""
+    """In a process of its own, since a decoder that crashes would end the tests too."""
     n, n_refused, peak = 0, 0, 0
     for rng in torture.attempts(1, 20):
         done = subprocess.run(
@@ -429,11 +433,11 @@ def test_headers_and_pages_that_lie(torture):
         refused, kilobytes = map(int, done.stdout.split())
         n, n_refused, peak = n + 2000, n_refused + refused, max(peak, kilobytes)
         assert kilobytes < 2 * 2**20
-    torture.note(f"{n_refused:,} of {n:,} files refused, the others read as they were; at most {peak / 1e3:.0f} MB")
+    torture.note(f"{n_refused:,} of {n:,} files refused, the others read as before; at most {peak / 1e3:.0f} MB")
 
 
 def test_a_table_that_would_fill_the_memory(tmp_path):
-    """A megabyte or two stand for more than 2 GB of zeros."""
+    """One or two megabytes decompress to more than 2 GB of zeros."""
     honest = encode_table({"x": np.zeros(4)}, schema="t", version=1, producer="")
     sink = io.BytesIO()
     zeros = pa.table({"x": np.zeros(2**24)}, schema=pq.read_schema(io.BytesIO(honest)))
@@ -452,14 +456,14 @@ def test_a_pickle_is_not_opened(sentinel):
             decode(bomb, schema="t", version=1, source="it")
 
 
-def test_a_manifest_as_long_as_a_disk(pristine, place):
-    root = place() / "store"
+def test_a_manifest_as_long_as_a_disk(pristine, new_folder):
+    root = new_folder() / "store"
     shutil.copytree(pristine, root)
     store = Store.open(root, create=False)
     stage = store.stages()[0]
     path = store._item(stage, next(store.keys(stage))) / "manifest.json"
     with path.open("wb") as file:
-        file.truncate(20 * 2**30)  # a hole: it takes no room
+        file.truncate(20 * 2**30)  # a sparse file takes no room
     with memory_below(200 * MEGABYTE):
         assert any(str(path) in str(error) and "at most" in str(error) for error in find_damage(store))
 

@@ -1,8 +1,8 @@
-"""kill -9 at random moments: a worker, the driver, the raylet, the GCS. The study ends in the same bytes.
+"""kill -9 at random moments, of a worker, the driver, the raylet or the GCS: the study ends in the same bytes.
 
-Real processes: drivers with a Ray of their own, one after the other on the same store. Each loses some workers or none,
-then itself, its raylet or its GCS; a study that comes to its end is compared, and the next one begins. No item that was
-committed is ever computed again: no driver submits it, and its manifest is never written twice.
+The processes are real: drivers with their own Ray, one after the other on the same store. Each loses some workers or
+none, and then dies itself or loses its raylet or its GCS. When a study ends its bytes are compared, and the next study
+begins. A committed item is never computed again: no driver submits it, and its manifest is never written twice.
 """
 
 from __future__ import annotations
@@ -19,50 +19,53 @@ from pathlib import Path
 import psutil
 import pytest
 import yaml
-from nursery import TINY, Quiet, noted, run_study, submitted_to, tree
+from fork_server import TINY, QuietTerminal, logged, run_study, submissions_of, tree
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
+from pipeline.store.store import Store
 
 HERE = Path(__file__).parent
 VICTIMS = ["worker", "worker", "raylet", "driver", "worker", "worker", "gcs_server"]
-"""In turn. The worker's place is taken by another; with the others, the run is over."""
+"""Processes to kill, in turn. A worker is replaced by another; the death of any other ends the run."""
 IDLE = "ray::IDLE"
-"""Name of a worker without a piece; of one with, it is the piece's."""
-PATIENCE_WITH_IDLE = 0.5
-"""Seconds that pass before a worker without a piece is killed, too."""
+"""Name of a worker without work; a busy worker has the name of its work item."""
+SECONDS_BEFORE_IDLE = 0.5
+"""Time after which an idle worker may be killed, too."""
 PATIENCE = 600.0
-"""Seconds that a driver has to notice that its cluster is dead, on a machine that has much else to do."""
-ALL_BUT_THE_PAGE = STAGES[:-1]
-"""The page says which code made it, and when."""
+"""Longest time for a driver to notice that its cluster is dead, on a busy machine [s]."""
+ALL_BUT_REPORT = STAGES[:-1]
+"""All stages but the report, whose page contains the time and the version of the code."""
 
 STUDY = TINY | {
     "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [], "n_trials": 6},
     "rollout": {"n_settle": 5, "n_measure": 200},
     "evolution": {"n_generations": 10, "afpo": {"population_size": 6}},
 }
-"""Some sixty pieces of up to a tenth of a second."""
+"""A study of about sixty work items of up to 0.1 s."""
 
 DRIVER = """
 import sys
 from pathlib import Path
-from nursery import Quiet, noted, run_study
+from fork_server import QuietTerminal, logged, run_study
 from pipeline.cluster import ray_cluster
 from pipeline.config.loading import load
 from pipeline.errors import PuddleError
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
+from pipeline.store.store import Store
 
-settings, store = load(Settings, Path(sys.argv[1])), Path(sys.argv[2])
-on_ray = lambda: noted(ray_cluster("local", 2), store)
+settings, root = load(Settings, Path(sys.argv[1])), Path(sys.argv[2])
+on_ray = lambda: logged(ray_cluster("local", 2), root)
 try:
-    run_study(settings, store, Quiet([]), stages=STAGES[:-1], open_cluster=on_ray)
+    store = Store.open(root, create=True)
+    run_study(settings, store, QuietTerminal([]), stages=STAGES[:-1], open_cluster=on_ray)
 except PuddleError as error:
     sys.exit(f"stopped: {error}")
 """
-"""`puddle study --workers 2`, but for the page and for MLflow, which costs as much as all the rest."""
+"""`puddle study --workers 2` without the report and without MLflow, which takes as long as all the rest."""
 
 
 @pytest.fixture(scope="module")
@@ -73,13 +76,13 @@ def settings(tmp_path_factory) -> Path:
 
 
 def serially(settings: Path, store: Path) -> dict[str, str]:
-    """Bring a study to its end in this process; give the digests of its files, manifests apart."""
+    """Run a study to its end in this process; return the digests of its files, except manifests."""
     run_study(
         load(Settings, settings),
-        store,
-        Quiet([]),
-        stages=ALL_BUT_THE_PAGE,
-        open_cluster=lambda: noted(serial_cluster(), store),
+        Store.open(store, create=True),
+        QuietTerminal([]),
+        stages=ALL_BUT_REPORT,
+        open_cluster=lambda: logged(serial_cluster(), store),
     )
     return {
         path: sha256
@@ -90,15 +93,15 @@ def serially(settings: Path, store: Path) -> dict[str, str]:
 
 @dataclass
 class Killed:
-    """A study in a store, and the driver that is at it."""
+    """A study in a store, and the driver that runs it."""
 
     settings: Path
     store: Path
     driver: subprocess.Popen[str] | None = None
-    kept: dict[Path, int] = field(default_factory=dict)
-    """When each manifest was written."""
+    committed: dict[Path, int] = field(default_factory=dict)
+    """Time of each manifest."""
     submitted: list[str] = field(default_factory=list)
-    """Keys of the pieces that its drivers submitted, again where one died before it was kept."""
+    """Keys of the work items that its drivers submitted, repeated if one died before the commit."""
     ended: bool = False
 
     def start(self) -> None:
@@ -111,20 +114,20 @@ class Killed:
         )
 
     def find(self, victim: str) -> psutil.Process | None:
-        """Wait for a process of the driver's, a worker with a piece before an idle one; None where the driver ends."""
-        deadline, idle_will_do = time.monotonic() + PATIENCE, time.monotonic() + PATIENCE_WITH_IDLE
+        """Wait for a process of the driver, preferring busy workers; None if the driver ends."""
+        deadline, idle_allowed = time.monotonic() + PATIENCE, time.monotonic() + SECONDS_BEFORE_IDLE
         while self.driver.poll() is None:
             assert time.monotonic() < deadline, f"no {victim}"
             with contextlib.suppress(psutil.Error):
                 found = {process: process.name() for process in self.processes(victim)}
                 at_work = [process for process, name in found.items() if name != IDLE]
-                if at_work or (found and time.monotonic() > idle_will_do):
+                if at_work or (found and time.monotonic() > idle_allowed):
                     return next(iter(at_work or found))
             time.sleep(0.02)
         return None
 
     def processes(self, victim: str) -> list[psutil.Process]:
-        """List what can be a victim just now."""
+        """List the processes that can be killed now."""
         driver = psutil.Process(self.driver.pid)
         if victim == "driver":
             return [driver]
@@ -137,7 +140,7 @@ class Killed:
         return found
 
     def kill(self, victim: str, wait: float) -> str | None:
-        """Kill one, so many seconds after there is one, if the run lasts so long; return its name."""
+        """Kill a process ``wait`` seconds after it appears, unless the run ends first; return its name."""
         if self.driver is None:
             self.start()
         while self.find(victim) is not None:
@@ -150,7 +153,7 @@ class Killed:
         return None
 
     def end(self, victim: str | None) -> None:
-        """Wait for the end of the driver, who lost something; look at what it said and left."""
+        """Wait for the end of a driver that lost a process; check its output and its store."""
         _, said = self.driver.communicate(timeout=PATIENCE)
         code, self.driver = self.driver.returncode, None
         assert "Traceback" not in said, said
@@ -160,14 +163,14 @@ class Killed:
             assert code == 0 or "Ray on this machine died" in said or "Ray did not start on this machine" in said, said
         assert victim != "worker" or code == 0, said
         self.ended = code == 0
-        self.look()
+        self.check_commits()
 
-    def look(self) -> None:
+    def check_commits(self) -> None:
         now = {path: path.stat().st_mtime_ns for path in self.store.glob("items/*/*/*/manifest.json")}
-        assert {path: now.get(path) for path in self.kept} == self.kept
-        self.kept = now
-        if submitted_to(self.store).exists():  # or no driver came so far
-            lines = [line.split() for line in submitted_to(self.store).read_text().splitlines()]
+        assert {path: now.get(path) for path in self.committed} == self.committed
+        self.committed = now
+        if submissions_of(self.store).exists():  # or no driver got that far
+            lines = [line.split() for line in submissions_of(self.store).read_text().splitlines()]
             assert [key for key, was in lines if was != "missing"] == []
             self.submitted = [key for key, _ in lines]
 
@@ -179,16 +182,16 @@ def test_kill_9_at_random_moments(torture, settings, tmp_path):
     n_of, n_at_work, n_studies, n_again, study = Counter(), 0, 0, 0, Killed(settings, tmp_path / "0")
 
     def finish() -> Killed:
-        """Bring the study to its end, compare, and begin another."""
+        """Run the study to its end, compare its bytes, and begin another one."""
         nonlocal n_again
         assert serially(settings, study.store) == undisturbed
-        study.look()
-        assert set(study.submitted) == {path.parent.name for path in study.kept}
-        n_again += len(study.submitted) - len(study.kept)
+        study.check_commits()
+        assert set(study.submitted) == {path.parent.name for path in study.committed}
+        n_again += len(study.submitted) - len(study.committed)
         return Killed(settings, tmp_path / str(n_studies))
 
     try:
-        for number, rng in enumerate(torture.attempts(20, 500)):
+        for number, rng in enumerate(torture.attempts(len(VICTIMS), 500)):
             victim = VICTIMS[number % len(VICTIMS)]
             mean = 3.0 if study.driver is None else 0.3
             while (name := study.kill(victim, float(rng.exponential(mean)))) is None:
@@ -209,5 +212,5 @@ def test_kill_9_at_random_moments(torture, settings, tmp_path):
             study.driver.communicate()
     killed = ", ".join(f"{victim} {number:,} times" for victim, number in n_of.items())
     torture.note(f"{killed}; {n_studies + 1} studies, the same bytes each time")
-    torture.note(f"{n_at_work:,} of the workers had a piece")
-    torture.note(f"{n_again:,} pieces submitted again, of which none had been kept; no item written twice")
+    torture.note(f"{n_at_work:,} of the workers were busy")
+    torture.note(f"{n_again:,} work items submitted again, none of them committed before; no item written twice")

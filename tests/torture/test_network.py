@@ -1,6 +1,6 @@
-"""Whom a run calls: nobody. In a network namespace every packet is counted that would have left the machine.
+"""A run contacts no other machine. In a network namespace, every packet that would leave the machine is counted.
 
-And whom it answers: a cluster listens on its machines' addresses, so that there nothing but the token keeps others out.
+A cluster also answers only its own members: it listens on its machines' addresses, so the token alone keeps others out.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ import psutil
 import pytest
 import yaml
 from containers import SMALL_MEMORY, environment_of, instructions, words_of
-from nursery import TINY
+from fork_server import TINY
 
 from pipeline.store.store import Store
 
 ROOT = Path(__file__).parents[2]
 
 QUIET = ("RAY_", "MLFLOW_", "PYTEST_", "CI", "GITHUB_", "GITLAB_", "JENKINS_", "BUILDKITE", "TRAVIS", "TEAMCITY_")
-"""Of the environment of these tests: where MLflow finds such a variable it says nothing to its makers by itself."""
+"""Prefixes of variables that are removed: where MLflow finds one of them it sends no telemetry anyway."""
 
 ALONE = "ip link set lo up"
-"""A machine without network: the loopback is all there is."""
+"""Commands that set up a machine without a network: it has the loopback alone."""
 UNHEARD = f"""{ALONE}
 ip link add out type veth peer name nowhere
-echo 1 > /proc/sys/net/ipv6/conf/out/disable_ipv6  # which speaks by itself
+echo 1 > /proc/sys/net/ipv6/conf/out/disable_ipv6  # IPv6 sends packets by itself
 ip link set out up; ip link set nowhere up
 ip address add 192.0.2.2/24 dev out; ip route add default via 192.0.2.1"""
-"""A machine whose network takes what is sent, and never answers."""
+"""Commands that set up a machine whose network accepts every packet and never answers."""
 
 
 def on_a_machine(setup: str, *command: str, **changes: str) -> subprocess.CompletedProcess[str]:
-    """Run in a network namespace of its own; the answer's last line counts the packets that would have left it.
+    """Run a command in its own network namespace; the last line of its output counts the packets that would leave.
 
-    Skips where the system has no such thing.
+    Skips the test where the system has no network namespaces.
     """
-    count = "awk '$1 == \"out:\" {print $11}' /proc/net/dev"  # those it has sent
+    count = "awk '$1 == \"out:\" {print $11}' /proc/net/dev"  # packets sent
     script = f'set -e; {setup}\nset +e; "$@"; ended=$?; echo; {count}; exit $ended'
     environment = {name: value for name, value in os.environ.items() if not name.startswith(QUIET)}
     environment |= {"PYTHONPATH": str(ROOT), "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
@@ -57,7 +57,7 @@ def on_a_machine(setup: str, *command: str, **changes: str) -> subprocess.Comple
     except FileNotFoundError:
         pytest.skip("no unshare here")
     if tried.returncode != 0:
-        pytest.skip(f"no such network to be had here: {tried.stderr.strip().splitlines()[-1:]}")
+        pytest.skip(f"cannot set up such a network here: {tried.stderr.strip().splitlines()[-1:]}")
     return answer(script, "sh", *command)
 
 
@@ -68,7 +68,7 @@ def n_packets(ran: subprocess.CompletedProcess[str]) -> int:
 @pytest.mark.parametrize(
     ("setup", "refusal"), [(ALONE, "Network is unreachable"), (UNHEARD, "timed out")], ids=["alone", "unheard"]
 )
-def test_a_study_completes_where_nobody_answers_and_calls_nobody(setup, refusal, torture, tmp_path: Path):
+def test_a_study_needs_no_network_and_sends_no_packet(setup, refusal, torture, tmp_path: Path):
     torture.times(1, 1)
     called = on_a_machine(
         setup, sys.executable, "-c", "import socket; socket.create_connection(('198.51.100.1', 9), 1)"
@@ -82,15 +82,15 @@ def test_a_study_completes_where_nobody_answers_and_calls_nobody(setup, refusal,
     if setup is UNHEARD:
         assert n_packets(called) > 0
         assert n_packets(ran) == 0
-        torture.note("not a packet left the machine")
+        torture.note("no packet left the machine")
 
 
 HEAD, WORKER = "192.0.2.2", "192.0.2.3"
-"""Addresses of two machines of a cluster."""
+"""Addresses of the two machines of a cluster."""
 
 
-def test_the_nodes_of_a_cluster_call_nobody_and_answer_no_stranger(torture, short_folder: Path):
-    """Ray itself would call its makers, and the metadata servers of three clouds."""
+def test_the_nodes_of_a_cluster_send_no_packet_and_refuse_a_stranger(torture, short_folder: Path):
+    """By default Ray sends usage statistics and asks the metadata servers of three clouds."""
     torture.times(1, 1)
     of_head, of_worker = (f"--node-ip-address={ip} --temp-dir={short_folder / ip}" for ip in (HEAD, WORKER))
     head = words_of("head", {"--block": of_head, **SMALL_MEMORY})
@@ -103,7 +103,7 @@ def test_the_nodes_of_a_cluster_call_nobody_and_answer_no_stranger(torture, shor
     machines = f"{UNHEARD}; ip address add {WORKER}/24 dev out"
     try:
         ran = on_a_machine(machines, "sh", "-c", script, **environment, HOME=str(short_folder))
-    finally:  # not by `ray stop`, which ends every Ray of this machine, those of other tests too
+    finally:  # `ray stop` would end every Ray on this machine, including those of other tests
         for process in psutil.process_iter(["cmdline"]):
             if any(str(short_folder) in word for word in process.info["cmdline"] or ()):
                 process.kill()
@@ -113,7 +113,7 @@ def test_the_nodes_of_a_cluster_call_nobody_and_answer_no_stranger(torture, shor
     answers = collections.Counter((one["process"], *sorted(one["answers"])) for one in asked)
     assert answers == {
         ("gcs_server", 12, 12, 16): 1,
-        ("raylet", 12, 12, 16): 4,  # two of each node
+        ("raylet", 12, 12, 16): 4,  # two on each node
         ("ray::RuntimeEnvAgent", 401): 2,
     }
     torture.note(f"{len(asked)} sockets of two nodes refused a stranger")
@@ -150,15 +150,15 @@ try:
 finally:
     server.terminate()
     server.wait(60)
-print("all pages came")
+print("all pages loaded")
 """
-"""What a browser asks MLflow's server for, whether its makers want to hear what one does among it."""
+"""The requests that a browser sends to MLflow's server; one of them asks for its telemetry settings."""
 
 
-def test_the_ui_of_a_store_calls_nobody(torture, tmp_path: Path):
+def test_the_ui_of_a_store_sends_no_packet(torture, tmp_path: Path):
     torture.times(1, 1)
     Store.open(tmp_path / "store", create=True)
-    (tmp_path / "store" / "mlflow.db").touch()  # which the server fills
+    (tmp_path / "store" / "mlflow.db").touch()  # the server fills it
     ran = on_a_machine(UNHEARD, sys.executable, "-c", PAGES, str(tmp_path / "store"))
-    assert "all pages came" in ran.stdout, ran.stdout + ran.stderr
+    assert "all pages loaded" in ran.stdout, ran.stdout + ran.stderr
     assert n_packets(ran) == 0

@@ -1,4 +1,4 @@
-"""A result does not depend on how many workers there are, in which order they end, or how work is cut into batches."""
+"""A result does not depend on the number of workers, the order in which they finish, or the size of batches."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ work: {throws_per_item: 2, generations_per_item: 2, engine: reference}
 """
 
 N_STAGES = 5
-"""All that compute in many pieces; the analyses and the page are one piece each and read these."""
+"""The stages with many work items; the analyses and the page read these and are one work item each."""
 
 
 class Shuffled:
-    """A cluster whose finished work comes in random order: whatever has ended is held back, and dealt like cards."""
+    """A cluster that returns finished calls in random order: it collects all that have ended and picks one."""
 
     def __init__(self, cluster: Cluster, n_cores: float, rng: np.random.Generator) -> None:
         self.n_cores = n_cores
         self.out_of_order = 0
         self._cluster, self._rng = cluster, rng
-        self._held: list[tuple[Ticket, Outcome]] = []
+        self._finished: list[tuple[Ticket, Outcome]] = []
         self.share, self.submit, self.started = cluster.share, cluster.submit, cluster.started
 
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
-        while (done := self._cluster.next_done(timeout=0.5 if self._held else None)) is not None:
-            self._held.append(done)
-        if not self._held:
+        while (done := self._cluster.next_done(timeout=0.5 if self._finished else None)) is not None:
+            self._finished.append(done)
+        if not self._finished:
             return None
-        dealt = self._held.pop(self._rng.integers(len(self._held)))
-        self.out_of_order += any(ticket.number < dealt[0].number for ticket, _ in self._held)
-        return dealt
+        picked = self._finished.pop(self._rng.integers(len(self._finished)))
+        self.out_of_order += any(ticket.number < picked[0].number for ticket, _ in self._finished)
+        return picked
 
 
 def digests(settings: Settings, store: Store, cluster: Cluster) -> dict[str, list[str]]:
@@ -71,10 +71,11 @@ def expected(tmp_path_factory) -> dict[str, list[str]]:
 
 
 def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path):
-    """One process that deals with eight pieces at a time, and gives them back as chance has it.
+    """One process computes up to eight work items at a time, and returns them in random order.
 
-    The workers are simulated: pieces are computed one after the other, here, and only the driver sees them end as if
-    there were several. Real ones are in the next tests: two in `make test`, one, two and eight in `make torture`.
+    The workers are simulated: work items are computed one after the other in this process, and only the driver sees
+    them end as if there were several workers. The next tests have real workers: two in `make test`; one, two and eight
+    in `make torture`.
     """
     n_out_of_order = 0
     for number, rng in enumerate(torture.attempts(1, 100)):
@@ -84,11 +85,11 @@ def test_the_same_bytes_in_whatever_order_work_ends(expected, torture, tmp_path)
             assert digests(settings, Store.open(tmp_path / str(number), create=True), cluster) == expected
             n_out_of_order += cluster.out_of_order
     assert n_out_of_order
-    torture.note(f"{n_out_of_order:,} pieces overtook others")
+    torture.note(f"{n_out_of_order:,} work items overtook others")
 
 
 def cut(rng: np.random.Generator) -> Settings:
-    """Cut generations into batches of some size, up to one that holds all."""
+    """Split generations into batches of a random size, up to the whole population."""
     return parse(Settings, TINY, name="tiny", overrides=(f"work.designs_per_batch={rng.integers(1, 8)}",))
 
 
@@ -109,11 +110,11 @@ rollout: {n_settle: 5, n_measure: 20}
 evolution: {n_generations: 4, afpo: {population_size: 6}}
 work: {throws_per_item: 6, generations_per_item: 2, engine: batch}
 """
-"""What the paper's preset does on a cluster, in little."""
+"""A small version of what the paper's preset does on a cluster."""
 
 
 def test_the_same_bytes_from_the_fast_engine_in_batches(torture, local_ray, tmp_path):
-    """Generations under the ensemble: whole in this process, then cut over two workers."""
+    """Generations under the ensemble: whole in this process, then split over two workers."""
     (rng,) = torture.attempts(1, 1)
     cut = f"work.designs_per_batch={rng.integers(1, 6)}"
     store, found = Store.open(tmp_path / "store", create=True), []
@@ -123,16 +124,18 @@ def test_the_same_bytes_from_the_fast_engine_in_batches(torture, local_ray, tmp_
             upstream = small_study.run(settings, store, cluster, STAGES[:3], say=print)
             assert not any(results.failed for results in upstream.values())
             found.append(small_study.digests(upstream))
-            shutil.rmtree(store.root / "items" / "evolve")  # the networks stay
+            shutil.rmtree(store.root / "items" / "evolve")  # the networks remain
     assert found[0] == found[1] and any(label.startswith("evolve/residual_slush") for label in found[0])
 
 
 @pytest.mark.parametrize("n_workers", [1, 2, 8])
 def test_the_same_bytes_from_any_number_of_workers(n_workers, expected, torture, tmp_path):
     if not torture.large:
-        pytest.skip("in large numbers only: each worker that starts takes core-seconds")
+        pytest.skip("only with --torture: each worker takes core-seconds to start")
     for number, rng in enumerate(torture.attempts(1, 5)):
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as other:  # this process may have a Ray already
+        with ProcessPoolExecutor(
+            1, mp_context=get_context("spawn")
+        ) as other:  # this process may already be connected to a Ray
             assert other.submit(on_ray, n_workers, tmp_path / str(number), rng).result() == expected
 
 

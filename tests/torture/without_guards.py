@@ -1,4 +1,4 @@
-"""A pytest plugin that takes out one guard while the test that should miss it runs."""
+"""A pytest plugin that removes one guard while the test that should notice its absence runs."""
 
 import contextlib
 import os
@@ -32,12 +32,12 @@ FAULTS, REFUSALS = (
 
 
 def unread(store: Store, manifest: Manifest, name: str) -> bytes:
-    """Read a file as it is."""
+    """Read a file without checking its hash."""
     return (store._item(manifest.stage, manifest.key) / name).read_bytes()
 
 
 def unsealed(data: bytes, *, schema: str, version: int, source: str) -> dict:
-    """Read a document as it is."""
+    """Read a document without checking its seal."""
     value = pipeline.store.encoding.decode_json(data, source)
     return {name: inner for name, inner in value.items() if name not in ("schema", "version", "sha256")}
 
@@ -47,19 +47,19 @@ def everything_is_finite() -> SimpleNamespace:
 
 
 def every_array_is_finite() -> SimpleNamespace:
-    """NumPy, but that to it every number is finite."""
+    """Return NumPy with an ``isfinite`` that is always true."""
     return SimpleNamespace(**{**vars(np), "isfinite": lambda values: np.ones_like(values, dtype=bool)})
 
 
 def in_place(path, data: bytes) -> None:
-    """Write a file where it stays, half of it or all."""
+    """Write a file directly at its final path."""
     disk.write(path, data)
     disk.fsync(path)
     disk.fsync(path.parent)
 
 
 def open_to_all(name: str) -> Callable[..., int | None]:
-    """Take a lock whoever has it, if its file has that name. Who asks for its holder is told the truth."""
+    """Grant a lock even if it is taken, if its file has that name. A query for its owner is answered truthfully."""
     try_lock = disk.try_lock
 
     def take(path, *, only_ask: bool = False, **execution) -> int | None:
@@ -76,7 +76,7 @@ def any_name(patch: pytest.MonkeyPatch) -> None:
 
 
 def unbounded() -> SimpleNamespace:
-    """The limits of a process, which can't be changed."""
+    """Return the module ``resource`` with a ``setrlimit`` that does nothing."""
     return SimpleNamespace(**{**vars(resource), "setrlimit": lambda *limits: None})
 
 

@@ -1,9 +1,9 @@
-"""A disk that can be cut off: the six effects of pipeline/store/disk.py, struck at any one of them.
+"""A simulated disk that can lose power at any of the six effects of pipeline/store/disk.py.
 
-Besides the death of the process, which loses nothing that was written, there is the loss of power, which loses what was
-not synced. POSIX promises of a file's content what its last fsync saw, and of a folder's list of names what the
-folder's last fsync saw; of anything since, some may be there and some not, in any order. This module keeps account of
-both, and lays out a disk as it could be found after the cut.
+Two faults are simulated. A process that dies loses nothing that it has written. A power cut loses what was not synced:
+POSIX promises for a file the content at its last fsync, and for a folder the list of names at the folder's last fsync;
+of everything since, any part may be there or missing, in any order. This module keeps account of both, and writes the
+disk as it could be found after the cut.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from typing import Any
 
 EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink", "rmdir")
 DEAD = 9
-"""Exit code of a child that was struck."""
+"""Exit code of a child that a fault has ended."""
 
 
 @dataclass
 class File:
-    """A file's contents since its last fsync; the first is what is safe."""
+    """Contents of a file since its last fsync; the first one is safe."""
 
     contents: list[bytes] = field(default_factory=lambda: [b""])
 
 
 @dataclass
 class Folder:
-    """A folder's lists of names since its last fsync; the first is what is safe."""
+    """Lists of a folder's names since its last fsync; the first one is safe."""
 
     names: list[dict[str, File | Folder]] = field(default_factory=lambda: [{}])
 
@@ -44,17 +44,17 @@ class Folder:
 
 
 class Account:
-    """What was done to a folder, and what of it is safe."""
+    """What was done to a folder, and which part of it is safe."""
 
     def __init__(self, top: Path) -> None:
         self._top = top
-        self._folder = self._found(top)
+        self._folder = self._read(top)
 
-    def _found(self, path: Path) -> File | Folder:
-        """Take what is there already as safe."""
+    def _read(self, path: Path) -> File | Folder:
+        """Read what exists already; all of it is safe."""
         if not path.is_dir():
             return File([path.read_bytes()])
-        return Folder([{inner.name: self._found(inner) for inner in path.iterdir() if inner.suffix != ".lock"}])
+        return Folder([{inner.name: self._read(inner) for inner in path.iterdir() if inner.suffix != ".lock"}])
 
     def _at(self, path: Path) -> Any:
         node: Any = self._folder
@@ -63,11 +63,11 @@ class Account:
         return node
 
     def name(self, path: Path) -> str:
-        """Give a path as images have it."""
+        """Return a path as images name it."""
         return f"/{path.relative_to(self._top)}"
 
-    def note(self, effect: str, path: Path, *rest: Any) -> None:
-        """Take down an effect that has happened."""
+    def record(self, effect: str, path: Path, *rest: Any) -> None:
+        """Record an effect that has happened."""
         if not path.is_relative_to(self._top):
             return
         folder = self._at(path.parent) if path != self._top else None
@@ -91,30 +91,35 @@ class Account:
                 folder.change(path.name, None)
 
     def image(self, loses: str, chance: random.Random) -> Image:
-        """Say what is found on the disk after the cut: ``loses`` is all, contents, names, some (by chance) or none."""
+        """Return the disk after a power cut.
+
+        Args:
+            loses: the part of the unsynced data that is lost: all, contents, names, some (at random) or none.
+            chance: generator that decides what "some" means.
+        """
         found: Image = {}
-        self._find(self._folder, "", loses, chance, found)
+        self._collect(self._folder, "", loses, chance, found)
         return found
 
-    def _find(self, node: File | Folder, path: str, loses: str, chance: random.Random, found: Image) -> None:
+    def _collect(self, node: File | Folder, path: str, loses: str, chance: random.Random, found: Image) -> None:
         if isinstance(node, Folder):
             found[path] = None
             names = {"all": node.names[0], "names": node.names[0], "contents": node.now, "none": node.now}.get(loses)
             for name, inner in (chance.choice(node.names) if names is None else names).items():
-                self._find(inner, f"{path}/{name}", loses, chance, found)
+                self._collect(inner, f"{path}/{name}", loses, chance, found)
             return
         safe, last = node.contents[0], node.contents[-1]
-        zeros = safe if safe == last else bytes(len(last))  # a length that was kept, of blocks that were not
+        zeros = safe if safe == last else bytes(len(last))  # the length was written, its blocks were not
         some = chance.choice([safe, last, zeros, last[: chance.randrange(len(last) + 1)]]) if safe != last else last
         found[path] = {"all": safe, "contents": zeros, "names": last, "none": last}.get(loses, some)
 
 
 Image = dict[str, bytes | None]
-"""What is on a disk: the content of every file by its path, None for a folder; the empty path is the disk itself."""
+"""Content of every file on a disk by its path, None for a folder; the empty path is the disk itself."""
 
 
-def lay_out(image: Image, target: Path) -> None:
-    """Write a disk."""
+def write_image(image: Image, target: Path) -> None:
+    """Write an image into a folder."""
     for path, data in image.items():
         if data is None:
             (target / path.lstrip("/")).mkdir()
@@ -123,17 +128,22 @@ def lay_out(image: Image, target: Path) -> None:
 
 
 class Survey:
-    """The different disks that all faults of one run leave, found on the way without one of them happening."""
+    """The distinct disks that all faults of one run would leave, collected without any of them happening."""
 
-    def __init__(self, account: Account, committed: list[str], kinds: list[str], seed: int) -> None:
+    def __init__(
+        self, account: Account, committed: list[str], kinds: list[str], seed: int, points: list[int] | None
+    ) -> None:
         self._account, self._committed, self._kinds, self._seed = account, committed, kinds, seed
+        self._points = points
         self._number: dict[frozenset[tuple[str, bytes | None]], int] = {}
         self.disks: list[Image] = []
-        self.told: list[dict[str, Any]] = []
-        """Of each disk: the faults that leave it, and which items were committed before the last of them."""
+        self.described: list[dict[str, Any]] = []
+        """For each disk, the faults that leave it and the items committed before the last of them."""
 
-    def look(self, at: int, effect: str, path: Path, *rest: Any) -> None:
-        """See what faults would leave before an effect."""
+    def observe(self, at: int, effect: str, path: Path, *rest: Any) -> None:
+        """Collect the disks that faults before this effect would leave."""
+        if self._points is not None and at not in self._points:
+            return
         for kind in self._kinds:
             loses = "none" if kind in ("die", "tear") else kind
             image = self._account.image(loses, random.Random(self._seed + at))
@@ -144,9 +154,9 @@ class Survey:
             number = self._number.setdefault(frozenset(image.items()), len(self.disks))
             if number == len(self.disks):
                 self.disks.append(image)
-                self.told.append({"faults": []})
-            self.told[number]["faults"].append([kind, at])
-            self.told[number]["committed"] = list(self._committed)
+                self.described.append({"faults": []})
+            self.described[number]["faults"].append([kind, at])
+            self.described[number]["committed"] = list(self._committed)
 
 
 # -- the seam --------------------------------------------------------------------------------------------------------
@@ -165,22 +175,22 @@ _state = _State()
 
 
 def watch(disk: ModuleType) -> None:
-    """Stand between the store and the six effects."""
+    """Insert this module between the store and the six effects."""
     for name in EFFECTS:
         setattr(disk, name, _guard(name, getattr(disk, name)))
 
 
 def at_death(die: Callable[[], None]) -> None:
-    """Say how a process that is struck ends; it must not return."""
+    """Set what ends a process that a fault strikes; it must not return."""
     _state.die = die
 
 
 def arm(fault: dict[str, Any] | None, top: Path) -> None:
-    """Count effects anew, and strike before effect number ``fault["at"]``, if there is a fault.
+    """Reset the count of effects, and strike before effect number ``fault["at"]`` if there is a fault.
 
-    ``fault["kind"]`` is die; tear, where a write stops half-way; or power, where ``fault["image"]`` receives what the
-    disk holds afterwards, ``fault["loses"]`` being what is gone. The account of what is safe goes from one process to
-    the next by ``fault["leaves"]`` and ``fault["takes"]``.
+    ``fault["kind"]`` is die; tear, where a write stops half-way; or power, where the disk after the cut is written to
+    ``fault["image"]`` without what ``fault["loses"]`` names. The account of what is safe is passed from one process to
+    the next through the files ``fault["leaves"]`` and ``fault["takes"]``.
     """
     _state.effects, _state.fault, _state.account, _state.survey = [], fault, None, None
     if fault and "takes" in fault:
@@ -189,22 +199,26 @@ def arm(fault: dict[str, Any] | None, top: Path) -> None:
         _state.account = Account(top)
 
 
-def survey(top: Path, committed: list[str], kinds: list[str], seed: int) -> Survey:
-    """Look, from :func:`arm` on, at what every fault would leave of a folder.
+def survey(top: Path, committed: list[str], kinds: list[str], seed: int, points: list[int] | None = None) -> Survey:
+    """Collect, from :func:`arm` on, the disks that faults would leave of a folder.
 
     Args:
         top: the folder.
-        committed: keys of what is committed, as the list grows.
-        kinds: of faults: die, tear, or what a loss of power loses.
-        seed: of the chance by which it loses some.
+        committed: keys of the committed items, a list that grows.
+        kinds: faults to consider: die, tear, or what a power cut loses.
+        seed: seed for what a power cut loses at random.
+        points: numbers of the effects before which faults are considered; all of them if None.
+
+    Returns:
+        The survey, which is complete when the run is.
     """
     _state.account = Account(top)
-    _state.survey = Survey(_state.account, committed, kinds, seed)
+    _state.survey = Survey(_state.account, committed, kinds, seed, points)
     return _state.survey
 
 
-def rest() -> None:
-    """Look no more."""
+def stop_survey() -> None:
+    """End the survey."""
     _state.survey = None
 
 
@@ -219,7 +233,7 @@ def strike() -> None:
     if fault is not None and account is not None and "leaves" in fault:
         Path(fault["leaves"]).write_bytes(pickle.dumps(account))
     if fault is not None and account is not None and fault["kind"] == "power":
-        lay_out(account.image(fault["loses"], random.Random(fault.get("seed", 0))), Path(fault["image"]))
+        write_image(account.image(fault["loses"], random.Random(fault.get("seed", 0))), Path(fault["image"]))
     _state.die()
 
 
@@ -233,10 +247,10 @@ def _guard(name: str, effect: Callable[..., None]) -> Callable[..., None]:
                 effect(path, rest[0][: len(rest[0]) // 2])
             strike()
         if _state.survey is not None:
-            _state.survey.look(len(_state.effects), name, path, *rest)
+            _state.survey.observe(len(_state.effects), name, path, *rest)
         _state.effects.append(name)
         effect(path, *rest)
         if _state.account is not None:
-            _state.account.note(name, path, *rest)
+            _state.account.record(name, path, *rest)
 
     return guarded
