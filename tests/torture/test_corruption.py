@@ -120,7 +120,7 @@ def test_every_damage_is_found_and_named(torture, store):
     good = {path: path.read_bytes() for path in files}
     n_of: dict[str, int] = {}
     n_attempts = n_damages = 0
-    for n_attempts, rng in enumerate(torture.attempts(1000 // N_AT_ONCE, 50_000 // N_AT_ONCE), 1):
+    for n_attempts, rng in enumerate(torture.attempts(300 // N_AT_ONCE, 50_000 // N_AT_ONCE), 1):
         while n_damages < n_attempts * N_AT_ONCE:  # files that describe others are damaged alone
             paths, n_wanted = chosen(files, rng), n_attempts * N_AT_ONCE - n_damages
             alone = len(paths) == 2
@@ -135,7 +135,7 @@ def test_every_damage_is_found_and_named(torture, store):
                 n_of[path.suffix] = n_of.get(path.suffix, 0) + 1
                 mend(path, good[path])
     assert find_damage(store) == []
-    assert n_damages == n_attempts * N_AT_ONCE and (torture.large or n_damages == 1000)
+    assert n_damages == n_attempts * N_AT_ONCE and (torture.large or n_damages == 300)
     n_damaged = ", ".join(f"{number:,} {suffix}" for suffix, number in sorted(n_of.items()))
     torture.note(f"{n_damages:,} damages, to {n_damaged}: all found and named")
 
@@ -179,7 +179,7 @@ def keys_of(bad: list[Path]) -> set[str]:
 def test_only_damaged_items_are_recomputed(torture, fork_server, pristine, new_folder):
     (undisturbed,) = fork_server.finish([pristine], study="full")
     n_damaged = 0
-    for rng in torture.attempts(40, 2000):
+    for rng in torture.attempts(12, 2000):
         root = new_folder() / "store"
         bad = a_damaged_copy(pristine, root, rng)
         damaged = keys_of(bad)
@@ -199,7 +199,7 @@ def test_a_run_recomputes_the_damage_it_meets_and_nothing_else(torture, fork_ser
     """Without `puddle verify`, a run notices missing files, wrong lengths, and damage in what it reads."""
     (undisturbed,) = fork_server.finish([pristine], study="full")
     n_met = n_left = 0
-    for rng in torture.attempts(20, 1000):
+    for rng in torture.attempts(8, 1000):
         root = new_folder() / "store"
         bad = a_damaged_copy(pristine, root, rng)
         lengths = {path: (pristine / path.relative_to(root)).stat().st_size for path in bad}

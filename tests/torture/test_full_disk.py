@@ -88,7 +88,7 @@ def resumes(machine: Machine, disk: Path, committed: list[str]) -> None:
 
 def test_a_disk_of_any_size_that_fills(torture, machine, new_folder):
     n_full = 0
-    for rng in torture.attempts(12, 500):
+    for rng in torture.attempts(6, 500):
         disk = new_folder()
         n_kilobytes = int(rng.integers(4, 1200))
         machine.mount(disk, f"size={n_kilobytes}k", "-t", "tmpfs")
@@ -107,7 +107,7 @@ def test_a_disk_of_any_size_that_fills(torture, machine, new_folder):
 
 def test_a_limit_on_the_size_of_files(torture, machine, new_folder):
     n_stopped = 0
-    for rng in torture.attempts(6, 200):
+    for rng in torture.attempts(4, 200):
         disk = new_folder()
         committed = []
         if stopped(machine, disk, "File too large", file_bytes=int(rng.integers(100, 40_000))):

@@ -113,7 +113,7 @@ def test_settings_of_hostile_lines(torture, tmp_path, sentinel):
     path, n_read = tmp_path / "hostile.yaml", 0
     lines = [line.replace("SENTINEL", str(sentinel)) for line in LINES]
     with memory_below(300 * MEGABYTE):
-        for rng in torture.attempts(300, 20_000):
+        for rng in torture.attempts(100, 20_000):
             chosen = rng.choice(len(lines), size=int(rng.integers(1, 6)))
             path.write_text("\n".join(lines[index] for index in chosen), errors="surrogatepass")
             try:
@@ -279,7 +279,7 @@ def canary(pristine, new_folder):
 
 def test_links_in_a_store_are_refused_and_not_followed(torture, fork_server, pristine, new_folder, canary):
     n_refused = 0
-    for rng in torture.attempts(40, 1000):
+    for rng in torture.attempts(12, 1000):
         root = new_folder() / "store"
         shutil.copytree(pristine, root)
         everything = sorted(root.rglob("*"))
@@ -331,7 +331,7 @@ def test_a_hostile_study_record_with_a_valid_seal(
     monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)  # the garbage in /tmp belongs to other tests
     undisturbed, n_refused = tree(pristine), 0
     fields = ["name", "settings", "items", "stage", "label", "key", "folder"]
-    for number, rng in enumerate(torture.attempts(28, 3000)):
+    for number, rng in enumerate(torture.attempts(14, 3000)):
         root = new_folder() / "store"
         shutil.copytree(pristine, root)
         path = root / "studies" / "tiny" / "study.json"
