@@ -188,8 +188,8 @@ def _local(n_workers: int | None) -> Iterator[_Connection]:
                 _connect(address=ours.address)
         except Exception as error:
             raise PuddleError(
-                f"Ray did not start on this machine: {error}\nIt needs free space in {SESSIONS_FOLDER} and /dev/shm, and "
-                f"memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` runs without Ray."
+                f"Ray did not start on this machine: {error}\nIt needs free space in {SESSIONS_FOLDER} and /dev/shm "
+                f"and memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` runs without Ray."
             ) from error
         yield _Connection(ours.is_alive, ours.calling, RAY_DIED)
 

@@ -1,4 +1,4 @@
-"""design.json: how a design travels. A schema version and the fields of one design, each by its name."""
+"""The design file, design.json: a schema version and the fields of one design."""
 
 from __future__ import annotations
 
@@ -13,29 +13,35 @@ from pipeline.store.encoding import decode_json
 from tasks.design import N_LINKS, DesignError, Designs, check
 from tasks.design.genes import DTYPES, PER_DESIGN
 
-SCHEMA, VERSION = "puddle.design", 1
+DESIGN_SCHEMA, DESIGN_VERSION = "puddle.design", 1
 
-MAX_BYTES = 2**20
-"""A design file's greatest length."""
+_MAX_BYTES = 2**20
 
 
 def design_document(design: Designs) -> dict[str, Any]:
-    """Give one design as plain values."""
+    """Return one design as plain values."""
     fields = {name: array[0].tolist() for name, array in design.arrays()}
-    return {"schema": SCHEMA, "version": VERSION, **fields}
+    return {"schema": DESIGN_SCHEMA, "version": DESIGN_VERSION, **fields}
 
 
 def design_from(document: Any, source: str) -> Designs:
-    """Read one design out of plain values.
+    """Build a design from plain values.
+
+    Args:
+        document: the parsed design file.
+        source: its name in messages.
+
+    Returns:
+        One design.
 
     Raises:
-        PuddleError: names the source and the field, what was expected and what came.
+        PuddleError: the document is not a valid design; names the field.
     """
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
-        raise PuddleError(f'{source}: not a design: expected a JSON object with "schema": "{SCHEMA}"')
-    if document.get("version") != VERSION:
+    if not isinstance(document, dict) or document.get("schema") != DESIGN_SCHEMA:
+        raise PuddleError(f'{source}: not a design: expected a JSON object with "schema": "{DESIGN_SCHEMA}"')
+    if document.get("version") != DESIGN_VERSION:
         raise PuddleError(
-            f"{source}: version: expected {VERSION}, came {document.get('version')!r}. A newer puddle may read it."
+            f"{source}: version: expected {DESIGN_VERSION}, got {document.get('version')!r}. Try a newer puddle."
         )
     unknown = sorted(document.keys() - DTYPES.keys() - {"schema", "version"})
     missing = sorted(DTYPES.keys() - document.keys())
@@ -62,24 +68,24 @@ def _field(name: str, value: Any, source: str) -> Any:
         or not all(isinstance(v, kinds) and (bool in kinds or not isinstance(v, bool)) for v in values)
     ):
         expected = f"one {word}" if name in PER_DESIGN else f"a list of {N_LINKS} values, each a {word}"
-        raise PuddleError(f"{source}: {name}: expected {expected}, came {json.dumps(value)[:100]}")
+        raise PuddleError(f"{source}: {name}: expected {expected}, got {json.dumps(value)[:100]}")
     try:
         return np.asarray(value, dtype=DTYPES[name])
     except OverflowError:
-        raise PuddleError(f"{source}: {name}: expected numbers of a design's size, came {str(value)[:100]}") from None
+        raise PuddleError(f"{source}: {name}: expected 64-bit numbers, got {str(value)[:100]}") from None
 
 
 def read_design(path: Path) -> Designs:
     """Read a design file.
 
     Raises:
-        PuddleError: the file can't be read or is not a design.
+        PuddleError: the file cannot be read or is not a design.
     """
     try:
         with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise PuddleError(f"{path}: can't be read: {error.strerror}. Expected a design file (design.json).") from None
-    if len(data) > MAX_BYTES:
-        raise PuddleError(f"{path}: expected at most {MAX_BYTES} bytes of a design, came more. Is it the right file?")
+        raise PuddleError(f"{path}: cannot be read: {error.strerror}. Expected a design file (design.json).") from None
+    if len(data) > _MAX_BYTES:
+        raise PuddleError(f"{path}: expected at most {_MAX_BYTES} bytes of a design, got more. Is it the right file?")
     return design_from(decode_json(data, str(path)), str(path))

@@ -1,8 +1,8 @@
-"""The disk: the effects through which the store changes it, and the one way to put a file in its place.
+"""Disk access: the six effects through which the store changes the disk, and atomic writes built on them.
 
 Every change goes through :func:`write`, :func:`fsync`, :func:`rename`, :func:`mkdir`, :func:`unlink` and :func:`rmdir`,
-looked up in this module at each call, so that a test can let the process die, or the disk fill, at any of them. Lock
-files are apart: they hold nothing that has to outlive a process. POSIX only (flock).
+looked up in this module at each call, so that a test can kill the process or fill the disk at any of them. Lock files
+are exempt, because nothing in them must outlive a process. POSIX only (flock).
 """
 
 from __future__ import annotations
@@ -22,29 +22,27 @@ from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.encoding import digest
 
 MAX_DOCUMENT_BYTES = 2**26
-"""A JSON document's greatest length: the record of a study of half a million pieces."""
+"""Largest JSON document [bytes]: the record of a study of half a million work items."""
 
-_PIECE_BYTES = 2**20
-"""Of a file that is hashed."""
-
+_HASH_BUFFER_BYTES = 2**20
 _OWN = os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class NotAFileError(OSError):
-    """Something else has a file's name."""
+    """A path that should name a file names something else."""
 
 
 # -- the effects -----------------------------------------------------------------------------------------------------
 
 
 def write(path: Path, data: bytes) -> None:
-    """Write a whole file, in place of what is there."""
+    """Write a whole file, replacing what is there."""
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | _OWN, 0o644), "wb") as file:
         file.write(data)
 
 
 def fsync(path: Path) -> None:
-    """Wait until a file, or a folder's list of names, is on the disk itself."""
+    """Flush a file, or a folder's list of names, to the disk."""
     descriptor = os.open(path, os.O_RDONLY | _OWN)
     try:
         os.fsync(descriptor)
@@ -53,17 +51,17 @@ def fsync(path: Path) -> None:
 
 
 def rename(path: Path, target: Path) -> None:
-    """Give a file its final name, in place of what had it."""
+    """Rename a file, replacing what had that name."""
     path.replace(target)
 
 
 def mkdir(path: Path) -> None:
-    """Make one folder, unless it is there."""
+    """Create one folder unless it exists."""
     path.mkdir(exist_ok=True)
 
 
 def unlink(path: Path) -> None:
-    """Remove a file, unless it is gone."""
+    """Remove a file if it exists."""
     path.unlink(missing_ok=True)
 
 
@@ -72,37 +70,39 @@ def rmdir(path: Path) -> None:
     path.rmdir()
 
 
-# -- made of them ----------------------------------------------------------------------------------------------------
+# -- built on the effects --------------------------------------------------------------------------------------------
 
 
 def temporary(path: Path) -> Path:
-    """Return where a file's content lies before it has its final name."""
+    """Return the path of a file's content before it gets its final name."""
     return path.with_name(f".{path.name}.tmp")
 
 
 def place(path: Path, data: bytes) -> None:
-    """Put a file in its place: whole under its name, or not there at all, whatever happens meanwhile.
+    """Write a file atomically: after a crash at any point it is complete under its name, or absent.
 
-    Callers hold a lock on the folder: the temporary file's name is always the same, so that an interrupted call leaves
-    at most one, which the next call writes over. What is in its place already is not written again: there may be no
-    room for it twice.
+    The caller must hold a lock on the folder. The temporary file's name is fixed, so an interrupted call leaves at
+    most one, which the next call overwrites. A file that is in place already is not written again, because there may
+    be no room for a second copy.
+
+    Raises:
+        PuddleError: the disk does not return the bytes just written.
     """
-    if _holds(path, data):
+    if _has_content(path, data):
         fsync(path.parent)
         return
     write(temporary(path), data)
     fsync(temporary(path))
     if digest(read(temporary(path), at_most=len(data))) != digest(data):
         raise PuddleError(
-            f"{path}: expected the bytes just written, came others. They were not put in its place: whatever was kept "
-            f"before is safe. Check the disk, ask `puddle verify` whether it holds what it held, and give the same "
-            f"command again: it goes on from there."
+            f"{path}: expected the bytes just written, got others. The file was not put in place; committed results "
+            f"are safe. Check the disk, run `puddle verify`, then run the same command again to resume."
         )
     rename(temporary(path), path)
     fsync(path.parent)
 
 
-def _holds(path: Path, data: bytes) -> bool:
+def _has_content(path: Path, data: bytes) -> bool:
     try:
         return read(path, at_most=len(data)) == data
     except OSError:
@@ -110,34 +110,34 @@ def _holds(path: Path, data: bytes) -> bool:
 
 
 def make_folders(root: Path, folder: Path) -> None:
-    """Make the folders from a root (which exists) down to a folder below it, for good."""
+    """Create the folders between an existing root and a folder below it, and flush them."""
     below = [path for path in (folder, *folder.parents) if path.is_relative_to(root) and path != root]
     missing = [path for path in below if not path.is_dir()]
     if deepest := below[len(missing) : len(missing) + 1]:
-        fsync(deepest[0].parent)  # who made it may have died before it was safe
+        fsync(deepest[0].parent)  # its creator may have died before flushing it
     for path in reversed(missing):
         mkdir(path)
         fsync(path.parent)
 
 
 def read(path: Path, *, at_most: int = MAX_DOCUMENT_BYTES) -> bytes:
-    """Read a regular file. Of one that is longer than it should be, it takes one byte too many and no more.
+    """Read a regular file, and of one longer than ``at_most`` one byte more than that.
 
     Raises:
-        NotAFileError: where it is a symbolic link, a folder, a pipe or the like.
-        OSError: where it is not there or can't be read.
+        NotAFileError: the path is a symbolic link, a folder, a pipe or the like.
+        OSError: the file does not exist or cannot be read.
     """
     with _opened(path) as file:
-        return file.read(min(at_most, os.fstat(file.fileno()).st_size) + 1)  # room for so much is made beforehand
+        return file.read(min(at_most, os.fstat(file.fileno()).st_size) + 1)  # read() allocates its argument at once
 
 
 def digest_of(path: Path, *, at_most: int) -> str:
-    """Return the SHA-256 of what :func:`read` would read, in little memory; raises as it."""
+    """Return the SHA-256 of what :func:`read` would return, using little memory; raises as :func:`read`."""
     found, n_left = hashlib.sha256(), at_most + 1
     with _opened(path) as file:
-        while piece := file.read(min(_PIECE_BYTES, n_left)):
-            found.update(piece)
-            n_left -= len(piece)
+        while chunk := file.read(min(_HASH_BUFFER_BYTES, n_left)):
+            found.update(chunk)
+            n_left -= len(chunk)
     return found.hexdigest()
 
 
@@ -148,21 +148,25 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def read_document(path: Path) -> bytes:
-    """Read a JSON document; raises as :func:`read`, and DamagedArtifact where it is too long to be one of ours."""
+    """Read a JSON document; raises as :func:`read`.
+
+    Raises:
+        DamagedArtifact: the document is longer than any that puddle writes.
+    """
     data = read(path)
     if len(data) > MAX_DOCUMENT_BYTES:
-        raise DamagedArtifact(f"{path}: expected at most {MAX_DOCUMENT_BYTES} bytes, came {path.stat().st_size}")
+        raise DamagedArtifact(f"{path}: expected at most {MAX_DOCUMENT_BYTES} bytes, got {path.stat().st_size}")
     return data
 
 
 def below(folder: Path) -> Iterator[Path]:
-    """Give everything in a folder and below. What others remove meanwhile is left out; links are not followed."""
-    for place, folders, files in os.walk(folder):  # rglob fails where a folder has gone
-        yield from (Path(place, name) for name in (*folders, *files))
+    """Yield everything below a folder, except what is removed meanwhile; links are not followed."""
+    for parent, folders, files in os.walk(folder):  # rglob fails if a folder disappears
+        yield from (Path(parent, name) for name in (*folders, *files))
 
 
 def size_bytes(folder: Path) -> int:
-    """Return the length of all files in a folder and below."""
+    """Return the total length of all files below a folder [bytes]."""
     total = 0
     for path in below(folder):
         with contextlib.suppress(FileNotFoundError):  # a commit renames its temporary files meanwhile
@@ -172,63 +176,67 @@ def size_bytes(folder: Path) -> int:
 
 
 def inside(root: Path, *parts: str) -> Path:
-    """Return a path below a root. The parts are single names that the caller has checked.
+    """Return a path below a root; the parts are single names that the caller has checked.
 
     Raises:
-        PuddleError: where one of them is a symbolic link.
+        PuddleError: one of them is a symbolic link.
     """
     path = root
     for part in parts:
         path = path / part
         if path.is_symlink():
             raise PuddleError(
-                f"{path}: expected a file or a folder, came a symbolic link. It was not followed, and whatever was "
-                f"kept is safe. A store holds none: replace the link by what it points at, or move the whole store; "
-                f"then `puddle verify` tells whether all is well, and the same command goes on from there."
+                f"{path}: expected a file or a folder, got a symbolic link. It was not followed; committed results are "
+                f"safe. Replace the link by its target, or move the whole store, check it with `puddle verify`, and "
+                f"run the same command again to resume."
             )
     return path
 
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold a lock file, waiting for other processes (and threads); it is let go when the process ends, however."""
+    """Hold a lock file, waiting for other processes and threads; it is released when the process ends."""
     with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | _OWN, 0o644), "rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
 def try_lock(path: Path, *, kind: int = fcntl.LOCK_EX, only_ask: bool = False) -> int | None:
-    """Take a lock file if it is free; return its descriptor, whose closing lets go, or None where it is taken.
+    """Try to take a lock file.
 
     Args:
-        path: of the lock file.
-        kind: fcntl.LOCK_EX, or LOCK_SH for a lock that many share.
-        only_ask: do not create the file. As an asker is in the way for an instant, others try for half a second.
+        path: the lock file.
+        kind: fcntl.LOCK_EX, or LOCK_SH for a shared lock.
+        only_ask: do not create the file. A query holds the lock for an instant, so other callers try for half a second.
+
+    Returns:
+        The file's descriptor, which releases the lock when closed; None if the lock is taken.
     """
     flags = os.O_RDONLY if only_ask else os.O_RDWR | os.O_CREAT
     descriptor = os.open(path, flags | _OWN, 0o644)
-    patience = time.monotonic() + (0.0 if only_ask else 0.5)
+    deadline = time.monotonic() + (0.0 if only_ask else 0.5)
     while True:
         try:
             fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
             return descriptor
         except BlockingIOError:
-            if time.monotonic() >= patience:
+            if time.monotonic() >= deadline:
                 os.close(descriptor)
                 return None
             time.sleep(0.02)
 
 
 @contextlib.contextmanager
-def explained(
-    doing: str, path: Path, *, advice: str = "give the same command again: it goes on from there"
-) -> Iterator[None]:
+def explained(doing: str, path: Path, *, advice: str = "run the same command again to resume") -> Iterator[None]:
     """Turn an OSError into a PuddleError that says what failed, what is safe and what to do.
 
     Args:
-        doing: what failed.
-        path: of what it was done to.
-        advice: what to do once the cause is mended.
+        doing: the operation, as in "committing the item".
+        path: the file or folder concerned.
+        advice: what to do once the cause is removed.
+
+    Raises:
+        PuddleError: in place of the OSError.
     """
     try:
         yield
@@ -237,11 +245,11 @@ def explained(
             case errno.ENOSPC | errno.EDQUOT:
                 mend = f"Free some space and {advice}."
             case errno.EROFS | errno.EACCES | errno.EPERM:
-                mend = f"Allow it (permissions, a read-only disk), or choose another place; then {advice}."
+                mend = f"Allow writing (permissions, a read-only disk) or choose another folder; then {advice}."
             case _:
-                mend = f"Mend the cause and {advice}."
-        file = error.filename2 or error.filename  # of a rename, the name that was wanted
+                mend = f"Remove the cause and {advice}."
+        file = error.filename2 or error.filename  # for a rename, the new name
         where = f" ({file})" if file else ""
         raise PuddleError(
-            f"{path}: {doing} failed: {error.strerror or error}{where}. Whatever was kept before is safe. {mend}"
+            f"{path}: {doing} failed: {error.strerror or error}{where}. Committed results are safe. {mend}"
         ) from error

@@ -1,12 +1,12 @@
-"""Artifacts: arrays and documents as bytes, and back. Bytes in, bytes out; nothing here touches a disk.
+"""Encoding of tables, arrays and documents as bytes, and decoding. Nothing here touches a disk.
 
-Tables are Parquet, weights are safetensors, documents are JSON; there is no pickle. The same values always give the
-same bytes (under the same pyarrow), so that a digest can stand for the content. Each file names its format (a schema
-and a version) and carries a SHA-256 of its values: Parquet's page checksums leave its footer uncovered, safetensors
-has none at all, and both otherwise accept a flipped bit without a word.
+Tables are Parquet, weights are safetensors, documents are JSON; nothing is pickled. Equal values give equal bytes
+(with the same pyarrow), so that a digest can stand for the content. Each file names its format (a schema and a version)
+and carries the SHA-256 of its values, because Parquet's page checksums do not cover its footer, safetensors has no
+checksums, and both otherwise accept a flipped bit silently.
 
-Everything that tables and arrays know about themselves is one JSON text under the metadata key ``puddle``. One key,
-because safetensors writes several in a random order.
+The metadata of a table or of arrays is one JSON text under the key ``puddle``: safetensors writes several keys in
+random order.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ Array: TypeAlias = npt.NDArray[Any]
 METADATA_KEY = "puddle"
 
 MAX_TABLE_BYTES = 2**31
-"""Of a table in memory. A piece of work makes megabytes."""
+"""Largest table in memory [bytes]; a work item produces megabytes."""
 
 _INTEGERS = tuple(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 _NUMBERS = frozenset(("bool", *_INTEGERS, "float32", "float64"))
-_RESTORE = "It is damaged: restore it from a copy, or make it again."
+_RESTORE = "The file is damaged: restore it from a copy, or compute it again."
 
 
 # -- digests and JSON ------------------------------------------------------------------------------------------------
 
 
 def digest(data: bytes) -> str:
-    """Return the SHA-256 of some bytes in hexadecimal."""
+    """Return the SHA-256 of data in hexadecimal."""
     return hashlib.sha256(data).hexdigest()
 
 
@@ -54,35 +54,35 @@ def key_of(identity: Mapping[str, Json]) -> str:
 
 
 def canonical_json(value: Json) -> bytes:
-    """Return the one JSON text of a value: sorted keys, no spaces, UTF-8, floats in their shortest exact form.
+    """Return the unique JSON text of a value: sorted keys, no spaces, UTF-8, floats in their shortest exact form.
 
     Note that 1 and 1.0 differ, as do 0.0 and -0.0.
 
     Raises:
-        TypeError: where a value is not a plain None, bool, int, float, str, list, tuple or dict with text keys. numpy
-            scalars are refused: whoever hashes one says what it is, with int() or float().
-        ValueError: where a float is not finite, or a text is not Unicode.
+        TypeError: a value is not a plain None, bool, int, float, str, list, tuple or dict with text keys. Convert
+            NumPy scalars with int() or float() first.
+        ValueError: a float is not finite, or a text is not valid Unicode.
     """
     _refuse_impure(value, "")
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
 
 
 def encode_json(value: Json) -> bytes:
-    """Return a document: canonical JSON laid out for reading, one newline at its end. Raises as canonical_json."""
+    """Return indented canonical JSON with a newline at the end; raises as :func:`canonical_json`."""
     _refuse_impure(value, "")
     return json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
 def decode_json(data: bytes, source: str) -> Any:
-    """Return a document's value.
+    """Return the value of a JSON document.
 
     Raises:
-        PuddleError: names the source, where it is not JSON, names a key twice, or holds a number that is not finite.
+        PuddleError: the document is not JSON, repeats a key, or holds a number that is not finite.
     """
     try:
         value = json.loads(data.decode(), object_pairs_hook=_unique_keys)
         _refuse_impure(value, "")
-        json.dumps(value, ensure_ascii=False).encode()  # an escaped half of a surrogate pair is no text
+        json.dumps(value, ensure_ascii=False).encode()  # fails for an unpaired surrogate
     except (ValueError, RecursionError) as error:
         problem = "nested too deeply" if isinstance(error, RecursionError) else str(error)
         raise PuddleError(f"{source}: expected a JSON document (UTF-8): {problem}") from None
@@ -98,7 +98,7 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _refuse_impure(value: Any, where: str) -> None:
-    """Refuse what JSON has no exact form for. Exact types: a numpy float64 is a float to isinstance."""
+    """Refuse values without an exact JSON form. Types are compared exactly: np.float64 is a subclass of float."""
     kind = type(value)
     if kind is float:
         if not math.isfinite(value):
@@ -122,45 +122,64 @@ def _refuse_impure(value: Any, where: str) -> None:
 
 
 def check_format(found: Any, *, schema: str, version: int, source: str) -> None:
-    """Refuse a document that is not of one format.
+    """Refuse a document of another format.
 
     Args:
-        found: the document, which should be a dict with its ``schema`` and ``version``.
-        schema: the name expected.
-        version: the version expected.
-        source: what to call the document in a message.
+        found: the document, which should be a dict with ``schema`` and ``version``.
+        schema: expected name of the format.
+        version: expected version of the format.
+        source: the document's name in messages.
 
     Raises:
-        PuddleError: says what came instead, and what to do.
+        PuddleError: the document has another format.
+        OtherVersion: it has another version of this format.
     """
     expected = f"expected {schema!r} version {version}"
     if not isinstance(found, dict) or not isinstance(found.get("schema"), str) or type(found.get("version")) is not int:
-        raise PuddleError(f"{source}: {expected}, came a file that puddle did not write. Is it the right file?")
+        raise PuddleError(f"{source}: {expected}, got a file that puddle did not write. Is it the right file?")
     if found["schema"] != schema:
-        raise PuddleError(f"{source}: {expected}, came {found['schema']!r}. Is it the right file?")
+        raise PuddleError(f"{source}: {expected}, got {found['schema']!r}. Is it the right file?")
     if found["version"] > version:
         raise OtherVersion(
-            f"{source}: {expected}, came version {found['version']}. A newer puddle wrote it: upgrade puddle."
+            f"{source}: {expected}, got version {found['version']}. A newer puddle wrote it: upgrade puddle."
         )
     if found["version"] < version:
         raise OtherVersion(
-            f"{source}: {expected}, came version {found['version']}. "
-            f"An older puddle wrote it: make it again, or use that version of puddle."
+            f"{source}: {expected}, got version {found['version']}. "
+            f"An older puddle wrote it: compute it again, or use that version of puddle."
         )
 
 
 def encode_sealed(value: Mapping[str, Json], *, schema: str, version: int) -> bytes:
-    """Return a document that names its format and carries the SHA-256 of its own content."""
+    """Return a document that names its format and carries the SHA-256 of its own content.
+
+    Args:
+        value: the content.
+        schema: name of the format.
+        version: version of the format.
+
+    Returns:
+        Indented canonical JSON.
+    """
     named = {**value, "schema": schema, "version": version}
     return encode_json({**named, "sha256": digest(canonical_json(named))})
 
 
 def decode_sealed(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Any]:
-    """Return a sealed document's value, without its seal.
+    """Return the content of a sealed document, without its format and seal.
+
+    Args:
+        data: the document.
+        schema: expected name of the format.
+        version: expected version of the format.
+        source: the document's name in messages.
+
+    Returns:
+        The content.
 
     Raises:
-        PuddleError: where the document is of another format.
-        DamagedArtifact: where it is not, to the byte, what was written.
+        PuddleError: the document has another format.
+        DamagedArtifact: it differs in any byte from what was written.
     """
     try:
         value = decode_json(data, source)
@@ -172,13 +191,13 @@ def decode_sealed(data: bytes, *, schema: str, version: int, source: str) -> dic
         if _seal_holds(value, data):
             raise
         raise DamagedArtifact(
-            f"{source}: expected {schema!r} version {version}, came version {value['version']} and "
-            "another SHA-256 than it says"
+            f"{source}: expected {schema!r} version {version}, got version {value['version']} and "
+            "a SHA-256 that does not match"
         ) from None
     if not _seal_holds(value, data):
         unsealed = {name: inner for name, inner in value.items() if name != "sha256"}
         raise DamagedArtifact(
-            f"{source}: expected SHA-256 {value.get('sha256')}, came {digest(canonical_json(unsealed))}"
+            f"{source}: expected SHA-256 {value.get('sha256')}, got {digest(canonical_json(unsealed))}"
         )
     return _body(value)
 
@@ -188,7 +207,7 @@ def _body(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _seal_holds(document: Mapping[str, Any], data: bytes) -> bool:
-    """Tell whether a document is, to the byte, what was sealed: by this puddle, or by one of another version."""
+    """Check that a document equals its sealed form byte for byte, whatever version of puddle sealed it."""
     return encode_sealed(_body(document), schema=document["schema"], version=document["version"]) == data
 
 
@@ -198,25 +217,28 @@ def _seal_holds(document: Mapping[str, Any], data: bytes) -> bool:
 def encode_table(
     columns: Mapping[str, Array], *, schema: str, version: int, producer: str, units: Mapping[str, str] | None = None
 ) -> bytes:
-    """Return a table as Parquet, zstd within, a checksum on every page.
+    """Encode a table as Parquet with zstd compression and a checksum on every page.
 
     Args:
-        columns: by name, in order: (n_rows,) or (n_rows, k) numbers or flags, the latter kept as lists of k; or
-            (n_rows,) text.
-        schema: the name of the table's format.
-        version: the version of the table's format.
-        producer: the key of the work that made it.
-        units: the columns' units, by name; SI where not named.
+        columns: by name, in order: numbers or flags of shape (n_rows,) or (n_rows, k), the latter stored as lists of
+            k; or text of shape (n_rows,).
+        schema: name of the table's format.
+        version: version of the table's format.
+        producer: key of the work item that produced it.
+        units: units of columns, by name; SI where not named.
+
+    Returns:
+        The Parquet file.
 
     Raises:
-        TypeError: where a column is of a type that Parquet would not return unchanged.
-        ValueError: where the shapes do not make a table, or a unit is of no column.
+        TypeError: Parquet would not return a column's type unchanged.
+        ValueError: the shapes do not form a table, or a unit belongs to no column.
     """
     arrays = {name: _pure_array(array, name) for name, array in columns.items()}
     n_rows = {array.shape[0] if array.ndim in (1, 2) and 0 not in array.shape[1:] else -1 for array in arrays.values()}
     if len(n_rows) != 1 or -1 in n_rows:
         shapes = {name: array.shape for name, array in arrays.items()}
-        raise ValueError(f"table {schema!r}: expected columns of (n_rows,) or (n_rows, k), came {shapes}")
+        raise ValueError(f"table {schema!r}: expected columns of (n_rows,) or (n_rows, k), got {shapes}")
     if strangers := set(units or {}) - set(arrays):
         raise ValueError(f"table {schema!r}: units for {sorted(strangers)}, which are not columns")
     label = _label(arrays, {"schema": schema, "version": version, "producer": producer, "units": dict(units or {})})
@@ -224,16 +246,25 @@ def encode_table(
     fields = [pa.field(name, part.type, nullable=False) for name, part in zip(arrays, parts, strict=True)]
     table = pa.Table.from_arrays(parts, schema=pa.schema(fields, metadata={METADATA_KEY: label}))
     sink = pa.BufferOutputStream()
-    texts = [name for name, array in arrays.items() if array.dtype.kind == "U"]  # a dictionary of numbers saves nothing
+    texts = [name for name, array in arrays.items() if array.dtype.kind == "U"]  # dictionaries of numbers save nothing
     pq.write_table(table, sink, compression="zstd", use_dictionary=texts, write_page_checksum=True)
     return bytes(sink.getvalue())
 
 
 def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Array]:
-    """Return a table's columns, as they were given to :func:`encode_table`: own, writable, C-contiguous arrays.
+    """Decode the columns of a table that :func:`encode_table` encoded.
+
+    Args:
+        data: the Parquet file.
+        schema: expected name of the format.
+        version: expected version of the format.
+        source: the table's name in messages.
+
+    Returns:
+        The columns by name: new, writable, C-contiguous arrays.
 
     Raises:
-        PuddleError: where the data are damaged or of another format; it names the source, what was expected and came.
+        PuddleError: the data are damaged or have another format.
     """
     try:
         metadata = pq.read_metadata(pa.BufferReader(data))
@@ -245,7 +276,7 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
         file = pq.ParquetFile(
             pa.BufferReader(data),
             metadata=metadata,
-            read_dictionary=texts,  # each text once, however often it is there
+            read_dictionary=texts,  # each distinct text once
             page_checksum_verification=True,
             pre_buffer=False,
         )
@@ -261,7 +292,7 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
 
 
 def _refuse_swelling(metadata: pq.FileMetaData, kinds: Mapping[str, pa.DataType]) -> None:
-    """Refuse a table that would fill the memory: a few kilobytes can stand for many gigabytes."""
+    """Refuse a table that would fill the memory: a few compressed kilobytes can expand to many gigabytes."""
     width = sum(_width(name, kind) for name, kind in kinds.items())
     groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
     _refuse_beyond_memory(max(metadata.num_rows * width, sum(group.total_byte_size for group in groups)))
@@ -269,22 +300,22 @@ def _refuse_swelling(metadata: pq.FileMetaData, kinds: Mapping[str, pa.DataType]
 
 def _refuse_beyond_memory(n_bytes: int) -> None:
     if n_bytes > MAX_TABLE_BYTES:
-        raise ValueError(f"it would take {n_bytes} bytes of memory, {MAX_TABLE_BYTES} at most")
+        raise ValueError(f"expected at most {MAX_TABLE_BYTES} bytes in memory, got {n_bytes}")
 
 
 def _width(name: str, kind: pa.DataType) -> int:
-    """Return the bytes that a value takes in memory; of text, which place has which."""
+    """Return the memory of one value [bytes]; for text, that of its dictionary index."""
     if pa.types.is_string(kind):
         return 4
     if pa.types.is_fixed_size_list(kind) and pa.types.is_primitive(kind.value_type):
         return int(kind.list_size) * _width(name, kind.value_type)
     if not pa.types.is_primitive(kind):
-        raise ValueError(f"column {name!r} is of {kind}, which no table of ours holds")
+        raise ValueError(f"column {name!r} has type {kind}, which puddle does not write")
     return max(1, int(kind.bit_width) // 8)
 
 
 def _text_bytes(column: pa.ChunkedArray) -> int:
-    """Return the bytes that texts take in memory, read as a dictionary: numpy gives each the room of the longest."""
+    """Return the memory of a text column [bytes]; NumPy gives every text the size of the longest."""
     lengths = [pc.max(pc.utf8_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks]
     return 4 * max(lengths, default=0) * len(column)
 
@@ -314,17 +345,20 @@ def _numpy_column(column: pa.ChunkedArray) -> Array:
 def encode_arrays(
     arrays: Mapping[str, Array], metadata: Mapping[str, str] | None = None, *, schema: str, version: int, producer: str
 ) -> bytes:
-    """Return arrays of any shape as safetensors, for instance a network's weights.
+    """Encode arrays of any shape, such as a network's weights, as safetensors.
 
     Args:
         arrays: numbers or flags by name; the order of names does not matter.
-        metadata: what else there is to say of them, as text by name.
-        schema: the name of the format, that is of the names and shapes to expect.
-        version: the version of the format.
-        producer: the key of the work that made them.
+        metadata: further text by name.
+        schema: name of the format.
+        version: version of the format.
+        producer: key of the work item that produced them.
+
+    Returns:
+        The safetensors file.
 
     Raises:
-        TypeError: where an array is of text or of another type that safetensors would not return unchanged.
+        TypeError: safetensors would not return an array's type unchanged.
     """
     pure = {name: _pure_array(arrays[name], name, text=False) for name in sorted(arrays)}
     said: dict[str, Json] = {
@@ -337,10 +371,19 @@ def encode_arrays(
 
 
 def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> tuple[dict[str, Array], dict[str, str]]:
-    """Return the arrays, own and writable, by sorted name, and the metadata of :func:`encode_arrays`.
+    """Decode what :func:`encode_arrays` encoded.
+
+    Args:
+        data: the safetensors file.
+        schema: expected name of the format.
+        version: expected version of the format.
+        source: the file's name in messages.
+
+    Returns:
+        New, writable arrays by sorted name, and the metadata.
 
     Raises:
-        PuddleError: where the data are damaged or of another format; it names the source, what was expected and came.
+        PuddleError: the data are damaged or have another format.
     """
     try:
         # The library's parser goes first: it bounds the header by the file's length and every tensor by its dtype.
@@ -358,11 +401,11 @@ def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> tup
     return arrays, label["metadata"]
 
 
-# -- what tables and arrays say of themselves ------------------------------------------------------------------------
+# -- the label of tables and arrays ----------------------------------------------------------------------------------
 
 
 def _pure_array(array: Array, name: str, *, text: bool = True) -> Array:
-    """Return the array in C order and little endian; refuse a type that would not come back as it went."""
+    """Return an array in C order and little endian; refuse types that would not survive a round trip."""
     array = np.asarray(array, order="C")
     if not (array.dtype.name in _NUMBERS or (text and array.dtype.kind == "U" and array.ndim == 1)):
         expected = f"one of {', '.join(sorted(_NUMBERS))}{', or 1-D text (numpy str)' if text else ''}"
@@ -371,7 +414,7 @@ def _pure_array(array: Array, name: str, *, text: bool = True) -> Array:
 
 
 def _label(arrays: Mapping[str, Array], said: dict[str, Json]) -> str:
-    """Return what a file says of itself, with a SHA-256 over that and over every name, type, shape and value."""
+    """Return a file's label: its metadata and a SHA-256 over that and every name, type, shape and value."""
     return canonical_json({**said, "sha256": _content_digest(arrays, said)}).decode()
 
 
@@ -392,6 +435,6 @@ def _read_label(said: bytes | None, source: str) -> dict[str, Any]:
 
 def _check_label(arrays: Mapping[str, Array], label: dict[str, Any], source: str) -> None:
     expected = label.pop("sha256", None)
-    came = _content_digest(arrays, label)
-    if came != expected:
-        raise PuddleError(f"{source}: expected values of SHA-256 {expected}, came {came}. {_RESTORE}")
+    found = _content_digest(arrays, label)
+    if found != expected:
+        raise PuddleError(f"{source}: expected values of SHA-256 {expected}, got {found}. {_RESTORE}")

@@ -1,7 +1,7 @@
-"""Items: what was computed, by the key of the work that made it.
+"""Items: results, stored under the key of the work item that produced them.
 
-An item is a folder of files, and a manifest that says what they are. The manifest is written last, and every read
-checks the SHA-256 that it gives: an item is there whole, or it never happened. Where items lie: see store.py.
+An item is a folder of files and a manifest that describes them. The manifest is written last, and every read checks
+the SHA-256 that it gives, so an item is complete or it does not exist. See store.py for the folder layout.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ KEY = re.compile(r"[0-9a-f]{64}")
 
 
 def check_name(name: str, what: str) -> str:
-    """Return a name of a study or a stage, or refuse it.
+    """Return the name of a study or stage if it is valid.
 
     Raises:
-        PuddleError: where it is not made of a-z, 0-9, _ and -, 1 to 64 of them, the first a letter or a digit.
+        PuddleError: it is not 1 to 64 of a-z, 0-9, _ and -, beginning with a letter or a digit.
     """
     if not NAME.fullmatch(name):
         raise PuddleError(f"{what} {name!r}: expected 1 to 64 of a-z, 0-9, _ and -, beginning with a letter or a digit")
@@ -46,7 +46,7 @@ def check_name(name: str, what: str) -> str:
 
 @dataclass(frozen=True)
 class Items:
-    """The items of a store that exists."""
+    """Items of an existing store."""
 
     root: Path
 
@@ -59,45 +59,46 @@ class Items:
         *,
         record: Mapping[str, Json],
     ) -> Manifest:
-        """Keep an item: all of it, or nothing.
+        """Commit an item, completely or not at all.
 
         Args:
-            stage: the stage that it belongs to.
+            stage: stage that the item belongs to.
             key: ``key_of(identity)``.
-            identity: what determines it.
-            files: their contents by name.
-            record: what else is worth keeping; not part of the digest.
+            identity: everything that determines the item.
+            files: contents by file name.
+            record: further facts; not part of the digest.
 
         Returns:
-            Its manifest: the first one, where the item was there already.
+            Its manifest; if the item was committed before, the earlier one.
 
         Raises:
-            Irreproducible: where it was there with other contents, which stay.
-            PuddleError: where the disk is full, read-only or failing, or a file is too long to be read again.
+            Irreproducible: it was committed before with other contents, which stay.
+            PuddleError: the disk is full, read-only or failing, or a file is too long to be read again.
+            ValueError: the key is not that of the identity, or a file name is invalid.
         """
         if key != key_of(identity):
             raise ValueError(f"{stage} {key}: expected the key of its identity, {key_of(identity)}")
         if not files or not are_file_names(files):
-            raise ValueError(f"{stage} {key}: expected file names like weights.safetensors, came {sorted(files)}")
+            raise ValueError(f"{stage} {key}: expected file names like weights.safetensors, got {sorted(files)}")
         for name, data in files.items():
             if len(data) > MAX_FILE_BYTES:
                 raise PuddleError(
-                    f"{stage} {key}: expected at most {MAX_FILE_BYTES} bytes of {name}, came {len(data)}. Cut the "
-                    f"study's work into smaller pieces."
+                    f"{stage} {key}: expected at most {MAX_FILE_BYTES} bytes of {name}, got {len(data)}. Cut the "
+                    f"study's work into smaller items."
                 )
         manifest = Manifest(
             stage=check_name(stage, "stage"),
             key=key,
-            identity=decode_json(canonical_json(identity), "identity"),  # as it will be read: tuples become lists
+            identity=decode_json(canonical_json(identity), "identity"),  # as it will be read back: tuples become lists
             files={name: FileEntry(digest(data), len(data)) for name, data in sorted(files.items())},
             environment=environment(),
             record=decode_json(canonical_json(record), "record"),
         )
         folder = self._item(stage, key)
-        with disk.explained(f"keeping {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
-            if kept := self._kept(stage, key):
-                refuse_other_content(kept, manifest)
-                return kept
+        with disk.explained(f"committing {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
+            if committed := self._committed(stage, key):
+                refuse_other_content(committed, manifest)
+                return committed
             disk.make_folders(self.root, folder)
             self._clear(folder)
             for name, data in sorted(files.items()):
@@ -105,15 +106,15 @@ class Items:
             disk.place(folder / MANIFEST, encode_manifest(manifest))
         return manifest
 
-    def _kept(self, stage: str, key: str) -> Manifest | None:
-        """Return the manifest of a whole item. A damaged one counts as none: its successor is in the caller's hand."""
+    def _committed(self, stage: str, key: str) -> Manifest | None:
+        """Return the manifest of an intact item; a damaged one counts as missing, for the caller has its successor."""
         try:
             return self._verified(stage, key)
         except DamagedArtifact:
             return None
 
     def _verified(self, stage: str, key: str) -> Manifest | None:
-        """Return an item's manifest, its files hashed and found whole; of damage, each file that has some is named."""
+        """Hash an item's files and return its manifest; the error names every damaged file."""
         manifest = self.listing(stage, key)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
             wrong = list(self._bad_files(manifest)) if manifest is not None else []
@@ -122,23 +123,21 @@ class Items:
         return manifest
 
     def _bad_files(self, manifest: Manifest) -> Iterator[str]:
-        """Hash an item's files; say of each that is not what was committed what was expected and what came."""
+        """Hash an item's files and describe each that differs from what was committed."""
         for name, entry in manifest.files.items():
             path = disk.inside(self._item(manifest.stage, manifest.key), name)
             if problem := _other_length(path, entry):
                 yield problem
-            elif (came := disk.digest_of(path, at_most=entry.n_bytes)) != entry.sha256:
-                yield f"{path}: expected SHA-256 {entry.sha256}, came {came}"
+            elif (found := disk.digest_of(path, at_most=entry.n_bytes)) != entry.sha256:
+                yield f"{path}: expected SHA-256 {entry.sha256}, got {found}"
 
     def manifest(self, stage: str, key: str) -> Manifest | None:
-        """Return an item's manifest, or None where the item was never committed.
+        """Return an item's manifest, or None if the item was never committed.
 
-        The manifest itself is verified, and that its files are there in their full length; their contents are
-        verified when they are read.
+        This verifies the manifest and the presence and length of the files; their contents are verified when read.
 
         Raises:
-            DamagedArtifact: names the path. The item must be neither trusted nor forgotten: say so, discard it and
-                compute it again.
+            DamagedArtifact: names the path. Report it, discard the item and compute it again.
         """
         manifest = self.listing(stage, key)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
@@ -148,7 +147,7 @@ class Items:
         return manifest
 
     def listing(self, stage: str, key: str) -> Manifest | None:
-        """Return an item's manifest, verified, whatever has become of its files; otherwise as :meth:`manifest`."""
+        """Return an item's verified manifest without looking at its files; otherwise as :meth:`manifest`."""
         path = self.manifest_path(stage, key)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
             try:
@@ -156,14 +155,14 @@ class Items:
             except FileNotFoundError:
                 return None
             except disk.NotAFileError as error:
-                raise DamagedArtifact(f"{path}: expected a manifest, came {error.strerror}") from error
+                raise DamagedArtifact(f"{path}: expected a manifest, got {error.strerror}") from error
             return decode_manifest(data, stage=stage, key=key, source=str(path))
 
     def read(self, manifest: Manifest, name: str) -> bytes:
-        """Return a file's content, verified.
+        """Return the verified content of a file.
 
         Raises:
-            DamagedArtifact: where it is not what was committed.
+            DamagedArtifact: the file differs from what was committed.
         """
         path = disk.inside(self._item(manifest.stage, manifest.key), name)
         entry = manifest.files[name]
@@ -171,19 +170,19 @@ class Items:
             try:
                 data = disk.read(path, at_most=entry.n_bytes)
             except (FileNotFoundError, disk.NotAFileError) as error:
-                raise DamagedArtifact(f"{path}: expected {entry.n_bytes} bytes, came {error.strerror}") from error
+                raise DamagedArtifact(f"{path}: expected {entry.n_bytes} bytes, got {error.strerror}") from error
             if digest(data) != entry.sha256:
-                raise DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, came {digest(data)}")
+                raise DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, got {digest(data)}")
         return data
 
     def discard(self, stage: str, key: str) -> None:
-        """Forget an item, so that it is computed again. What depends on it stays: it depends on the content."""
+        """Forget an item, so that it is computed again; items that depend on its content stay."""
         folder = self._item(stage, key)
         with disk.explained(f"discarding {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
             self._clear(folder)
 
     def remove(self, stage: str, key: str) -> None:
-        """Discard an item and its folder, for good. The caller holds the store alone; see :meth:`Store.lock_all`."""
+        """Remove an item and its folder. The caller must have locked the store; see :meth:`Store.lock_all`."""
         folder = self._item(stage, key)
         with disk.explained(f"removing {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
             self._clear(folder)
@@ -192,7 +191,7 @@ class Items:
 
     @staticmethod
     def _clear(folder: Path) -> None:
-        """Empty an item's folder, its manifest first: a half discarded item never happened either."""
+        """Empty an item's folder, manifest first, so that a partly discarded item does not exist either."""
         if folder.is_dir():
             for path in sorted(folder.iterdir(), key=lambda path: (path.name != MANIFEST, path.name)):
                 remove = disk.rmdir if _is_folder(path) else disk.unlink
@@ -204,11 +203,11 @@ class Items:
         return self._names("items")
 
     def keys(self, stage: str, *, committed: bool = True) -> Iterator[str]:
-        """Iterate over the keys of a stage's items in their order, damaged ones included.
+        """Yield the keys of a stage's items in sorted order, damaged ones included.
 
         Args:
-            stage: its name.
-            committed: whether to give those that were committed, or those whose commit never came to its end.
+            stage: name of the stage.
+            committed: True for committed items, False for those whose commit was interrupted.
         """
         for prefix in self._names("items", check_name(stage, "stage")):
             for key in self._names("items", stage, prefix):
@@ -218,20 +217,20 @@ class Items:
                     yield key
 
     def item_bytes(self, stage: str, key: str) -> int:
-        """Return the length of an item's files together."""
+        """Return the total length of an item's files [bytes]."""
         return disk.size_bytes(self._item(stage, key))
 
     def computed_again(self) -> str:
-        """Say what is safe where an item is damaged or gone, and how it is computed again."""
+        """Return advice for a damaged or missing item: what is safe, and how to compute the item again."""
         discard = shlex.join(["puddle", "verify", "--discard", "--store", str(self.root)])
         return (
-            f"It has to be computed again; nothing else is lost. A study that meets it does so itself; otherwise "
-            f"`{discard}` forgets what is damaged, and `puddle study` with the study's settings makes it again."
+            f"It must be computed again; nothing else is lost. A study that needs it does so itself; otherwise "
+            f"`{discard}` discards what is damaged, and `puddle study` with the study's settings computes it again."
         )
 
     @contextlib.contextmanager
     def _damage(self, stage: str, key: str) -> Iterator[None]:
-        """Say of any damage in which item it is."""
+        """Add the item and advice to the message of any damage."""
         try:
             yield
         except DamagedArtifact as damage:
@@ -241,16 +240,16 @@ class Items:
     # -- paths ---------------------------------------------------------------------------------------------------------
 
     def manifest_path(self, stage: str, key: str) -> Path:
-        """Return where an item's manifest is, whether or not it was committed."""
+        """Return the path of an item's manifest, whether or not the item is committed."""
         return disk.inside(self._item(stage, key), MANIFEST)
 
     def _item(self, stage: str, key: str) -> Path:
         if not KEY.fullmatch(key):
-            raise PuddleError(f"{stage}: expected a key of 64 hexadecimal digits, came {key!r}")
+            raise PuddleError(f"{stage}: expected a key of 64 hexadecimal digits, got {key!r}")
         return disk.inside(self.root, "items", check_name(stage, "stage"), key[:2], key)
 
     def _names(self, *parts: str) -> list[str]:
-        """Return the names in a folder that could be ours, in their order."""
+        """Return the valid folder names in a folder, sorted."""
         folder = disk.inside(self.root, *parts)
         with disk.explained("listing", folder):
             try:
@@ -260,11 +259,11 @@ class Items:
 
 
 def _other_length(path: Path, entry: FileEntry) -> str | None:
-    """Say what is there where a file of a certain length is expected; None where it is."""
+    """Describe a file that does not have the expected length; None if it does."""
     n_bytes = path.stat().st_size if path.is_file() else None
     if n_bytes == entry.n_bytes:
         return None
-    return f"{path}: expected {entry.n_bytes} bytes, came {'no file' if n_bytes is None else f'{n_bytes} bytes'}"
+    return f"{path}: expected {entry.n_bytes} bytes, got {'no file' if n_bytes is None else f'{n_bytes} bytes'}"
 
 
 def _is_folder(path: Path) -> bool:

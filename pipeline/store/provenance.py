@@ -1,4 +1,4 @@
-"""Where a result was made: recorded in every manifest, part of no key and no digest."""
+"""Provenance: the environment in which a result was computed; in every manifest, but in no key and no digest."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def environment() -> dict[str, str]:
 
 
 def _commit(checkout: Path) -> str:
-    """Return the commit that is checked out, with ``-dirty`` where files differ from it."""
-    if not (checkout / ".git").exists():  # an installed package may lie inside somebody else's checkout
+    """Return the commit that is checked out, with ``-dirty`` if files differ from it."""
+    if not (checkout / ".git").exists():  # an installed package may lie inside some other checkout
         return "not a checkout"
     try:
-        told = subprocess.run(
+        described = subprocess.run(
             ["git", "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"],
             cwd=checkout,
             capture_output=True,
@@ -44,7 +44,7 @@ def _commit(checkout: Path) -> str:
         )
     except (OSError, subprocess.SubprocessError):
         return "unknown"
-    return told.stdout.strip()
+    return described.stdout.strip()
 
 
 def _cpu_model() -> str:

@@ -1,10 +1,10 @@
-"""MLflow: a mirror of what the store holds. The only ``import mlflow``.
+"""The MLflow mirror of a store. Only this package imports mlflow.
 
-Every run carries our own keys as tags and is found by them, and only what is missing or different is sent. So mirroring
-twice changes nothing, a mirror that fell behind catches up, and one that was deleted is rebuilt by running the same
-command again. If MLflow fails, the study goes on: one warning, and the next call sends what is owed.
+Every run carries puddle's own keys as tags and is found by them, and only what is missing or different is sent. So
+mirroring twice changes nothing, a mirror that fell behind catches up, and one that was deleted is rebuilt by running
+the same command again. If MLflow fails, the study goes on: one warning, and the next call sends what is pending.
 
-Only the driver tracks. MLflow takes two seconds to import, so that happens with the first stage there is to mirror.
+Only the driver tracks. MLflow takes two seconds to import, so it is imported with the first stage to mirror.
 """
 
 from __future__ import annotations
@@ -29,41 +29,36 @@ from pipeline.errors import PuddleError
 
 EXPERIMENT = "puddle"
 
-MAX_METRICS = 1000
-"""In one of MLflow's batches."""
+_MAX_METRICS = 1000  # per log_batch
+_MAX_PARAMS = 100  # per log_batch; tags too
+_DATASET_DIGEST_LENGTH = 36  # characters that MLflow stores; the whole digest is in the data set's source
 
-MAX_PARAMS = 100
-"""In one of MLflow's batches; tags too."""
-
-DATASET_DIGEST_LENGTH = 36
-"""Characters of a data set's digest that MLflow keeps; the whole digest is in the data set's source."""
-
-ENVIRONMENT = {
+_MLFLOW_ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",  # its job workers outlive a SIGTERM
     "MLFLOW_LOGGING_LEVEL": "WARNING",
-    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",  # a server that is away costs a stage seconds, not the default's minutes
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",  # an absent server costs seconds per stage, by default minutes
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "10",
 }
-"""For MLflow in this process and for its server, where the user has not said otherwise."""
+"""Environment variables for MLflow in this process and for its server; the user's own values win."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What MLflow shows as a run: a study, a stage of it, or a trial of a stage.
+    """A run in MLflow: a study, one of its stages, or a trial of a stage.
 
     Attributes:
-        name: for people.
-        key: the run's identity, unique among its siblings.
-        params: settings that it used; nested mappings become dotted names.
-        metrics: single numbers. What is not finite is left out, here and in the curves: MLflow stumbles over it later.
+        name: display name.
+        key: identity, unique among its siblings.
+        params: settings used; nested mappings become dotted names.
+        metrics: single numbers. Values that are not finite are omitted, also in curves: MLflow cannot store them.
         curves: metrics by generation, from generation 0.
-        steps: of the curves' points, where they are not 0, 1, 2 …
-        tags: further words to search by.
-        inputs: digests of what it read, by name.
-        outputs: digests of what it made, by name.
+        steps: generations of the curves' points, if they are not 0, 1, 2, ...
+        tags: further text to search by.
+        inputs: digests of the inputs, by name.
+        outputs: digests of the results, by name.
         artifacts: contents of files to open from the UI, by path.
-        status: how it ended; None leaves it as it is, which for a new run is running.
+        status: final status; None leaves it unchanged, which for a new run is running.
     """
 
     name: str
@@ -80,12 +75,15 @@ class Run:
 
 
 def open_tracker(store: Path, uri: str | None = None, *, say: Callable[[str], None]) -> Tracker:
-    """Give the tracker of a store; nothing is opened until there is something to mirror.
+    """Return the tracker of a store, which opens nothing until there is something to mirror.
 
     Args:
-        store: its folder, which holds the database and the artifacts unless a URI says otherwise.
-        uri: of an MLflow server or database; MLFLOW_TRACKING_URI counts without it.
+        store: the store's folder, which holds the database and the artifacts unless a URI is given.
+        uri: URI of an MLflow server or database; defaults to MLFLOW_TRACKING_URI.
         say: shows a line to the user.
+
+    Returns:
+        The tracker.
     """
     return Tracker(store, uri or os.environ.get("MLFLOW_TRACKING_URI") or None, say)
 
@@ -98,59 +96,65 @@ class Tracker:
         self._uri = uri
         self._say = say
         self._warned = False
-        self._owed: dict[tuple[str, str], tuple[Run, Run, Sequence[Run]]] = {}
+        self._pending: dict[tuple[str, str], tuple[Run, Run, Sequence[Run]]] = {}
         self._experiment: _Experiment | None = None
 
     def mirror(self, study: Run, stage: Run, trials: Sequence[Run] = ()) -> None:
-        """Bring a stage of a study, and its trials, up to date in MLflow; never raises because MLflow did."""
-        self._owed[study.key, stage.key] = (study, stage, trials)
+        """Bring a stage of a study and its trials up to date in MLflow. Errors of MLflow become one warning.
+
+        Args:
+            study: the study's run.
+            stage: the stage's run, a child of the study's.
+            trials: runs of the stage's trials, children of the stage's.
+        """
+        self._pending[study.key, stage.key] = (study, stage, trials)
         try:
-            with _alone(self._store) if self._uri is None else contextlib.nullcontext():
+            with _locked_database(self._store) if self._uri is None else contextlib.nullcontext():
                 if self._experiment is None:
                     self._experiment = _open_experiment(self._store, self._uri)
-                for key, owed in list(self._owed.items()):
-                    self._experiment.mirror(*owed)
-                    del self._owed[key]
+                for key, pending in list(self._pending.items()):
+                    self._experiment.mirror(*pending)
+                    del self._pending[key]
         except Exception as error:
             if not self._warned:
                 self._warned = True
                 reason = (str(error) or "no reason given").splitlines()[0]
                 self._say(
                     f"MLflow at {self._uri or self._store / 'mlflow.db'} failed: {type(error).__name__}: {reason}\n"
-                    f"The study goes on without it. What MLflow lacks is sent with the next stage, or by the same "
-                    f"command once MLflow is well; a damaged mlflow.db may be deleted."
+                    f"The study continues without it. What is missing in MLflow is sent with the next stage, or by the "
+                    f"same command once MLflow works again; a damaged mlflow.db may be deleted."
                 )
 
 
 def database_uri(store: Path) -> str:
-    """Where a store's own MLflow database is.
+    """Return the URI of a store's own MLflow database.
 
     Raises:
-        PuddleError: MLflow would take the path for another, outside the store.
+        PuddleError: MLflow would read the path as another one, outside the store.
     """
-    from sqlalchemy import make_url  # with MLflow
+    from sqlalchemy import make_url  # installed with MLflow
 
     database = str(store.resolve() / "mlflow.db")
-    uri = f"sqlite:///{database}"  # not escaped: MLflow makes the folder of the path as it stands there
-    if make_url(uri).database != database or not database.isprintable():  # bytes that are no text are not printable
+    uri = f"sqlite:///{database}"  # not escaped, because MLflow creates the folder of the path as it stands
+    if make_url(uri).database != database or not database.isprintable():  # bytes that are not text are not printable
         raise PuddleError(
-            f"{store}: expected a path that MLflow takes as it is, came one with ?, % or letters that are none. "
-            f"Nothing was written elsewhere. Keep the store under a plainer name, or choose an MLflow of your own: "
+            f"{store}: expected a path that MLflow accepts unchanged, got one with ?, % or bytes that are not text. "
+            f"Nothing was written elsewhere. Use a plainer path for the store, or an MLflow of your own with "
             f"--tracking-uri."
         )
     return uri
 
 
 @contextlib.contextmanager
-def _alone(store: Path) -> Iterator[None]:
-    """Keep other drivers of a store out of its database: two that create it at once fail, two that write may."""
+def _locked_database(store: Path) -> Iterator[None]:
+    """Keep other drivers of a store out of its database: creating it twice at once fails, and writing may."""
     with (store / "mlflow.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # let go when the file is closed, however this process ends
+        fcntl.flock(lock, fcntl.LOCK_EX)  # released when the file is closed, however this process ends
         yield
 
 
 def _open_experiment(store: Path, uri: str | None) -> _Experiment:
-    for name, value in ENVIRONMENT.items():
+    for name, value in _MLFLOW_ENVIRONMENT.items():
         os.environ.setdefault(name, value)
     from mlflow.tracking import MlflowClient
 
@@ -159,8 +163,8 @@ def _open_experiment(store: Path, uri: str | None) -> _Experiment:
     found = client.get_experiment_by_name(EXPERIMENT)
     if found is not None:
         return _Experiment(client, found.experiment_id)
-    place = None if uri else (store.resolve() / "mlartifacts").as_uri()
-    return _Experiment(client, client.create_experiment(EXPERIMENT, artifact_location=place))
+    location = None if uri else (store.resolve() / "mlartifacts").as_uri()
+    return _Experiment(client, client.create_experiment(EXPERIMENT, artifact_location=location))
 
 
 @dataclass(frozen=True)
@@ -169,11 +173,11 @@ class _Experiment:
     id: str
 
     def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
-        held = self._runs(study.key)
-        parent = self._bring_up_to_date(study, ("study", study.key), study, None, held)
-        child = self._bring_up_to_date(stage, ("stage", stage.key), study, parent, held)
+        existing = self._runs(study.key)
+        parent = self._update(study, ("study", study.key), study, None, existing)
+        child = self._update(stage, ("stage", stage.key), study, parent, existing)
         for trial in trials:
-            self._bring_up_to_date(trial, ("trial", f"{stage.key}/{trial.key}"), study, child, held)
+            self._update(trial, ("trial", f"{stage.key}/{trial.key}"), study, child, existing)
 
     def _runs(self, study_key: str) -> dict[tuple[str, str], Any]:
         """Find a study's runs, by kind and key."""
@@ -187,16 +191,21 @@ class _Experiment:
             if not token:
                 return runs
 
-    def _bring_up_to_date(
-        self, wanted: Run, slot: tuple[str, str], study: Run, parent: str | None, held: Mapping[tuple[str, str], Any]
+    def _update(
+        self,
+        wanted: Run,
+        slot: tuple[str, str],
+        study: Run,
+        parent: str | None,
+        existing: Mapping[tuple[str, str], Any],
     ) -> str:
-        """Send what MLflow lacks of a run, its status last; return MLflow's name for it."""
+        """Send what MLflow lacks of a run, its status last; return MLflow's ID of the run."""
         kind, key = slot
         tags = {f"puddle.output.{name}": digest for name, digest in wanted.outputs.items()} | dict(wanted.tags)
         tags |= {"puddle.kind": kind, "puddle.key": key, "puddle.study": study.name, "puddle.study_key": study.key}
         if parent is not None:
             tags["mlflow.parentRunId"] = parent
-        run = held.get(slot)
+        run = existing.get(slot)
         if run is None:
             run = self.client.create_run(self.id, run_name=wanted.name, tags=tags)
         self._send_values(run, wanted, tags)
@@ -218,8 +227,8 @@ class _Experiment:
             for name, value in wanted.metrics.items()
             if math.isfinite(value) and run.data.metrics.get(name) != value
         ]
-        # A curve's points carry the time at which the run began: one that was sent before is the same row of the
-        # database, and is not kept twice.
+        # A curve's points carry the time at which the run began, so that a point sent again is the same row of the
+        # database and is not stored twice.
         digest = _digest({name: [float(y) for y in curve] for name, curve in wanted.curves.items()})
         if wanted.curves and run.data.tags.get("puddle.curves") != digest:
             metrics += [
@@ -229,23 +238,23 @@ class _Experiment:
                 if math.isfinite(y)
             ]
             new_tags.append(RunTag("puddle.curves", digest))
-        for start in range(0, len(metrics), MAX_METRICS):
-            self.client.log_batch(run.info.run_id, metrics=metrics[start : start + MAX_METRICS])
-        for start in range(0, max(len(params), len(new_tags)), MAX_PARAMS):
-            batch = slice(start, start + MAX_PARAMS)
+        for start in range(0, len(metrics), _MAX_METRICS):
+            self.client.log_batch(run.info.run_id, metrics=metrics[start : start + _MAX_METRICS])
+        for start in range(0, max(len(params), len(new_tags)), _MAX_PARAMS):
+            batch = slice(start, start + _MAX_PARAMS)
             self.client.log_batch(run.info.run_id, params=params[batch], tags=new_tags[batch])
 
     def _send_inputs(self, run: Any, wanted: Run) -> None:
         from mlflow.entities import Dataset, DatasetInput, InputTag
 
-        held = {(one.dataset.name, one.dataset.digest) for one in run.inputs.dataset_inputs} if run.inputs else set()
+        sent = {(one.dataset.name, one.dataset.digest) for one in run.inputs.dataset_inputs} if run.inputs else set()
         inputs = [
             DatasetInput(
-                Dataset(name, digest[:DATASET_DIGEST_LENGTH], "puddle", json.dumps({"sha256": digest})),
+                Dataset(name, digest[:_DATASET_DIGEST_LENGTH], "puddle", json.dumps({"sha256": digest})),
                 [InputTag("mlflow.data.context", "input")],
             )
             for name, digest in wanted.inputs.items()
-            if (name, digest[:DATASET_DIGEST_LENGTH]) not in held
+            if (name, digest[:_DATASET_DIGEST_LENGTH]) not in sent
         ]
         if inputs:
             self.client.log_inputs(run.info.run_id, inputs)
@@ -280,39 +289,41 @@ def _flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def ui_command(store: Path, port: int) -> tuple[list[str], dict[str, str]]:
-    """Give the command line and the environment of the MLflow UI on a store's database, for this machine alone."""
+    """Return the command line and environment of the MLflow UI on a store's database, on the loopback alone."""
     words = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", database_uri(store)]
     words += ["--default-artifact-root", (store.resolve() / "mlartifacts").as_uri()]
     words += ["--host", "127.0.0.1", "--port", str(port), "--workers", "1"]
-    return words, ENVIRONMENT | os.environ
+    return words, _MLFLOW_ENVIRONMENT | os.environ
 
 
 def serve_ui(store: Path, port: int) -> NoReturn:
-    """Become the MLflow UI: this process turns into its server, so that signals reach the server itself.
+    """Replace this process by the MLflow UI's server, so that signals reach the server itself.
 
     Raises:
-        PuddleError: there is no database yet, or the port is taken.
+        PuddleError: the database is missing or damaged, or the port is taken.
     """
     database = store / "mlflow.db"
     if not database.is_file():
-        raise PuddleError(f"{store}: expected mlflow.db, and it is not there. `puddle study` makes it.")
+        raise PuddleError(f"{store}: expected mlflow.db, found none. `puddle study` creates it.")
     try:
         with contextlib.closing(sqlite3.connect(database)) as connection:
-            connection.execute("BEGIN IMMEDIATE")  # MLflow writes even where one only looks
+            connection.execute("BEGIN IMMEDIATE")  # MLflow writes even when it only reads
             sound = connection.execute("PRAGMA quick_check(1)").fetchone() == ("ok",)
     except sqlite3.Error as error:
         raise PuddleError(
-            f"{database}: MLflow can't use it: {error}. Make it writable; or, if it is damaged, delete it and give "
-            f"`puddle study` again, which makes it anew from the store."
+            f"{database}: MLflow cannot use it: {error}. Make it writable; or, if it is damaged, delete it and run "
+            f"`puddle study` again, which rebuilds it from the store."
         ) from error
     if not sound:
-        raise PuddleError(f"{database}: it is damaged. Delete it and give `puddle study` again, which makes it anew.")
+        raise PuddleError(f"{database}: damaged. Delete it and run `puddle study` again, which rebuilds it.")
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
-            raise PuddleError(f"port {port} can't be had ({error.strerror}). Choose another: --port.") from error
+            raise PuddleError(
+                f"port {port} is not available ({error.strerror}). Choose another with --port."
+            ) from error
     words, environment = ui_command(store, port)
     print(f"MLflow's UI: http://127.0.0.1:{port} (Ctrl-C stops it)", flush=True)
     os.execve(words[0], words, environment)

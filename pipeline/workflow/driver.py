@@ -18,7 +18,7 @@ from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.stages import STAGES
 from pipeline.store.encoding import canonical_json, digest, encode_json
-from pipeline.store.store import SetAside, Store, StudyItem, StudyRecord
+from pipeline.store.store import FailedChain, Store, StudyItem, StudyRecord
 from pipeline.tracking.mirror import Run, Tracker
 from pipeline.workflow.background import Background
 from pipeline.workflow.dispatcher import run_stage
@@ -202,7 +202,7 @@ def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:
         for label, manifests in results.done.items()
         for index, manifest in enumerate(manifests)
     ]
-    failed = [SetAside(name, label, why) for name, results in upstream.items() for label, why in results.failed.items()]
+    failed = [FailedChain(name, label, why) for name, results in upstream.items() for label, why in results.failed.items()]
     if before is not None:
         items += [item for item in before.items if item.stage not in upstream]
         failed += [lost for lost in before.failed if lost.stage not in upstream]

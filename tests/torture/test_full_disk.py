@@ -76,7 +76,7 @@ def stopped(machine: Machine, disk: Path, why: str, **command) -> bool:
     if "error" not in answer:
         assert answer["tree"] == machine.undisturbed["tree"]
         return False
-    assert why in answer["error"] and str(disk) in answer["error"] and "kept before is safe" in answer["error"]
+    assert why in answer["error"] and str(disk) in answer["error"] and "Committed results are safe" in answer["error"]
     return True
 
 
@@ -191,7 +191,7 @@ def test_a_disk_that_turns_read_only_under_a_driver(torture, new_folder):
         env={**os.environ, "OMP_NUM_THREADS": "1"},
     )
     assert ran.stderr.endswith("codes: [0, 2, 0]\n"), ran.stderr
-    assert "Read-only file system" in ran.stderr and "kept before is safe" in ran.stderr
+    assert "Read-only file system" in ran.stderr and "Committed results are safe" in ran.stderr
     assert "Traceback" not in ran.stderr
     found, expected = (
         {path.relative_to(root): path.read_bytes() for path in root.glob("items/*/*/*/*") if path.suffix != ".json"}
@@ -219,5 +219,5 @@ def test_the_command_names_the_full_disk_and_exits_with_2(torture, machine, tmp_
     finally:
         machine.unmount(tmp_path)
     assert done.returncode == 2
-    assert "No space left on device" in done.stderr and "give the same command again" in done.stderr
+    assert "No space left on device" in done.stderr and "run the same command again" in done.stderr
     assert "Traceback" not in done.stderr

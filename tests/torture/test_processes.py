@@ -229,7 +229,7 @@ def test_a_second_driver_is_refused_and_the_first_is_named(tmp_path: Path):
             assert second.process.wait(60) == 2
             said = second.said()
         assert f"study tiny is driven by process {first.process.pid} on {socket.gethostname()} since 20" in said
-        assert "Wait for its end, or stop it" in said
+        assert "Wait until it ends, or stop it" in said
 
 
 @pytest.mark.share(2)

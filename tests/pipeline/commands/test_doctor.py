@@ -96,7 +96,7 @@ def test_an_unreadable_folder_is_named(tmp_path):
     closed.chmod(0o700)
     assert (found.verdict, found.what) == ("fail", "store")
     assert found.found.startswith(f"{closed / 'store'}: looking for the store's disk failed: Permission denied")
-    assert "choose another place" in found.found
+    assert "choose another folder" in found.found
 
 
 def test_finished_work_needs_no_disk_space(store, tmp_path, monkeypatch):

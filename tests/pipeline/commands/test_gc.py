@@ -167,7 +167,7 @@ def test_other_commands_refuse_to_run_while_garbage_is_removed(options, store, c
     with store.lock_all():
         for command in ("status", "--digests"), ("status",), ("verify",):
             assert call(*command, *options) == 2
-            assert "`puddle gc` is removing what no study needs. Wait for its end." in capsys.readouterr().err
+            assert "`puddle gc` is removing what no study needs. Wait until it ends." in capsys.readouterr().err
         (found,) = examine_store(store.root, parse(Settings, ON_DRY_LAND, name="tiny"))
         assert found.verdict == "fail" and "`puddle gc` is removing" in found.found
     with store.lock_to_read():

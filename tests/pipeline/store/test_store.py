@@ -177,7 +177,7 @@ def test_a_damaged_study_record_is_told(store: Store) -> None:
     path = store.root / "studies" / "laptop" / "study.json"
     path.write_bytes(path.read_bytes().replace(b'"seed": 1', b'"seed": 2'))
     (wrong,) = store.verify()
-    assert str(path) in str(wrong) and "running the study again writes the file anew" in str(wrong)
+    assert str(path) in str(wrong) and "running the study again rewrites the file" in str(wrong)
     path.write_bytes(encode_sealed({"name": "laptop", "items": [3]}, schema="puddle.study", version=1))
     with pytest.raises(DamagedArtifact, match="expected a study's name, settings and items"):
         store.read_study("laptop")
@@ -189,7 +189,7 @@ def test_what_took_the_place_of_a_study_record_is_damage_and_gives_way(store: St
     path = store.study_path("laptop") / "study.json"
     path.unlink()
     make(path)
-    with pytest.raises(DamagedArtifact, match=f"{path}: expected a study's record, came not a regular file. .* anew"):
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected a study's record, got not a regular file. .* rewrites"):
         store.read_study("laptop")
     store.write_study("laptop", {"seed": 1}, [])
     assert store.read_study("laptop").settings == {"seed": 1}
@@ -220,7 +220,7 @@ def test_a_study_has_one_driver_which_is_named_to_a_second(store: Store) -> None
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as driver:
         assert driver.stdout.readline() == "driving\n"
         assert f"process {driver.pid} on {os.uname().nodename} since 20" in store.driver_of("laptop")
-        refused = pytest.raises(PuddleError, match=f"study laptop is driven by process {driver.pid} .*Wait for its end")
+        refused = pytest.raises(PuddleError, match=f"study laptop is driven by process {driver.pid} .*Wait until it ends")
         with refused, store.lock_study("laptop"):
             raise AssertionError("two drivers")
         with store.lock_study("paper"):

@@ -204,7 +204,7 @@ def test_whoever_removes_and_whoever_drives_refuse_one_another(store: Store) -> 
     driven = pytest.raises(PuddleError, match=r"study laptop is driven by process .*; study paper is driven by")
     with store.lock_study("laptop"), store.lock_study("paper"), driven, store.lock_all():
         pass
-    removing = pytest.raises(PuddleError, match=r"`puddle gc` is removing what no study needs\. Wait for its end")
+    removing = pytest.raises(PuddleError, match=r"`puddle gc` is removing what no study needs\. Wait until it ends")
     with store.lock_all(), removing, store.lock_study("paper"):
         pass
     with store.lock_all(), pytest.raises(PuddleError, match=f"{store.root} is in use"), store.lock_all():
@@ -216,11 +216,11 @@ def test_whoever_removes_and_whoever_drives_refuse_one_another(store: Store) -> 
 @pytest.mark.parametrize(
     ("number", "said"),
     [
-        (errno.ENOSPC, "No space left on device.*kept before is safe.*Free some space and give the same command again"),
-        (errno.EDQUOT, "quota.*kept before is safe.*Free some space"),
-        (errno.EROFS, "Read-only file system.*kept before is safe.*choose another place"),
-        (errno.EACCES, "Permission denied.*kept before is safe.*choose another place"),
-        (errno.EIO, "Input/output error.*kept before is safe.*Mend the cause"),
+        (errno.ENOSPC, "No space left on device.*Committed results are safe.*Free some space and run the same command again"),
+        (errno.EDQUOT, "quota.*Committed results are safe.*Free some space"),
+        (errno.EROFS, "Read-only file system.*Committed results are safe.*choose another folder"),
+        (errno.EACCES, "Permission denied.*Committed results are safe.*choose another folder"),
+        (errno.EIO, "Input/output error.*Committed results are safe.*Remove the cause"),
     ],
 )
 def test_a_failing_disk_is_explained_and_loses_nothing(
@@ -248,7 +248,7 @@ def test_other_bytes_on_the_disk_and_links_say_what_is_safe_and_what_to_do(
 ) -> None:
     (tmp_path / "elsewhere").mkdir()
     (store.root / "items").symlink_to(tmp_path / "elsewhere")
-    said = r"/items: .*symbolic link\..* not followed, .* kept is safe\..* replace the link .*`puddle verify`"
+    said = r"/items: .*symbolic link\..* not followed; committed results are safe\..*Replace the link .*`puddle verify`"
     with pytest.raises(PuddleError, match=said):
         commit(store)
     assert not list((tmp_path / "elsewhere").iterdir())
@@ -256,7 +256,7 @@ def test_other_bytes_on_the_disk_and_links_say_what_is_safe_and_what_to_do(
     commit(store)
     write = disk.write
     monkeypatch.setattr(disk, "write", lambda path, data: write(path, data[:-1] + b"?"))
-    said = r"study\.json: expected the bytes .*kept before is safe\. Check the disk.*`puddle verify`.* same command"
+    said = r"study\.json: expected the bytes .*committed results are safe\. Check the disk.*`puddle verify`.* same command"
     with pytest.raises(PuddleError, match=said):
         store.write_study("laptop", {"seed": 1}, [])
     assert store.verify() == [] and store.read_study("laptop") is None
@@ -296,7 +296,7 @@ def test_a_read_only_disk_is_read(tmp_path: Path) -> None:
             assert store.read(store.manifest("evolve", KEY), "log") == b""
         assert store.verify() == []
         other = {"stage": "evolve", "other": True}
-        with pytest.raises(PuddleError, match=r"Read-only file system.*choose another place"):
+        with pytest.raises(PuddleError, match=r"Read-only file system.*choose another folder"):
             store.commit("evolve", key_of(other), other, FILES, record={})
         with pytest.raises(PuddleError, match="Read-only file system"), store.lock_study("laptop"):
             raise AssertionError("locked a read-only disk")

@@ -82,7 +82,7 @@ def test_every_damaged_file_of_an_item_is_named(store: Store) -> None:
 
 def test_a_file_that_is_too_long_to_be_read_again_is_not_kept(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pipeline.store.items.MAX_FILE_BYTES", 399)
-    with pytest.raises(PuddleError, match=r"expected at most 399 bytes of history\.parquet, came 400\. Cut"):
+    with pytest.raises(PuddleError, match=r"expected at most 399 bytes of history\.parquet, got 400\. Cut"):
         commit(store)
     assert not item(store).exists()
     commit(store, {name: data[:399] for name, data in FILES.items()})
@@ -93,10 +93,10 @@ def test_a_missing_or_cut_file_is_noticed_before_it_is_read(store: Store) -> Non
     commit(store)
     path = item(store) / "history.parquet"
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, came 399 bytes"):
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, got 399 bytes"):
         store.manifest("evolve", KEY)
     path.unlink()
-    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, came no file"):
+    with pytest.raises(DamagedArtifact, match=f"{path}: expected 400 bytes, got no file"):
         store.manifest("evolve", KEY)
 
 
@@ -111,7 +111,7 @@ def test_a_commit_leaves_no_stray_files(store: Store) -> None:
 def test_a_disk_that_writes_other_bytes_is_found_out(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     write = disk.write
     monkeypatch.setattr(disk, "write", lambda path, data: write(path, data.replace(b"rows", b"cows")))
-    with pytest.raises(PuddleError, match=r"history\.parquet: expected the bytes just written, came others\. They"):
+    with pytest.raises(PuddleError, match=r"history\.parquet: expected the bytes just written, got others\. The file"):
         commit(store)
     assert store.manifest("evolve", KEY) is None
 
@@ -132,7 +132,7 @@ def test_a_manifest_in_another_items_place_is_refused(store: Store) -> None:
     store.commit("evolve", key_of(other), other, FILES, record={})
     where = store.root / "items" / "evolve" / key_of(other)[:2] / key_of(other) / "manifest.json"
     where.write_bytes((item(store) / "manifest.json").read_bytes())
-    with pytest.raises(DamagedArtifact, match=f"expected evolve {key_of(other)}, came evolve {KEY}"):
+    with pytest.raises(DamagedArtifact, match=f"expected evolve {key_of(other)}, got evolve {KEY}"):
         store.manifest("evolve", key_of(other))
 
 
@@ -165,7 +165,7 @@ def test_a_manifest_of_a_newer_puddle_is_neither_used_nor_lost(store: Store) -> 
     newer = encode_sealed({"all": "new"}, schema="puddle.manifest", version=2)
     path.write_bytes(newer)
     for use in (lambda: store.manifest("evolve", KEY), lambda: commit(store)):
-        with pytest.raises(PuddleError, match=r"came version 2\. A newer puddle wrote it: upgrade puddle") as told:
+        with pytest.raises(PuddleError, match=r"got version 2\. A newer puddle wrote it: upgrade puddle") as told:
             use()
         assert not isinstance(told.value, DamagedArtifact)
     assert path.read_bytes() == newer
@@ -196,14 +196,14 @@ def test_a_store_of_a_newer_puddle_or_a_damaged_one_is_refused(tmp_path: Path) -
     path = store.root / "store.json"
     good = path.read_bytes()
     path.write_bytes(encode_sealed({}, schema="puddle.store", version=2))
-    with pytest.raises(PuddleError, match=r"expected 'puddle\.store' version 1, came version 2\. A newer puddle"):
+    with pytest.raises(PuddleError, match=r"expected 'puddle\.store' version 1, got version 2\. A newer puddle"):
         Store.open(store.root, create=True)
     for bad in (good[:-3], b"", good.replace(b'"sha256": "', b'"sha256": "0')):
         path.write_bytes(bad)
-        with pytest.raises(PuddleError, match=r"store\.json.*Copy any other store's"):
+        with pytest.raises(PuddleError, match=r"store\.json.*Copy store.json from any other"):
             Store.open(store.root, create=True)
     path.write_text('{"schema": "somebody.else", "version": 1}')
-    with pytest.raises(PuddleError, match=r"came 'somebody\.else'"):
+    with pytest.raises(PuddleError, match=r"got 'somebody\.else'"):
         Store.open(store.root, create=False)
 
 
@@ -241,7 +241,7 @@ def test_symbolic_links_are_refused_at_every_level(store: Store, tmp_path: Path,
     path.rename(elsewhere)
     path.symlink_to(elsewhere)
     for use in (lambda: store.manifest("evolve", KEY), lambda: store.read(committed, "log")):
-        with pytest.raises(PuddleError, match=f"{path}: expected a file or a folder, came a symbolic link"):
+        with pytest.raises(PuddleError, match=f"{path}: expected a file or a folder, got a symbolic link"):
             use()
     (wrong,) = store.verify()
     assert f"{path}: expected" in str(wrong)

@@ -123,7 +123,7 @@ def test_a_store_whose_name_means_another_place_in_an_address_goes_without_a_mir
     store.mkdir()
     open_tracker(store, say=said.append).mirror(STUDY, STAGE)
     (line,) = said
-    assert "expected a path that MLflow takes as it is" in line and "The study goes on" in line
+    assert "expected a path that MLflow accepts unchanged" in line and "The study continues" in line
     assert [path.name for path in store.iterdir()] == ["mlflow.lock"] and len(list(tmp_path.iterdir())) == 1
 
 
@@ -222,7 +222,7 @@ def test_a_failing_mlflow_is_said_once_and_caught_up_with(tmp_path, said, monkey
     tracker.mirror(STUDY, replace(STAGE, name="collect", key="c"))
     tracker.mirror(STUDY, STAGE, TRIALS)
     assert len(said) == 1
-    assert str(folder) in said[0] and "The study goes on" in said[0]
+    assert str(folder) in said[0] and "The study continues" in said[0]
     folder.unlink()
     folder.mkdir()
     tracker.mirror(STUDY, replace(STAGE, name="transfer", key="t"))
@@ -326,5 +326,5 @@ def test_the_ui_says_what_it_lacks(tmp_path):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
-        with pytest.raises(PuddleError, match=r"port \d+ can't be had.*--port"):
+        with pytest.raises(PuddleError, match=r"port \d+ is not available.*--port"):
             serve_ui(tmp_path, taken.getsockname()[1])
