@@ -344,7 +344,7 @@ def _environment(changes: Mapping[str, str | None]) -> Iterator[None]:
     """Set environment variables that Ray reads; None unsets one."""
     always = {
         "RAY_USAGE_STATS_ENABLED": "0",
-        "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # nobody collects a cancelled call's error
+        "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # a cancelled call's error is never collected
         "RAY_task_oom_retries": str(N_INFRASTRUCTURE_RETRIES),  # unlimited by default
         "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # Ray's future default; without it Ray prints a warning
     }

@@ -23,16 +23,16 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_is_held_until_the_end_and_then_comes_through(number):
-    class Came(Exception):  # noqa: N818
+    class Received(Exception):  # noqa: N818
         pass
 
     def come(*_):
-        raise Came
+        raise Received
 
     before = signal.signal(number, come)
     reached = []
     try:
-        with pytest.raises(Came), signals_deferred():
+        with pytest.raises(Received), signals_deferred():
             os.kill(os.getpid(), number)
             time.sleep(0.01)  # bytecode for the interpreter to deliver it at
             os.kill(os.getpid(), number)

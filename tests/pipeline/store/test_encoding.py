@@ -72,26 +72,26 @@ def same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
 
 def test_a_table_comes_back_as_it_went_in_arrays_of_its_own() -> None:
     columns = example_columns()
-    came = decode_table(example_table(), **FORMAT, source="history.parquet")
-    assert list(came) == list(columns)
-    for name, array in came.items():
+    found = decode_table(example_table(), **FORMAT, source="history.parquet")
+    assert list(found) == list(columns)
+    for name, array in found.items():
         assert array.dtype == columns[name].dtype
         assert array.flags.writeable and array.flags.c_contiguous
-    assert same(columns, came)
+    assert same(columns, found)
 
 
 @given(data=st.data(), dtype=st.sampled_from(NUMBERS), n_rows=st.integers(0, 9), k=st.none() | st.integers(1, 4))
 def test_numbers_of_every_type_and_shape_come_back(data: st.DataObject, dtype: str, n_rows: int, k: int | None) -> None:
     column = data.draw(numpy_arrays(dtype, (n_rows,) if k is None else (n_rows, k)))
-    came = decode_table(encode_table({"x": column}, **FORMAT, producer=""), **FORMAT, source="t")["x"]
-    assert came.dtype == column.dtype and came.shape == column.shape
-    np.testing.assert_array_equal(came, column)
+    found = decode_table(encode_table({"x": column}, **FORMAT, producer=""), **FORMAT, source="t")["x"]
+    assert found.dtype == column.dtype and found.shape == column.shape
+    np.testing.assert_array_equal(found, column)
 
 
 @given(st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"])), min_size=1, max_size=5))
 def test_any_text_comes_back(words: list[str]) -> None:
-    came = decode_table(encode_table({"x": np.array(words)}, **FORMAT, producer=""), **FORMAT, source="t")["x"]
-    assert came.tolist() == words
+    found = decode_table(encode_table({"x": np.array(words)}, **FORMAT, producer=""), **FORMAT, source="t")["x"]
+    assert found.tolist() == words
 
 
 def test_a_table_of_several_row_groups_comes_back() -> None:
@@ -155,12 +155,12 @@ def test_a_unit_of_no_column_is_refused() -> None:
 
 def test_arrays_come_back_in_order_of_name_with_their_metadata() -> None:
     arrays = example_arrays()
-    came, metadata = decode_arrays(
+    found, metadata = decode_arrays(
         encode_arrays(arrays, {"activation": "relu", "z": "µ"}, **FORMAT, producer="k"), **FORMAT, source="w"
     )
-    assert list(came) == sorted(arrays)
-    assert all(array.flags.writeable for array in came.values())
-    assert same(dict(sorted(arrays.items())), came)
+    assert list(found) == sorted(arrays)
+    assert all(array.flags.writeable for array in found.values())
+    assert same(dict(sorted(arrays.items())), found)
     assert metadata == {"activation": "relu", "z": "µ"}
 
 
@@ -233,12 +233,12 @@ def test_a_flipped_bit_never_changes_a_value_silently(kind: str) -> None:
         bad = bytearray(good)
         bad[bit // 8] ^= 1 << (bit % 8)
         try:
-            came = content(kind, DECODE[kind](bytes(bad)))
+            found = content(kind, DECODE[kind](bytes(bad)))
         except PuddleError as error:
             n_refused += 1
             assert "the file" in str(error)
         else:
-            assert came == expected, f"bit {bit}"
+            assert found == expected, f"bit {bit}"
     # A small table is mostly footer, and much of that (a quarter of this file's bits) only helps to plan a query.
     assert n_refused == len(bits) if kind != "table" else n_refused > 0.7 * len(bits)
 
@@ -353,9 +353,9 @@ PLAIN = st.recursive(
 def test_json_comes_back_and_is_canonical(value: object) -> None:
     document = encode_json(value)
     assert document.endswith(b"\n") and not document.endswith(b"\n\n")
-    came = decode_json(document, "s")
-    assert came == value
-    assert canonical_json(came) == canonical_json(value) and encode_json(came) == document
+    found = decode_json(document, "s")
+    assert found == value
+    assert canonical_json(found) == canonical_json(value) and encode_json(found) == document
 
 
 @given(st.dictionaries(TEXT, PLAIN), st.randoms())

@@ -189,7 +189,9 @@ def test_what_took_the_place_of_a_study_record_is_damage_and_gives_way(store: St
     path = store.study_path("laptop") / "study.json"
     path.unlink()
     make(path)
-    with pytest.raises(DamagedArtifact, match=f"{path}: expected a study's record, got not a regular file. .* rewrites"):
+    with pytest.raises(
+        DamagedArtifact, match=f"{path}: expected a study's record, got not a regular file. .* rewrites"
+    ):
         store.read_study("laptop")
     store.write_study("laptop", {"seed": 1}, [])
     assert store.read_study("laptop").settings == {"seed": 1}
@@ -220,7 +222,9 @@ def test_a_study_has_one_driver_which_is_named_to_a_second(store: Store) -> None
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as driver:
         assert driver.stdout.readline() == "driving\n"
         assert f"process {driver.pid} on {os.uname().nodename} since 20" in store.driver_of("laptop")
-        refused = pytest.raises(PuddleError, match=f"study laptop is driven by process {driver.pid} .*Wait until it ends")
+        refused = pytest.raises(
+            PuddleError, match=f"study laptop is driven by process {driver.pid} .*Wait until it ends"
+        )
         with refused, store.lock_study("laptop"):
             raise AssertionError("two drivers")
         with store.lock_study("paper"):
@@ -259,7 +263,7 @@ def test_asking_who_drives_is_never_in_the_drivers_way(store: Store) -> None:
 
 
 def test_nothing_is_removed_while_somebody_reads(store: Store) -> None:
-    with store.lock_to_read():  # nobody ever drove it: there is nothing to lock
+    with store.lock_to_read():  # it was never driven: there is nothing to lock
         assert not (store.root / "use.lock").exists()
     with store.lock_study("laptop"), store.lock_to_read(), store.lock_to_read():
         pass

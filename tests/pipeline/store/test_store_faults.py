@@ -216,7 +216,10 @@ def test_whoever_removes_and_whoever_drives_refuse_one_another(store: Store) -> 
 @pytest.mark.parametrize(
     ("number", "said"),
     [
-        (errno.ENOSPC, "No space left on device.*Committed results are safe.*Free some space and run the same command again"),
+        (
+            errno.ENOSPC,
+            "No space left on device.*Committed results are safe.*Free some space and run the same command again",
+        ),
         (errno.EDQUOT, "quota.*Committed results are safe.*Free some space"),
         (errno.EROFS, "Read-only file system.*Committed results are safe.*choose another folder"),
         (errno.EACCES, "Permission denied.*Committed results are safe.*choose another folder"),
@@ -256,7 +259,9 @@ def test_other_bytes_on_the_disk_and_links_say_what_is_safe_and_what_to_do(
     commit(store)
     write = disk.write
     monkeypatch.setattr(disk, "write", lambda path, data: write(path, data[:-1] + b"?"))
-    said = r"study\.json: expected the bytes .*committed results are safe\. Check the disk.*`puddle verify`.* same command"
+    said = (
+        r"study\.json: expected the bytes .*committed results are safe\. Check the disk.*`puddle verify`.* same command"
+    )
     with pytest.raises(PuddleError, match=said):
         store.write_study("laptop", {"seed": 1}, [])
     assert store.verify() == [] and store.read_study("laptop") is None

@@ -39,7 +39,7 @@ TRIALS = [
 
 
 @pytest.fixture(autouse=True)
-def nobody_elses_server(monkeypatch):
+def only_our_server(monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
 
 
@@ -50,7 +50,7 @@ def said() -> list[str]:
 
 @pytest.fixture(scope="module")
 def empty_database(tmp_path_factory) -> Path:
-    """A database that MLflow has made and nobody has used: to make one is hundreds of statements."""
+    """A database that MLflow has created and that is unused: to make one is hundreds of statements."""
     folder = tmp_path_factory.mktemp("empty")
     client(folder).search_experiments()
     return folder / "mlflow.db"
