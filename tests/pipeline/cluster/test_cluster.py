@@ -52,7 +52,7 @@ def only(cluster: Cluster) -> Outcome:
     return outcome
 
 
-def walk(seed: int, steps: np.ndarray) -> np.ndarray:
+def wander(seed: int, steps: np.ndarray) -> np.ndarray:
     return np.random.default_rng(seed).normal(size=(3, steps.size)) @ np.outer(steps, steps)
 
 
@@ -69,10 +69,10 @@ def test_the_same_results_serially_and_on_ray(local_ray):
     with serial_cluster() as serial:
         for cluster in (serial, local_ray):
             shared = cluster.share(np.linspace(0, 1, 50))
-            tickets = [cluster.submit(walk, seed, shared, name=f"walk {seed}") for seed in range(6)]
+            tickets = [cluster.submit(wander, seed, shared, name=f"wander {seed}") for seed in range(6)]
             assert cluster.n_running == 6
             by_ticket = outcomes(cluster)
-            assert {ticket.name for ticket in by_ticket} == {f"walk {seed}" for seed in range(6)}
+            assert {ticket.name for ticket in by_ticket} == {f"wander {seed}" for seed in range(6)}
             results.append([by_ticket[ticket].result for ticket in tickets])
     assert all(np.array_equal(one, other) for one, other in zip(*results, strict=True))
     assert len({result.tobytes() for result in results[0]}) == 6
