@@ -7,16 +7,17 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from pipeline.commands.rates import Rates, measure, seconds_of_a_result
 from pipeline.commands.schedule import Schedule, Work, play
 from pipeline.commands.sizes import Sizes, bytes_left, n_worlds_looked_at, weigh
 from pipeline.config.settings import Settings
-from pipeline.stages import STAGES, segments
+from pipeline.stages import STAGES, environments
 from pipeline.store import disk
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
-from pipeline.workflow.stage import Chain, Results, Stage
+from pipeline.workflow.stage import AnyStage, Chain, Results
 
 N_PIECES_PLAYED = 4
 """Of the longest trial, where a schedule is played through."""
@@ -38,14 +39,14 @@ class StageForecast:
 
 
 def forecast(
-    settings: Settings, stages: Sequence[Stage], rates: Rates, sizes: Sizes, upstream: Mapping[str, Results]
+    settings: Settings, stages: Sequence[AnyStage], rates: Rates, sizes: Sizes, upstream: Mapping[str, Results]
 ) -> list[StageForecast]:
     """Price the work that the store does not hold yet, and weigh what it will keep, stage by stage."""
     forecasts = []
     for stage in stages:
         n_units = core_seconds = longest = n_bytes = 0.0
         for chain in stage.plan(settings):
-            n_done = upstream[stage.name].n_done.get(chain.label, 0) if stage.name in upstream else 0
+            n_done = upstream[stage.name].n_done.get(chain.identity, 0) if stage.name in upstream else 0
             n_left = sum(chain.units[n_done:])
             seconds = n_left * _price(stage, chain, rates)
             n_units, core_seconds, longest = n_units + n_left, core_seconds + seconds, max(longest, seconds)
@@ -54,34 +55,34 @@ def forecast(
     return forecasts
 
 
-def _price(stage: Stage, chain: Chain, rates: Rates) -> float:
+def _price(stage: AnyStage, chain: Chain[Any], rates: Rates) -> float:
     match stage.unit:
         case "throws":
             return rates.throw
         case "iterations":
             return rates.iteration
         case "generations":
-            return rates.simulation[chain.spec["world"]] + rates.selection[stage.name]
+            return rates.simulation[chain.spec.environment] + rates.selection[stage.name]
         case "designs":
             return rates.rollout("true_slush") + rates.rollout("residual_slush")
         case "analyses":
-            rollouts = float(chain.spec["n_rollouts"]) * rates.rollout(chain.spec["world"])
+            rollouts = float(chain.spec.n_rollouts) * rates.rollout(chain.spec.environment)
             return rollouts + n_worlds_looked_at(chain.spec) * rates.look
         case "pictures":
             return rates.picture
     raise ValueError(f"stage {stage.name}: its work is counted in {stage.unit}, which has no price")
 
 
-def works_of(stage: Stage, chain: Chain, n_done: int, settings: Settings, rates: Rates) -> list[Work]:
+def works_of(stage: AnyStage, chain: Chain[Any], n_done: int, settings: Settings, rates: Rates) -> list[Work]:
     """Say what is left of a chain, as tasks for cores."""
     price = _price(stage, chain, rates)
     if stage.unit != "generations":
         return [Work(1, 1, units * price) for units in chain.units[n_done:]]
-    size = segments.execution(settings, chain.spec["world"])["designs_per_batch"]
+    size = environments.execution_options(settings, chain.spec.environment).designs_per_batch
     n_designs = rates.population_size
     if size is None or size >= n_designs:
         return [Work(1, 1, units * price) for units in chain.units[n_done:]]
-    batch_seconds = rates.simulation[chain.spec["world"]] * size / n_designs
+    batch_seconds = rates.simulation[chain.spec.environment] * size / n_designs
     n_batches, select = math.ceil(n_designs / size), rates.selection[stage.name]
     # What is less than a generation, such as the scoring of champions, is not split.
     return [
@@ -91,12 +92,12 @@ def works_of(stage: Stage, chain: Chain, n_done: int, settings: Settings, rates:
 
 
 def schedule(
-    settings: Settings, stage: Stage, upstream: Mapping[str, Results], rates: Rates, n_cores: int, driver: float
+    settings: Settings, stage: AnyStage, upstream: Mapping[str, Results], rates: Rates, n_cores: int, driver: float
 ) -> Schedule:
     """Play a stage through on simulated cores, long trials in part: their generations are alike."""
     chains = stage.plan(settings)
     n_done = upstream[stage.name].n_done if stage.name in upstream else {}
-    works = [works_of(stage, chain, n_done.get(chain.label, 0), settings, rates) for chain in chains]
+    works = [works_of(stage, chain, n_done.get(chain.identity, 0), settings, rates) for chain in chains]
     longest = max((len(pieces) for pieces in works), default=0)
     share = min(1.0, N_PIECES_PLAYED / longest) if longest else 1.0
     played = play([pieces[: max(1, round(share * len(pieces)))] for pieces in works], n_cores, driver_seconds=driver)

@@ -20,12 +20,12 @@ from pipeline.cluster import session
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
 from pipeline.store import disk
-from pipeline.store.encoding import canonical_json, decode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.driver import settings_of
-from pipeline.workflow.graph import Walk, follow, results_of
-from pipeline.workflow.stage import Results, Stage
+from pipeline.workflow.graph import ChainProgress, StageRun, results_of
+from pipeline.workflow.identity import to_json
+from pipeline.workflow.stage import AnyStage, Results
 
 
 @dataclass(frozen=True)
@@ -119,18 +119,18 @@ def _users_first(garbage: Sequence[Manifest]) -> list[Manifest]:
     return ordered
 
 
-def _in_reach(stage: Stage, walks: Sequence[Walk], behind_gaps: Sequence[Manifest]) -> list[Manifest]:
+def _in_reach(stage: AnyStage, chains: Sequence[ChainProgress], behind_gaps: Sequence[Manifest]) -> list[Manifest]:
     """Return the items behind gaps that belong to a stage's unfinished chains.
 
     Their keys can't be computed while their inputs are gone, but an item's specification contains its chain's.
     """
-    chains = [decode_json(canonical_json(walk.chain.spec), "spec").items() for walk in walks if not walk.finished]
+    unfinished = [to_json(progress.chain.spec) for progress in chains if not progress.finished]
     of_stage = [one for one in behind_gaps if (one.stage, one.identity.get("version")) == (stage.name, stage.version)]
     specified = [(one, one.identity.get("spec")) for one in of_stage]
     return [
         one
         for one, spec in specified
-        if isinstance(spec, dict) and any(spec.items() >= of_chain for of_chain in chains)
+        if isinstance(spec, dict) and any(of_chain in (spec, *spec.values()) for of_chain in unfinished)
     ]
 
 
@@ -143,10 +143,10 @@ def _needs(store: Store, name: str, behind_gaps: Sequence[Manifest]) -> Iterator
     settings = settings_of(record)
     upstream: dict[str, Results] = {}
     for stage in STAGES:
-        walks = follow(stage, settings, store, upstream, say=damage.append)
-        upstream[stage.name] = results_of(stage, walks)
-        found = [manifest for walk in walks for manifest in walk.manifests]
-        yield from ((stage.name, one.key) for one in (*found, *_in_reach(stage, walks, behind_gaps)))
+        chains = StageRun(stage, settings, upstream, store, damage.append).chains()
+        upstream[stage.name] = results_of(stage, chains)
+        found = [manifest for progress in chains for manifest in progress.manifests]
+        yield from ((stage.name, one.key) for one in (*found, *_in_reach(stage, chains, behind_gaps)))
     if damage:
         raise PuddleError(damage[0])
     yield from ((item.stage, item.key) for item in record.items)

@@ -11,14 +11,15 @@ import numpy as np
 from pipeline.config.settings import DEEPEST, RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.errors import PuddleError
 from pipeline.report import render_gif, render_mp4, render_robot, replay_of
-from pipeline.stages import collect, train
+from pipeline.stages import environments
 from pipeline.stages.analyses.filmed_rollouts import NOBODY, median_member
-from pipeline.stages.collect import data_set
+from pipeline.stages.collect import COLLECT, data_set
 from pipeline.stages.report_replays import looked_at, push_of, surroundings_in
-from pipeline.stages.segments import segment_spec, world_inputs, world_of
+from pipeline.stages.train import TRAIN
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
+from pipeline.workflow.identity import Arm, InputName
 from pipeline.workflow.stage import Files, MissingInputs
 from tasks.evolution import evaluate
 from tasks.simulation import OK, simulate
@@ -70,9 +71,8 @@ def simulate_design(
     if out is not None and (kind not in (*_RENDERERS, _PAGE_SUFFIX) or not out.parent.is_dir()):
         suffixes = " or ".join((*_RENDERERS, _PAGE_SUFFIX))
         raise PuddleError(f"--out: expected a file name that ends in {suffixes}, in an existing folder, got {out}")
-    spec = segment_spec(settings, stage="simulate", environment=world, world=world, depth=depth, trial=0)
-    spec["held_out"] = settings.training.held_out
-    files: dict[str, Files] = {}
+    simulation = environments.simulation_spec(settings, world)
+    files: dict[InputName, Files] = {}
     why = ""
     if world == "residual_slush" or kind == _PAGE_SUFFIX:
         try:
@@ -84,7 +84,7 @@ def simulate_design(
                 raise PuddleError(why) from None
     rollouts = simulate(
         design,
-        world_of(spec, files),
+        environments.build_environment(simulation.media, world, depth, files),
         n_settle=settings.rollout.n_settle,
         n_measure=settings.rollout.n_measure,
         engine=settings.work.engine,
@@ -114,8 +114,12 @@ def simulate_design(
             surroundings=surroundings_in(world),
             n_settle=settings.rollout.n_settle,
             time_step=settings.physics.time_step,
-            overlays=looked_at(spec, design, trace, files) if kind == _PAGE_SUFFIX and files else (),
-            push=push_of(spec, member, design, trace, files) if kind == _PAGE_SUFFIX else None,
+            overlays=looked_at(
+                simulation, design, trace, files, held_out=settings.training.held_out, seed=settings.seed
+            )
+            if kind == _PAGE_SUFFIX and files
+            else (),
+            push=push_of(simulation, Arm(world, depth), member, design, trace, files) if kind == _PAGE_SUFFIX else None,
         )
         if kind == _PAGE_SUFFIX and why:
             lines.append(f"  shown without the networks' view: {why}")
@@ -128,7 +132,7 @@ def simulate_design(
     return lines
 
 
-def _networks(settings: Settings, open_store: Callable[[], Store], *, throws: bool) -> dict[str, Files]:
+def _networks(settings: Settings, open_store: Callable[[], Store], *, throws: bool) -> dict[InputName, Files]:
     """Read every member of the ensemble, and the throws that they learned from if asked to.
 
     Raises:
@@ -144,10 +148,10 @@ def _networks(settings: Settings, open_store: Callable[[], Store], *, throws: bo
     store = open_store()
     damage: list[str] = []
     with store.lock_to_read():
-        upstream = survey(settings, (collect.STAGE, train.STAGE), store, say=damage.append)
+        upstream = survey(settings, (COLLECT, TRAIN), store, say=damage.append)
         if damage:
             raise PuddleError(damage[0])
-        inputs = world_inputs(settings, "residual_slush", 0, upstream)
+        inputs = environments.member_inputs(settings, "residual_slush", 0, upstream)
         if throws:
             inputs |= data_set(upstream["collect"])
         return {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()}

@@ -17,8 +17,8 @@ from pipeline.commands.specimens import N_FEW_THROWS, few_throws, short_film, un
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.errors import PuddleError
 from pipeline.report import render_films
-from pipeline.stages import evolve, segments, transfer
-from pipeline.stages.segments import groups_of, segment_lengths, segment_spec, true_medium, true_slush, world_of
+from pipeline.stages import environments
+from pipeline.stages.segments import segment_lengths
 from pipeline.store import disk
 from pipeline.store.encoding import Json, key_of
 from pipeline.store.manifest import Manifest
@@ -82,7 +82,7 @@ def measure(settings: Settings, say: Callable[[str], None]) -> Rates:
         throw=throw,
         iteration=iteration,
         simulation=simulation,
-        selection={evolve.NAME: time_of_selection(settings, None), transfer.NAME: time_of_selection(settings, body)},
+        selection={"evolve": time_of_selection(settings, None), "transfer": time_of_selection(settings, body)},
         population_size=settings.evolution.afpo.population_size,
         picture=_time_of_picture(settings),
         look=_time_of_look(settings) if settings.needs_ensemble else 0.0,
@@ -123,7 +123,7 @@ def _world(settings: Settings, world: EnvironmentName, depth: float) -> Environm
     if world in RESIDUAL_ENVIRONMENTS:
         n_members = settings.ensemble.n_members if world == "residual_slush" else 1
         return ResidualSlush(depth=depth, ensemble=untrained_ensemble(settings, n_members))
-    return world_of(segment_spec(settings, stage="forecast", environment=world, world=world, depth=depth, trial=0), {})
+    return environments.build_environment(environments.media_of(settings, world), world, depth, {})
 
 
 def _time_of_simulation(settings: Settings, world: EnvironmentName) -> float:
@@ -133,7 +133,7 @@ def _time_of_simulation(settings: Settings, world: EnvironmentName) -> float:
     environment = _world(settings, world, float(np.median(depths or list(settings.grid.depths))))
     rng = np.random.default_rng(0)
     morphology = settings.evolution.morphology
-    batch_size = segments.batch_size(settings, world)
+    batch_size = environments.batch_size(settings, world)
     designs = random_designs(batch_size * afpo.population_size, rng, morphology=morphology)
 
     def rollouts(n_steps: int) -> object:
@@ -179,11 +179,11 @@ def _time_of_picture(settings: Settings) -> float:
 def _time_of_look(settings: Settings) -> float:
     """Look at a random design's rollout as an arm's instruments do, among all that its members learn from."""
     ensemble = untrained_ensemble(settings, settings.ensemble.n_members)
-    design, spec = random_designs(1, np.random.default_rng(0)), groups_of(settings, "true_slush")
-    medium = true_medium(spec)
+    design, media = random_designs(1, np.random.default_rng(0)), environments.media_of(settings, "true_slush")
+    medium = environments.true_medium(media)
     in_slush = simulate(
         design,
-        true_slush(spec, max(settings.grid.depths)),
+        environments.true_slush(media, max(settings.grid.depths)),
         **settings.rollout.model_dump(),
         engine=settings.work.engine,
         physics=settings.physics,

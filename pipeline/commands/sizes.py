@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +16,11 @@ from pipeline.commands.specimens import N_FEW_THROWS, few_throws, layers_of, sho
 from pipeline.config.settings import ENVIRONMENTS, EnvironmentName, Settings
 from pipeline.report import render_films
 from pipeline.stages import STAGES
-from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS
+from pipeline.stages.analyses.specs import AnalysisSpec, ExploitersSpec, InstrumentsSpec
 from pipeline.stages.report import PAGE
 from pipeline.stages.segments import history_units, segment_lengths
 from pipeline.store.encoding import encode_arrays, encode_table
-from pipeline.workflow.stage import Chain, Results, Spec, Stage
+from pipeline.workflow.stage import AnyStage, Chain, Results
 from tasks.design import N_LINKS, Designs, random_designs
 from tasks.evolution import Evaluation, Trial, evolve
 from tasks.residual import Transitions
@@ -80,7 +81,7 @@ def weigh(settings: Settings) -> Sizes:
     )
 
 
-def bytes_left(stage: Stage, chain: Chain, n_done: int, settings: Settings, sizes: Sizes) -> float:
+def bytes_left(stage: AnyStage, chain: Chain[Any], n_done: int, settings: Settings, sizes: Sizes) -> float:
     """Say what the rest of a chain will keep [bytes]."""
     units = chain.units[n_done:]
     n_left = sum(units)
@@ -90,7 +91,7 @@ def bytes_left(stage: Stage, chain: Chain, n_done: int, settings: Settings, size
         case "train":
             kept = len(units) * sizes.member
         case "evolve":
-            kept = n_left * sizes.generation[chain.spec["world"]]
+            kept = n_left * sizes.generation[chain.spec.environment]
         case "transfer":
             kept = n_left * sizes.adapted_generation
         case "assess":
@@ -114,24 +115,24 @@ def bytes_left_of_study(settings: Settings, upstream: Mapping[str, Results]) -> 
     sizes = weigh(settings)
     n_done = {name: results.n_done for name, results in upstream.items()}
     return sum(
-        bytes_left(stage, chain, n_done.get(stage.name, {}).get(chain.label, 0), settings, sizes)
+        bytes_left(stage, chain, n_done.get(stage.name, {}).get(chain.identity, 0), settings, sizes)
         for stage in STAGES
         for chain in stage.plan(settings)
     )
 
 
-def _bytes_of_an_analysis(chain: Chain, settings: Settings, sizes: Sizes) -> float:
+def _bytes_of_an_analysis(chain: Chain[AnalysisSpec], settings: Settings, sizes: Sizes) -> float:
     n_steps = settings.rollout.n_settle + settings.rollout.n_measure
     links = n_worlds_looked_at(chain.spec) * n_steps * N_LINKS * sizes.link
-    exploiters = settings.assess.n_designs * sizes.assessed / 4 if chain.spec["kind"] == EXPLOITERS else 0.0
+    exploiters = settings.assess.n_designs * sizes.assessed / 4 if isinstance(chain.spec, ExploitersSpec) else 0.0
     return TABLES_BYTES + links + exploiters
 
 
-def n_worlds_looked_at(spec: Spec) -> int:
+def n_worlds_looked_at(spec: AnalysisSpec) -> int:
     """Count the rollouts of an analysis whose every step and link is looked at: its best, in slush and at home."""
-    if spec["kind"] != INSTRUMENTS:
+    if not isinstance(spec, InstrumentsSpec):
         return 0
-    return 1 if spec["environment"] == "true_slush" else 2
+    return 1 if spec.arm.environment == "true_slush" else 2
 
 
 def _bytes_of_a_throw(settings: Settings) -> float:

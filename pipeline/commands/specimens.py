@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.report import replay_of
 from pipeline.report.replay import STEPS_PER_SECOND, Replay
-from pipeline.stages.segments import groups_of, true_medium
+from pipeline.stages.environments import media_of, true_medium
 from tasks.design import random_designs
 from tasks.residual import OBSERVATION, STATE, Architecture, Transitions, initial_states, simulate_throws
 from tasks.simulation import simulate
@@ -26,7 +26,7 @@ def few_throws(settings: Settings) -> Transitions:
     """Simulate N_FEW_THROWS of the study's throws."""
     throws = settings.throws.model_copy(update={"n_throws": N_FEW_THROWS})
     starts = initial_states(throws, np.random.default_rng(0))
-    return simulate_throws(starts, throws.n_steps, true_medium(groups_of(settings, "true_slush")), settings.physics)
+    return simulate_throws(starts, throws.n_steps, true_medium(media_of(settings, "true_slush")), settings.physics)
 
 
 def layers_of(network: Architecture, *, n_out: int = len(STATE)) -> list[tuple[int, int]]:

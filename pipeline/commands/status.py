@@ -13,7 +13,8 @@ from pipeline.errors import DamagedArtifact
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
     from pipeline.store.store import Store
-    from pipeline.workflow.stage import Results, Stage
+    from pipeline.workflow.identity import ChainId
+    from pipeline.workflow.stage import AnyStage, Results
 
 
 @with_options
@@ -52,7 +53,7 @@ def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
         chains = stage.plan(settings)
         total = sum(sum(chain.units) for chain in chains)
         found = upstream[stage.name]
-        done = sum(sum(chain.units[: found.n_done.get(chain.label, 0)]) for chain in chains)
+        done = sum(sum(chain.units[: found.n_done.get(chain.identity, 0)]) for chain in chains)
         n_done, n_items = sum(found.n_done.values()), sum(chain.n_items for chain in chains)
         if not found.unfinished and not found.failed:
             state = "done" if chains else "not needed"
@@ -65,16 +66,17 @@ def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
             f"  {stage.name:<9} {state:<10} {n_done:>6} of {n_items} items, {done:,.0f} of {total:,.0f} {stage.unit}, "
             f"{found.seconds:.0f} core-seconds"
         )
+        done_labels = {chain.label for chain in found.done}
         for label, why in failed.get(stage.name, {}).items():
-            if label not in found.done:
+            if label not in done_labels:
                 yield f"    {label}: {why}"
         diverged = _diverged(stage, settings, found, store, notes)
         any_diverged = any_diverged or bool(diverged)
-        for label, what in diverged.items():
-            yield f"    {label}: {what}"
+        for identity, what in diverged.items():
+            yield f"    {identity.label}: {what}"
     if any_diverged:
         yield "Designs that diverged would diverge again with the same settings; everything else is safe."
-    if any(label not in upstream[name].done for name, of_stage in failed.items() for label in of_stage):
+    if any(set(of_stage) - {chain.label for chain in upstream[name].done} for name, of_stage in failed.items()):
         yield "Failed work items are tried again by the next `puddle study`; everything else is safe."
     yield from notes
 
@@ -89,7 +91,9 @@ def _failed(settings: Settings, store: Store) -> dict[str, dict[str, str]]:
     return failed
 
 
-def _diverged(stage: Stage, settings: Settings, found: Results, store: Store, notes: list[str]) -> Mapping[str, str]:
+def _diverged(
+    stage: AnyStage, settings: Settings, found: Results, store: Store, notes: list[str]
+) -> Mapping[ChainId, str]:
     """Describe what diverged in a stage, by label; damage met on the way is added to the notes."""
     try:
         return stage.diverged(settings, found, store)
@@ -112,8 +116,8 @@ def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
     with store.lock_to_read():
         upstream = survey(settings, STAGES, store, say=lambda line: None)
     for results in upstream.values():
-        for label, manifests in results.done.items():
+        for chain, manifests in results.done.items():
             for index, manifest in enumerate(manifests):
-                yield f"{manifest.digest}  {results.stage}/{label}/{index}"
+                yield f"{manifest.digest}  {results.stage}/{chain.label}/{index}"
                 for name, entry in sorted(manifest.files.items()):
-                    yield f"{entry.sha256}  {results.stage}/{label}/{index}/{name}"
+                    yield f"{entry.sha256}  {results.stage}/{chain.label}/{index}/{name}"

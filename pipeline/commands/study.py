@@ -68,14 +68,17 @@ def run_stages(
         upstream = drive(
             settings,
             [stage for stage in STAGES if not stages or stage.name in stages],
+            stages=STAGES,
             store=store,
             open_cluster=open_cluster,
             tracker=open_tracker(store.root, tracking_uri, say=show.say),
             progress=show,
             how_to_run=options.command,
         )
-    failed = [f"{name}: {label}: {why}" for name, results in upstream.items() for label, why in results.failed.items()]
-    diverged = [f"{name}: {label}: {n}" for name, results in upstream.items() for label, n in results.diverged.items()]
+    failed = [f"{name}: {of.label}: {why}" for name, results in upstream.items() for of, why in results.failed.items()]
+    diverged = [
+        f"{name}: {of.label}: {what}" for name, results in upstream.items() for of, what in results.diverged.items()
+    ]
     if failed:
         to_stderr("\n".join([f"{len(failed)} chains of work failed; the rest is done:", *failed]))
     if diverged:

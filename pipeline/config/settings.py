@@ -34,7 +34,7 @@ DEEPEST = 1000.0
 Depth = Annotated[float, Field(ge=0.0, le=DEEPEST)]
 
 
-class Ensemble(Parameters):
+class EnsembleSettings(Parameters):
     """The residual networks together."""
 
     n_members: int = Field(default=8, ge=1, le=64)
@@ -43,7 +43,7 @@ class Ensemble(Parameters):
     """k of the fitness μ - k σ over members. [P]"""
 
 
-class Grid(Parameters):
+class GridSettings(Parameters):
     """Which trials there are."""
 
     depths: tuple[Depth, ...] = Field(default=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0), min_length=1)
@@ -86,7 +86,7 @@ class Grid(Parameters):
         return [(environment, depth, trial) for environment, depth in arms for trial in range(self.n_trials)]
 
 
-class Rollout(Parameters):
+class RolloutSettings(Parameters):
     """How long a design is watched."""
 
     n_settle: int = Field(default=200, ge=0, le=1_000_000)
@@ -106,7 +106,7 @@ class Rollout(Parameters):
         return self
 
 
-class Evolution(Parameters):
+class EvolutionSettings(Parameters):
     """The evolution of bodies and controllers."""
 
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
@@ -117,7 +117,7 @@ class Evolution(Parameters):
     """What every body keeps to."""
 
 
-class Transfer(Parameters):
+class TransferSettings(Parameters):
     """What champions go through in True Slush."""
 
     adapted_environments: tuple[EnvironmentName, ...] = ENVIRONMENTS
@@ -126,7 +126,7 @@ class Transfer(Parameters):
     """Of each adaptation. [P]"""
 
 
-class Assess(Parameters):
+class AssessSettings(Parameters):
     """Which designs prediction accuracy is judged by: of trials in True Slush and on Dry Land, at one depth."""
 
     depth: Depth = 9.0
@@ -135,7 +135,7 @@ class Assess(Parameters):
     """Drawn uniformly over the generations, in equal parts from every trial. [P]"""
 
 
-class Work(Parameters):
+class WorkSettings(Parameters):
     """How the work is cut into pieces. None of it changes a number; but other pieces are computed anew."""
 
     engine: Literal["batch", "reference"] = "batch"
@@ -166,22 +166,22 @@ class Settings(Parameters):
     """One residual network."""
     training: Training = Training()
     """How it learns."""
-    ensemble: Ensemble = Ensemble()
+    ensemble: EnsembleSettings = EnsembleSettings()
     """The networks together."""
-    grid: Grid = Grid()
+    grid: GridSettings = GridSettings()
     """The trials."""
-    rollout: Rollout = Rollout()
+    rollout: RolloutSettings = RolloutSettings()
     """How long a design is watched."""
-    evolution: Evolution = Evolution()
+    evolution: EvolutionSettings = EvolutionSettings()
     """How designs evolve."""
-    transfer: Transfer = Transfer()
+    transfer: TransferSettings = TransferSettings()
     """How champions are put to the test."""
-    assess: Assess = Assess()
+    assess: AssessSettings = AssessSettings()
     """How predictions are put to the test."""
     tank: Tank | None = None
     """The tank that champions are tried in, virtually, and one of them proposed for building; null for none. [P]: of
     the robot that was built."""
-    work: Work = Work()
+    work: WorkSettings = WorkSettings()
     """How the work is cut."""
 
     @model_validator(mode="after")

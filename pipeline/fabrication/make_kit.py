@@ -15,7 +15,7 @@ from pipeline.errors import PuddleError
 from pipeline.fabrication.choices import FabricationSettings
 from pipeline.fabrication.kit_folder import check_place, write_kit
 from pipeline.fabrication.timeline_file import calibration_yaml, timeline_csv, timeline_json
-from pipeline.stages import segments
+from pipeline.stages import environments
 from pipeline.store.design_file import design_document, read_design
 from pipeline.store.encoding import Json, canonical_json, digest, encode_json
 from pipeline.store.store import Store
@@ -91,7 +91,7 @@ def fabricate(
     physics = source.settings.physics.model_copy(update={"passive_joints": "locked", "link_collisions": True})
     simulated = run(
         source.design,
-        segments.true_slush(segments.groups_of(source.settings, "true_slush"), source.depth),
+        environments.true_slush(environments.media_of(source.settings, "true_slush"), source.depth),
         label=f"True Slush of {source.depth:g} m",
         physics=physics,
         **source.settings.rollout.model_dump(),

@@ -7,20 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.config.settings import EnvironmentName, Settings
+from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import MemberPredictions
-from pipeline.stages import STAGES, segments
-from pipeline.stages.segments import WEIGHTS
+from pipeline.stages import STAGES, environments
+from pipeline.stages.environments import WEIGHTS
 from pipeline.stages.transfer import CHAMPION, read_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
-from pipeline.workflow.stage import MissingInputs, Results
+from pipeline.workflow.identity import TrialId
+from pipeline.workflow.stage import Execution, MissingInputs, Results
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
-from tasks.simulation import OK, simulate
+from tasks.simulation import OK
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +70,10 @@ def _proposed(settings: Settings, store: Store) -> DesignSource:
     if chosen is None:
         raise PuddleError(f"study {settings.name!r}: no champion survived True Slush")
     row = arm[chosen]
-    label = segments.trial_label(environment, depth, row["trial"])
-    design = design_from(decode_json(store.read(upstream["transfer"].chain(label)[-1], CHAMPION), label), label)
+    trial = TrialId("transfer", environment, depth, row["trial"])
+    design = design_from(
+        decode_json(store.read(upstream["transfer"].chain(trial)[-1], CHAMPION), trial.label), trial.label
+    )
     origin = (
         f"The champion of trial {row['trial']} of study {settings.name}, evolved in "
         f"{environment.replace('_', ' ')} of {depth:g} m: it gets {row['zero_shot']:+.2f} m in True Slush, the "
@@ -91,16 +94,14 @@ def _members(
     settings: Settings, upstream: Mapping[str, Results], store: Store, design: Designs, depth: float
 ) -> MemberPredictions | None:
     """Simulate a design under every member of the study's ensemble, where there is one."""
-    world: EnvironmentName = "residual_slush"
     try:
-        inputs = segments.world_inputs(settings, world, 0, upstream)
+        inputs = environments.member_inputs(settings, "residual_slush", 0, upstream)
     except (MissingInputs, KeyError):
         return None
     files = {name: {WEIGHTS: store.read(source.manifest, WEIGHTS)} for name, source in inputs.items()}
-    spec = segments.segment_spec(settings, stage="fabricate", environment=world, world=world, depth=depth, trial=0)
-    rollouts = simulate(
-        design, segments.world_of(spec, files), **spec["rollout"], engine=settings.work.engine, physics=settings.physics
-    )
+    environment = environments.build_environment({}, "residual_slush", depth, files)
+    simulation = environments.simulation_spec(settings, "residual_slush")
+    rollouts = environments.roll_out(simulation, Execution(settings.work.engine), environment, design)
     if not (rollouts.status == OK).all():
         return None
     return MemberPredictions(tuple(float(value) for value in rollouts.displacement[:, 0]))

@@ -1,5 +1,12 @@
 """The stages of a study, in the order in which they run."""
 
-from pipeline.stages import analyse, assess, collect, evolve, report, train, transfer
+from pipeline.stages.analyse import ANALYSE
+from pipeline.stages.assess import ASSESS
+from pipeline.stages.collect import COLLECT
+from pipeline.stages.evolve import EVOLVE
+from pipeline.stages.report import REPORT
+from pipeline.stages.train import TRAIN
+from pipeline.stages.transfer import TRANSFER
+from pipeline.workflow.stage import AnyStage
 
-STAGES = (collect.STAGE, train.STAGE, evolve.STAGE, transfer.STAGE, assess.STAGE, analyse.STAGE, report.STAGE)
+STAGES: tuple[AnyStage, ...] = (COLLECT, TRAIN, EVOLVE, TRANSFER, ASSESS, ANALYSE, REPORT)

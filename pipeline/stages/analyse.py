@@ -63,22 +63,47 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.config.settings import EnvironmentName, Settings
-from pipeline.stages import segments
+from pipeline.config.settings import ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.stages import environments
 from pipeline.stages.analyses import champions, instruments, statistics, tank_tests
+from pipeline.stages.analyses.specs import (
+    AnalysisId,
+    AnalysisItemSpec,
+    AnalysisSpec,
+    ExploitersSpec,
+    InstrumentsSpec,
+    MatrixSpec,
+    MembersSpec,
+    StatisticsSpec,
+    TankSpec,
+)
 from pipeline.stages.analyses.statistics import Reasons, Tables
-from pipeline.stages.assess import PREDICTIONS, SOURCES
+from pipeline.stages.assess import ASSESSED, ASSESSED_ENVIRONMENTS, PREDICTIONS
 from pipeline.stages.collect import data_set
-from pipeline.stages.transfer import CHAMPION, SCORE
+from pipeline.stages.transfer import scores_inputs
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, csv_of, rows_of
-from pipeline.workflow.stage import Chain, Files, Input, Item, Job, MissingInputs, Results, Stage, Summary, Upstream
+from pipeline.workflow.identity import Arm, InputName, TrialId, arms_of, trials_of
+from pipeline.workflow.stage import (
+    Chain,
+    Execution,
+    Files,
+    Input,
+    Inputs,
+    Item,
+    Job,
+    MissingInputs,
+    Results,
+    Stage,
+    Summary,
+    Upstream,
+)
 from tasks.analysis import Tank
 from tasks.analysis.prediction import mean_less_deviations
 
-NAME, VERSION = "analyse", 4
+_VERSION = 4
 
 STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS, TANK = (
     "statistics",
@@ -88,116 +113,85 @@ STATISTICS, MEMBERS, MATRIX, EXPLOITERS, INSTRUMENTS, TANK = (
     "instruments",
     "tank",
 )
-"""Kinds of items; the label of each, or its beginning."""
+"""Kinds of analyses."""
 
 REASONS = "reasons.json"
 
 AnyRow = TypeVar("AnyRow")
 
-COMPUTE: Mapping[str, Callable[[Job, Mapping[str, Files]], tuple[Tables, Reasons]]] = {
-    STATISTICS: statistics.compute,
-    MEMBERS: instruments.compute_members,
-    MATRIX: champions.compute_matrix,
-    EXPLOITERS: champions.compute_exploiters,
-    INSTRUMENTS: instruments.compute_arm,
-    TANK: tank_tests.compute,
+_COMPUTE: Mapping[type[AnalysisSpec], Callable[[Job[Any], Inputs], tuple[Tables, Reasons]]] = {
+    StatisticsSpec: statistics.compute,
+    MembersSpec: instruments.compute_members,
+    MatrixSpec: champions.compute_matrix,
+    ExploitersSpec: champions.compute_exploiters,
+    InstrumentsSpec: instruments.compute_arm,
+    TankSpec: tank_tests.compute,
 }
 
 TOO_LONG_FOR_CSV = ("links", "histograms")
 """Tables that are not for reading."""
 
 
-def arms_of(trials: Sequence[tuple[EnvironmentName, float, int]]) -> list[tuple[EnvironmentName, float]]:
-    """List the environment and depth of every arm, deepest first."""
-    return sorted(dict.fromkeys((environment, depth) for environment, depth, _ in trials), key=lambda arm: -arm[1])
+def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
+    """Plan one item for each kind of analysis, and one for each arm's instruments and tank."""
+    trials = tuple(trials_of(settings, "transfer"))
+    depths = settings.grid.depths
+    simulation = environments.simulation_spec(settings, *ENVIRONMENTS)
+    penalty, held_out, seed = settings.ensemble.disagreement_penalty, settings.training.held_out, settings.seed
 
-
-def arm_label(environment: str, depth: float) -> str:
-    """Name the instruments of an arm."""
-    return f"{INSTRUMENTS}/{environment}/{depth:g}m"
-
-
-def tank_label(environment: str, depth: float) -> str:
-    """Name the tank test of an arm."""
-    return f"{TANK}/{environment}/{depth:g}m"
-
-
-def reads(settings: Settings) -> tuple[str, ...]:
-    """Scores, predictions, and what the networks learned from."""
-    return ("collect", "train", "transfer", "assess")
-
-
-def plan(settings: Settings) -> Sequence[Chain]:
-    """Plan one piece of each kind of analysis, and one for each arm's instruments."""
-    trials = settings.grid.trials()
-    depths = list(settings.grid.depths)
-    groups = sorted({"physics", *(group for groups in segments.SETTINGS_OF.values() for group in groups)})
-    worlds = {name: getattr(settings, name).model_dump(mode="json") for name in groups}
-    simulated = {**worlds, "rollout": settings.rollout.model_dump(mode="json")}
-    promised = {**simulated, "disagreement_penalty": settings.ensemble.disagreement_penalty}
-
-    def chain(
-        kind: str, label: str, of: Sequence[tuple[Any, float, int]], rollouts: int, world: EnvironmentName, **more: Any
-    ) -> Chain:
-        spec = {"kind": kind, "seed": settings.seed, "trials": [list(trial) for trial in of], **more}
-        spec |= {"n_rollouts": rollouts, "world": world}
-        weight = max(rollouts, 1) * segments.relative_cost(settings, world)
-        return Chain(label, (1,), spec, weight=weight)
+    def chain(identity: AnalysisId, spec: AnalysisSpec) -> Chain[AnalysisSpec]:
+        weight = max(spec.n_rollouts, 1) * environments.relative_cost(settings, spec.environment)
+        return Chain(identity, (1,), spec, weight=weight)
 
     n = len(trials)
     ensemble: EnvironmentName = "residual_slush" if settings.needs_ensemble else "true_slush"
-    held_out = settings.training.held_out
     chains = [
-        chain(STATISTICS, STATISTICS, trials, 0, "true_slush", assessed_depth=settings.assessed_depth),
-        chain(MEMBERS, MEMBERS, [], 0, ensemble, held_out=held_out, **worlds),
-        chain(MATRIX, MATRIX, trials, n * len(depths), "true_slush", depths=depths, **simulated),
-        chain(EXPLOITERS, EXPLOITERS, trials, n, ensemble, **promised),
+        chain(AnalysisId(STATISTICS), StatisticsSpec(seed, trials, 0, "true_slush", settings.assessed_depth)),
+        chain(AnalysisId(MEMBERS), MembersSpec(seed, (), 0, ensemble, held_out, simulation.physics, simulation.media)),
+        chain(AnalysisId(MATRIX), MatrixSpec(seed, trials, n * len(depths), "true_slush", depths, simulation)),
+        chain(AnalysisId(EXPLOITERS), ExploitersSpec(seed, trials, n, ensemble, simulation, penalty)),
     ]
-    for environment, depth in dict.fromkeys((environment, depth) for environment, depth, _ in trials):
-        arm = [trial for trial in trials if trial[:2] == (environment, depth)]
-        rollouts = len(arm) * (1 + instruments.N_TRIES)
-        more = {"environment": environment, "depth": depth, "held_out": held_out, **promised}
-        chains.append(chain(INSTRUMENTS, arm_label(environment, depth), arm, rollouts, environment, **more))
+    for arm, own in arms_of(trials).items():
+        rollouts = len(own) * (1 + instruments.N_TRIES)
+        spec = InstrumentsSpec(seed, tuple(own), rollouts, arm.environment, arm, held_out, simulation, penalty)
+        chains.append(chain(AnalysisId(INSTRUMENTS, arm), spec))
         if settings.tank is not None:
-            of_tank: dict[str, Any] = {"environment": environment, "depth": depth}
-            of_tank["tank"] = settings.tank.model_dump(mode="json")
-            label = tank_label(environment, depth)
-            of_tank["n_steps"] = settings.tank.n_steps(settings.physics.time_step)
-            n_steps = of_tank["n_steps"] + settings.rollout.n_settle
+            n_tank = settings.tank.n_steps(settings.physics.time_step)
+            n_steps = n_tank + settings.rollout.n_settle
             n_rollouts = 1 + 2 * n_steps / (settings.rollout.n_settle + settings.rollout.n_measure)  # land, wet and dry
-            chains.append(chain(TANK, label, arm, ceil(len(arm) * n_rollouts), "true_slush", **of_tank, **simulated))
+            rollouts = ceil(len(own) * n_rollouts)
+            in_tank = TankSpec(seed, tuple(own), rollouts, "true_slush", arm, settings.tank, n_tank, simulation)
+            chains.append(chain(AnalysisId(TANK, arm), in_tank))
     return chains
 
 
-def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
-    """Specify a piece: the results that it reads, and why others are not there."""
-    kind, spec = chain.spec["kind"], dict(chain.spec)
-    inputs: dict[str, Input] = {}
-    if kind != MEMBERS:
-        for environment, depth, trial in spec["trials"]:
-            label = segments.trial_label(environment, depth, trial)
-            if label in upstream["transfer"].done:
-                scored = upstream["transfer"].done[label][-1]
-                inputs[f"transfer/{label}"] = Input(scored, tuple(n for n in (SCORE, CHAMPION) if n in scored.files))
-    if kind in (STATISTICS, EXPLOITERS):
-        for label, (share,) in upstream["assess"].done.items():
-            inputs[f"assess/{label}"] = Input(share, (PREDICTIONS,))
-    if kind == STATISTICS:
-        spec["failed"] = dict(upstream["transfer"].failed)
-        spec["not_assessed"] = _why_not_assessed(settings, upstream)
-    elif kind not in (MATRIX, TANK):
-        networks, spec["no_networks"] = _networks(settings, upstream, throws=kind != EXPLOITERS)
+def _item(
+    settings: Settings, chain: Chain[AnalysisSpec], index: int, previous: Manifest | None, upstream: Upstream
+) -> Item[AnalysisItemSpec[AnalysisSpec]]:
+    """Specify an analysis: the results that it reads, and why others are not there."""
+    spec = chain.spec
+    inputs = scores_inputs(spec.trials, upstream)
+    if isinstance(spec, StatisticsSpec | ExploitersSpec):
+        # In the order of their labels: resampling depends on the order of designs.
+        for trial, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
+            inputs[InputName(ASSESSED, trial)] = Input(share, (PREDICTIONS,))
+    specified = AnalysisItemSpec(spec)
+    if isinstance(spec, StatisticsSpec):
+        failed = {trial.label: why for trial, why in upstream["transfer"].failed.items()}
+        specified = AnalysisItemSpec(spec, failed=failed, not_assessed=_why_not_assessed(settings, upstream))
+    elif not isinstance(spec, MatrixSpec | TankSpec):
+        networks, why = _networks(settings, upstream, throws=not isinstance(spec, ExploitersSpec))
         inputs |= networks
-    execution = {"engine": settings.work.engine, "designs_per_batch": None}
-    return Item(NAME, VERSION, chain.label, spec, inputs, execution)
+        specified = AnalysisItemSpec(spec, no_networks=why)
+    return Item(ANALYSE.name, ANALYSE.version, chain.label, specified, inputs, Execution(settings.work.engine))
 
 
-def _networks(settings: Settings, upstream: Upstream, *, throws: bool) -> tuple[dict[str, Input], str]:
-    """Give every member and what they learned from, or say why not."""
+def _networks(settings: Settings, upstream: Upstream, *, throws: bool) -> tuple[dict[InputName, Input], str]:
+    """Return every member and what they learned from as inputs, or the reason why there are none."""
     if not settings.needs_ensemble:
         return {}, "no trial of this study needs networks"
     try:
-        members = segments.world_inputs(settings, "residual_slush", 0, upstream)
+        members = environments.member_inputs(settings, "residual_slush", 0, upstream)
         return {**members, **(data_set(upstream["collect"]) if throws else {})}, ""
     except MissingInputs as missing:
         return {}, str(missing)
@@ -209,17 +203,17 @@ def _why_not_assessed(settings: Settings, upstream: Upstream) -> str:
         return ""
     if not settings.needs_ensemble:
         return "no trial of this study needs networks, so there are no predictions"
-    lost = upstream["assess"].failed
-    if lost:
-        return "; ".join(f"{label}: {why}" for label, why in lost.items())
-    return f"no trial evolved in {' or '.join(SOURCES)} at {settings.assessed_depth:g} m"
+    failed = upstream["assess"].failed
+    if failed:
+        return "; ".join(f"{trial.label}: {why}" for trial, why in failed.items())
+    return f"no trial evolved in {' or '.join(ASSESSED_ENVIRONMENTS)} at {settings.assessed_depth:g} m"
 
 
-def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
+def compute(job: Job[AnalysisItemSpec[AnalysisSpec]], inputs: Inputs) -> Files:
     """Make the tables of one kind of analysis."""
-    tables, reasons = COMPUTE[job.spec["kind"]](job, inputs)
+    tables, reasons = _COMPUTE[type(job.spec.analysis)](job, inputs)
     files = {
-        f"{name}.parquet": encode_table(columns, schema=name, version=VERSION, producer=job.key)
+        f"{name}.parquet": encode_table(columns, schema=name, version=_VERSION, producer=job.key)
         for name, columns in tables.items()
     }
     return {**files, REASONS: encode_json(reasons)}
@@ -227,7 +221,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
 
 def read_table(files: Files, name: str) -> Columns:
     """Read a table of an item by its name, such as "regressions"."""
-    return decode_table(files[f"{name}.parquet"], schema=name, version=VERSION, source=f"{name}.parquet")
+    return decode_table(files[f"{name}.parquet"], schema=name, version=_VERSION, source=f"{name}.parquet")
 
 
 def read_rows(files: Files | None, name: str, kind: type[AnyRow]) -> list[AnyRow]:
@@ -249,33 +243,37 @@ def read_reasons(files: Files) -> Reasons:
 # -- what came of it -------------------------------------------------------------------------------------------------
 
 
-def summarise(settings: Settings, results: Results, store: Store) -> Summary:
+def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Say how the study compares with the paper and what was imagined; give every table that a person may open."""
     found = {
-        label: {name: store.read(done, name) for name in done.files if PurePosixPath(name).stem not in TOO_LONG_FOR_CSV}
-        for label, (done,) in results.done.items()
+        analysis: {
+            name: store.read(done, name) for name in done.files if PurePosixPath(name).stem not in TOO_LONG_FOR_CSV
+        }
+        for analysis, (done,) in results.done.items()
     }
     lines: list[str] = []
     metrics: dict[str, float] = {}
-    for label, report_on in (
+    for kind, report_on in (
         (STATISTICS, _report_statistics),
         (MEMBERS, _report_members),
         (EXPLOITERS, _report_exploiters),
     ):
-        if label in found:
-            more_lines, more_metrics = report_on(found[label])
+        if AnalysisId(kind) in found:
+            more_lines, more_metrics = report_on(found[AnalysisId(kind)])
             lines += more_lines
             metrics |= more_metrics
-    for label, files in found.items():
-        if label.startswith(f"{TANK}/") and settings.tank is not None:
-            more_lines, more_metrics = _report_tank(label, files, settings.tank)
+    for arm in arms_of(trials_of(settings, "transfer")):
+        if (files := found.get(AnalysisId(TANK, arm))) and settings.tank is not None:
+            more_lines, more_metrics = _report_tank(arm, files, settings.tank)
             lines += more_lines
             metrics |= more_metrics
-    for label, files in found.items():
-        lines += [f"{label}: {table}: {why}" for table, why in read_reasons(files).items()]
+    for analysis, files in found.items():
+        lines += [f"{analysis.label}: {table}: {why}" for table, why in read_reasons(files).items()]
     artifacts = {
-        f"{label}/{name.removesuffix('.parquet')}.csv": csv_of(read_table(files, name.removesuffix(".parquet")))
-        for label, files in found.items()
+        f"{analysis.label}/{name.removesuffix('.parquet')}.csv": csv_of(
+            read_table(files, name.removesuffix(".parquet"))
+        )
+        for analysis, files in found.items()
         for name in files
         if name.endswith(".parquet")
     }
@@ -331,7 +329,7 @@ def _report_exploiters(files: Files) -> Report:
     if not len(known):
         return [], {}
     i = known[0]
-    label = segments.trial_label(table["environment"][i], table["depth"][i], table["trial"][i])
+    label = TrialId("transfer", table["environment"][i], table["depth"][i], table["trial"][i]).label
     worst = float(table["excess"][i])
     predicted, true = table["predicted"][i], table["true"][i]
     line = f"the champion with most imagined: {label}, predicted {predicted:z.1f} m, truly {true:z.1f} m"
@@ -350,7 +348,7 @@ def _way(tank: Tank, crossed: bool, seconds: float, travelled: float, distance: 
     return f"comes {travelled_cm:z.1f} of {distance_cm:.1f} cm in {tank.seconds:g} s"
 
 
-def _report_tank(label: str, files: Files, of: Tank) -> Report:
+def _report_tank(of_arm: Arm, files: Files, of: Tank) -> Report:
     """Name the champion to build, and say how it fared in the tank."""
     table = read_table(files, "tank")
     (proposed,) = np.flatnonzero(table["proposed"]) if table["proposed"].any() else (None,)
@@ -361,6 +359,7 @@ def _report_tank(label: str, files: Files, of: Tank) -> Report:
         _way(of, row[f"{where}_crossed"], row[f"{where}_seconds"], row[f"{where}_travelled"], row[f"{where}_distance"])
         for where in ("wet", "dry")
     )
+    label = AnalysisId(TANK, of_arm).label
     speed_mm = 1000 * of.built_speed(row["wet_speed"])
     lines = [
         f"{label}: to build: the champion of trial {row['trial']}, {row['zero_shot']:.2f} m in True Slush, the nearest "
@@ -370,7 +369,7 @@ def _report_tank(label: str, files: Files, of: Tank) -> Report:
         f"{label}: {int(table['wet_crossed'].sum())} of {len(table['trial'])} champions cross the tank, "
         f"{int(table['dry_crossed'].sum())} on its dry floor",
     ]
-    arm = label.removeprefix(f"{TANK}/").replace("/", ".")
+    arm = f"{of_arm.environment}.{of_arm.depth:g}m"
     names = ("zero_shot", "dry_land", "wet_crossed", "wet_seconds", "wet_speed", "dry_crossed", "dry_travelled")
     return lines, _finite({f"tank.{arm}.proposed.{name}": float(row[name]) for name in names})
 
@@ -379,6 +378,13 @@ def _finite(metrics: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in metrics.items() if np.isfinite(value)}
 
 
-STAGE = Stage(
-    name=NAME, version=VERSION, unit="analyses", reads=reads, plan=plan, item=item, compute=compute, summarise=summarise
+ANALYSE = Stage(
+    name="analyse",
+    version=_VERSION,
+    unit="analyses",
+    reads=lambda settings: ("collect", "train", "transfer", "assess"),
+    plan=_plan,
+    item=_item,
+    compute=compute,
+    summarise=_summarise,
 )

@@ -7,30 +7,36 @@ in True Slush and under every member. What the figures say of it is computed by 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.config.settings import EnvironmentName, Settings
-from pipeline.stages import divergence, segments
+from pipeline.stages import divergence, environments, segments
+from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.store.tables import Columns
+from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
 from tasks.analysis import draw_over_generations, spread_evenly
 from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
 from tasks.seeding import generator
 
-NAME, VERSION = "assess", 1
-
 PREDICTIONS = "predictions.parquet"
 
-SOURCES: tuple[EnvironmentName, ...] = ("true_slush", "dry_land")
-"""Environments whose trials designs are drawn from: the paper's, which know nothing of the networks."""
+ASSESSED = "assessed"
+"""Role of the inputs of later stages that are a trial's predictions."""
 
-UNITS = {
+ASSESSED_ENVIRONMENTS: tuple[EnvironmentName, ...] = ("true_slush", "dry_land")
+"""Environments whose trials designs are drawn from: as in the paper, those that do not depend on the networks."""
+
+_SEGMENT = "segment"
+"""Role of the inputs that are a trial's histories."""
+
+_UNITS = {
     "environment": "where the design evolved",
     "depth": "m",
     "trial": "",
@@ -44,57 +50,62 @@ UNITS = {
 """Columns of the predictions beside the genes, and their units."""
 
 
-def reads(settings: Settings) -> tuple[str, ...]:
-    """Designs come out of evolution, predictions out of the networks."""
-    return ("train", "evolve")
+@dataclass(frozen=True)
+class AssessSpec:
+    """A trial's share of the assessed designs."""
+
+    trial: TrialId
+    n_designs: int
+    seed: int
+    simulation: SimulationSpec
 
 
-def plan(settings: Settings) -> Sequence[Chain]:
-    """Give every trial its share of the designs; none where there are no networks to judge."""
-    depth = settings.assessed_depth
-    trials = [row for row in settings.grid.trials() if row[0] in SOURCES and row[1] == depth]
+def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
+    """Give every trial its share of the designs; none where there are no networks to assess."""
+    trials = [
+        trial
+        for trial in trials_of(settings, "assess")
+        if trial.environment in ASSESSED_ENVIRONMENTS and trial.depth == settings.assessed_depth
+    ]
     if not trials or not settings.needs_ensemble:
         return []
-    chains = []
-    for (environment, _, trial), n in zip(trials, spread_evenly(settings.assess.n_designs, len(trials)), strict=True):
-        spec = {
-            "identity": [NAME, depth, environment, trial],
-            "seed": settings.seed,
-            "depth": depth,
-            "n_designs": n,
-            "rollout": settings.rollout.model_dump(mode="json"),
-            "physics": settings.physics.model_dump(mode="json"),
-            **segments.groups_of(settings, "true_slush"),
-        }
-        if n:
-            chains.append(Chain(segments.trial_label(environment, depth, trial), (n,), spec))
-    return chains
+    simulation = environments.simulation_spec(settings, "true_slush")
+    shares = zip(trials, spread_evenly(settings.assess.n_designs, len(trials)), strict=True)
+    return [Chain(trial, (n,), AssessSpec(trial, n, settings.seed, simulation)) for trial, n in shares if n]
 
 
-def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
-    """Specify a trial's share: it reads the trial's whole history and every member."""
-    inputs = segments.world_inputs(settings, "residual_slush", 0, upstream)
-    for number, segment in enumerate(upstream["evolve"].chain(chain.label)):
-        inputs[f"segment-{number:06d}"] = Input(segment, (segments.HISTORY,))
-    return Item(NAME, VERSION, chain.label, chain.spec, inputs, execution={"engine": settings.work.engine})
+def _item(
+    settings: Settings, chain: Chain[AssessSpec], index: int, previous: Manifest | None, upstream: Upstream
+) -> Item[AssessSpec]:
+    """Specify a trial's share, which reads the trial's whole history and every member."""
+    inputs = environments.member_inputs(settings, "residual_slush", 0, upstream)
+    evolved = chain.spec.trial.in_stage("evolve")
+    for number, segment in enumerate(upstream["evolve"].chain(evolved)):
+        inputs[InputName(_SEGMENT, evolved, number)] = Input(segment, (segments.HISTORY,))
+    return Item(ASSESS.name, ASSESS.version, chain.label, chain.spec, inputs, Execution(settings.work.engine))
 
 
-def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
+def _compute(job: Job[AssessSpec], inputs: Inputs) -> Files:
     """Draw a trial's share and simulate it."""
-    spec = job.spec
-    _, depth, environment, trial = spec["identity"]
-    history = _history([inputs[name] for name in sorted(inputs) if name.startswith("segment-")])
-    rng = generator(spec["seed"], *spec["identity"])
-    drawn = draw_over_generations(history["generation"], spec["n_designs"], rng)
+    spec, trial = job.spec, job.spec.trial
+    history = _history([files for name, files in inputs.items() if name.role == _SEGMENT])
+    rng = generator(spec.seed, *trial.seed_identity)
+    drawn = draw_over_generations(history["generation"], spec.n_designs, rng)
     designs = Designs.from_arrays(history)[drawn]
+    names: tuple[EnvironmentName, ...] = ("true_slush", "residual_slush")
     true, predicted = (
-        segments.roll_out(spec, job.execution, segments.world_of({**spec, "world": world}, inputs), designs)
-        for world in ("true_slush", "residual_slush")
+        environments.roll_out(
+            spec.simulation,
+            job.execution,
+            environments.build_environment(spec.simulation.media, name, trial.depth, inputs),
+            designs,
+        )
+        for name in names
     )
     columns = {
-        "environment": np.full(len(drawn), environment),
-        "depth": np.full(len(drawn), depth),
-        "trial": np.full(len(drawn), trial),
+        "environment": np.full(len(drawn), trial.environment),
+        "depth": np.full(len(drawn), trial.depth),
+        "trial": np.full(len(drawn), trial.index),
         "generation": history["generation"][drawn],
         "identity": history["identity"][drawn],
         "true": true.displacement,
@@ -103,24 +114,24 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
         "predicted_com": predicted.com_displacement.T,
         **dict(designs.arrays()),
     }
-    units = UNITS | {gene.name: gene.unit for gene in GENES}
+    units = _UNITS | {gene.name: gene.unit for gene in GENES}
     return {PREDICTIONS: encode_table(columns, schema="predictions", version=1, producer=job.key, units=units)}
 
 
-def _history(parts: Sequence[Files]) -> dict[str, npt.NDArray[Any]]:
-    """Join what is needed of a trial's histories: which designs there were, and when."""
+def _history(parts: Sequence[Files]) -> Columns:
+    """Join the columns of a trial's histories that say which designs there were, and when."""
     tables = [decode_table(part[segments.HISTORY], schema="history", version=1, source="history") for part in parts]
     names = ("generation", "identity", *DTYPES)
     return {name: np.concatenate([table[name] for table in tables]) for name in names}
 
 
-def read_predictions(files: Sequence[Files]) -> dict[str, npt.NDArray[Any]]:
-    """Join the shares of several trials, at least one."""
+def read_predictions(files: Sequence[Files]) -> Columns:
+    """Decode and join the shares of one or more trials."""
     tables = [decode_table(part[PREDICTIONS], schema="predictions", version=1, source=PREDICTIONS) for part in files]
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-def summarise(settings: Settings, results: Results, store: Store) -> Summary:
+def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Count designs, and those that diverged."""
     shares = [{PREDICTIONS: store.read(chain[0], PREDICTIONS)} for chain in results.done.values()]
     if not shares:
@@ -137,23 +148,22 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     )
 
 
-def diverged(settings: Settings, results: Results, store: Store) -> dict[str, str]:
-    """Say what diverged of each trial's share, by label."""
+def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:
     return {
-        label: said
-        for label, (share,) in results.done.items()
-        if (said := divergence.in_assessment(read_predictions([{PREDICTIONS: store.read(share, PREDICTIONS)}])))
+        trial: message
+        for trial, (share,) in results.done.items()
+        if (message := divergence.in_assessment(read_predictions([{PREDICTIONS: store.read(share, PREDICTIONS)}])))
     }
 
 
-STAGE = Stage(
-    name=NAME,
-    version=VERSION,
+ASSESS = Stage(
+    name="assess",
+    version=1,
     unit="designs",
-    reads=reads,
-    plan=plan,
-    item=item,
-    compute=compute,
-    summarise=summarise,
-    diverged=diverged,
+    reads=lambda settings: ("train", "evolve"),
+    plan=_plan,
+    item=_item,
+    compute=_compute,
+    summarise=_summarise,
+    diverged=_diverged,
 )

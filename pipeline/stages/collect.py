@@ -2,97 +2,121 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from pipeline.config.settings import Settings
-from pipeline.stages import segments
+from pipeline.stages import environments
+from pipeline.stages.environments import Media
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, Upstream
+from pipeline.workflow.identity import InputName
+from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
 from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
 from tasks.seeding import generator
 from tasks.world import Physics
 
-NAME, VERSION = "collect", 1
+THROWN = "throws"
+"""Role of the inputs that are chunks of the data set."""
 
 TRANSITIONS = "transitions.parquet"
-SCHEMA, SCHEMA_VERSION = "transitions", 1
 
-STATE_UNITS = f"{', '.join(STATE)} [m, m, rad, m/s, m/s, rad/s]"
-UNITS = {
+_STATE_UNITS = f"{', '.join(STATE)} [m, m, rad, m/s, m/s, rad/s]"
+_UNITS = {
     "throw": "",
     "step": "",
     "length_scale": "m",
-    "state": STATE_UNITS,
-    "next_in_slush": STATE_UNITS,
-    "next_on_dry_land": STATE_UNITS,
+    "state": _STATE_UNITS,
+    "next_in_slush": _STATE_UNITS,
+    "next_on_dry_land": _STATE_UNITS,
     "observation": f"{', '.join(OBSERVATION)} [m, m, 1, m/s, m/s, rad/s]",
     "residual": f"{', '.join(STATE)}, in slush minus on dry land [m, m, rad, m/s, m/s, rad/s]",
 }
 
 
-def plan(settings: Settings) -> Sequence[Chain]:
-    """Cut the throws into chunks; none where no trial needs networks. All starts are drawn at once."""
+@dataclass(frozen=True)
+class ChunkId:
+    """A chunk of the data set."""
+
+    first: int
+    """Number of its first throw."""
+
+    @property
+    def label(self) -> str:
+        """Name for display."""
+        return f"throws-{self.first}"
+
+
+@dataclass(frozen=True)
+class ChunkSpec:
+    """Throws ``first`` to ``first + n`` of the data set, whose starts are all drawn at once."""
+
+    first: int
+    n: int
+    seed: int
+    throws: Throws
+    physics: Physics
+    media: Media
+
+
+def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec]]:
+    """Divide the throws into chunks, if any trial needs networks."""
     if not settings.needs_ensemble:
         return []
     size, n_throws = settings.work.throws_per_item, settings.throws.n_throws
-    chains = []
-    for first in range(0, n_throws, size):
-        n = min(size, n_throws - first)
-        spec = {
-            "throws": settings.throws.model_dump(mode="json"),
-            "physics": settings.physics.model_dump(mode="json"),
-            **segments.groups_of(settings, "true_slush"),
-            "seed": settings.seed,
-            "first": first,
-            "n": n,
-        }
-        chains.append(Chain(label=f"throws-{first}", units=(n,), spec=spec))
-    return chains
+    media = environments.media_of(settings, "true_slush")
+    return [
+        Chain(ChunkId(first), (n,), ChunkSpec(first, n, settings.seed, settings.throws, settings.physics, media))
+        for first in range(0, n_throws, size)
+        for n in [min(size, n_throws - first)]
+    ]
 
 
-def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
-    """Specify a chunk."""
-    return Item(stage=NAME, version=VERSION, label=chain.label, spec=chain.spec, inputs={})
+def _item(
+    settings: Settings, chain: Chain[ChunkSpec], index: int, previous: Manifest | None, upstream: Upstream
+) -> Item[ChunkSpec]:
+    return Item(COLLECT.name, COLLECT.version, chain.label, chain.spec, inputs={})
 
 
-def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
-    """Throw a chunk."""
+def _compute(job: Job[ChunkSpec], inputs: Inputs) -> Files:
     spec = job.spec
-    throws = Throws.model_validate(spec["throws"])
-    starts = initial_states(throws, generator(spec["seed"], NAME))[spec["first"] : spec["first"] + spec["n"]]
-    physics = Physics.model_validate(spec["physics"])
-    transitions = simulate_throws(starts, throws.n_steps, segments.true_medium(spec), physics)
+    starts = initial_states(spec.throws, generator(spec.seed, "collect"))[spec.first : spec.first + spec.n]
+    medium = environments.true_medium(spec.media)
+    transitions = simulate_throws(starts, spec.throws.n_steps, medium, spec.physics)
     columns = {field.name: getattr(transitions, field.name) for field in fields(Transitions)}
-    return {TRANSITIONS: encode_table(columns, schema=SCHEMA, version=SCHEMA_VERSION, producer=job.key, units=UNITS)}
+    return {TRANSITIONS: encode_table(columns, schema="transitions", version=1, producer=job.key, units=_UNITS)}
 
 
-def data_set(collected: Results) -> dict[str, Input]:
-    """Give the chunks of the whole data set, as inputs.
+def data_set(collected: Results) -> dict[InputName, Input]:
+    """Return the chunks of the whole data set as inputs.
 
     Raises:
-        MissingInputs: a chunk is not there; says why.
+        MissingInputs: a chunk is not there.
     """
-    labels = (*collected.done, *collected.unfinished, *collected.failed)
-    chunks = [collected.chain(label)[0] for label in labels]
-    return {f"throws-{index:06d}": Input(chunk, (TRANSITIONS,)) for index, chunk in enumerate(chunks)}
+    chunks = (*collected.done, *collected.unfinished, *collected.failed)
+    return {InputName(THROWN, chunk): Input(collected.chain(chunk)[0], (TRANSITIONS,)) for chunk in chunks}
 
 
-def read_transitions(files: Sequence[Files]) -> Transitions:
-    """Join the chunks of a data set."""
-    chunks = [
-        Transitions(**decode_table(chunk[TRANSITIONS], schema=SCHEMA, version=SCHEMA_VERSION, source=TRANSITIONS))
-        for chunk in files
-    ]
-    return Transitions.concatenate(chunks)
+def throws_among(inputs: Inputs) -> list[Files]:
+    """Select the inputs that are chunks of the data set, in its order."""
+    return [files for name, files in inputs.items() if name.role == THROWN]
 
 
-def summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Count transitions by immersion and speed: robots live at low speeds, throws mostly do not."""
+def read_transitions(chunks: Sequence[Files]) -> Transitions:
+    """Decode and join the chunks of a data set."""
+    return Transitions.concatenate(
+        [
+            Transitions(**decode_table(chunk[TRANSITIONS], schema="transitions", version=1, source=TRANSITIONS))
+            for chunk in chunks
+        ]
+    )
+
+
+def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
+    """Count transitions by immersion and speed: robots move at low speeds, throws mostly do not."""
     chunks = [{TRANSITIONS: store.read(chain[0], TRANSITIONS)} for chain in results.done.values()]
     if not chunks:
         return Summary(lines=["no throws"])
@@ -109,13 +133,13 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
     )
 
 
-STAGE = Stage(
-    name=NAME,
-    version=VERSION,
+COLLECT = Stage(
+    name="collect",
+    version=1,
     unit="throws",
     reads=lambda settings: (),
-    plan=plan,
-    item=item,
-    compute=compute,
-    summarise=summarise,
+    plan=_plan,
+    item=_item,
+    compute=_compute,
+    summarise=_summarise,
 )

@@ -10,19 +10,17 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.stages.segments import drawn_column, rejected_column
+from pipeline.store.tables import Columns
+from tasks.arrays import Bools
 from tasks.evolution import OPERATORS
 
 NO_CHAMPION = "no champion: every design of the trial diverged"
 """What is said of a trial that came to nothing."""
 
-Table = Mapping[str, npt.NDArray[Any]]
-"""Columns by name."""
 
-
-def in_trial(curve: Table) -> str | None:
+def in_trial(curve: Columns) -> str | None:
     """Say what diverged while a trial evolved; None where nothing did.
 
     Args:
@@ -31,7 +29,7 @@ def in_trial(curve: Table) -> str | None:
     return _in_generations(curve, "designs") if np.isfinite(curve["best_fitness"][-1]) else NO_CHAMPION
 
 
-def in_transfer(scores: Mapping[str, Any], adaptation: Table | None) -> str | None:
+def in_transfer(scores: Mapping[str, Any], adaptation: Columns | None) -> str | None:
     """Say what diverged in True Slush, of a trial's champions and its adaptation's designs; None where nothing did.
 
     Nothing is said of a trial without a champion: its evolution says why.
@@ -53,7 +51,7 @@ def in_transfer(scores: Mapping[str, Any], adaptation: Table | None) -> str | No
     return "; ".join(part for part in said if part) or None
 
 
-def in_assessment(predictions: Table) -> str | None:
+def in_assessment(predictions: Columns) -> str | None:
     """Say how many of a trial's assessed designs diverged; None where none did.
 
     Args:
@@ -65,13 +63,13 @@ def in_assessment(predictions: Table) -> str | None:
     return f"{diverged.sum()} of {len(diverged)} designs diverged, in True Slush or under a member"
 
 
-def somewhere(predictions: Table) -> npt.NDArray[np.bool_]:
+def somewhere(predictions: Columns) -> Bools:
     """Tell which assessed designs diverged, in True Slush or under any member: (n_designs,)."""
-    finite: npt.NDArray[np.bool_] = np.isfinite(predictions["true"]) & np.isfinite(predictions["predicted"]).all(axis=1)
+    finite: Bools = np.isfinite(predictions["true"]) & np.isfinite(predictions["predicted"]).all(axis=1)
     return ~finite
 
 
-def _in_generations(curve: Table, designs: str) -> str | None:
+def _in_generations(curve: Columns, designs: str) -> str | None:
     """Count what diverged of all designs of a curve, and say when it began."""
     n_diverged = int(curve["n_diverged"].sum())
     if n_diverged == 0:

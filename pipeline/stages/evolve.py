@@ -2,111 +2,95 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from pipeline.config.settings import Settings
-from pipeline.stages import divergence, segments
+from pipeline.stages import divergence, environments, segments
+from pipeline.stages.segments import SegmentSpec, TrialSpec
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.stage import Chain, Input, Item, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.workflow.identity import Arm, ChainId, trials_of
+from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, TrialSummary, Upstream
 from tasks.evolution import OPERATORS
 
-NAME, VERSION = "evolve", 2
-
-DIVERGED = "n_designs_diverged"
-"""What MLflow calls the designs of a trial that diverged, of all its generations."""
+_DIVERGED = "n_designs_diverged"
+"""MLflow metric: designs of a trial that diverged, over all its generations."""
 
 
-def reads(settings: Settings) -> tuple[str, ...]:
-    """Residual environments need the networks; the others need nothing."""
-    return ("train",) if settings.needs_ensemble else ()
+def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
+    lengths = segments.segment_lengths(settings, settings.evolution.n_generations)
+    specs = [segments.trial_spec(settings, trial, trial.environment) for trial in trials_of(settings, "evolve")]
+    return [segments.trial_chain(settings, spec, lengths) for spec in specs]
 
 
-def plan(settings: Settings) -> Sequence[Chain]:
-    """Give every trial its chain of segments."""
-    chains = []
-    for environment, depth, trial in settings.grid.trials():
-        spec = segments.segment_spec(
-            settings, stage=NAME, environment=environment, world=environment, depth=depth, trial=trial
-        )
-        label = segments.trial_label(environment, depth, trial)
-        lengths = segments.segment_lengths(settings, settings.evolution.n_generations)
-        chains.append(segments.chain_of(settings, label, spec, lengths))
-    return chains
-
-
-def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
-    """Specify a trial's next segment."""
-    trial = chain.spec["identity"][-1]
-    inputs = segments.world_inputs(settings, chain.spec["world"], trial, upstream)
-    if previous is not None:
-        inputs[segments.BEFORE] = Input(previous, (segments.POPULATION,))
-    generations = segments.generations_of(settings, settings.evolution.n_generations, index)
+def _item(
+    settings: Settings, chain: Chain[TrialSpec], index: int, previous: Manifest | None, upstream: Upstream
+) -> Item[SegmentSpec]:
+    trial = chain.spec
+    members = environments.member_inputs(settings, trial.environment, trial.identity.index, upstream)
     return Item(
-        stage=NAME,
-        version=VERSION,
+        EVOLVE.name,
+        EVOLVE.version,
         label=f"{chain.label}/segment-{index}",
-        spec={**chain.spec, **generations},
-        inputs=inputs,
-        execution=segments.execution(settings, chain.spec["world"]),
+        spec=segments.segment_of(chain, index),
+        inputs={**members, **segments.before_input(previous)},
+        execution=environments.execution_options(settings, trial.environment),
     )
 
 
-def summarise(settings: Settings, results: Results, store: Store) -> Summary:
+def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Report each arm's best fitness, and each trial's curves."""
-    trials, best = [], dict[tuple[str, float], list[float]]()
+    trials, best = [], dict[Arm, list[float]]()
     drawn, rejected = dict.fromkeys(OPERATORS, 0), dict.fromkeys(OPERATORS, 0)
-    for environment, depth, trial in settings.grid.trials():
-        label = segments.trial_label(environment, depth, trial)
-        if label not in results.done:
+    for trial in trials_of(settings, "evolve"):
+        if trial not in results.done:
             continue
-        curve = segments.read_curve(store, results.done[label])
+        curve = segments.read_curve(store, results.done[trial])
         final = float(curve["best_fitness"][-1])
-        best.setdefault((environment, depth), []).append(final)
+        best.setdefault(trial.arm, []).append(final)
         curves = {name: curve[name].astype(np.float64) for name in ("best_fitness", "median_fitness")}
         for operator in OPERATORS:
             drawn[operator] += int(curve[segments.drawn_column(operator)].sum())
             rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
-        params: dict[str, str | int | float] = {"environment": environment, "depth": depth, "trial": trial}
-        of_trial = {"champion_fitness": final, DIVERGED: float(curve["n_diverged"].sum())}
-        trials.append(TrialSummary(name=label, params=params, metrics=of_trial, curves=curves))
+        metrics = {"champion_fitness": final, _DIVERGED: float(curve["n_diverged"].sum())}
+        trials.append(TrialSummary(trial, segments.mlflow_params(trial), metrics, curves))
     lines = []
-    metrics = {"n_diverged": sum(trial.metrics[DIVERGED] for trial in trials)}
-    for (world, depth), of in best.items():
-        known = [fitness for fitness in of if np.isfinite(fitness)]
-        said = f"{segments.mean_and_deviation(known)} m (n = {len(known)})" if known else "     -"
-        lost = f"; in {len(of) - len(known)} of {len(of)} trials every design diverged" if len(known) < len(of) else ""
-        lines.append(f"{world:>15} at {depth:g} m: champions' fitness {said}{lost}")
+    metrics = {"n_diverged": sum(trial.metrics[_DIVERGED] for trial in trials)}
+    for arm, fitness in best.items():
+        known = [value for value in fitness if np.isfinite(value)]
+        shown = f"{segments.mean_and_deviation(known)} m (n = {len(known)})" if known else "     -"
+        n_lost = len(fitness) - len(known)
+        lost = f"; in {n_lost} of {len(fitness)} trials every design diverged" if n_lost else ""
+        lines.append(f"{arm.environment:>15} at {arm.depth:g} m: champions' fitness {shown}{lost}")
         if known:
-            metrics[f"champion_fitness.{world}.{depth:g}m"] = float(np.mean(known))
+            metrics[f"champion_fitness.{arm.environment}.{arm.depth:g}m"] = float(np.mean(known))
     shares = {operator: rejected[operator] / drawn[operator] for operator in OPERATORS if rejected[operator]}
     if shares:
-        said = ", ".join(f"{share:.1%} of {drawn[operator]:,} by {operator}" for operator, share in shares.items())
-        lines.append(f"drawn again because unjoined links overlapped at rest: {said}")
+        listed = ", ".join(f"{share:.1%} of {drawn[operator]:,} by {operator}" for operator, share in shares.items())
+        lines.append(f"drawn again because unjoined links overlapped at rest: {listed}")
         metrics |= {f"rejected_share.{operator}": share for operator, share in shares.items()}
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 
-def diverged(settings: Settings, results: Results, store: Store) -> dict[str, str]:
-    """Say what diverged in trials, by label."""
+def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:
     return {
-        label: said
-        for label, trial in results.done.items()
-        if (said := divergence.in_trial(segments.read_curve(store, trial)))
+        trial: message
+        for trial, parts in results.done.items()
+        if (message := divergence.in_trial(segments.read_curve(store, parts)))
     }
 
 
-STAGE = Stage(
-    name=NAME,
-    version=VERSION,
+EVOLVE = Stage(
+    name="evolve",
+    version=2,
     unit="generations",
-    reads=reads,
-    plan=plan,
-    item=item,
+    reads=lambda settings: ("train",) if settings.needs_ensemble else (),
+    plan=_plan,
+    item=_item,
     compute=segments.compute_segment,
     compute_batch=segments.compute_segments,
-    summarise=summarise,
-    diverged=diverged,
+    summarise=_summarise,
+    diverged=_diverged,
 )

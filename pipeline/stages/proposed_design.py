@@ -5,23 +5,24 @@ Part of the stage report.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
-from pipeline.config.settings import EnvironmentName, Settings
+from pipeline.config.settings import Settings
 from pipeline.report.findings import TankRow
 from pipeline.report.replay import Replay, replay_of
-from pipeline.stages import segments
-from pipeline.stages.analyse import read_rows, tank_label
-from pipeline.stages.transfer import CHAMPION
+from pipeline.stages import environments
+from pipeline.stages.analyse import TANK, read_rows
+from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
-from pipeline.workflow.stage import Files
+from pipeline.workflow.identity import InputName, TrialId, arms_of, trials_of
+from pipeline.workflow.stage import Files, Inputs
 from tasks.simulation import OK, simulate
 from tasks.world import ENVIRONMENTS, DryLand
 
-Row = tuple[EnvironmentName, float, int]
-"""Environment, depth [m] and number of a trial."""
+ANALYSED = "analysed"
+"""Role of the inputs that are the tables of an analysis."""
 
 PROPOSED = "proposed-"
 """How the names of the proposed champions' design files begin."""
@@ -30,34 +31,37 @@ MOST_SECONDS_IN_TANK = 60.0
 """Of the films of the tank: a minute of a robot that goes nowhere is enough."""
 
 
-def proposed(settings: Settings, inputs: Mapping[str, Files]) -> list[Row]:
+def proposed(settings: Settings, inputs: Inputs) -> list[TrialId]:
     """Find each arm's champion that is proposed for building; none without a tank."""
-    found: list[Row] = []
-    for environment, depth in dict.fromkeys(trial[:2] for trial in settings.grid.trials()):
-        rows = read_rows(inputs.get(f"analyse/{tank_label(environment, depth)}"), "tank", TankRow)
-        found += [(environment, depth, row.trial) for row in rows if row.proposed]
+    found: list[TrialId] = []
+    for arm, trials in arms_of(trials_of(settings, "transfer")).items():
+        rows = read_rows(inputs.get(InputName(ANALYSED, AnalysisId(TANK, arm))), "tank", TankRow)
+        chosen = {row.trial for row in rows if row.proposed}
+        found += [trial for trial in trials if trial.index in chosen]
     return found
 
 
-def proposal_files(rows: list[Row], inputs: Mapping[str, Files]) -> Files:
+def proposal_files(trials: list[TrialId], inputs: Inputs) -> Files:
     """Give the design files of proposed champions, named by their arms; the store wants no second dot in a name."""
-    return {f"{PROPOSED}{row[0]}-{row[1]:g}m".replace(".", "_") + ".json": _champion_file(row, inputs) for row in rows}
+    return {
+        f"{PROPOSED}{trial.environment}-{trial.depth:g}m".replace(".", "_") + ".json": _champion_file(trial, inputs)
+        for trial in trials
+    }
 
 
-def _champion_file(row: Row, inputs: Mapping[str, Files]) -> bytes:
-    return inputs[f"transfer/{segments.trial_label(*row)}"][CHAMPION]
+def _champion_file(trial: TrialId, inputs: Inputs) -> bytes:
+    return inputs[InputName(SCORED, trial)][CHAMPION]
 
 
-def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engine: Any) -> list[Replay]:
+def tank_replays(settings: Settings, trial: TrialId, inputs: Inputs, engine: Any) -> list[Replay]:
     """Film a proposed champion in the tank and on its dry floor. They show a tank, so they are of no environment."""
     assert settings.tank is not None
-    environment, _, trial = row
-    label = segments.trial_label(*row)
-    design = design_from(decode_json(_champion_file(row, inputs), label), label)
+    design = design_from(decode_json(_champion_file(trial, inputs), trial.label), trial.label)
+    style = ENVIRONMENTS[trial.environment]
     tank, n_settle, time_step = settings.tank, settings.rollout.n_settle, settings.physics.time_step
     replays = []
     for world, words in (
-        (segments.true_slush(segments.groups_of(settings, "true_slush"), tank.simulated_depth), "the tank"),
+        (environments.true_slush(environments.media_of(settings, "true_slush"), tank.simulated_depth), "the tank"),
         (DryLand(depth=0.0), "the drained tank"),
     ):
         rollouts = simulate(
@@ -75,7 +79,7 @@ def tank_replays(settings: Settings, row: Row, inputs: Mapping[str, Files], engi
                 replay_of(
                     design,
                     rollouts.trace[0],
-                    title=f"To build: evolved {ENVIRONMENTS[environment].evolved}, trial {trial}, in {words}",
+                    title=f"To build: evolved {style.evolved}, trial {trial.index}, in {words}",
                     environment="",
                     seen_in=words,
                     depth=round(world.depth, 2),

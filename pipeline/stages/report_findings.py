@@ -22,68 +22,68 @@ from pipeline.report.findings import (
     ThrownPaths,
 )
 from pipeline.stages import segments
-from pipeline.stages.analyse import (
-    EXPLOITERS,
-    MATRIX,
-    MEMBERS,
-    STATISTICS,
-    arm_label,
-    arms_of,
-    read_reasons,
-    read_rows,
-    tank_label,
-)
+from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS, MATRIX, MEMBERS, STATISTICS, TANK, read_reasons, read_rows
 from pipeline.stages.analyses.champions import MatrixTestRow, matrices_of
 from pipeline.stages.analyses.instruments import ThrustRow
+from pipeline.stages.analyses.specs import AnalysisId
 from pipeline.stages.analyses.statistics import HistogramRow
-from pipeline.stages.collect import TRANSITIONS, read_transitions
+from pipeline.stages.collect import read_transitions, throws_among
+from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.encoding import decode_table
-from pipeline.workflow.stage import Files
+from pipeline.workflow.identity import TrialId, deepest_first, trials_of
+from pipeline.workflow.stage import Files, Inputs
 from tasks.analysis import Attribution, Contrast, Histograms, MemberError, Regression, Row
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import GENES
 from tasks.evolution import OPERATORS
 
-HISTORIES = "history/"
-"""Prefix of inputs: the segments of the trial whose champion's family is shown."""
+HISTORIES = "history"
+"""Role of the inputs that are segments of the trial whose champion's family is shown."""
 
 
-def findings(inputs: Mapping[str, Files], settings: Settings) -> Findings:
-    """Collect what the page shows from inputs named ``analyse/<label>``, ``throws-<n>`` and ``history/<trial>/<n>``."""
-    analysed = {name.removeprefix("analyse/"): files for name, files in inputs.items() if name.startswith("analyse/")}
-    statistics = analysed.get(STATISTICS, {})
-    arms = {arm_words(*arm): arm for arm in arms_of(settings.grid.trials())}
-    instruments = {words: files for words, arm in arms.items() if (files := analysed.get(arm_label(*arm)))}
-    tanks = {words: files for words, arm in arms.items() if (files := analysed.get(tank_label(*arm)))}
+def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Findings:
+    """Collect what the page shows of analyses, throws and histories.
+
+    Args:
+        inputs: the page's inputs.
+        settings: the study's settings.
+        family: the trial whose champion's family is shown.
+    """
+    analysed = {name.chain: files for name, files in inputs.items() if name.role == ANALYSED}
+    statistics = analysed.get(AnalysisId(STATISTICS), {})
+    arms = {arm_words(arm.environment, arm.depth): arm for arm in deepest_first(trials_of(settings, "transfer"))}
+    instruments = {words: files for words, arm in arms.items() if (files := analysed.get(AnalysisId(INSTRUMENTS, arm)))}
+    tanks = {words: files for words, arm in arms.items() if (files := analysed.get(AnalysisId(TANK, arm)))}
     ensemble = instruments.get(arm_words("residual_slush", settings.assessed_depth), {})
     missing = {
         field: reason
-        for field, (label, table) in _SOURCES.items()
-        if (reason := _reason(analysed.get(label), table)) is not None
+        for field, (kind, table) in _SOURCES.items()
+        if (reason := _reason(analysed.get(AnalysisId(kind)), table)) is not None
     }
     for files in instruments.values():
         if (reason := _reason(files, "champions")) is not None:
             missing["champions"] = reason
     if ensemble and (reason := _reason(ensemble, "member_errors")) is not None:
         missing["member_errors"] = reason
-    family = _family(inputs, settings)
-    if family is None and any(name.startswith(HISTORIES) for name in inputs):
+    traced = _family(inputs, family) if family else None
+    if family and traced is None:
         missing["family"] = "every design of the trial diverged"
-    throws = [inputs[name] for name in sorted(inputs) if name.startswith("throws-")]
-    tests = read_rows(analysed.get(MATRIX), "tests", MatrixTestRow)
+    tests = read_rows(analysed.get(AnalysisId(MATRIX)), "tests", MatrixTestRow)
     return Findings(
-        throws=_throws(throws, settings.physics.time_step),
+        throws=_throws(throws_among(inputs), settings.physics.time_step),
         accuracy=_accuracy(statistics, settings.assessed_depth),
         against_paper=read_rows(statistics, "paper", Row),
         contrasts=read_rows(statistics, "contrasts", Contrast),
         attributions=read_rows(statistics, "attribution", Attribution),
         transfer_matrices=matrices_of(tests),
-        exploiters=read_rows(analysed.get(EXPLOITERS), "exploiters", ExploiterRow),
+        exploiters=read_rows(analysed.get(AnalysisId(EXPLOITERS)), "exploiters", ExploiterRow),
         champions={words: read_rows(files, "champions", ChampionRow) for words, files in instruments.items()},
-        phantom_thrust=[row.thrust for row in read_rows(analysed.get(MEMBERS), "phantom_thrust", ThrustRow)],
+        phantom_thrust=[
+            row.thrust for row in read_rows(analysed.get(AnalysisId(MEMBERS)), "phantom_thrust", ThrustRow)
+        ],
         member_errors=read_rows(ensemble, "member_errors", MemberError),
-        family=family,
+        family=traced,
         tank=settings.tank,
         tank_tests={words: read_rows(files, "tank", TankRow) for words, files in tanks.items()},
         missing=missing,
@@ -110,7 +110,7 @@ def _throws(chunks: Sequence[Files], time_step: float) -> ThrownPaths | None:
     """Arrange the transitions of throws as paths."""
     if not chunks:
         return None
-    table = read_transitions([{TRANSITIONS: chunk[TRANSITIONS]} for chunk in chunks])
+    table = read_transitions(chunks)
     order = np.lexsort((table.step, table.throw))
     throws, first = np.unique(table.throw[order], return_index=True)
     path = table.state[order].reshape(len(throws), -1, table.state.shape[1])[:, :, :3].astype(np.float64)
@@ -134,12 +134,13 @@ def _accuracy(files: Files, depth: float) -> Accuracy | None:
 # -- a champion's family ----------------------------------------------------------------------------------------------
 
 
-def _family(inputs: Mapping[str, Files], settings: Settings) -> Family | None:
+def _family(inputs: Inputs, trial: TrialId) -> Family | None:
     """Trace the fittest design of a trial back to the random designs from which it descends."""
-    names = sorted(name for name in inputs if name.startswith(HISTORIES))
-    if not names:
-        return None
-    tables = [decode_table(inputs[name][segments.HISTORY], schema="history", version=1, source=name) for name in names]
+    tables = [
+        decode_table(files[segments.HISTORY], schema="history", version=1, source=name.label)
+        for name, files in inputs.items()
+        if name.role == HISTORIES
+    ]
     history = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
     if not np.isfinite(history["fitness"]).any():
         return None
@@ -164,11 +165,7 @@ def _family(inputs: Mapping[str, Files], settings: Settings) -> Family | None:
             n_genes_changed=min(changed, default=None),
         )
         waiting += parents
-    label = next(
-        f"{arm_words(environment, depth)}, trial {trial}"
-        for environment, depth, trial in settings.grid.trials()
-        if names[0].startswith(f"{HISTORIES}{segments.trial_label(environment, depth, trial)}/")
-    )
+    label = f"{arm_words(trial.environment, trial.depth)}, trial {trial.index}"
     return Family(label, [found[identity] for identity in sorted(found)])
 
 

@@ -5,22 +5,26 @@ Part of the stage report.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName
 from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
-from pipeline.stages import segments
-from pipeline.stages.analyse import arm_label, arms_of, read_table
+from pipeline.stages import environments
+from pipeline.stages.analyse import INSTRUMENTS, read_table
 from pipeline.stages.analyses.champions import champions, ensemble_of
 from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, film_arm
 from pipeline.stages.analyses.instruments import transitions_of
-from pipeline.workflow.stage import Files, Spec
+from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.environments import SimulationSpec, members_among
+from pipeline.stages.proposed_design import ANALYSED
+from pipeline.workflow.identity import Arm, InputName, TrialId, deepest_first
+from pipeline.workflow.stage import Execution, Files, Inputs
 from tasks.analysis import acceleration, disagreement, link_states, novelty, thrown
 from tasks.design import Designs
-from tasks.world import ENVIRONMENTS, Medium, Physics
+from tasks.world import ENVIRONMENTS, Medium
 
 LAID_OVER = (
     ("disagreement", "what the members disagree about", "m/s²", 0.0),
@@ -30,40 +34,41 @@ LAID_OVER = (
 the usual distance a state is not new."""
 
 
-def replays_of(spec: Spec, execution: Spec, inputs: Mapping[str, Files]) -> list[Replay]:
+def replays_of(
+    simulation: SimulationSpec, trials: Sequence[TrialId], execution: Execution, inputs: Inputs
+) -> list[Replay]:
     """Film the best champion of every arm, in True Slush and where it evolved, deepest first.
 
     Args:
-        spec: physics, rollout, what True Slush and the worlds where they evolved are made of, and trials.
+        simulation: physics, rollout, and the media of True Slush and of the environments where they evolved.
+        trials: trials of the arms.
         execution: the engine.
-        inputs: ``transfer/<trial>``, every ``member-<n>`` or none, and ``analyse/<arm>`` where there is something to
-            lay over.
+        inputs: scores, every member or none, and the instruments of the arms where there is something to lay over.
     """
-    networks = {name: files for name, files in inputs.items() if name.startswith("member-")}
+    networks = members_among(inputs)
     replays = []
-    for environment, depth in arms_of(spec["trials"]):
-        arm = champions([row for row in spec["trials"] if tuple(row[:2]) == (environment, depth)], inputs)
-        said = inputs.get(f"analyse/{arm_label(environment, depth)}", {})
-        films = film_arm(spec, execution, arm, networks)
-        replays += [_replay(spec, film, _overlays(spec, film, said), networks) for film in films]
+    for arm, own in deepest_first(trials).items():
+        said = inputs.get(InputName(ANALYSED, AnalysisId(INSTRUMENTS, arm)), {})
+        films = film_arm(simulation, execution, champions(own, inputs), networks)
+        replays += [_replay(simulation, film, _overlays(simulation, film, said), networks) for film in films]
     return replays
 
 
-def _replay(spec: Spec, film: Filmed, overlays: tuple[Overlay, ...], networks: Mapping[str, Files]) -> Replay:
-    champion, style = film.champion, ENVIRONMENTS[film.champion.environment]
-    here = {**spec, "world": film.world, "depth": champion.depth}
+def _replay(simulation: SimulationSpec, film: Filmed, overlays: tuple[Overlay, ...], networks: Inputs) -> Replay:
+    champion, trial = film.champion, film.champion.trial
+    style = ENVIRONMENTS[trial.environment]
     return replay_of(
         champion.design,
         film.trace[0],
-        title=f"Evolved {style.evolved}, trial {champion.trial}",
-        environment=champion.environment,
+        title=f"Evolved {style.evolved}, trial {trial.index}",
+        environment=trial.environment,
         seen_in=_words(film),
-        depth=champion.depth,
+        depth=trial.depth,
         surroundings=surroundings_in(film.world),
-        n_settle=spec["rollout"]["n_settle"],
-        time_step=spec["physics"]["time_step"],
+        n_settle=simulation.rollout.n_settle,
+        time_step=simulation.physics.time_step,
         overlays=overlays,
-        push=push_of(here, film.member, champion.design, film.trace, networks),
+        push=push_of(simulation, Arm(film.world, trial.depth), film.member, champion.design, film.trace, networks),
     )
 
 
@@ -81,67 +86,81 @@ def _words(film: Filmed) -> str:
     return ENVIRONMENTS[film.world].label
 
 
-def _overlays(spec: Spec, film: Filmed, instruments: Files) -> tuple[Overlay, ...]:
+def _overlays(simulation: SimulationSpec, film: Filmed, instruments: Files) -> tuple[Overlay, ...]:
     """Read what the instruments say of the champion's links in this world; nothing where they saw another."""
     if not instruments:
         return ()
     worlds, links = read_table(instruments, "worlds"), read_table(instruments, "links")
-    here = (worlds["world"] == film.world) & (worlds["trial"] == film.champion.trial)
+    here = (worlds["world"] == film.world) & (worlds["trial"] == film.champion.trial.index)
     if not (here & (worlds["member"] == film.member)).any():
         return ()
     of = links["world"] == film.world
     n_links = int(links["link"].max()) + 1
     return tuple(
-        Overlay(label, unit, at_frames(links[column][of].reshape(-1, n_links), spec["rollout"]["n_settle"]), least)
+        Overlay(label, unit, at_frames(links[column][of].reshape(-1, n_links), simulation.rollout.n_settle), least)
         for column, label, unit, least in LAID_OVER
         if np.isfinite(links[column][of]).any()
     )
 
 
 def looked_at(
-    spec: Spec, design: Designs, trace: npt.NDArray[np.floating], inputs: Mapping[str, Files]
+    simulation: SimulationSpec,
+    design: Designs,
+    trace: npt.NDArray[np.floating],
+    inputs: Inputs,
+    *,
+    held_out: float,
+    seed: int,
 ) -> tuple[Overlay, ...]:
     """Put one rollout of any design under the instruments, as analyse does for champions.
 
     Args:
-        spec: physics and rollout, and which of the throws the members did not learn from.
+        simulation: physics and rollout.
         design: the one design.
         trace: (1, n_steps, n_links, 6)
-        inputs: every ``member-<n>``, and the throws.
+        inputs: every member, and the throws.
+        held_out: share of the throws that the members did not learn from.
+        seed: of the study.
     """
-    physics = Physics.model_validate(spec["physics"])
-    learned, _ = transitions_of(spec, inputs)
+    physics = simulation.physics
+    learned, _ = transitions_of(held_out, seed, inputs)
     said = disagreement(design, trace, ensemble_of(inputs), physics).magnitude[0]
     new = novelty(link_states(design, trace, physics), thrown(learned.observation, learned.throw)).novelty[0]
     return tuple(
-        Overlay(label, unit, at_frames(values, spec["rollout"]["n_settle"]), least)
+        Overlay(label, unit, at_frames(values, simulation.rollout.n_settle), least)
         for (_, label, unit, least), values in zip(LAID_OVER, (said, new), strict=True)
         if np.isfinite(values).any()
     )
 
 
 def push_of(
-    spec: Spec, member: int, design: Designs, trace: npt.NDArray[np.floating], networks: Mapping[str, Files]
+    simulation: SimulationSpec,
+    arm: Arm,
+    member: int,
+    design: Designs,
+    trace: npt.NDArray[np.floating],
+    networks: Inputs,
 ) -> npt.NDArray[np.float64] | None:
     """Compute how the medium, or the member that stands for it, speeds up each link: (n_frames, n_links, 2) [m/s²].
 
     Args:
-        spec: physics, rollout, and the world: its name, its depth, and what it is made of.
+        simulation: physics, rollout, and the environment's medium.
+        arm: the environment and its depth.
         member: whose world it is, or NOBODY's.
         design: the one design.
         trace: (1, n_steps, n_links, 6)
-        networks: every ``member-<n>``, where it is a member's world.
+        networks: every member, where it is a member's world.
 
     Returns:
         None where nothing surrounds the links.
     """
     if member == NOBODY:
-        medium: Medium | None = segments.world_of(spec, {}).medium
+        medium: Medium | None = environments.build_environment(simulation.media, arm.environment, arm.depth, {}).medium
     else:
-        name = sorted(name for name in networks if name.startswith("member-"))[member]
-        medium = ensemble_of({name: networks[name]})
+        name, files = list(members_among(networks).items())[member]
+        medium = ensemble_of({name: files})
     if medium is None:
         return None
-    physics = Physics.model_validate(spec["physics"])
+    physics = simulation.physics
     change = acceleration(medium, link_states(design, trace, physics), physics)
-    return at_frames(change[0, ..., :2], spec["rollout"]["n_settle"])
+    return at_frames(change[0, ..., :2], simulation.rollout.n_settle)

@@ -1,244 +1,142 @@
-"""Segments: some generations of one trial as a piece of work. Evolution and adaptation both consist of them."""
+"""Segments: a work item of some generations of one trial. Evolution and adaptation both consist of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.cluster import spread
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.stages import environments
+from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.stage import Chain, Files, Input, Job, Spec, Upstream
+from pipeline.workflow.identity import Arm, InputName, TrialId
+from pipeline.workflow.stage import Chain, Files, Input, Inputs, Job
 from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
-from tasks.evolution import (
-    EMPTY_POPULATION,
-    HISTORY_UNITS,
-    OPERATORS,
-    Afpo,
-    Evaluation,
-    Population,
-    Trial,
-    evaluate,
-    evolve,
-)
+from tasks.evolution import EMPTY_POPULATION, HISTORY_UNITS, OPERATORS, Afpo, Population, Trial, evolve
 from tasks.seeding import generator
-from tasks.simulation import Rollouts, simulate
-from tasks.simulation.batch import n_that_fill_lanes
-from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world import Environment
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
-WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 
-BEFORE, CHAMPION_OF = "before", "champion-of"
-"""Names of inputs: the segment before; the trial whose champion's body is frozen."""
+BEFORE = InputName("before")
+"""The segment before."""
 
-FLOPS_OF_PHYSICS = 8e3
-"""About what Box2D's step of one link costs, to weigh networks against it."""
-
-
-SETTINGS_OF: Mapping[EnvironmentName, tuple[str, ...]] = {
-    "true_slush": ("slush",),
-    "dry_land": (),
-    "residual_slush": (),
-    "single_member": (),
-}
-"""Groups of settings that each world is made of, beside the physics; :func:`world_of` finds them in its ``spec``."""
+CHAMPION_OF = InputName("champion-of")
+"""The last segment of the trial whose champion's body is frozen."""
 
 
-def groups_of(settings: Settings, *worlds: EnvironmentName) -> dict[str, Any]:
-    """Give the groups of settings that worlds are made of, beside the physics, as a specification holds them."""
-    names = dict.fromkeys(group for world in worlds for group in SETTINGS_OF[world])
-    return {name: getattr(settings, name).model_dump(mode="json") for name in names}
+@dataclass(frozen=True)
+class TrialSpec:
+    """What the segments of a trial have in common."""
+
+    identity: TrialId
+    seed: int
+    environment: EnvironmentName
+    """Where designs are simulated: the trial's own environment, or True Slush for an adaptation."""
+    simulation: SimulationSpec
+    afpo: Afpo
+    morphology: Morphology
+    disagreement_penalty: float
+    """Weight of the members' disagreement in the fitness; 0 without networks."""
+
+    def at_home(self, inputs: Inputs) -> Environment:
+        """Build the environment where designs are simulated."""
+        return environments.build_environment(self.simulation.media, self.environment, self.identity.depth, inputs)
 
 
-def member_label(member: int) -> str:
-    """Name a member of the ensemble."""
-    return f"member-{member:02d}"
+@dataclass(frozen=True)
+class SegmentSpec:
+    """Some generations of a trial."""
+
+    trial: TrialSpec
+    first_generation: int
+    n_generations: int
 
 
-def trial_label(environment: str, depth: float, trial: int) -> str:
-    """Name a trial."""
-    return f"{environment}/{depth:g}m/trial-{trial}"
-
-
-def mean_and_deviation(values: Sequence[float]) -> str:
-    """Give trials' mean ± sample deviation, as the page does; of one trial the mean alone, of none a dash."""
-    if not values:
-        return "-"
-    return f"{np.mean(values):z6.2f}" + (f" ± {np.std(values, ddof=1):5.2f}" if len(values) > 1 else "")
-
-
-def segment_spec(
-    settings: Settings, *, stage: str, environment: EnvironmentName, world: EnvironmentName, depth: float, trial: int
-) -> dict[str, Any]:
-    """Say what a trial's segments have in common.
+def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName) -> TrialSpec:
+    """Specify a trial.
 
     Args:
-        settings: the study's.
-        stage: which stage the trial belongs to.
-        environment: the arm of the study.
-        world: where designs are simulated: the environment itself, or True Slush for an adaptation.
-        depth: [m]
-        trial: its number.
+        settings: the study's settings.
+        trial: the trial.
+        environment: where its designs are simulated.
     """
-    spec: dict[str, Any] = {
-        "identity": [stage, depth, environment, trial],
-        "seed": settings.seed,
-        "world": world,
-        "depth": depth,
-        "afpo": settings.evolution.afpo.model_dump(mode="json"),
-        "morphology": settings.evolution.morphology.model_dump(mode="json"),
-        "rollout": settings.rollout.model_dump(mode="json"),
-        "physics": settings.physics.model_dump(mode="json"),
-        **groups_of(settings, world),
-    }
-    if world in RESIDUAL_ENVIRONMENTS:
-        spec["disagreement_penalty"] = settings.ensemble.disagreement_penalty
-    return spec
+    return TrialSpec(
+        trial,
+        settings.seed,
+        environment,
+        environments.simulation_spec(settings, environment),
+        settings.evolution.afpo,
+        settings.evolution.morphology,
+        settings.ensemble.disagreement_penalty if environment in RESIDUAL_ENVIRONMENTS else 0.0,
+    )
 
 
 def segment_lengths(settings: Settings, n_generations: int) -> tuple[int, ...]:
-    """Cut a trial's generations into segments."""
+    """Divide a trial's generations into segments."""
     size = settings.work.generations_per_item
     return tuple(min(size, n_generations - first) for first in range(0, n_generations, size))
 
 
-def generations_of(settings: Settings, n_generations: int, index: int) -> dict[str, int]:
-    """Say which generations a segment runs."""
-    lengths = segment_lengths(settings, n_generations)
-    return {"first_generation": sum(lengths[:index]), "n_generations": lengths[index]}
+def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -> Chain[TrialSpec]:
+    """Plan a trial as a chain of items.
 
-
-def execution(settings: Settings, world: EnvironmentName) -> Spec:
-    """Say how rollouts in a world are computed, which does not change what they are.
-
-    Only what is slow is split into batches: without networks the batch engine takes milliseconds for a generation,
-    which is less than handing out its parts would take.
+    Args:
+        settings: the study's settings.
+        spec: what its items have in common.
+        units: generations of each item.
     """
-    slow = world in RESIDUAL_ENVIRONMENTS or settings.work.engine == "reference"
-    return {"engine": settings.work.engine, "designs_per_batch": settings.work.designs_per_batch if slow else None}
-
-
-def world_inputs(settings: Settings, world: EnvironmentName, trial: int, upstream: Upstream) -> dict[str, Input]:
-    """Give the trained networks that a world consists of."""
-    if world not in RESIDUAL_ENVIRONMENTS:
-        return {}
-    n_members = settings.ensemble.n_members
-    members = range(n_members) if world == "residual_slush" else [trial % n_members]
-    labels = [member_label(member) for member in members]
-    return {label: Input(upstream["train"].chain(label)[-1], (WEIGHTS,)) for label in labels}
-
-
-def batch_size(settings: Settings, world: EnvironmentName) -> int:
-    """Say how many trials of a world keep the engine's lanes busy together, where one leaves some of them empty."""
-    if settings.work.engine != "batch":
-        return 1
-    if world in RESIDUAL_ENVIRONMENTS:  # an ensemble fills them; of single members each trial has its own
-        return 1
-    return n_that_fill_lanes(settings.evolution.afpo.population_size, settings.physics)
-
-
-def relative_cost(settings: Settings, world: EnvironmentName) -> float:
-    """Estimate what a generation costs, relative to one on dry land."""
-    if world not in RESIDUAL_ENVIRONMENTS:
-        return 1.0
-    width, n_hidden = settings.network.width, settings.network.hidden_layers
-    flops = 2 * (6 * width + (n_hidden - 1) * width**2 + width * 6)
-    return (settings.ensemble.n_members if world == "residual_slush" else 1) * (1 + flops / FLOPS_OF_PHYSICS)
-
-
-def world_of(spec: Spec, inputs: Mapping[str, Files]) -> Environment:
-    """Build the environment that a specification names."""
-    world, depth = spec["world"], spec["depth"]
-    if world == "dry_land":
-        return DryLand(depth=depth)
-    if world == "true_slush":
-        return TrueSlush(depth=depth, slush=Slush.model_validate(spec["slush"]))
-    from tasks.residual.ensemble import Ensemble
-
-    members = [
-        decode_arrays(inputs[name][WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=name)[0]
-        for name in sorted(inputs)
-        if name.startswith("member-")
-    ]
-    return ResidualSlush(depth=depth, ensemble=Ensemble.from_members(members))
-
-
-def true_slush(spec: Spec, depth: float) -> Environment:
-    """Give the world that designs are made for, and champions put to the test in; ``spec`` holds what it is made of."""
-    return world_of({**spec, "world": "true_slush", "depth": depth}, {})
-
-
-def true_medium(spec: Spec) -> Medium:
-    """Give what fills that world, which the base simulator lacks and the networks learn."""
-    medium = true_slush(spec, 0.0).medium
-    assert medium is not None
-    return medium
-
-
-def roll_out(
-    spec: Spec, execution: Spec, environment: Environment, designs: Designs, *, trace: bool = False
-) -> Rollouts:
-    """Simulate designs as a specification says."""
-    return simulate(
-        designs,
-        environment,
-        **spec["rollout"],
-        engine=execution["engine"],
-        trace=trace,
-        physics=Physics.model_validate(spec["physics"]),
+    return Chain(
+        spec.identity,
+        units,
+        spec,
+        weight=environments.relative_cost(settings, spec.environment),
+        batch_key=Arm(spec.environment, spec.identity.depth),
+        batch_size=environments.batch_size(settings, spec.environment),
     )
 
 
-def _score_batch(designs: Designs, spec: Spec, execution: Spec, environment: Environment) -> Evaluation:
-    penalty = spec.get("disagreement_penalty", 0.0)
-    return evaluate(roll_out(spec, execution, environment, designs), disagreement_penalty=penalty)
+def segment_of(chain: Chain[TrialSpec], index: int) -> SegmentSpec:
+    """Specify a segment of a trial."""
+    return SegmentSpec(chain.spec, round(sum(chain.units[:index])), round(chain.units[index]))
 
 
-def score(spec: Spec, execution: Spec, environment: Environment, designs: Designs) -> Evaluation:
-    """Simulate and score designs, in batches on several workers where ``how`` says so."""
-    size = execution["designs_per_batch"]
-    if size is None or size >= len(designs):
-        return _score_batch(designs, spec, execution, environment)
-    batches = [designs[first : first + size] for first in range(0, len(designs), size)]
-    scored: Sequence[Evaluation] = spread(_score_batch, batches, spec, execution, environment)
-    return Evaluation(
-        fitness=np.concatenate([part.fitness for part in scored]),
-        displacement=np.concatenate([part.displacement for part in scored]),
-        com_displacement=np.concatenate([part.com_displacement for part in scored]),
-    )
+def before_input(previous: Manifest | None) -> dict[InputName, Input]:
+    """Return the segment before as an input, if there is one."""
+    return {} if previous is None else {BEFORE: Input(previous, (POPULATION,))}
 
 
-def compute_segment(job: Job, inputs: Mapping[str, Files]) -> Files:
-    """Advance a trial by the segment's generations."""
+def compute_segment(job: Job[SegmentSpec], inputs: Inputs) -> Files:
+    """Advance a trial by a segment's generations."""
     return compute_segments([job], [inputs])[0]
 
 
-def compute_segments(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]]) -> list[Files]:
-    """Advance trials of one world by the same generations, side by side.
+def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs]) -> list[Files]:
+    """Advance trials of one environment by the same generations, as one batch.
 
     Raises:
-        ValueError: they differ in more than which trial they are.
+        ValueError: the trials differ in more than their identities.
     """
     spec, execution = jobs[0].spec, jobs[0].execution
-    common, *others = (_all_but_identity(job, of) for job, of in zip(jobs, inputs, strict=True))
-    if any(other != common for other in others):
-        raise ValueError(f"trials side by side, from {spec['identity']} on, differ in more than their identities")
-    trials = [_trial(job.spec, of) for job, of in zip(jobs, inputs, strict=True)]
+    if any(_common(job, of, spec) != _common(jobs[0], inputs[0], spec) for job, of in zip(jobs, inputs, strict=True)):
+        raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
+    trials = [_trial(job.spec.trial, of) for job, of in zip(jobs, inputs, strict=True)]
+    environment, penalty = spec.trial.at_home(inputs[0]), spec.trial.disagreement_penalty
     advanced = evolve(
         trials,
-        partial(score, spec, execution, world_of(spec, inputs[0])),
-        first_generation=spec["first_generation"],
-        n_generations=spec["n_generations"],
-        afpo=Afpo.model_validate(spec["afpo"]),
-        morphology=Morphology.model_validate(spec["morphology"]),
+        partial(environments.score, spec.trial.simulation, execution, environment, penalty),
+        first_generation=spec.first_generation,
+        n_generations=spec.n_generations,
+        afpo=spec.trial.afpo,
+        morphology=spec.trial.morphology,
     )
     return [
         {
@@ -252,16 +150,16 @@ def compute_segments(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]])
     ]
 
 
-def _all_but_identity(job: Job, inputs: Mapping[str, Files]) -> tuple[Spec, Mapping[str, Files]]:
-    """Give what trials that go side by side have in common: the specification, and the networks of their world."""
-    networks = {name: files for name, files in inputs.items() if name not in (BEFORE, CHAMPION_OF)}
-    return {**job.spec, "identity": None}, networks
+def _common(job: Job[SegmentSpec], inputs: Inputs, first: SegmentSpec) -> tuple[SegmentSpec, Mapping[InputName, Files]]:
+    """Return what the trials of a batch must share: all of the specification but the identity, depth, and networks."""
+    identity = replace(first.trial.identity, depth=job.spec.trial.identity.depth)
+    return replace(job.spec, trial=replace(job.spec.trial, identity=identity)), environments.members_among(inputs)
 
 
-def _trial(spec: Spec, inputs: Mapping[str, Files]) -> Trial:
-    """Give a trial as the segment before left it."""
+def _trial(spec: TrialSpec, inputs: Inputs) -> Trial:
+    """Return a trial as the segment before left it."""
     return Trial(
-        partial(generator, spec["seed"], *spec["identity"]),
+        partial(generator, spec.seed, *spec.identity.seed_identity),
         population_of(inputs[BEFORE]) if BEFORE in inputs else EMPTY_POPULATION,
         champion_of(population_of(inputs[CHAMPION_OF])) if CHAMPION_OF in inputs else None,
     )
@@ -274,22 +172,22 @@ def population_of(files: Files) -> Population:
 
 
 def champion_of(population: Population) -> Designs | None:
-    """Give the fittest design, or None if all diverged."""
+    """Return the fittest design, or None if all diverged."""
     return population.designs[population.champion()] if len(population.designs) else None
 
 
 def history_units() -> dict[str, str]:
-    """Give the units of a history's columns."""
+    """Return the units of a history's columns."""
     return {**HISTORY_UNITS, **{gene.name: gene.unit for gene in GENES}}
 
 
 def drawn_column(operator: str) -> str:
-    """Name the column of a curve that counts an operator's draws."""
+    """Return the name of the curve's column that counts an operator's draws."""
     return f"n_drawn_{operator}"
 
 
 def rejected_column(operator: str) -> str:
-    """Name the column of a curve that counts how many of them the morphology refused."""
+    """Return the name of the curve's column that counts the draws that the morphology rejected."""
     return f"n_rejected_{operator}"
 
 
@@ -303,7 +201,7 @@ CURVE_UNITS = {
 
 
 def _curve(before: Population, history: Mapping[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Follow a segment by generation: the best fitness ever, the median of the children, and each operator's draws."""
+    """Tabulate a segment by generation: best fitness so far, median fitness of the children, draws of each operator."""
     generations = np.unique(history["generation"])
     n_draws, operator = (history[name].reshape(len(generations), -1) for name in ("n_draws", "operator"))
     draws = {}
@@ -322,23 +220,23 @@ def _curve(before: Population, history: Mapping[str, npt.NDArray[Any]]) -> dict[
 
 
 def read_curve(store: Store, segments: Sequence[Manifest]) -> dict[str, npt.NDArray[Any]]:
-    """Join the curves of a trial's segments."""
+    """Read and join the curves of a trial's segments."""
     return join_curves({manifest.key: store.read(manifest, CURVE) for manifest in segments})
 
 
 def join_curves(parts: Mapping[str, bytes]) -> dict[str, npt.NDArray[Any]]:
-    """Join the curves of a trial's segments, in their order; names say where each is from."""
+    """Join the curves of a trial's segments; names of sources are for error messages."""
     tables = [decode_table(data, schema="curve", version=1, source=name) for name, data in parts.items()]
     return {name: np.concatenate([table[name] for table in tables]) for name in CURVE_UNITS}
 
 
-def chain_of(settings: Settings, label: str, spec: Spec, units: tuple[float, ...]) -> Chain:
-    """Lay out a trial as a chain of segments, and of what else there is to do for it."""
-    return Chain(
-        label=label,
-        units=units,
-        spec=spec,
-        weight=relative_cost(settings, spec["world"]),
-        world=f"{spec['world']} at {spec['depth']!r} m",
-        batch_size=batch_size(settings, spec["world"]),
-    )
+def mlflow_params(trial: TrialId) -> dict[str, str | int | float]:
+    """Return the parameters by which MLflow finds a trial."""
+    return {"environment": trial.environment, "depth": trial.depth, "trial": trial.index}
+
+
+def mean_and_deviation(values: Sequence[float]) -> str:
+    """Format the mean ± sample standard deviation; one value has no deviation, and none is a dash."""
+    if not values:
+        return "-"
+    return f"{np.mean(values):z6.2f}" + (f" ± {np.std(values, ddof=1):5.2f}" if len(values) > 1 else "")

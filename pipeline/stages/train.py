@@ -2,30 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.config.settings import Settings
-from pipeline.stages.collect import data_set, read_transitions
-from pipeline.stages.segments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_label
+from pipeline.stages.collect import data_set, read_transitions, throws_among
+from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, MemberId
 from pipeline.store.encoding import decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.stage import Chain, Files, Item, Job, Results, Spec, Stage, Summary, TrialSummary, Upstream
+from pipeline.store.tables import Columns
+from pipeline.workflow.stage import (
+    Chain,
+    Execution,
+    Files,
+    Inputs,
+    Item,
+    Job,
+    Results,
+    Stage,
+    Summary,
+    TrialSummary,
+    Upstream,
+)
 from tasks.residual import STATE, Architecture, ErrorRow, Training
 
-NAME, VERSION = "train", 1
+MEMBER_ERRORS = "errors.parquet"
+"""File of a member's errors on the throws held out."""
 
-LEARNING, ERRORS = "learning.parquet", "errors.parquet"
+_LEARNING = "learning.parquet"
 
-UNIT_OF = dict(zip(STATE, ("m", "m", "rad", "m/s", "m/s", "rad/s"), strict=True))
+RESIDUAL_UNITS = dict(zip(STATE, ("m", "m", "rad", "m/s", "m/s", "rad/s"), strict=True))
 """Unit of each component of a residual, per step."""
 
-ERROR_UNITS = {
+_ERROR_UNITS = {
     "component": "of the residual",
     "band": "of |v| [m/s]",
     "n_rows": "transitions held out",
@@ -36,52 +48,43 @@ ERROR_UNITS = {
 }
 
 
-def reads(settings: Settings) -> tuple[str, ...]:
-    """Every member reads the data set."""
-    return ("collect",)
+@dataclass(frozen=True)
+class MemberSpec:
+    """One member of the ensemble."""
+
+    member: int
+    seed: int
+    network: Architecture
+    training: Training
+    """It names the device: a GPU gives other low bits, so other networks."""
 
 
-def plan(settings: Settings) -> Sequence[Chain]:
-    """Train each member by itself; none at all where no trial needs them."""
+def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
+    """Train each member by itself, if any trial needs networks."""
     if not settings.needs_ensemble:
         return []
     return [
         Chain(
-            label=member_label(member),
-            units=(settings.training.n_iterations,),
-            spec={
-                "network": settings.network.model_dump(mode="json"),
-                "training": _spec_of(settings.training),
-                "seed": settings.seed,
-                "member": member,
-            },
+            MemberId(member),
+            (settings.training.n_iterations,),
+            MemberSpec(member, settings.seed, settings.network, settings.training),
         )
         for member in range(settings.ensemble.n_members)
     ]
 
 
-def _spec_of(training: Training) -> Spec:
-    """Say what a member follows from: a GPU's low bits are its own. A core goes without saying, as in older stores."""
-    return training.model_dump(mode="json", exclude={"device"} if training.device == "cpu" else None)
+def _item(
+    settings: Settings, chain: Chain[MemberSpec], index: int, previous: Manifest | None, upstream: Upstream
+) -> Item[MemberSpec]:
+    execution = Execution(n_gpus=1 if settings.training.device == "cuda" else 0)
+    return Item(TRAIN.name, TRAIN.version, chain.label, chain.spec, data_set(upstream["collect"]), execution)
 
 
-def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
-    """Specify a member's training: it reads every chunk of throws."""
-    execution = {"n_gpus": 1} if settings.training.device == "cuda" else {}
-    return Item(NAME, VERSION, chain.label, chain.spec, data_set(upstream["collect"]), execution)
-
-
-def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
-    """Train one member."""
+def _compute(job: Job[MemberSpec], inputs: Inputs) -> Files:
     from tasks.residual.training import train_member
 
-    trained = train_member(
-        read_transitions([inputs[name] for name in sorted(inputs)]),
-        Architecture.model_validate(job.spec["network"]),
-        Training.model_validate(job.spec["training"]),
-        seed=job.spec["seed"],
-        member=job.spec["member"],
-    )
+    spec, transitions = job.spec, read_transitions(throws_among(inputs))
+    trained = train_member(transitions, spec.network, spec.training, seed=spec.seed, member=spec.member)
     iteration, training_loss, validation_loss = trained.learning_curve.T
     learning = {
         "iteration": iteration.astype(np.int64),
@@ -91,22 +94,22 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     errors = {f.name: np.array([getattr(row, f.name) for row in trained.validation]) for f in fields(ErrorRow)}
     return {
         WEIGHTS: encode_arrays(trained.arrays(), schema=MEMBER_SCHEMA, version=MEMBER_VERSION, producer=job.key),
-        LEARNING: encode_table(learning, schema="learning", version=1, producer=job.key),
-        ERRORS: encode_table(errors, schema="errors", version=1, producer=job.key, units=ERROR_UNITS),
+        _LEARNING: encode_table(learning, schema="learning", version=1, producer=job.key),
+        MEMBER_ERRORS: encode_table(errors, schema="errors", version=1, producer=job.key, units=_ERROR_UNITS),
     }
 
 
-def read_errors(data: bytes, source: str) -> dict[str, npt.NDArray[Any]]:
-    """Read a member's errors on the throws held out: columns of ErrorRow."""
+def read_errors(data: bytes, source: str) -> Columns:
+    """Decode a member's errors on the throws held out: the columns of ErrorRow."""
     return decode_table(data, schema="errors", version=1, source=source)
 
 
-def summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Say how wrong each member is at the speeds of robots and over all throws."""
+def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
+    """Report the error of each member, at the speeds of robots and over all throws."""
     lines, trials = [], []
-    for label, (member,) in results.done.items():
-        errors = read_errors(store.read(member, ERRORS), label)
-        learning = decode_table(store.read(member, LEARNING), schema="learning", version=1, source=member.key)
+    for chain, (member,) in results.done.items():
+        errors = read_errors(store.read(member, MEMBER_ERRORS), chain.label)
+        learning = decode_table(store.read(member, _LEARNING), schema="learning", version=1, source=member.key)
         metrics = {}
         for component in ("vx", "vy", "omega"):
             for band in ("all", "< 0.5"):
@@ -115,23 +118,23 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
                 metrics[f"relative_error.{name}"] = float(errors["relative_error"][row])
                 metrics[f"bias.{name}"] = float(errors["bias"][row])
         lines.append(
-            f"{label}: relative error of vx {metrics['relative_error.vx.all']:.3f}, "
+            f"{chain.label}: relative error of vx {metrics['relative_error.vx.all']:.3f}, "
             f"below 0.5 m/s {metrics['relative_error.vx.low_speed']:.2f} "
             f"(bias {metrics['bias.vx.low_speed']:+.4f} m/s a step)"
         )
         curves = {name: learning[name] for name in ("training_loss", "validation_loss")}
         steps = learning["iteration"].tolist()
-        trials.append(TrialSummary(name=label, params={}, metrics=metrics, curves=curves, steps=steps))
+        trials.append(TrialSummary(chain, params={}, metrics=metrics, curves=curves, steps=steps))
     return Summary(lines=lines or ["no trial needs residual networks"], trials=trials)
 
 
-STAGE = Stage(
-    name=NAME,
-    version=VERSION,
+TRAIN = Stage(
+    name="train",
+    version=1,
     unit="iterations",
-    reads=reads,
-    plan=plan,
-    item=item,
-    compute=compute,
-    summarise=summarise,
+    reads=lambda settings: ("collect",),
+    plan=_plan,
+    item=_item,
+    compute=_compute,
+    summarise=_summarise,
 )

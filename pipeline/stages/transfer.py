@@ -7,75 +7,102 @@ controller is evolved from scratch in True Slush: what is still missing after th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.config.settings import Settings
-from pipeline.stages import divergence, segments
-from pipeline.stages.segments import CHAMPION_OF, POPULATION
+from pipeline.stages import divergence, environments, segments
+from pipeline.stages.segments import CHAMPION_OF, POPULATION, SegmentSpec, TrialSpec
 from pipeline.store.design_file import design_document
 from pipeline.store.encoding import decode_json, encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.stage import Chain, Files, Input, Item, Job, Results, Stage, Summary, TrialSummary, Upstream
+from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.stage import (
+    Chain,
+    Files,
+    Input,
+    Inputs,
+    Item,
+    Job,
+    Results,
+    Stage,
+    Summary,
+    TrialSummary,
+    Upstream,
+)
 from tasks.design import Designs
 
-NAME, VERSION = "transfer", 1
+SCORED = "scored"
+"""Role of the inputs of later stages that are a trial's scores and champion."""
 
-ADAPTED_TO = "adapted"
-"""Name of an input: the last segment of the adaptation."""
+_ADAPTED_TO = InputName("adapted")
+"""The last segment of the adaptation."""
 
-SCORING = 2 / 64
-"""What scoring a champion before and after costs: two rollouts, of the 64 or so of a generation."""
+_SCORING_UNITS = 2 / 64
+"""Cost of scoring a champion before and after: two rollouts, of about 64 in a generation."""
 
-ADAPTED_DIVERGED = "adapted_n_designs_diverged"
-"""What MLflow calls the designs of an adaptation that diverged, of all its generations."""
+_ADAPTED_DIVERGED = "adapted_n_designs_diverged"
+"""MLflow metric: designs of an adaptation that diverged, over all its generations."""
 
-SCORE, CHAMPION, ADAPTED = "score.json", "champion.json", "adapted.json"
-
-
-def reads(settings: Settings) -> tuple[str, ...]:
-    """Champions come out of evolution."""
-    return ("evolve",)
+SCORE, CHAMPION, _ADAPTED = "score.json", "champion.json", "adapted.json"
 
 
-def plan(settings: Settings) -> Sequence[Chain]:
-    """Give every trial the segments of its adaptation, if it has one, and then a piece that scores its champions."""
+@dataclass(frozen=True)
+class ScoreSpec:
+    """The scores of a trial's champion in True Slush, before and after its adaptation."""
+
+    trial: TrialSpec
+
+
+TransferSpec = SegmentSpec | ScoreSpec
+"""A segment of an adaptation, or the scoring at its end."""
+
+
+def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
+    """Plan the segments of each trial's adaptation, if it has one, and then an item that scores its champions."""
     chains = []
-    for environment, depth, trial in settings.grid.trials():
-        spec = segments.segment_spec(
-            settings, stage=NAME, environment=environment, world="true_slush", depth=depth, trial=trial
-        )
-        label = segments.trial_label(environment, depth, trial)
-        adapted = environment in settings.transfer.adapted_environments
+    for trial in trials_of(settings, "transfer"):
+        adapted = trial.environment in settings.transfer.adapted_environments
         adaptation = segments.segment_lengths(settings, settings.transfer.n_generations) if adapted else ()
-        chains.append(segments.chain_of(settings, label, spec, (*adaptation, SCORING)))
+        spec = segments.trial_spec(settings, trial, "true_slush")
+        chains.append(segments.trial_chain(settings, spec, (*adaptation, _SCORING_UNITS)))
     return chains
 
 
-def item(settings: Settings, chain: Chain, index: int, previous: Manifest | None, upstream: Upstream) -> Item:
-    """Specify the next segment of an adaptation, or the scoring at its end."""
-    champion = Input(upstream["evolve"].chain(chain.label)[-1], (POPULATION,))
-    inputs = {CHAMPION_OF: champion}
-    spec = dict(chain.spec)
+def _item(
+    settings: Settings, chain: Chain[TrialSpec], index: int, previous: Manifest | None, upstream: Upstream
+) -> Item[TransferSpec]:
+    evolved = upstream["evolve"].chain(chain.spec.identity.in_stage("evolve"))[-1]
+    inputs = {CHAMPION_OF: Input(evolved, (POPULATION,))}
+    spec: TransferSpec
     if index < chain.n_items - 1:
-        label = f"{chain.label}/adaptation-{index}"
-        spec |= segments.generations_of(settings, settings.transfer.n_generations, index)
-        if previous is not None:
-            inputs[segments.BEFORE] = Input(previous, (POPULATION,))
+        label, spec = f"{chain.label}/adaptation-{index}", segments.segment_of(chain, index)
+        inputs |= segments.before_input(previous)
     else:
-        label = f"{chain.label}/score"
+        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec)
         if previous is not None:
-            inputs[ADAPTED_TO] = Input(previous, (POPULATION,))
-    execution = segments.execution(settings, "true_slush")
-    return Item(stage=NAME, version=VERSION, label=label, spec=spec, inputs=inputs, execution=execution)
+            inputs[_ADAPTED_TO] = Input(previous, (POPULATION,))
+    execution = environments.execution_options(settings, "true_slush")
+    return Item(TRANSFER.name, TRANSFER.version, label, spec, inputs, execution)
 
 
-def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
-    """Advance an adaptation, or score a trial's champion before and after it."""
-    if _is_adaptation(job):
-        return segments.compute_segment(job, inputs)
+def _compute(job: Job[TransferSpec], inputs: Inputs) -> Files:
+    return _compute_batch([job], [inputs])[0]
+
+
+def _compute_batch(jobs: Sequence[Job[TransferSpec]], inputs: Sequence[Inputs]) -> list[Files]:
+    """Advance adaptations together, or score champions one after another, which takes only milliseconds."""
+    adaptations = [Job(job.key, job.spec, job.execution) for job in jobs if isinstance(job.spec, SegmentSpec)]
+    if adaptations:
+        return segments.compute_segments(adaptations, inputs)
+    return [_score(job, of) for job, of in zip(jobs, inputs, strict=True)]
+
+
+def _score(job: Job[TransferSpec], inputs: Inputs) -> Files:
+    """Score a trial's champion, before and after its adaptation."""
     evolved = segments.population_of(inputs[CHAMPION_OF])
     champion = segments.champion_of(evolved)
     if champion is None:
@@ -83,44 +110,50 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> Files:
     files = {CHAMPION: encode_json(design_document(champion))}
     scores: dict[str, Any] = {"status": "ok", "predicted": float(evolved.fitness[evolved.champion()])}
     scores |= _in_true_slush(job, champion, "zero_shot")
-    if ADAPTED_TO in inputs:
-        adapted = segments.champion_of(segments.population_of(inputs[ADAPTED_TO]))
+    if _ADAPTED_TO in inputs:
+        adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))
         if adapted is not None:
-            files[ADAPTED] = encode_json(design_document(adapted))
+            files[_ADAPTED] = encode_json(design_document(adapted))
             scores |= _in_true_slush(job, adapted, "adapted")
     return {**files, SCORE: encode_json(scores)}
 
 
-def compute_batch(jobs: Sequence[Job], inputs: Sequence[Mapping[str, Files]]) -> list[Files]:
-    """Advance adaptations side by side; champions are scored one after another, which takes but milliseconds."""
-    if _is_adaptation(jobs[0]):
-        return segments.compute_segments(jobs, inputs)
-    return [compute(job, of) for job, of in zip(jobs, inputs, strict=True)]
-
-
-def _is_adaptation(job: Job) -> bool:
-    return "n_generations" in job.spec
-
-
-def _in_true_slush(job: Job, design: Designs, name: str) -> dict[str, float | None]:
-    """Displacement of a design's root and centre of mass; null where it diverged."""
-    rollouts = segments.roll_out(job.spec, job.execution, segments.world_of(job.spec, {}), design)
+def _in_true_slush(job: Job[TransferSpec], design: Designs, name: str) -> dict[str, float | None]:
+    """Return the displacement of a design's root and centre of mass [m]; None where it diverged."""
+    trial = job.spec.trial
+    rollouts = environments.roll_out(trial.simulation, job.execution, trial.at_home({}), design)
     root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
     return {name: root, f"{name}_com": whole} if np.isfinite(root) else {name: None, f"{name}_com": None}
 
 
+def scores_inputs(trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
+    """Return scores and champions of the trials that have them as inputs."""
+    done = upstream["transfer"].done
+    scored = {InputName(SCORED, trial): done[trial][-1] for trial in trials if trial in done}
+    return {
+        name: Input(of, tuple(file for file in (SCORE, CHAMPION) if file in of.files)) for name, of in scored.items()
+    }
+
+
 def read_scores(settings: Settings, results: Results, store: Store) -> list[dict[str, Any]]:
-    """Read every trial's scores, with its environment, depth [m] and trial."""
-    rows = []
-    for environment, depth, trial in settings.grid.trials():
-        label = segments.trial_label(environment, depth, trial)
-        if label in results.done:
-            scores = decode_json(store.read(results.done[label][-1], SCORE), label)
-            rows.append({"environment": environment, "depth": depth, "trial": trial, **scores})
-    return rows
+    """Read every trial's scores.
+
+    Args:
+        settings: the study's settings.
+        results: what the store holds of this stage.
+        store: where it is.
+
+    Returns:
+        The scores of each complete trial [m], with its environment, depth [m] and number.
+    """
+    return [
+        {**segments.mlflow_params(trial), **decode_json(store.read(results.done[trial][-1], SCORE), trial.label)}
+        for trial in trials_of(settings, "transfer")
+        if trial in results.done
+    ]
 
 
-def summarise(settings: Settings, results: Results, store: Store) -> Summary:
+def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Tabulate champions in True Slush by depth and environment."""
     rows = read_scores(settings, results, store)
     lines = [f"{'depth':>7}  {'evolved in':<15} {'n':>3}  {'predicted':>14}  {'zero-shot':>14}  {'adapted':>14}   [m]"]
@@ -135,43 +168,42 @@ def summarise(settings: Settings, results: Results, store: Store) -> Summary:
                 if values:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
             lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
-    trials = [_of_trial(row, results, store) for row in rows]
-    metrics["n_diverged"] = sum(trial.metrics.get(ADAPTED_DIVERGED, 0.0) for trial in trials)
+    trials = [_trial_summary(row, results, store) for row in rows]
+    metrics["n_diverged"] = sum(trial.metrics.get(_ADAPTED_DIVERGED, 0.0) for trial in trials)
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 
-def _of_trial(row: Mapping[str, Any], results: Results, store: Store) -> TrialSummary:
+def _trial_summary(row: Mapping[str, Any], results: Results, store: Store) -> TrialSummary:
     """Sum up a trial's scores, and its adaptation where there was one."""
-    name = segments.trial_label(row["environment"], row["depth"], row["trial"])
+    trial = TrialId("transfer", row["environment"], row["depth"], row["trial"])
     metrics = {k: v for k, v in row.items() if isinstance(v, float) and k != "depth"}
     curves = {}
-    if adaptation := results.done[name][:-1]:
+    if adaptation := results.done[trial][:-1]:
         curve = segments.read_curve(store, adaptation)
         curves = {"adapted_best_fitness": curve["best_fitness"].astype(np.float64)}
-        metrics[ADAPTED_DIVERGED] = float(curve["n_diverged"].sum())
-    return TrialSummary(name, {key: row[key] for key in ("environment", "depth", "trial")}, metrics, curves)
+        metrics[_ADAPTED_DIVERGED] = float(curve["n_diverged"].sum())
+    return TrialSummary(trial, segments.mlflow_params(trial), metrics, curves)
 
 
-def diverged(settings: Settings, results: Results, store: Store) -> dict[str, str]:
-    """Say what diverged in True Slush, by trial's label."""
-    lines = {}
-    for label, (*adaptation, scored) in results.done.items():
-        scores = decode_json(store.read(scored, SCORE), label)
+def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:
+    messages = {}
+    for trial, (*adaptation, scored) in results.done.items():
+        scores = decode_json(store.read(scored, SCORE), trial.label)
         curve = segments.read_curve(store, adaptation) if adaptation else None
-        if said := divergence.in_transfer(scores, curve):
-            lines[label] = said
-    return lines
+        if message := divergence.in_transfer(scores, curve):
+            messages[trial] = message
+    return messages
 
 
-STAGE = Stage(
-    name=NAME,
-    version=VERSION,
+TRANSFER = Stage(
+    name="transfer",
+    version=1,
     unit="generations",
-    reads=reads,
-    plan=plan,
-    item=item,
-    compute=compute,
-    compute_batch=compute_batch,
-    summarise=summarise,
-    diverged=diverged,
+    reads=lambda settings: ("evolve",),
+    plan=_plan,
+    item=_item,
+    compute=_compute,
+    compute_batch=_compute_batch,
+    summarise=_summarise,
+    diverged=_diverged,
 )

@@ -1,6 +1,6 @@
-"""The dispatcher: one stage's missing pieces, spread over the cluster, each result committed as it comes.
+"""The dispatcher: spreads a stage's missing items over the cluster and commits each result.
 
-Only this process writes to the store; workers give bytes back. A piece that fails twice is set aside and named, and the
+Only this process writes to the store; workers return bytes. An item that fails twice is recorded as failed, and the
 rest of the study goes on without it.
 """
 
@@ -10,144 +10,152 @@ import heapq
 import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
-from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json
-from pipeline.store.store import Store
-from pipeline.workflow.graph import Walk, go_on, is_batched, next_item
+from pipeline.workflow.graph import ChainProgress, StageRun, is_split
+from pipeline.workflow.identity import InputName, to_json
 from pipeline.workflow.progress import Bar
-from pipeline.workflow.stage import Files, Input, Item, Job, Stage, Upstream
+from pipeline.workflow.stage import Files, Input, Inputs, Item, Job
 
 N_ATTEMPTS = 2
-"""Times that a piece is tried by itself before it is set aside."""
+"""Attempts at an item by itself before it counts as failed."""
 
 QUEUED_PER_CORE = 2
-"""Parties handed to the cluster at a time, so that no core waits for this process."""
+"""Batches submitted to the cluster per core, so that no core waits for this process."""
 
-PATIENCE = 20.0
-"""Times the slowest piece of its stage, by weighted units, that a piece may take before it is taken to hang. Generous:
-machines differ, weights are estimates, and to stop a piece that works costs more than to wait for one that does not."""
+_SECONDS_BETWEEN_CHECKS = 5.0
+"""How often this process looks for hanging items and for the number of cores."""
 
-LEAST_PATIENCE_SECONDS = 600.0
-"""What any piece may take, whatever others took."""
+_CHECKS_WITHOUT_CORES = 3
+"""Consecutive checks after which this process reports that the cluster has no cores."""
 
-BLIND_PATIENCE = 60.0
-"""Seconds a weighted unit that a piece may take while none of its stage is known to have ended. Generous: the longest
-piece of all, a training of the paper's network on one core, takes seconds a unit and days in all; this is a month."""
 
-LEAST_BLIND_PATIENCE_SECONDS = 86_400.0
-"""What any such piece may take: some units are whole analyses."""
+@dataclass(frozen=True)
+class Limits:
+    """How long items may run before they count as hanging.
 
-SECONDS_BETWEEN_LOOKS = 5.0
-"""How often this process looks for pieces that hang, and at how many cores there are."""
+    The limits are generous: machines differ and weights are estimates, and stopping an item that works costs more than
+    waiting for one that does not.
+    """
 
-LOOKS_WITHOUT_CORES = 3
-"""In a row, after which this process says that the cluster has none."""
+    factor: float = 20.0
+    """Times the slowest item of the stage so far, by weighted units."""
+    least_seconds: float = 600.0
+    """What any item may take, however fast the others were."""
+    unknown_seconds_per_unit: float = 60.0
+    """Limit for a weighted unit while no item of the stage is known to have ended. The longest item, a training of the
+    paper's network on one core, takes seconds per unit and days in all; this allows a month."""
+    unknown_least_seconds: float = 86_400.0
+    """What any item may take in that case: some units are whole analyses."""
+
+    def seconds(self, cost: float, slowest: float) -> tuple[float, str]:
+        """Return the limit [s] for so many weighted units, and the reason for it.
+
+        ``slowest`` is in seconds per weighted unit; 0 where no item has ended.
+        """
+        if not slowest:
+            reason = ", the limit while no item of its stage has ended"
+            return max(self.unknown_least_seconds, self.unknown_seconds_per_unit * cost), reason
+        expected = slowest * cost
+        reason = f", where the slowest item of its stage took {expected:.0f} s for as much work"
+        return max(self.least_seconds, self.factor * expected), reason
 
 
 def run_stage(
-    settings: Settings,
-    stage: Stage,
-    walks: Sequence[Walk],
-    upstream: Upstream,
+    run: StageRun,
+    chains: Sequence[ChainProgress],
     *,
-    store: Store,
     cluster: Cluster,
     bar: Bar,
-    say: Callable[[str], None],
+    limits: Limits = Limits(),
+    clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Do what is missing of one stage, and move its walks along.
+    """Compute what is missing of a stage, and advance its chains.
 
     Args:
-        settings: the study's.
-        stage: what to do.
-        walks: its chains, as :func:`follow` found them.
-        upstream: results of the stages before it.
-        store: where results are kept.
-        cluster: what computes them.
-        bar: the stage's progress; it advances by weighted units.
-        say: shows a line to the user.
+        run: the stage, its inputs and its store.
+        chains: its chains, from :meth:`StageRun.chains`.
+        cluster: computes items.
+        bar: the stage's progress, which advances by weighted units.
+        limits: how long an item may take.
+        clock: returns the time [s].
+
+    Raises:
+        PuddleError: an item needs a GPU, and the cluster has none.
     """
-    _Dispatcher(settings, stage, upstream, store, cluster, bar, say).run(walks)
+    _Dispatcher(run, cluster, bar, limits, clock).run(chains)
+
+
+Batch = list[tuple[ChainProgress, Item[Any]]]
+"""Next items of several chains that are computed in one call, or of one chain."""
 
 
 class _Dispatcher:
-    """Keeps a cluster busy with a stage's chains, heaviest remaining chain first.
+    """Keeps a cluster busy with a stage's chains, heaviest remaining chain first."""
 
-    What is submitted is a party: the pieces of several chains that are quickest side by side, or of one.
-    """
-
-    def __init__(
-        self,
-        settings: Settings,
-        stage: Stage,
-        upstream: Upstream,
-        store: Store,
-        cluster: Cluster,
-        bar: Bar,
-        say: Callable[[str], None],
-    ) -> None:
-        self._settings, self._stage, self._upstream = settings, stage, upstream
-        self._store, self._cluster, self._bar, self._say = store, cluster, bar, say
+    def __init__(self, run: StageRun, cluster: Cluster, bar: Bar, limits: Limits, clock: Callable[[], float]) -> None:
+        self._run, self._stage = run, run.stage
+        self._cluster, self._bar, self._limits, self._clock = cluster, bar, limits, clock
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
-        self._running: dict[Ticket, list[tuple[Walk, Item]]] = {}
-        self._since: dict[Ticket, float] = {}
-        """When a party was first seen at work; what waits for a core, behind others' work too, does not hang."""
+        self._running: dict[Ticket, Batch] = {}
+        self._started: dict[Ticket, float] = {}
+        """When each batch was first seen to run: a batch that waits for a core does not hang."""
         self._slowest = 0.0
-        """Seconds a weighted unit, of the pieces that ended, now or before; one beside others took what all took."""
-        self._looks_without_cores = 0
+        """Seconds per weighted unit of the slowest item; an item of a batch counts with the time of the whole batch."""
+        self._checks_without_cores = 0
 
-    def run(self, walks: Sequence[Walk]) -> None:
-        self._slowest = max((walk.slowest for walk in walks), default=0.0)
+    def run(self, chains: Sequence[ChainProgress]) -> None:
+        self._slowest = max((progress.slowest for progress in chains), default=0.0)
         ready: list[tuple[float, int]] = []
+        numbers = {id(progress): number for number, progress in enumerate(chains)}
 
-        def make_ready(number: int) -> None:
-            if walks[number].open:
-                heapq.heappush(ready, (-walks[number].left.cost, number))
+        def make_ready(progress: ChainProgress) -> None:
+            if progress.open:
+                heapq.heappush(ready, (-progress.left.cost, numbers[id(progress)]))
 
         def finish(ticket: Ticket, outcome: Outcome) -> None:
-            for walk in self._finish(ticket, outcome):
-                make_ready(numbers[id(walk)])
+            for progress in self._finish(ticket, outcome):
+                make_ready(progress)
 
-        numbers = {id(walk): number for number, walk in enumerate(walks)}
-        for number in range(len(walks)):
-            make_ready(number)
-        next_look = -float("inf")
+        for progress in chains:
+            make_ready(progress)
+        next_check = -float("inf")
         while ready or self._running:
-            if time.monotonic() >= next_look:
-                n_cores = self._cluster.n_cores  # machines come and go
-                self._mind_cores(n_cores)
+            if self._clock() >= next_check:
+                n_cores = self._cluster.n_cores  # machines join and leave
+                self._check_cores(n_cores)
                 for ticket, failed in self._hanging():
                     self._cluster.cancel(ticket)
                     finish(ticket, failed)
-                next_look = time.monotonic() + SECONDS_BETWEEN_LOOKS
+                next_check = self._clock() + _SECONDS_BETWEEN_CHECKS
             queue = max(1, round(QUEUED_PER_CORE * n_cores))
             while ready and len(self._running) < queue:
-                # The queue must not run low for company's sake: a core without work is worse than empty lanes.
+                # Batches must not drain the queue: a core without work is worse than empty lanes.
                 n_to_spare = len(ready) + len(self._running) - queue if self._stage.compute_batch else 0
-                self._submit([walks[number] for number in _take_party(ready, walks, n_to_spare)])
-            finished = self._cluster.next_done(timeout=SECONDS_BETWEEN_LOOKS)
+                self._submit([chains[number] for number in _take_batch(ready, chains, n_to_spare)])
+            finished = self._cluster.next_done(timeout=_SECONDS_BETWEEN_CHECKS)
             if finished is not None:
                 finish(*finished)
 
-    def _mind_cores(self, n_cores: float) -> None:
-        """Say it, once, where the cluster has had no cores for a while: Ray would wait for ever without a word."""
-        self._looks_without_cores = 0 if n_cores else self._looks_without_cores + 1
-        if self._looks_without_cores == LOOKS_WITHOUT_CORES:
-            self._say(
-                f"{self._stage.name} waits: expected a cluster with at least one core, came one with none (`ray "
+    def _check_cores(self, n_cores: float) -> None:
+        """Report, once, that the cluster has had no cores for a while: Ray would wait forever in silence."""
+        self._checks_without_cores = 0 if n_cores else self._checks_without_cores + 1
+        if self._checks_without_cores == _CHECKS_WITHOUT_CORES:
+            self._run.say(
+                f"{self._stage.name} waits: expected a cluster with at least one core, got one with none (`ray "
                 f"status` lists its nodes; those started with --num-cpus=0 have none). It goes on when a node with "
                 f"cores joins."
             )
 
-    def _submit(self, walks: Sequence[Walk]) -> None:
-        items = [next_item(self._stage, self._settings, walk, self._upstream) for walk in walks]
+    def _submit(self, chains: Sequence[ChainProgress]) -> None:
+        items = [self._run.next_item(progress) for progress in chains]
         contents = [self._contents(source) for item in items for source in item.inputs.values()]
         item = items[0]
-        n_gpus = float(item.execution.get("n_gpus", 0))
-        if n_gpus and not self._cluster.n_gpus:  # Ray would wait for one for ever
+        if item.execution.n_gpus and not self._cluster.n_gpus:  # Ray would wait for one forever
             raise PuddleError(
                 f"{item.stage} of {item.label} is to run on a GPU, and there is none here. Expected one that torch or "
                 f"Ray finds; give --address of a cluster that has one, or choose cores (--set training.device=cpu: "
@@ -160,111 +168,102 @@ class _Dispatcher:
             [item.job for item in items],
             [tuple(item.inputs) for item in items],
             *contents,
-            n_cores=0.0 if is_batched(item) else 1.0,
-            n_gpus=n_gpus,
+            n_cores=0.0 if is_split(item) else 1.0,
+            n_gpus=float(item.execution.n_gpus),
             name=f"{item.stage} {' and '.join(item.label for item in items)}",
         )
-        self._running[ticket] = list(zip(walks, items, strict=True))
+        self._running[ticket] = list(zip(chains, items, strict=True))
 
     def _contents(self, source: Input) -> Handle | Files:
-        """Read an input; what other stages made is used many times and so is shared once."""
-        manifest = source.manifest
+        """Read an input. Other stages' results are used many times, so they are shared once."""
+        manifest, store = source.manifest, self._run.store
         if manifest.stage == self._stage.name:
-            return {name: self._store.read(manifest, name) for name in source.files}
+            return {name: store.read(manifest, name) for name in source.files}
         slot = (manifest.key, source.files)
         if slot not in self._shared:
-            self._shared[slot] = self._cluster.share({name: self._store.read(manifest, name) for name in source.files})
+            self._shared[slot] = self._cluster.share({name: store.read(manifest, name) for name in source.files})
         return self._shared[slot]
 
     def _hanging(self) -> list[tuple[Ticket, TaskFailed]]:
-        """Find parties that take beyond all measure."""
-        now, started = time.monotonic(), self._cluster.started()
+        """Find batches that have run for longer than their limit."""
+        now, started = self._clock(), self._cluster.started()
         hanging = []
-        for ticket, party in self._running.items():
+        for ticket, batch in self._running.items():
             if ticket in started:
-                self._since.setdefault(ticket, now)
-            patience, why = self._patience(max(walk.next_work for walk, _ in party))
-            if now - self._since.get(ticket, now) > patience:
-                reason = f"it did not end within {patience:.0f} s{why}, and was stopped"
+                self._started.setdefault(ticket, now)
+            seconds, why = self._limits.seconds(max(progress.next_cost for progress, _ in batch), self._slowest)
+            if now - self._started.get(ticket, now) > seconds:
+                reason = f"it did not end within {seconds:.0f} s{why}, and was stopped"
                 hanging.append((ticket, TaskFailed(ticket.name, reason, "", False)))
         return hanging
 
-    def _patience(self, work: float) -> tuple[float, str]:
-        """Say how long so many weighted units may take [s], and why."""
-        if not self._slowest:
-            why = ", the longest that a piece may take while none of its stage has ended"
-            return max(LEAST_BLIND_PATIENCE_SECONDS, BLIND_PATIENCE * work), why
-        seconds = self._slowest * work
-        why = f", where the slowest piece of its stage took {seconds:.0f} s for as much work"
-        return max(LEAST_PATIENCE_SECONDS, PATIENCE * seconds), why
-
-    def _finish(self, ticket: Ticket, outcome: Outcome) -> list[Walk]:
-        party = self._running.pop(ticket)
-        self._since.pop(ticket, None)
+    def _finish(self, ticket: Ticket, outcome: Outcome) -> list[ChainProgress]:
+        batch = self._running.pop(ticket)
+        self._started.pop(ticket, None)
         if isinstance(outcome, TaskFailed):
-            for walk, item in party:
-                self._fail(walk, item, outcome, in_company=len(party) > 1)
+            for progress, item in batch:
+                self._fail(progress, item, outcome, batched=len(batch) > 1)
         else:
             results, seconds = outcome.result
-            for (walk, item), files in zip(party, results, strict=True):
-                self._slowest = max(self._slowest, seconds / walk.next_work)
-                self._keep(walk, item, files, seconds / len(party))
-        return [walk for walk, _ in party]
+            for (progress, item), files in zip(batch, results, strict=True):
+                self._slowest = max(self._slowest, seconds / progress.next_cost)
+                self._commit(progress, item, files, seconds / len(batch))
+        return [progress for progress, _ in batch]
 
-    def _fail(self, walk: Walk, item: Item, failed: TaskFailed, *, in_company: bool) -> None:
-        walk.alone = True
-        if in_company:  # by whose fault is not known, so nothing is counted
+    def _fail(self, progress: ChainProgress, item: Item[Any], failure: TaskFailed, *, batched: bool) -> None:
+        progress.alone = True
+        if batched:  # which item is at fault is unknown, so none is blamed
             return
-        walk.n_failed += 1
-        if walk.n_failed >= N_ATTEMPTS:
-            walk.failed = f"set aside after {N_ATTEMPTS} attempts at {item.label}: {failed.reason}"
-            self._say(f"{self._stage.name}: {walk.chain.label} is {walk.failed}")
+        progress.n_failures += 1
+        if progress.n_failures >= N_ATTEMPTS:
+            progress.failed = f"failed after {N_ATTEMPTS} attempts at {item.label}: {failure.reason}"
+            self._run.say(f"{self._stage.name}: {progress.chain.label} {progress.failed}")
 
-    def _keep(self, walk: Walk, item: Item, files: Files, seconds: float) -> None:
-        record: Mapping[str, Json] = {"label": item.label, "seconds": seconds, "execution": item.execution}
-        manifest = self._store.commit(item.stage, item.key, item.identity, files, record=record)
-        left = walk.left
-        walk.manifests.append(manifest)
-        walk.n_failed, walk.alone = 0, False
-        # Where a piece in the middle was damaged, those after it stand: they depend on its content.
-        go_on(self._stage, self._settings, walk, self._store, self._upstream, self._say)
-        self._bar.advance(left - walk.left)
+    def _commit(self, progress: ChainProgress, item: Item[Any], files: Files, seconds: float) -> None:
+        record: Mapping[str, Json] = {"label": item.label, "seconds": seconds, "execution": to_json(item.execution)}
+        manifest = self._run.store.commit(item.stage, item.key, item.identity, files, record=record)
+        left = progress.left
+        progress.manifests.append(manifest)
+        progress.n_failures, progress.alone = 0, False
+        # Where an item in the middle was damaged, the items after it stand: they depend on its content.
+        self._run.advance(progress)
+        self._bar.advance(left - progress.left)
 
 
-def _take_party(ready: list[tuple[float, int]], walks: Sequence[Walk], most_others: int) -> list[int]:
-    """Take the heaviest chain off the heap, and others whose next pieces are best computed beside its next piece.
+def _take_batch(ready: list[tuple[float, int]], chains: Sequence[ChainProgress], most_others: int) -> list[int]:
+    """Take the heaviest chain off the heap, and up to ``most_others`` others that batch with it.
 
-    Args:
-        ready: a heap of (- work left, number of the walk).
-        walks: all of them.
-        most_others: how many may be taken beside the heaviest.
+    ``ready`` is a heap of (-remaining cost, index of the chain).
     """
     _, number = heapq.heappop(ready)
-    first = walks[number]
+    first = chains[number]
     most_others = min(first.chain.batch_size - 1, most_others)
     if most_others < 1:
         return [number]
-    others = sorted(entry for entry in ready if first.goes_with(walks[entry[1]]))[:most_others]
+    others = sorted(entry for entry in ready if first.batches_with(chains[entry[1]]))[:most_others]
     ready[:] = [entry for entry in ready if entry not in others]
     heapq.heapify(ready)
     return [number, *(other for _, other in others)]
 
 
 def compute_items(
-    compute: Callable[[Job, Mapping[str, Files]], Files],
-    compute_batch: Callable[[Sequence[Job], Sequence[Mapping[str, Files]]], Sequence[Files]] | None,
-    jobs: Sequence[Job],
-    names: Sequence[tuple[str, ...]],
+    compute: Callable[[Job[Any], Inputs], Files],
+    compute_batch: Callable[[Sequence[Job[Any]], Sequence[Inputs]], Sequence[Files]] | None,
+    jobs: Sequence[Job[Any]],
+    names: Sequence[tuple[InputName, ...]],
     *contents: Files,
 ) -> tuple[Sequence[Files], float]:
-    """Compute pieces on a worker, side by side if they are several, and time them.
+    """Compute items on a worker, several as one batch, and time them.
 
     Args:
-        compute: computes one.
-        compute_batch: computes several, which a stage without it never has.
-        jobs: what they are.
-        names: of the inputs of each.
-        contents: of the inputs, of one piece after another.
+        compute: computes one item.
+        compute_batch: computes several; a stage without it never has several.
+        jobs: the items' jobs.
+        names: names of each item's inputs.
+        contents: contents of the inputs of all items, in the same order.
+
+    Returns:
+        Files of each item, and the seconds that all took.
     """
     start = time.perf_counter()
     left = iter(contents)

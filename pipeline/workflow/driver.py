@@ -16,27 +16,28 @@ from pipeline.cluster import Cluster
 from pipeline.cluster.process import signals_unwind
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.stages import STAGES
 from pipeline.store.encoding import canonical_json, digest, encode_json
 from pipeline.store.store import FailedChain, Store, StudyItem, StudyRecord
 from pipeline.tracking.mirror import Run, Tracker
 from pipeline.workflow.background import Background
-from pipeline.workflow.dispatcher import run_stage
-from pipeline.workflow.graph import follow, require, results_of
+from pipeline.workflow.dispatcher import Limits, run_stage
+from pipeline.workflow.graph import StageRun, require, results_of
 from pipeline.workflow.progress import NOTHING, Bar, Progress, Work
-from pipeline.workflow.stage import Results, Stage, Summary, Upstream
+from pipeline.workflow.stage import AnyStage, Results, Summary, Upstream
 from tasks.simulation import batch
 
 
 def drive(
     settings: Settings,
-    wanted: Sequence[Stage],
+    wanted: Sequence[AnyStage],
     *,
+    stages: Sequence[AnyStage],
     store: Store,
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
     tracker: Tracker,
     progress: Progress,
     how_to_run: Callable[[str], str],
+    limits: Limits = Limits(),  # noqa: B008 (frozen)
 ) -> Upstream:
     """Do what is missing of some stages, and show what came of them.
 
@@ -46,11 +47,13 @@ def drive(
     Args:
         settings: the study's.
         wanted: stages to run; those before them must be done, or be wanted too.
+        stages: all stages of a study, in order.
         store: where results are kept.
         open_cluster: starts or joins the cluster.
         tracker: MLflow.
         progress: the terminal.
-        how_to_run: gives the command line that runs a stage, for messages.
+        how_to_run: returns the command line that runs a stage, for messages.
+        limits: how long an item may take.
 
     Returns:
         Results of every stage up to the last one wanted; of those wanted with what diverged in them.
@@ -78,7 +81,7 @@ def drive(
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
-                return _drive(settings, wanted, store, the_cluster, mirror, progress, how_to_run)
+                return _drive(settings, wanted, stages, store, the_cluster, mirror, progress, how_to_run, limits)
             except DamagedArtifact as damage:
                 if damage.stage is None or damage.key is None or (damage.stage, damage.key) in discarded:
                     raise  # not an item's, or made anew and damaged again: the disk can't be trusted
@@ -91,42 +94,43 @@ def drive(
 
 def _drive(
     settings: Settings,
-    wanted: Sequence[Stage],
+    wanted: Sequence[AnyStage],
+    stages: Sequence[AnyStage],
     store: Store,
     the_cluster: Callable[[], Cluster],
     mirror: Callable[[Run, Run, Sequence[Run]], None],
     progress: Progress,
     how_to_run: Callable[[str], str],
+    limits: Limits,
 ) -> Upstream:
     upstream: dict[str, Results] = {}
-    last = max(wanted, key=STAGES.index)
-    for stage in STAGES[: 1 + STAGES.index(last)]:
-        walks = follow(stage, settings, store, upstream, say=progress.say)
+    last = max(wanted, key=stages.index)
+    for stage in stages[: 1 + stages.index(last)]:
+        run = StageRun(stage, settings, upstream, store, progress.say)
+        chains = run.chains()
         if stage not in wanted:
-            upstream[stage.name] = results_of(stage, walks)
+            upstream[stage.name] = results_of(stage, chains)
             continue
-        require(settings, stage, STAGES, upstream, how_to_run=how_to_run)
+        require(settings, stage, stages, upstream, how_to_run=how_to_run)
         all_done = False
         try:
-            if any(walk.open for walk in walks):
-                left = sum((walk.left for walk in walks if walk.open), NOTHING)
-                done = sum((walk.done for walk in walks), NOTHING)
+            if any(chain.open for chain in chains):
+                left = sum((chain.left for chain in chains if chain.open), NOTHING)
+                done = sum((chain.done for chain in chains), NOTHING)
                 cluster = the_cluster()
                 with progress.stage(stage.name, unit=stage.unit, total=left + done, done=done) as bar:
                     noting = _Noting(bar, settings, store)
-                    run_stage(
-                        settings, stage, walks, upstream, store=store, cluster=cluster, bar=noting, say=progress.say
-                    )
+                    run_stage(run, chains, cluster=cluster, bar=noting, limits=limits)
             all_done = stage is last
-        finally:  # however it ended, `puddle status` is to know what was set aside
-            upstream[stage.name] = results_of(stage, walks)
+        finally:  # however it ended, `puddle status` needs to know what failed
+            upstream[stage.name] = results_of(stage, chains)
             if all_done or _recorded(settings, store) is not None:
                 _keep_record(settings, upstream, store)
         found = upstream[stage.name]
         upstream[stage.name] = replace(found, diverged=stage.diverged(settings, found, store))
         summary = stage.summarise(settings, found, store)
         progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
-        mirror(*_runs(settings, stage, upstream, summary))
+        mirror(*_runs(settings, stage, upstream, summary, finished=stage is stages[-1]))
     return upstream
 
 
@@ -197,12 +201,14 @@ def _keep_record(settings: Settings, upstream: Upstream, store: Store) -> None:
     """Write down what the study is made of, and what it lacks; of later stages, what was written down before."""
     before = _recorded(settings, store)
     items = [
-        StudyItem(name, f"{label}#{index}", manifest.key)
+        StudyItem(name, f"{chain.label}#{index}", manifest.key)
         for name, results in upstream.items()
-        for label, manifests in results.done.items()
+        for chain, manifests in results.done.items()
         for index, manifest in enumerate(manifests)
     ]
-    failed = [FailedChain(name, label, why) for name, results in upstream.items() for label, why in results.failed.items()]
+    failed = [
+        FailedChain(name, of.label, why) for name, results in upstream.items() for of, why in results.failed.items()
+    ]
     if before is not None:
         items += [item for item in before.items if item.stage not in upstream]
         failed += [lost for lost in before.failed if lost.stage not in upstream]
@@ -218,18 +224,19 @@ def _recorded(settings: Settings, store: Store) -> StudyRecord | None:
     return record if record is not None and record.settings == settings.model_dump(mode="json") else None
 
 
-def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary) -> tuple[Run, Run, list[Run]]:
+def _runs(
+    settings: Settings, stage: AnyStage, upstream: Upstream, summary: Summary, *, finished: bool
+) -> tuple[Run, Run, list[Run]]:
     """Say what MLflow is to show: the study, the stage, and its trials."""
     chosen = settings.model_dump(mode="json")
     results = upstream[stage.name]
-    last = stage is STAGES[-1]
     study = Run(
         name=settings.name,
         key=digest(canonical_json(chosen)),
         params=chosen,
         metrics=summary.metrics if summary.of_study else {},
         artifacts={"settings.json": encode_json(chosen), **(summary.artifacts if summary.of_study else {})},
-        status="FINISHED" if last else None,
+        status="FINISHED" if finished else None,
     )
     run = Run(
         name=stage.name,
@@ -242,13 +249,13 @@ def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary
     )
     trials = [
         Run(
-            name=trial.name,
-            key=trial.name,
+            name=trial.chain.label,
+            key=trial.chain.label,
             params=trial.params,
             metrics=trial.metrics,
             curves={name: curve.tolist() for name, curve in trial.curves.items()},
             steps=trial.steps,
-            outputs={trial.name: results.done[trial.name][-1].digest},
+            outputs={trial.chain.label: results.done[trial.chain][-1].digest},
             status="FINISHED",
         )
         for trial in summary.trials
@@ -258,4 +265,4 @@ def _runs(settings: Settings, stage: Stage, upstream: Upstream, summary: Summary
 
 def _digest_of(results: Results) -> str:
     """One SHA-256 for all that a stage made."""
-    return digest(canonical_json({label: [m.digest for m in chain] for label, chain in results.done.items()}))
+    return digest(canonical_json({chain.label: [m.digest for m in done] for chain, done in results.done.items()}))

@@ -1,183 +1,209 @@
-"""A study: the graph of stages under one set of settings, and how far each of its chains has got.
+"""The graph of a study: its stages and chains under one set of settings, and how far each chain has got.
 
-What the store holds is done, and nothing else is: a chain is walked from its start as far as the store knows its
-pieces. pipeline/workflow/dispatcher.py does what is missing.
+What the store holds is done, and nothing else is: a chain's progress is counted from its first item as far as the store
+has its items. pipeline/workflow/dispatcher.py computes what is missing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
+from pipeline.workflow.identity import to_json
 from pipeline.workflow.progress import Work
-from pipeline.workflow.stage import NOT_POSSIBLE, Chain, Item, MissingInputs, Results, Stage, Upstream
+from pipeline.workflow.stage import NOT_POSSIBLE, AnyStage, Chain, Item, MissingInputs, Results, Upstream
 
 
 @dataclass
-class Walk:
+class ChainProgress:
     """How far a chain has got."""
 
-    chain: Chain
+    chain: Chain[Any]
     manifests: list[Manifest] = field(default_factory=list)
-    n_failed: int = 0
-    """Failures in a row of the piece that is next."""
+    n_failures: int = 0
+    """Consecutive failures of the next item, computed by itself."""
     failed: str | None = None
     """Why the chain can't go on, if it can't."""
     alone: bool = False
-    """Whether the piece that is next has failed: it is tried again without company, to take nobody along."""
+    """Whether the next item has failed: it is tried again by itself, so that no other item fails with it."""
     slowest: float = 0.0
-    """Seconds a weighted unit, of the pieces that were found kept and tell what one takes now."""
+    """Seconds per weighted unit of the slowest committed item that was computed under the same execution options."""
 
     @property
     def finished(self) -> bool:
-        """Whether every piece is done."""
+        """Whether every item is done."""
         return len(self.manifests) == self.chain.n_items
 
     @property
     def open(self) -> bool:
-        """Whether there is a piece to do."""
+        """Whether there is an item to compute."""
         return not self.finished and self.failed is None
 
-    def goes_with(self, other: Walk) -> bool:
-        """Tell whether the pieces that are next may be computed side by side."""
+    def batches_with(self, other: ChainProgress) -> bool:
+        """Return whether the next items of both chains may be computed in one batch."""
         return (
             not (self.alone or other.alone)
-            and (self.chain.world, self.chain.units) == (other.chain.world, other.chain.units)
+            and (self.chain.batch_key, self.chain.units) == (other.chain.batch_key, other.chain.units)
             and len(self.manifests) == len(other.manifests)
         )
 
     @property
-    def next_work(self) -> float:
-        """Weighted units of the piece that is next."""
+    def next_cost(self) -> float:
+        """Weighted units of the next item."""
         return self.chain.weight * self.chain.units[len(self.manifests)]
 
     @property
     def left(self) -> Work:
-        """What is still to do."""
+        """Work still to do."""
         return self._work(self.chain.units[len(self.manifests) :])
 
     @property
     def done(self) -> Work:
-        """What is done."""
+        """Work done."""
         return self._work(self.chain.units[: len(self.manifests)])
 
     def _work(self, units: Sequence[float]) -> Work:
         return Work(sum(units), self.chain.weight * sum(units))
 
 
-def next_item(stage: Stage, settings: Settings, walk: Walk, upstream: Upstream) -> Item:
-    """Specify the piece that is next."""
-    previous = walk.manifests[-1] if walk.manifests else None
-    return stage.item(settings, walk.chain, len(walk.manifests), previous, upstream)
+@dataclass(frozen=True)
+class StageRun:
+    """A stage under one study's settings, and where its results are."""
 
+    stage: AnyStage
+    settings: Settings
+    upstream: Upstream
+    store: Store
+    say: Callable[[str], None]
+    """Shows a line to the user, such as that an item is damaged."""
 
-def follow(
-    stage: Stage, settings: Settings, store: Store, upstream: Upstream, *, say: Callable[[str], None]
-) -> list[Walk]:
-    """Walk every chain of a stage as far as the store holds it.
+    def chains(self) -> list[ChainProgress]:
+        """Plan the stage's chains and advance each as far as the store has its items."""
+        found = []
+        for chain in _evenly_weighted(self.stage.plan(self.settings)):
+            progress = ChainProgress(chain)
+            try:
+                self.advance(progress)
+            except MissingInputs as missing:
+                progress.failed = f"{NOT_POSSIBLE}{missing}"
+            found.append(progress)
+        return found
 
-    A damaged item counts as missing, and ``say`` says so; its successor will take its place.
-    """
-    walks = []
-    for chain in _evenly_weighted(stage.plan(settings)):
-        walk = Walk(chain)
+    def next_item(self, progress: ChainProgress) -> Item[Any]:
+        """Specify a chain's next item.
+
+        Raises:
+            MissingInputs: an input failed or is not done.
+        """
+        previous = progress.manifests[-1] if progress.manifests else None
+        return self.stage.item(self.settings, progress.chain, len(progress.manifests), previous, self.upstream)
+
+    def advance(self, progress: ChainProgress) -> None:
+        """Advance a chain as far as the store has its items. A damaged item counts as missing."""
+        while not progress.finished:
+            item = self.next_item(progress)
+            manifest = self._committed(item)
+            if manifest is None:
+                return
+            # Another engine may be a hundred times as fast, and the time of split items depends on the cores there are.
+            if manifest.record.get("execution") == to_json(item.execution) and not is_split(item):
+                # The record has an item's share of its batch.
+                seconds = float(manifest.record.get("seconds", 0.0)) * progress.chain.batch_size
+                progress.slowest = max(progress.slowest, seconds / progress.next_cost)
+            progress.manifests.append(manifest)
+
+    def _committed(self, item: Item[Any]) -> Manifest | None:
         try:
-            go_on(stage, settings, walk, store, upstream, say)
-        except MissingInputs as missing:
-            walk.failed = f"{NOT_POSSIBLE}{missing}"
-        walks.append(walk)
-    return walks
+            return self.store.manifest(item.stage, item.key)
+        except DamagedArtifact as damage:
+            self.say(f"{damage}")
+            return None
 
 
-def go_on(
-    stage: Stage, settings: Settings, walk: Walk, store: Store, upstream: Upstream, say: Callable[[str], None]
-) -> None:
-    """Walk a chain from where it is as far as the store holds it."""
-    while not walk.finished:
-        item = next_item(stage, settings, walk, upstream)
-        manifest = _held(store, item, say)
-        if manifest is None:
-            return
-        # Another engine may be a hundred times as fast, and batches share what cores there were: no measure of now.
-        if manifest.record.get("execution") == item.execution and not is_batched(item):
-            seconds = float(manifest.record.get("seconds", 0.0)) * walk.chain.batch_size  # a share, perhaps
-            walk.slowest = max(walk.slowest, seconds / walk.next_work)
-        walk.manifests.append(manifest)
-
-
-def _evenly_weighted(chains: Sequence[Chain]) -> list[Chain]:
-    """Scale weights so that they average to one, and weighted units add up to the units that there are."""
+def _evenly_weighted(chains: Sequence[Chain[Any]]) -> list[Chain[Any]]:
+    """Scale weights so that weighted units add up to the number of units."""
     units = [sum(chain.units) for chain in chains]
     weighted = sum(u * chain.weight for u, chain in zip(units, chains, strict=True))
     scale = sum(units) / weighted if weighted > 0 else 1.0
     return [replace(chain, weight=chain.weight * scale) for chain in chains]
 
 
-def _held(store: Store, item: Item, say: Callable[[str], None]) -> Manifest | None:
-    try:
-        return store.manifest(item.stage, item.key)
-    except DamagedArtifact as damage:
-        say(f"{damage}")
-        return None
-
-
-def results_of(stage: Stage, walks: Sequence[Walk]) -> Results:
+def results_of(stage: AnyStage, chains: Sequence[ChainProgress]) -> Results:
     """Sum up how far a stage has got."""
+    by_id = {progress.chain.identity: progress for progress in chains}
     return Results(
         stage=stage.name,
-        done={walk.chain.label: tuple(walk.manifests) for walk in walks if walk.finished},
-        failed={walk.chain.label: walk.failed for walk in walks if walk.failed is not None},
-        unfinished=tuple(walk.chain.label for walk in walks if walk.open),
-        n_done={walk.chain.label: len(walk.manifests) for walk in walks},
-        seconds=sum(float(m.record.get("seconds", 0.0)) for walk in walks for m in walk.manifests),
+        done={identity: tuple(of.manifests) for identity, of in by_id.items() if of.finished},
+        failed={identity: of.failed for identity, of in by_id.items() if of.failed is not None},
+        unfinished=tuple(identity for identity, of in by_id.items() if of.open),
+        n_done={identity: len(of.manifests) for identity, of in by_id.items()},
+        seconds=sum(float(m.record.get("seconds", 0.0)) for progress in chains for m in progress.manifests),
     )
 
 
 def survey(
-    settings: Settings, stages: Sequence[Stage], store: Store, *, say: Callable[[str], None]
+    settings: Settings, stages: Sequence[AnyStage], store: Store, *, say: Callable[[str], None]
 ) -> dict[str, Results]:
-    """Find what the store holds of each stage, in order; nothing is computed."""
+    """Find what the store holds of a study, without computing anything.
+
+    Args:
+        settings: the study's settings.
+        stages: its first stages, in order.
+        store: where results are committed.
+        say: shows a line to the user.
+
+    Returns:
+        Results of each stage, by name.
+    """
     upstream: dict[str, Results] = {}
     for stage in stages:
-        upstream[stage.name] = results_of(stage, follow(stage, settings, store, upstream, say=say))
+        run = StageRun(stage, settings, upstream, store, say)
+        upstream[stage.name] = results_of(stage, run.chains())
     return upstream
 
 
 def require(
-    settings: Settings, stage: Stage, stages: Sequence[Stage], upstream: Upstream, *, how_to_run: Callable[[str], str]
+    settings: Settings,
+    stage: AnyStage,
+    stages: Sequence[AnyStage],
+    upstream: Mapping[str, Results],
+    *,
+    how_to_run: Callable[[str], str],
 ) -> None:
-    """Refuse to start a stage whose inputs are not there, or theirs.
+    """Refuse to start a stage whose inputs are missing.
 
-    Where an input's input is missing, the input itself can't be asked for: it counts as not possible, not as missing.
+    All stages upstream are checked: where the input of an input is missing, the input itself can't be specified, and
+    counts as not possible rather than as missing.
 
     Args:
-        settings: the study's.
-        stage: what is to start.
-        stages: all of the study, in their order.
+        settings: the study's settings.
+        stage: the stage to start.
+        stages: all stages of the study, in order.
         upstream: results of the stages before it.
-        how_to_run: gives the command line that runs a stage.
+        how_to_run: returns the command line that runs a stage.
 
     Raises:
-        PuddleError: names the first stage that must come first, what it lacks, and the command that runs it.
+        PuddleError: the message names the first stage to run, what it lacks, and the command that runs it.
     """
     needed = set(stage.reads(settings))
     for earlier in reversed(stages):
         if earlier.name in needed:
             needed.update(earlier.reads(settings))
     for name in (earlier.name for earlier in stages if earlier.name in needed):
-        lacking = upstream[name].unfinished
-        if lacking:
+        missing = upstream[name].unfinished
+        if missing:
             raise PuddleError(
-                f"{stage.name} needs the results of {name}, and {len(lacking)} of them are missing "
-                f"(the first: {lacking[0]}).\n"
+                f"{stage.name} needs the results of {name}, and {len(missing)} of them are missing "
+                f"(the first: {missing[0].label}).\n"
                 f"Run `{how_to_run(name)}` first, or `{how_to_run('study')}` for everything."
             )
 
 
-def is_batched(item: Item) -> bool:
-    """Tell whether a piece only hands batches to other workers: it needs no core of its own."""
-    return item.execution.get("designs_per_batch") is not None
+def is_split(item: Item[Any]) -> bool:
+    """Return whether an item only hands its designs to other workers, so that it needs no core of its own."""
+    return item.execution.designs_per_batch is not None

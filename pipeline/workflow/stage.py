@@ -1,12 +1,11 @@
-"""The contract of a stage: what it reads, which work there is, what one piece computes, and what came of it all.
+"""The contract of a stage: what it reads, what work there is, what one item computes, and how to sum it up.
 
-To add a stage, write a module in pipeline/stages/ that defines a :class:`Stage`, and name it in
-pipeline/stages/__init__.py. The middleware (study.py and dispatch.py) does the rest: it finds what is done, spreads the
-missing pieces over the cluster, keeps their results and mirrors them to MLflow.
+To add a stage, write a module in pipeline/stages/ that exports a :class:`Stage`, and add it to the list in
+pipeline/stages/__init__.py. The workflow does the rest: it finds what is done, spreads the missing items over the
+cluster, commits their results and mirrors them to MLflow.
 
-A stage's work is a set of *chains*: pieces that follow one another, such as the segments of an evolutionary trial.
-Chains do not depend on one another. A piece is an :class:`Item`; its key is the SHA-256 of what it is, so that a piece
-is done if and only if the store holds its key.
+A stage's work is a set of independent *chains*. A chain is a sequence of items, such as the segments of an evolutionary
+trial. An :class:`Item` is done if and only if the store holds its key, the SHA-256 of its identity.
 """
 
 from __future__ import annotations
@@ -14,91 +13,105 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
+from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
+from pipeline.workflow.identity import Arm, ChainId, InputName, to_json
+from tasks.arrays import Float64
 
-Spec = Mapping[str, Any]
-"""Plain JSON values by name."""
+ChainSpecT = TypeVar("ChainSpecT")
+ItemSpecT = TypeVar("ItemSpecT")
 
 Files = Mapping[str, bytes]
 """An item's results: contents by file name."""
 
+Inputs = Mapping[InputName, Files]
+"""Contents of an item's inputs, in the order in which the item lists them."""
 
 NOT_POSSIBLE = "not possible: "
-"""How the reason begins where a chain was never tried, since what it needs was set aside."""
+"""How the reason begins where a chain was never tried because one of its inputs failed."""
 
 
-class MissingInputs(PuddleError):  # noqa: N818 (what is the case, not what went wrong)
-    """A piece of work needs results that are not there; says which, and how to get them."""
+class MissingInputs(PuddleError):  # noqa: N818 (a state, not a fault)
+    """An item needs results that are not there; the message says which, and how to get them."""
 
 
 @dataclass(frozen=True)
-class Chain:
-    """Pieces of work that follow one another."""
+class Execution:
+    """Execution options: how an item is computed. They never change its result."""
 
-    label: str
-    """What a person calls it; unique in its stage."""
+    engine: Literal["batch", "reference"] = "batch"
+    designs_per_batch: int | None = None
+    """Designs that one worker simulates at a time; None for all designs on the item's own worker."""
+    n_gpus: int = 0
+
+
+@dataclass(frozen=True)
+class Chain(Generic[ChainSpecT]):
+    """Items that follow one another."""
+
+    identity: ChainId
     units: tuple[float, ...]
-    """Size of each piece, in the stage's unit."""
-    spec: Spec
-    """What tells this chain from the others of its stage."""
+    """Size of each item, in the stage's unit."""
+    spec: ChainSpecT
+    """What all its items have in common: each item's specification is this one, or has it as a field."""
     weight: float = 1.0
     """Cost of a unit relative to the stage's other chains, for the order of work and the time left."""
-    world: str = ""
-    """Where it happens: pieces of chains of one world that are equally far and equally long may go side by side."""
+    batch_key: Arm | None = None
+    """Items of chains with the same key may be computed as one batch if they are equally far and equally long."""
     batch_size: int = 1
-    """How many do so best."""
+    """Chains that make the fastest batch."""
+
+    @property
+    def label(self) -> str:
+        """Name for display."""
+        return self.identity.label
 
     @property
     def n_items(self) -> int:
-        """How many pieces there are."""
+        """Number of items."""
         return len(self.units)
 
 
 @dataclass(frozen=True)
 class Input:
-    """Files of an earlier item that a piece of work reads."""
+    """Files of an earlier item."""
 
     manifest: Manifest
     files: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Job:
-    """What a worker is told of a piece of work, its inputs apart."""
+class Job(Generic[ItemSpecT]):
+    """What a worker receives of an item, besides its inputs."""
 
     key: str
-    """The item's; its tables name it as their producer."""
-    spec: Spec
-    execution: Spec
+    """The item's key, which its tables name as their producer."""
+    spec: ItemSpecT
+    execution: Execution
 
 
 @dataclass(frozen=True)
-class Item:
-    """One piece of work: a pure function of its specification and its inputs' bytes."""
+class Item(Generic[ItemSpecT]):
+    """A work item: a pure function of its specification and its inputs' bytes."""
 
     stage: str
     version: int
     label: str
-    spec: Spec
-    """All that changes the result, inputs apart: settings used, seed, what it is. It holds its chain's."""
-    inputs: Mapping[str, Input]
-    execution: Spec = field(default_factory=dict)
-    """What does not change the result: engine, size of batches, ``n_gpus`` that it occupies."""
+    spec: ItemSpecT
+    """Everything that changes the result, besides inputs: settings, seed, trial."""
+    inputs: Mapping[InputName, Input]
+    execution: Execution = Execution()
 
     @cached_property
     def identity(self) -> Mapping[str, Json]:
-        """What the key stands for."""
-        inputs = {name: source.manifest.digest for name, source in self.inputs.items()}
-        return {"stage": self.stage, "version": self.version, "spec": self.spec, "inputs": inputs}
+        """What the key is the hash of."""
+        inputs = {name.label: source.manifest.digest for name, source in self.inputs.items()}
+        return {"stage": self.stage, "version": self.version, "spec": to_json(self.spec), "inputs": inputs}
 
     @cached_property
     def key(self) -> str:
@@ -106,63 +119,63 @@ class Item:
         return key_of(self.identity)
 
     @property
-    def job(self) -> Job:
-        """What its worker is told."""
+    def job(self) -> Job[ItemSpecT]:
+        """What its worker receives."""
         return Job(key=self.key, spec=self.spec, execution=self.execution)
 
 
 @dataclass(frozen=True)
 class Results:
-    """What the store holds of a stage for one study."""
+    """What the store holds of a stage for one study, by chain."""
 
     stage: str
-    done: Mapping[str, tuple[Manifest, ...]]
-    """Manifests of every chain that is complete, by label."""
-    failed: Mapping[str, str] = field(default_factory=dict)
-    """Why, for every chain that failed, by label."""
-    unfinished: tuple[str, ...] = ()
-    """Labels of the chains that have pieces still to do."""
-    n_done: Mapping[str, int] = field(default_factory=dict)
-    """Pieces done of every chain, by label."""
+    done: Mapping[ChainId, tuple[Manifest, ...]]
+    """Manifests of every complete chain, in the order of the plan."""
+    failed: Mapping[ChainId, str] = field(default_factory=dict)
+    """Reasons of the chains that failed."""
+    unfinished: tuple[ChainId, ...] = ()
+    """Chains that have items still to do."""
+    n_done: Mapping[ChainId, int] = field(default_factory=dict)
+    """Number of items done of every chain."""
     seconds: float = 0.0
-    """Core-seconds that the pieces done took, on whatever machine made them."""
-    diverged: Mapping[str, str] = field(default_factory=dict)
-    """What diverged in chains that are complete, by label; the driver looks for it."""
+    """Core-seconds that the items took, on the machines that made them."""
+    diverged: Mapping[ChainId, str] = field(default_factory=dict)
+    """What diverged in complete chains; the driver fills it in."""
 
-    def chain(self, label: str) -> tuple[Manifest, ...]:
-        """Give the manifests of a chain.
+    def chain(self, identity: ChainId) -> tuple[Manifest, ...]:
+        """Return the manifests of a chain.
 
         Raises:
-            MissingInputs: the chain is not complete; says why.
+            MissingInputs: the chain is not complete; the message gives the reason.
         """
-        if label not in self.done:
-            raise MissingInputs(f"{self.stage} of {label} is {self.failed.get(label, 'not done')}")
-        return self.done[label]
+        if identity not in self.done:
+            raise MissingInputs(f"{self.stage} of {identity.label} is {self.failed.get(identity, 'not done')}")
+        return self.done[identity]
 
 
 Upstream = Mapping[str, Results]
-"""Results of earlier stages, by name."""
+"""Results of earlier stages, by stage name."""
 
 
 @dataclass(frozen=True)
 class TrialSummary:
-    """One trial, as MLflow shows it."""
+    """One chain, as MLflow shows it."""
 
-    name: str
+    chain: ChainId
     params: Mapping[str, str | int | float]
     metrics: Mapping[str, float]
-    curves: Mapping[str, npt.NDArray[np.float64]]
+    curves: Mapping[str, Float64]
     """Metrics by generation."""
     steps: Sequence[int] | None = None
-    """Of the curves' points, where they are not 0, 1, 2 …"""
+    """Generations of the curves' points; None for 0, 1, 2 …"""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What came of a stage."""
+    """A stage's results in short."""
 
     lines: Sequence[str]
-    """For the terminal."""
+    """Lines for the terminal."""
     metrics: Mapping[str, float] = field(default_factory=dict)
     trials: Sequence[TrialSummary] = ()
     artifacts: Mapping[str, bytes] = field(default_factory=dict)
@@ -172,23 +185,26 @@ class Summary:
 
 
 @dataclass(frozen=True)
-class Stage:
+class Stage(Generic[ChainSpecT, ItemSpecT]):
     """All work of one kind."""
 
     name: str
     version: int
     """Raised when the same specification would give other results than before."""
     unit: str
-    """What its work is counted in."""
+    """Unit of work, in the plural."""
     reads: Callable[[Settings], tuple[str, ...]]
-    """Stages whose results it needs under these settings."""
-    plan: Callable[[Settings], Sequence[Chain]]
-    item: Callable[[Settings, Chain, int, Manifest | None, Upstream], Item]
-    """Specify a chain's next piece from the one before it (None at the chain's start) and the stages it reads."""
-    compute: Callable[[Job, Mapping[str, Files]], Files]
-    """Compute a piece from what it is and its inputs' files, by name. Runs on a worker: no store, no clock."""
+    """Names of the stages whose results it needs under these settings."""
+    plan: Callable[[Settings], Sequence[Chain[ChainSpecT]]]
+    item: Callable[[Settings, Chain[ChainSpecT], int, Manifest | None, Upstream], Item[ItemSpecT]]
+    """Specify item i of a chain from the item before it (None at the chain's start) and the stages it reads."""
+    compute: Callable[[Job[ItemSpecT], Inputs], Files]
+    """Compute an item. Runs on a worker: no store, no clock."""
     summarise: Callable[[Settings, Results, Store], Summary]
-    compute_batch: Callable[[Sequence[Job], Sequence[Mapping[str, Files]]], Sequence[Files]] | None = None
-    """Compute pieces of chains that may go side by side, as one call: what ``compute`` makes of each, but sooner."""
-    diverged: Callable[[Settings, Results, Store], Mapping[str, str]] = lambda settings, results, store: {}
-    """What diverged in its chains that are complete, by label; none of them where all stayed finite."""
+    compute_batch: Callable[[Sequence[Job[ItemSpecT]], Sequence[Inputs]], Sequence[Files]] | None = None
+    """Compute items that form a batch in one call: the same files as ``compute`` makes of each, but faster."""
+    diverged: Callable[[Settings, Results, Store], Mapping[ChainId, str]] = lambda settings, results, store: {}
+    """Describe what diverged, by complete chain; chains that stayed finite are left out."""
+
+
+AnyStage: TypeAlias = Stage[Any, Any]

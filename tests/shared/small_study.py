@@ -1,17 +1,22 @@
-"""A study from its settings to its results, in this process: what the tests of the middleware run."""
+"""A small study, run stage by stage in this process by the tests of the workflow."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 from pipeline.cluster import Cluster
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.workflow.dispatcher import run_stage
-from pipeline.workflow.graph import follow, results_of
+from pipeline.workflow.graph import StageRun, results_of
+from pipeline.workflow.identity import ChainId
 from pipeline.workflow.progress import Work
-from pipeline.workflow.stage import Results, Stage
+from pipeline.workflow.stage import AnyStage, Results
+
+Value = TypeVar("Value")
 
 ON_DRY_LAND = """name: tiny
 grid: {depths: [1.0], environments: [dry_land], single_member_depths: [], n_trials: 1}
@@ -35,24 +40,31 @@ def run(
     settings: Settings,
     store: Store,
     cluster: Cluster,
-    stages: Sequence[Stage] = STAGES,
+    stages: Sequence[AnyStage] = STAGES,
     say: Callable[[str], None] = silent,
+    clock: Callable[[], float] = time.monotonic,
 ) -> dict[str, Results]:
-    """Run stages one after the other; give what came of each."""
+    """Run stages one after the other and return the results of each."""
     upstream: dict[str, Results] = {}
     for stage in stages:
-        walks = follow(stage, settings, store, upstream, say=say)
-        run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=say)
-        upstream[stage.name] = results_of(stage, walks)
+        stage_run = StageRun(stage, settings, upstream, store, say)
+        chains = stage_run.chains()
+        run_stage(stage_run, chains, cluster=cluster, bar=NoBar(), clock=clock)
+        upstream[stage.name] = results_of(stage, chains)
     return upstream
 
 
+def labelled(by_chain: Mapping[ChainId, Value]) -> dict[str, Value]:
+    """Return a mapping from chains as one from their labels."""
+    return {chain.label: value for chain, value in by_chain.items()}
+
+
 def digests(upstream: dict[str, Results]) -> dict[str, list[str]]:
-    """Give the digests of each chain's items, by stage and label."""
+    """Return the digests of each chain's items, by stage and label."""
     return {
         f"{stage}/{label}": [manifest.digest for manifest in manifests]
         for stage, results in upstream.items()
-        for label, manifests in results.done.items()
+        for label, manifests in labelled(results.done).items()
     }
 
 

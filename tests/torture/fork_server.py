@@ -40,7 +40,7 @@ from pipeline.store.store import Store
 from pipeline.tracking.mirror import Tracker, open_tracker
 from pipeline.workflow.driver import drive
 from pipeline.workflow.progress import Work
-from pipeline.workflow.stage import Stage
+from pipeline.workflow.stage import AnyStage
 
 TINY = {
     "name": "tiny",
@@ -99,7 +99,7 @@ def run_study(
     store: Store,
     terminal: QuietTerminal,
     *,
-    stages: Sequence[Stage] = STAGES,
+    stages: Sequence[AnyStage] = STAGES,
     open_cluster: Callable[[], AbstractContextManager[Cluster]] = serial_cluster,
     tracker: Tracker | None = None,
 ) -> None:
@@ -107,6 +107,7 @@ def run_study(
     drive(
         settings,
         stages,
+        stages=STAGES,
         store=store,
         open_cluster=open_cluster,
         tracker=tracker or terminal,

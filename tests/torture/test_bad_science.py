@@ -7,22 +7,23 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import os
 import signal
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import ray
 import typer
 from command_line import call
+from small_study import labelled
 
 import pipeline.commands.status
 import pipeline.stages
 import pipeline.tracking.mirror
-import pipeline.workflow.dispatcher
 import pipeline.workflow.driver
 import pipeline.workflow.graph
 from pipeline.cluster import Cluster
@@ -31,14 +32,15 @@ from pipeline.commands.options import StudyOptions
 from pipeline.commands.study import run_stages
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
-from pipeline.stages import STAGES, segments
-from pipeline.stages.collect import read_transitions
+from pipeline.stages import STAGES, environments, segments
+from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.transfer import SCORE
 from pipeline.store.encoding import decode_json, decode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.stage import Files, Job, Stage
-from tasks.residual import Architecture, Training
+from pipeline.workflow.dispatcher import Limits
+from pipeline.workflow.driver import drive
+from pipeline.workflow.stage import AnyStage, Files, Inputs, Job
 from tasks.residual.training import train_member
 from tasks.simulation.rollout import DIVERGED
 from tasks.world import Slush, TrueSlush
@@ -60,30 +62,30 @@ work: {throws_per_item: 3, generations_per_item: 4, engine: reference}
 """
 
 
-def train_one_on_a_nan(job: Job, inputs: Mapping[str, Files]) -> Files:
+def train_one_on_a_nan(job: Job, inputs: Inputs) -> Files:
     """Train member 1 on a measurement that is none."""
-    if job.spec["member"] != 1:
+    if job.spec.member != 1:
         return STAGES[1].compute(job, inputs)
-    transitions = read_transitions([inputs[name] for name in sorted(inputs)])
+    transitions = read_transitions(throws_among(inputs))
     transitions.residual[:] = np.nan
-    network, training = Architecture(**job.spec["network"]), Training.model_validate(job.spec["training"])
-    train_member(transitions, network, training, seed=job.spec["seed"], member=1)
+    train_member(transitions, job.spec.network, job.spec.training, seed=job.spec.seed, member=1)
     raise AssertionError("it can't have learned anything")
 
 
-def evolve_some_badly(job: Job, inputs: Mapping[str, Files]) -> Files:
+def evolve_some_badly(job: Job, inputs: Inputs) -> Files:
     """Let four trials on dry land go wrong, each in its way."""
-    match job.spec["identity"]:
-        case [_, _, "dry_land", 1]:
+    trial = job.spec.trial.identity
+    match trial.environment, trial.index:
+        case "dry_land", 1:
             hoard = []
             while True:
                 hoard.append(np.zeros(2**28))
-        case [_, _, "dry_land", 2]:
+        case "dry_land", 2:
             while True:
                 time.sleep(1)
-        case [_, _, "dry_land", 3]:
+        case "dry_land", 3:
             crash()
-        case [_, _, "dry_land", 4]:
+        case "dry_land", 4:
             raise ArithmeticError("a defect")
     return STAGES[2].compute(job, inputs)
 
@@ -101,9 +103,9 @@ def seconds_of_a_crash(cluster: Cluster) -> float:
     return time.monotonic() - begin
 
 
-def injected(monkeypatch: pytest.MonkeyPatch, **computes) -> tuple[Stage, ...]:
+def injected(monkeypatch: pytest.MonkeyPatch, **computes) -> tuple[AnyStage, ...]:
     stages = tuple(dataclasses.replace(stage, compute=computes.get(stage.name, stage.compute)) for stage in STAGES)
-    for module in (pipeline.stages, pipeline.workflow.driver):
+    for module in (pipeline.stages, pipeline.commands.status):
         monkeypatch.setattr(module, "STAGES", stages)
     return stages
 
@@ -113,10 +115,8 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
     torture, local_ray, tmp_path, monkeypatch, capsys
 ):
     injected(monkeypatch, train=train_one_on_a_nan, evolve=evolve_some_badly)
-    monkeypatch.setattr(
-        pipeline.workflow.dispatcher, "LEAST_PATIENCE_SECONDS", max(10.0, 8 * seconds_of_a_crash(local_ray))
-    )
-    monkeypatch.setattr(pipeline.workflow.dispatcher, "PATIENCE", 3.0)
+    limits = Limits(factor=3.0, least_seconds=max(10.0, 8 * seconds_of_a_crash(local_ray)))
+    monkeypatch.setattr(pipeline.workflow.driver, "drive", functools.partial(drive, limits=limits))
     (tmp_path / "tiny.yaml").write_text(TINY)
     chosen = StudyOptions(settings_file=tmp_path / "tiny.yaml", store=tmp_path / "store")
     options = ("--settings", str(chosen.settings_file), "--store", str(chosen.store))
@@ -126,7 +126,7 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
         "evolve: dry_land/1m/trial-2": "it did not end within",
         "evolve: dry_land/1m/trial-3": "WorkerCrashedError",
         "evolve: dry_land/1m/trial-4": "ArithmeticError: a defect",
-        "evolve: residual_slush/1m/trial-0": "train of member-01 is set aside",
+        "evolve: residual_slush/1m/trial-0": "train of member-01: failed after 2 attempts",
     }
     for _ in torture.attempts(1, 3):
         with pytest.raises(typer.Exit) as ended:
@@ -144,20 +144,20 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
             listed = next(line for line in status.split(f"  {stage}")[1].splitlines() if line.strip().startswith(label))
             assert why in listed
             assert label in page and why in page
-        assert "tried again by the next `puddle study`" in status
-        n_lost = sum(line.count(" is set aside after") for line in said.splitlines())
+        assert "The next `puddle study` tries again what failed" in status
+        n_lost = sum(line.count(" failed after 2 attempts") for line in said.splitlines())
         assert n_lost >= 5
         done = {item.label for item in store.read_study("tiny").items}
         assert {"member-00#0", "dry_land/1m/trial-0#0", "index.html#0"} <= done
     # The causes are mended: what was set aside is computed, and nothing else. (Another page would tell nothing new.)
     injected(monkeypatch)
-    monkeypatch.setattr(pipeline.workflow.dispatcher, "LEAST_PATIENCE_SECONDS", 600.0)
+    monkeypatch.setattr(pipeline.workflow.driver, "drive", drive)
     before = {(stage, key) for stage in store.stages() for key in store.keys(stage)}
     for stage in ("train", "evolve"):
         run_stages(chosen, (stage,), open_cluster=lambda: contextlib.nullcontext(local_ray))
     assert call("status", *options) == 0
     trained_and_evolved = capsys.readouterr().out.split("  transfer")[0]
-    assert "  evolve" in trained_and_evolved and "set aside" not in trained_and_evolved
+    assert "  evolve" in trained_and_evolved and "failed" not in trained_and_evolved
     made = {(stage, key) for stage in store.stages() for key in store.keys(stage)} - before
     assert sorted(stage for stage, _ in made) == ["evolve"] * 9 + ["train"]
 
@@ -169,21 +169,31 @@ OF_A_SOUND_WORLD = "Rollouts in a sound world stay finite"
 
 def some_in_a_wild_medium(monkeypatch: pytest.MonkeyPatch) -> None:
     """Give every design of trial 0, and slow ones of trial 1, a medium whose drag is no number."""
-    real = segments.roll_out
+    real, current = environments.roll_out, list[int]()
     wild = Slush.model_construct(**{**Slush().model_dump(), "linear_drag": np.nan})
 
-    def roll_out(spec, execution, environment, designs, **options):
-        sound = real(spec, execution, environment, designs, **options)
-        trial = spec["identity"][-1] if "identity" in spec else 1
+    def noted(stage: AnyStage):
+        def compute(job: Job, inputs: Inputs) -> Files:
+            current[:] = [job.spec.trial.identity.index]
+            files = stage.compute(job, inputs)
+            current.clear()
+            return files
+
+        return compute
+
+    def roll_out(simulation, execution, environment, designs, **options):
+        sound = real(simulation, execution, environment, designs, **options)
+        trial = current[0] if current else 1
         lost = np.isfinite(designs.frequency) if trial == 0 else designs.frequency < SLOWEST
         if not lost.any():
             return sound
-        other = real(spec, execution, TrueSlush(depth=environment.depth, slush=wild), designs, **options)
+        other = real(simulation, execution, TrueSlush(depth=environment.depth, slush=wild), designs, **options)
         assert set(other.status) == {DIVERGED}
         chosen = {name: np.where(lost, getattr(other, name), getattr(sound, name)) for name in MEASURED}
         return dataclasses.replace(sound, **chosen)
 
-    monkeypatch.setattr(segments, "roll_out", roll_out)
+    monkeypatch.setattr(environments, "roll_out", roll_out)
+    injected(monkeypatch, evolve=noted(STAGES[2]), transfer=noted(STAGES[3]))
 
 
 MEASURED = ("displacement", "com_displacement", "status")
@@ -205,7 +215,7 @@ def test_designs_that_diverge_are_set_aside_and_named_and_the_rest_completes(mon
     upstream = pipeline.workflow.graph.survey(settings, STAGES, store, say=print)
     assert not any(found.failed or found.unfinished for found in upstream.values())
     one = "dry_land/1m/trial-1"
-    evolved, (*adapted, scored) = upstream["evolve"].done[one], upstream["transfer"].done[one]
+    evolved, (*adapted, scored) = labelled(upstream["evolve"].done)[one], labelled(upstream["transfer"].done)[one]
     named = {
         "evolve: dry_land/1m/trial-0": "no champion: every design of the trial diverged",
         f"evolve: {one}": some_of(store, evolved, "designs"),

@@ -5,7 +5,7 @@ Part of the stage analyse, whose page lists the tables.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,29 +14,28 @@ import numpy.typing as npt
 
 from pipeline.config.settings import EnvironmentName
 from pipeline.report.findings import ExploiterRow
-from pipeline.stages import segments
+from pipeline.stages import environments
+from pipeline.stages.analyses.specs import AnalysisItemSpec, ExploitersSpec, MatrixSpec
 from pipeline.stages.analyses.statistics import Reasons, Tables
-from pipeline.stages.assess import read_predictions
-from pipeline.stages.transfer import CHAMPION, SCORE
+from pipeline.stages.assess import ASSESSED, read_predictions
+from pipeline.stages.transfer import CHAMPION, SCORE, SCORED
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.tables import columns_of
-from pipeline.workflow.stage import Files, Job, Spec
+from pipeline.workflow.identity import InputName, TrialId
+from pipeline.workflow.stage import Inputs, Job
 from tasks.analysis import Exploiter, TransferMatrix, rank_exploiters, transfer_matrix
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.evolution import penalised_mean
-from tasks.simulation import Rollouts
-from tasks.world import EnsembleMedium, Environment, ResidualSlush
+from tasks.world import EnsembleMedium, ResidualSlush
 
 
 @dataclass(frozen=True)
 class Champion:
     """The champion of a trial, and what transfer says of it."""
 
-    environment: EnvironmentName
-    depth: float
-    trial: int
+    trial: TrialId
     design: Designs
     predicted: float
     """Fitness where it evolved [m]."""
@@ -44,30 +43,24 @@ class Champion:
     """Displacement in True Slush [m]; NaN where diverged."""
 
 
-def champions(trials: Sequence[tuple[EnvironmentName, float, int]], inputs: Mapping[str, Files]) -> list[Champion]:
+def champions(trials: Sequence[TrialId], inputs: Inputs) -> list[Champion]:
     """Take up the champions of trials; those that were set aside or have none are left out."""
     found = []
-    for environment, depth, trial in trials:
-        label = segments.trial_label(environment, depth, trial)
-        files = inputs.get(f"transfer/{label}", {})
+    for trial in trials:
+        files, label = inputs.get(InputName(SCORED, trial), {}), trial.label
         if CHAMPION in files:
             scores = decode_json(files[SCORE], label)
             design = design_from(decode_json(files[CHAMPION], label), label)
             zero_shot = np.nan if scores["zero_shot"] is None else scores["zero_shot"]
-            found.append(Champion(environment, depth, trial, design, scores["predicted"], zero_shot))
+            found.append(Champion(trial, design, scores["predicted"], zero_shot))
     return found
 
 
-def ensemble_of(inputs: Mapping[str, Files]) -> EnsembleMedium:
+def ensemble_of(inputs: Inputs) -> EnsembleMedium:
     """Load every member."""
-    world = segments.world_of({"world": "residual_slush", "depth": 0.0}, inputs)
-    assert isinstance(world, ResidualSlush)
-    return world.ensemble
-
-
-def roll_out(job: Job, world: Environment, designs: Designs, *, trace: bool = False) -> Rollouts:
-    """Simulate designs as a job says."""
-    return segments.roll_out(job.spec, job.execution, world, designs, trace=trace)
+    environment = environments.build_environment({}, "residual_slush", 0.0, inputs)
+    assert isinstance(environment, ResidualSlush)
+    return environment.ensemble
 
 
 # -- transfer matrix -------------------------------------------------------------------------------------------------
@@ -111,14 +104,17 @@ def matrices_of(tests: Sequence[MatrixTestRow]) -> dict[EnvironmentName, Transfe
     }
 
 
-def compute_matrix(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+def compute_matrix(job: Job[AnalysisItemSpec[MatrixSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Test every champion at every depth of the grid, in True Slush."""
-    entrants = champions(job.spec["trials"], inputs)
+    spec = job.spec.analysis
+    entrants = champions(spec.trials, inputs)
     tests: list[MatrixTestRow] = []
-    for depth in job.spec["depths"] if entrants else ():
-        rollouts = roll_out(job, segments.true_slush(job.spec, depth), concatenate([of.design for of in entrants]))
+    for depth in spec.depths if entrants else ():
+        true_slush = environments.true_slush(spec.simulation.media, depth)
+        designs = concatenate([of.design for of in entrants])
+        rollouts = environments.roll_out(spec.simulation, job.execution, true_slush, designs)
         tests += [
-            MatrixTestRow(of.environment, of.depth, of.trial, depth, float(root), float(whole))
+            MatrixTestRow(of.trial.environment, of.trial.depth, of.trial.index, depth, float(root), float(whole))
             for of, root, whole in zip(entrants, rollouts.displacement, rollouts.com_displacement, strict=True)
         ]
     cells: list[CellRow] = []
@@ -130,7 +126,7 @@ def compute_matrix(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reaso
     reasons = {}
     if not entrants:
         reasons = dict.fromkeys(("tests", "matrix"), "no trial has a champion")
-    elif len(job.spec["depths"]) == 1:
+    elif len(spec.depths) == 1:
         reasons["matrix"] = "a single depth: the matrix has one column"
     return {"tests": columns_of(MatrixTestRow, tests), "matrix": columns_of(CellRow, cells)}, reasons
 
@@ -154,10 +150,10 @@ class Candidate:
     """(n_members,)"""
 
 
-def compute_exploiters(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+def compute_exploiters(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Rank every champion and every assessed design by what the ensemble promises of it and does not come true."""
-    why = str(job.spec["no_networks"])
-    suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(job.spec, inputs)]
+    why = job.spec.no_networks
+    suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(job.spec.analysis, inputs)]
     by_member = np.array([s.by_member for s in suspects]).reshape(len(suspects), -1 if suspects else 1)
     ranked = rank_exploiters(
         np.array([s.predicted for s in suspects]),
@@ -181,30 +177,32 @@ def _promise(by_member: npt.NDArray[np.float64], penalty: float) -> npt.NDArray[
     return np.where(np.isfinite(promised), promised, np.nan)
 
 
-def _champions_under_members(job: Job, inputs: Mapping[str, Files]) -> list[Candidate]:
+def _champions_under_members(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs: Inputs) -> list[Candidate]:
     """Simulate champions of all environments under every member, at the depth where they evolved."""
-    spec, ensemble = job.spec, ensemble_of(inputs)
-    entrants = champions(spec["trials"], inputs)
+    spec, ensemble = job.spec.analysis, ensemble_of(inputs)
+    entrants = champions(spec.trials, inputs)
     suspects = []
-    for depth in dict.fromkeys(of.depth for of in entrants):
-        here = [of for of in entrants if of.depth == depth]
-        world = ResidualSlush(depth=depth, ensemble=ensemble)
-        by_member = roll_out(job, world, concatenate([of.design for of in here])).displacement.T
-        promised = _promise(by_member, spec["disagreement_penalty"])
+    for depth in dict.fromkeys(of.trial.depth for of in entrants):
+        here = [of for of in entrants if of.trial.depth == depth]
+        environment = ResidualSlush(depth=depth, ensemble=ensemble)
+        designs = concatenate([of.design for of in here])
+        by_member = environments.roll_out(spec.simulation, job.execution, environment, designs).displacement.T
+        promised = _promise(by_member, spec.disagreement_penalty)
         for of, each, promise in zip(here, by_member, promised, strict=True):
-            own = each[of.trial % len(each)] if of.environment == "single_member" else promise
+            trial = of.trial
+            own = each[trial.index % len(each)] if trial.environment == "single_member" else promise
             suspects.append(
-                Candidate("champion", of.environment, depth, of.trial, -1, -1, float(own), of.zero_shot, each)
+                Candidate("champion", trial.environment, depth, trial.index, -1, -1, float(own), of.zero_shot, each)
             )
     return suspects
 
 
-def _assessed(spec: Spec, inputs: Mapping[str, Files]) -> list[Candidate]:
-    shares = [inputs[name] for name in sorted(inputs) if name.startswith("assess/")]
+def _assessed(spec: ExploitersSpec, inputs: Inputs) -> list[Candidate]:
+    shares = [files for name, files in inputs.items() if name.role == ASSESSED]
     if not shares:
         return []
     table = read_predictions(shares)
-    promised = _promise(table["predicted"], spec["disagreement_penalty"])
+    promised = _promise(table["predicted"], spec.disagreement_penalty)
     columns = (table[name].tolist() for name in ("environment", "depth", "trial", "generation", "identity"))
     rows = zip(*columns, promised.tolist(), table["true"].tolist(), table["predicted"], strict=True)
     return [Candidate("assessed", *row) for row in rows]

@@ -5,16 +5,17 @@ Part of the stages analyse, whose instruments look at the films, and report, whi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName
-from pipeline.stages import segments
+from pipeline.stages import environments
 from pipeline.stages.analyses.champions import Champion
-from pipeline.workflow.stage import Files, Spec
+from pipeline.stages.environments import SimulationSpec
+from pipeline.workflow.stage import Execution, Inputs
 from tasks.world import Environment
 
 NOBODY = -1
@@ -47,11 +48,13 @@ def best_of(arm: Sequence[Champion]) -> tuple[int, bool]:
     return int(np.nanargmax(scored if survives else [of.predicted for of in arm])), survives
 
 
-def film_arm(spec: Spec, execution: Spec, arm: Sequence[Champion], networks: Mapping[str, Files]) -> list[Filmed]:
+def film_arm(
+    simulation: SimulationSpec, execution: Execution, arm: Sequence[Champion], networks: Inputs
+) -> list[Filmed]:
     """Film the best champion of an arm in True Slush and, if that is elsewhere, where it evolved.
 
     Args:
-        spec: physics, rollout, and what True Slush and the world where they evolved are made of.
+        simulation: physics, rollout, and the media of True Slush and of the environment where they evolved.
         execution: the engine.
         arm: its champions; none, no film.
         networks: every member's files by name; where they are missing, worlds made of them are left out.
@@ -61,25 +64,27 @@ def film_arm(spec: Spec, execution: Spec, arm: Sequence[Champion], networks: Map
     best, survives = best_of(arm)
     champion, films = arm[best], []
     if survives:
-        world = segments.true_slush(spec, champion.depth)
-        rollouts = segments.roll_out(spec, execution, world, champion.design, trace=True)
+        environment = environments.true_slush(simulation.media, champion.trial.depth)
+        rollouts = environments.roll_out(simulation, execution, environment, champion.design, trace=True)
         assert rollouts.trace is not None
         films.append(Filmed(champion, "true_slush", NOBODY, float(rollouts.displacement[0]), rollouts.trace))
-    if champion.environment != "true_slush" and (networks or champion.environment not in RESIDUAL_ENVIRONMENTS):
-        films.append(film_at_home(spec, execution, champion, networks))
+    home = champion.trial.environment
+    if home != "true_slush" and (networks or home not in RESIDUAL_ENVIRONMENTS):
+        films.append(film_at_home(simulation, execution, champion, networks))
     return films
 
 
-def film_at_home(spec: Spec, execution: Spec, champion: Champion, networks: Mapping[str, Files]) -> Filmed:
+def film_at_home(simulation: SimulationSpec, execution: Execution, champion: Champion, networks: Inputs) -> Filmed:
     """Film a champion where it evolved; of an ensemble, in the world of the member that promises the median."""
-    rollouts = segments.roll_out(spec, execution, home_of(spec, champion, networks), champion.design, trace=True)
+    environment, name = home_of(simulation, champion, networks), champion.trial.environment
+    rollouts = environments.roll_out(simulation, execution, environment, champion.design, trace=True)
     assert rollouts.trace is not None
-    if champion.environment not in RESIDUAL_ENVIRONMENTS:
-        return Filmed(champion, champion.environment, NOBODY, float(rollouts.displacement[0]), rollouts.trace)
+    if name not in RESIDUAL_ENVIRONMENTS:
+        return Filmed(champion, name, NOBODY, float(rollouts.displacement[0]), rollouts.trace)
     promised = rollouts.displacement[:, 0]
     k = median_member(promised)
-    member = own_member(champion, networks) if champion.environment == "single_member" else k
-    return Filmed(champion, champion.environment, member, float(promised[k]), rollouts.trace[k])
+    member = own_member(champion, networks) if name == "single_member" else k
+    return Filmed(champion, name, member, float(promised[k]), rollouts.trace[k])
 
 
 def median_member(values: npt.NDArray[np.float64]) -> int:
@@ -88,15 +93,15 @@ def median_member(values: npt.NDArray[np.float64]) -> int:
     return int(ranked[max(int(np.isfinite(values).sum()) - 1, 0) // 2])
 
 
-def own_member(champion: Champion, networks: Mapping[str, Files]) -> int:
+def own_member(champion: Champion, networks: Inputs) -> int:
     """Give the member that a champion of single_member evolved in."""
-    return champion.trial % len(networks)
+    return champion.trial.index % len(networks)
 
 
-def home_of(spec: Spec, champion: Champion, networks: Mapping[str, Files]) -> Environment:
+def home_of(simulation: SimulationSpec, champion: Champion, networks: Inputs) -> Environment:
     """Give the world that a champion evolved in: of single_member, its own member's."""
-    members = sorted(networks)
-    if champion.environment == "single_member":
+    members, trial = list(networks), champion.trial
+    if trial.environment == "single_member":
         members = [members[own_member(champion, networks)]]
-    world = {**spec, "world": champion.environment, "depth": champion.depth}
-    return segments.world_of(world, {name: networks[name] for name in members})
+    own = {name: networks[name] for name in members}
+    return environments.build_environment(simulation.media, trial.environment, trial.depth, own)

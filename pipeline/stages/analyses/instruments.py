@@ -6,7 +6,7 @@ alone: phantom thrust; where champions evolved, disagreement, novelty, luck and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,13 +14,15 @@ import numpy.typing as npt
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.report.findings import ChampionRow, Moved
-from pipeline.stages import segments
-from pipeline.stages.analyses.champions import Champion, champions, ensemble_of, roll_out
+from pipeline.stages import environments
+from pipeline.stages.analyses.champions import Champion, champions, ensemble_of
 from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, best_of, film_at_home, home_of
+from pipeline.stages.analyses.specs import AnalysisItemSpec, InstrumentsSpec, MembersSpec
 from pipeline.stages.analyses.statistics import Reasons, Tables
-from pipeline.stages.collect import TRANSITIONS, read_transitions
+from pipeline.stages.collect import read_transitions, throws_among
+from pipeline.stages.environments import members_among
 from pipeline.store.tables import Columns, columns_of, text
-from pipeline.workflow.stage import Files, Job, Spec
+from pipeline.workflow.stage import Inputs, Job
 from tasks.analysis import (
     SPACE,
     Disagreement,
@@ -48,13 +50,13 @@ N_TRIES = 32
 """Times that each champion is tried again: its loss is then known to a fifth of the tries' deviation."""
 
 
-def transitions_of(spec: Spec, inputs: Mapping[str, Files]) -> tuple[Transitions, Transitions]:
+def transitions_of(held_out: float, seed: int, inputs: Inputs) -> tuple[Transitions, Transitions]:
     """Load the throws that the members learned from, and those held out."""
     from tasks.residual.training import validation_rows
 
-    transitions = read_transitions([inputs[name] for name in sorted(inputs) if TRANSITIONS in inputs[name]])
-    held_out = validation_rows(transitions.throw, spec["held_out"], seed=spec["seed"])
-    return transitions[~held_out], transitions[held_out]
+    transitions = read_transitions(throws_among(inputs))
+    validation = validation_rows(transitions.throw, held_out, seed=seed)
+    return transitions[~validation], transitions[validation]
 
 
 # -- members ---------------------------------------------------------------------------------------------------------
@@ -69,18 +71,19 @@ class ThrustRow:
     """[m/s²]"""
 
 
-def compute_members(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+def compute_members(job: Job[AnalysisItemSpec[MembersSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Say how wrong each member is on the throws held out."""
-    why = str(job.spec["no_networks"])
+    spec, why = job.spec.analysis, job.spec.no_networks
     thrusts: list[ThrustRow] = []
     errors: Sequence[MemberError] = ()
     if not why:
-        physics = Physics.model_validate(job.spec["physics"])
-        ensemble, (_, held_out) = ensemble_of(inputs), transitions_of(job.spec, inputs)
-        rng = generator(job.spec["seed"], "analyse", "phantom thrust")
-        found = phantom_thrust(ensemble, held_out, physics, rng=rng)
+        ensemble, (_, held_out) = ensemble_of(inputs), transitions_of(spec.held_out, spec.seed, inputs)
+        rng = generator(spec.seed, "analyse", "phantom thrust")
+        found = phantom_thrust(ensemble, held_out, spec.physics, rng=rng)
         thrusts = [ThrustRow(member, thrust) for member, thrust in enumerate(found)]
-        errors = member_errors(ensemble, segments.true_medium(job.spec), thrown_links(held_out, physics), physics)
+        errors = member_errors(
+            ensemble, environments.true_medium(spec.media), thrown_links(held_out, spec.physics), spec.physics
+        )
     tables = {"phantom_thrust": columns_of(ThrustRow, thrusts), "member_errors": columns_of(MemberError, errors)}
     return tables, dict.fromkeys(tables, why) if why else {}
 
@@ -102,30 +105,31 @@ class WorldRow:
     """Of the steps and links, with a novelty above 1."""
 
 
-def compute_arm(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+def compute_arm(job: Job[AnalysisItemSpec[InstrumentsSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Put the champions of one arm under every instrument."""
-    spec = job.spec
-    arm = champions(spec["trials"], inputs)
+    spec, simulation = job.spec.analysis, job.spec.analysis.simulation
+    arm = champions(spec.trials, inputs)
     if not arm:
         tables = _arm_tables([], [], [], 1)
         return tables, dict.fromkeys(tables, "no trial of this arm has a champion")
     designs = concatenate([of.design for of in arm])
-    in_slush = roll_out(job, segments.true_slush(spec, spec["depth"]), designs, trace=True)
+    true_slush = environments.true_slush(simulation.media, spec.arm.depth)
+    in_slush = environments.roll_out(simulation, job.execution, true_slush, designs, trace=True)
     assert in_slush.trace is not None
     best, survives = best_of(arm)
     moved = _moved(in_slush.displacement, in_slush.com_displacement)
     rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
-    if why := str(spec["no_networks"]):
+    if why := job.spec.no_networks:
         return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "worlds", "member_errors"), why)
-    ensemble, physics = ensemble_of(inputs), Physics.model_validate(spec["physics"])
+    ensemble, physics = ensemble_of(inputs), simulation.physics
     links = link_states(designs, in_slush.trace, physics)
-    errors = member_errors(ensemble, segments.true_medium(spec), links, physics)
-    learned, _ = transitions_of(spec, inputs)
+    errors = member_errors(ensemble, environments.true_medium(simulation.media), links, physics)
+    learned, _ = transitions_of(spec.held_out, spec.seed, inputs)
     index = thrown(learned.observation, learned.throw)
     champion, traced = arm[best], in_slush.trace[best : best + 1]
     films = [Filmed(champion, "true_slush", NOBODY, champion.zero_shot, traced)] if survives else []
-    if spec["environment"] != "true_slush":
-        films.append(film_at_home(spec, job.execution, champion, _members(inputs)))
+    if spec.arm.environment != "true_slush":
+        films.append(film_at_home(simulation, job.execution, champion, members_among(inputs)))
     seen = [_look(film, ensemble, index, physics) for film in films]
     lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
     lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
@@ -143,10 +147,6 @@ def _arm_tables(
     }
 
 
-def _members(inputs: Mapping[str, Files]) -> dict[str, Files]:
-    return {name: files for name, files in inputs.items() if name.startswith("member-")}
-
-
 def _moved(displacement: npt.NDArray[np.float64], com_displacement: npt.NDArray[np.float64]) -> list[Moved]:
     of = reach(displacement, com_displacement)
     rows = zip(of.displacement.tolist(), of.com_displacement.tolist(), of.reach.tolist(), strict=True)
@@ -154,23 +154,25 @@ def _moved(displacement: npt.NDArray[np.float64], com_displacement: npt.NDArray[
 
 
 def _champion_row(
-    job: Job, inputs: Mapping[str, Files], champion: Champion, slush: Moved, *, best: bool
+    job: Job[AnalysisItemSpec[InstrumentsSpec]], inputs: Inputs, champion: Champion, slush: Moved, *, best: bool
 ) -> ChampionRow:
-    if champion.environment in RESIDUAL_ENVIRONMENTS and job.spec["no_networks"]:
-        nowhere, loss = Moved(np.nan, np.nan, np.nan), Estimate.missing(job.spec["no_networks"])
-        return ChampionRow(champion.trial, best, nowhere, slush, champion.predicted, np.nan, loss, np.nan, 0, 0)
-    world = home_of(job.spec, champion, _members(inputs))
-    at_home = segments.score(job.spec, job.execution, world, champion.design)
+    spec, trial = job.spec.analysis, champion.trial
+    if trial.environment in RESIDUAL_ENVIRONMENTS and job.spec.no_networks:
+        nowhere, loss = Moved(np.nan, np.nan, np.nan), Estimate.missing(job.spec.no_networks)
+        return ChampionRow(trial.index, best, nowhere, slush, champion.predicted, np.nan, loss, np.nan, 0, 0)
+    environment = home_of(spec.simulation, champion, members_among(inputs))
+    penalty = spec.disagreement_penalty
+    at_home = environments.score(spec.simulation, job.execution, environment, penalty, champion.design)
     (home,) = _moved(at_home.displacement.mean(axis=1), at_home.com_displacement.mean(axis=1))
 
     def fitness(designs: Designs) -> npt.NDArray[np.float64]:
-        return segments.score(job.spec, job.execution, world, designs).fitness
+        return environments.score(spec.simulation, job.execution, environment, penalty, designs).fitness
 
-    rng = generator(job.spec["seed"], "analyse", "luck", champion.environment, champion.depth, champion.trial)
+    rng = generator(spec.seed, "analyse", "luck", trial.environment, trial.depth, trial.index)
     tried = luck(champion.design, fitness, rng=rng, n_tries=N_TRIES)
     again = tried.again[0][np.isfinite(tried.again[0])]
     return ChampionRow(
-        champion.trial,
+        trial.index,
         best,
         home,
         slush,
@@ -203,7 +205,9 @@ def _look(film: Filmed, ensemble: EnsembleMedium, throws: Thrown, physics: Physi
     known = new.novelty[np.isfinite(new.novelty)]
     share_novel = float((known > 1).mean()) if len(known) else np.nan
     mean = float(said.by_design()[0])
-    return Seen(WorldRow(film.world, film.member, champion.trial, film.displacement, mean, share_novel), said, new)
+    return Seen(
+        WorldRow(film.world, film.member, champion.trial.index, film.displacement, mean, share_novel), said, new
+    )
 
 
 def _link_tables(seen: Sequence[Seen], n_members: int) -> Tables:

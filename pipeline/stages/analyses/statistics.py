@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.stages import segments
-from pipeline.stages.assess import read_predictions
-from pipeline.stages.transfer import SCORE
+from pipeline.stages.analyses.specs import AnalysisItemSpec, StatisticsSpec
+from pipeline.stages.assess import ASSESSED, read_predictions
+from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json
 from pipeline.store.tables import Columns, columns_of
-from pipeline.workflow.stage import Files, Job
+from pipeline.workflow.identity import InputName, TrialId
+from pipeline.workflow.stage import Files, Inputs, Job
 from tasks.analysis import (
     Attribution,
     Contrast,
@@ -62,35 +63,32 @@ class ScoreRow:
     status: str
 
 
-def score_rows(
-    trials: Sequence[tuple[str, float, int]], inputs: Mapping[str, Files], failed: Mapping[str, str]
-) -> list[ScoreRow]:
+def score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, str]) -> list[ScoreRow]:
     """Gather every trial's scores, or say why it has none."""
     rows = []
-    for environment, depth, trial in trials:
-        label = segments.trial_label(environment, depth, trial)
-        scored = inputs.get(f"transfer/{label}")
+    for trial in trials:
+        scored, label = inputs.get(InputName(SCORED, trial)), trial.label
         scores = decode_json(scored[SCORE], label) if scored else {"status": failed.get(label, "not done")}
         names = ("predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
         predicted, zero, zero_com, adapted, adapted_com = (
             np.nan if scores.get(name) is None else float(scores[name]) for name in names
         )
         reached = (zero, zero_com, zero - zero_com, adapted, adapted_com, adapted - adapted_com)
-        rows.append(ScoreRow(environment, depth, trial, predicted, *reached, status=scores["status"]))
+        rows.append(ScoreRow(trial.environment, trial.depth, trial.index, predicted, *reached, status=scores["status"]))
     return rows
 
 
-def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
+def compute(job: Job[AnalysisItemSpec[StatisticsSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Make every table that needs no rollout, and say what is missing of each."""
-    spec = job.spec
-    rng = generator(spec["seed"], "analyse", "statistics")
-    table = columns_of(ScoreRow, score_rows(spec["trials"], inputs, spec["failed"]))
+    spec = job.spec.analysis
+    rng = generator(spec.seed, "analyse", "statistics")
+    table = columns_of(ScoreRow, score_rows(spec.trials, inputs, job.spec.failed))
     scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
-    shares = [inputs[name] for name in sorted(inputs) if name.startswith("assess/")]
+    shares = [files for name, files in inputs.items() if name.role == ASSESSED]
     predicted, true, trial = _predictions(shares)
     regressions = accuracy(predicted, true, rng=rng, trial=trial)
-    ranges = members_ranges(predicted, true, rng=generator(spec["seed"], "analyse", "members-ranges"), trial=trial)
-    reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), str(spec["not_assessed"]))
+    ranges = members_ranges(predicted, true, rng=generator(spec.seed, "analyse", "members-ranges"), trial=trial)
+    reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), job.spec.not_assessed)
     if shares and not (np.isfinite(predicted).all(axis=0) & np.isfinite(true)).any():
         lost = "every assessed design diverged, in True Slush or under a member"
         reasons |= dict.fromkeys(("regressions", "histograms"), lost)
@@ -102,7 +100,7 @@ def compute(job: Job, inputs: Mapping[str, Files]) -> tuple[Tables, Reasons]:
     attributions = attribute(scores, rng=rng)
     if not attributions:
         reasons["attribution"] = "every trial evolved in True Slush: there is no gap"
-    at_papers_depth = shares and spec["assessed_depth"] == DEPTH
+    at_papers_depth = shares and spec.assessed_depth == DEPTH
     assessed = (regressions, ranges) if at_papers_depth else ((), {})
     return {
         "scores": table,

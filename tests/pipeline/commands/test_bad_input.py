@@ -14,8 +14,8 @@ from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.report.figures import FIGURES
-from pipeline.stages import STAGES, report, segments, train
-from pipeline.stages.report import PAGE
+from pipeline.stages import STAGES, environments, train
+from pipeline.stages.report import PAGE, REPORT
 from pipeline.store.encoding import encode_arrays
 from pipeline.store.store import Store
 from tasks.world import ResidualSlush, Slush, TrueSlush
@@ -33,10 +33,10 @@ def page_of(settings, tmp_path):
         with serial_cluster() as cluster:
             upstream = run(changed, store, cluster, STAGES[:-1])
         assert all_done == (not any(results.failed for results in upstream.values()))
-        chain = next(chain for chain in report.STAGE.plan(changed) if chain.label == PAGE)
-        item = report.STAGE.item(changed, chain, 0, None, upstream)
+        chain = next(chain for chain in REPORT.plan(changed) if chain.label == PAGE)
+        item = REPORT.item(changed, chain, 0, None, upstream)
         inputs = {name: {f: store.read(of.manifest, f) for f in of.files} for name, of in item.inputs.items()}
-        return report.STAGE.compute(item.job, inputs)[PAGE].decode()
+        return REPORT.compute(item.job, inputs)[PAGE].decode()
 
     return page
 
@@ -85,19 +85,19 @@ def test_where_nothing_moves_there_is_nothing_to_compare(page_of):
 
 def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
     """A drag that is no number, and networks that push beyond every number; nothing else is different."""
-    real = segments.world_of
+    real = environments.build_environment
     drag = Slush.model_construct(**{**Slush().model_dump(), "linear_drag": np.nan})
 
-    def wild(spec, inputs):
-        world = real(spec, inputs)
-        if "throws" in spec:  # what the networks learn from is sound
+    def wild(media, name, depth, inputs):
+        world = real(media, name, depth, inputs)
+        if depth == 0.0 and name == "true_slush":  # what the networks learn from is sound
             return world
         if not isinstance(world, ResidualSlush):
             return TrueSlush(depth=world.depth, slush=drag)
         *biases, last = world.ensemble.biases
         return replace(world, ensemble=replace(world.ensemble, biases=(*biases, np.full_like(last, 3e38))))
 
-    monkeypatch.setattr(segments, "world_of", wild)
+    monkeypatch.setattr(environments, "build_environment", wild)
     html = page_of("grid.n_trials=1")
     everyone = "every design of every trial diverged"
     nobody = "no trial of this arm has a champion"
@@ -145,7 +145,7 @@ def test_members_that_observe_different_things_are_named_and_the_rest_is_there(p
     fault = "WeightsError: member 1: observation_mean has shape (5,), expected (6,)"
     missing = absent(html)
     assert missing["Prediction accuracy"].count(fault) == missing["What the members say together"].count(fault) == 2
-    assert f"residual_slush/1m/trial-0 set aside after 2 attempts at residual_slush/1m/trial-0/segment-0: {fault}" in (
+    assert f"residual_slush/1m/trial-0 failed after 2 attempts at residual_slush/1m/trial-0/segment-0: {fault}" in (
         words_of(html)
     )
     assert {f'<figure id="{name}">' in html for name in ("data_set", "fitness_curves", "transfer_at_depth")} == {True}

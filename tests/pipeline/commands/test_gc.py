@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from command_line import call
-from small_study import ON_DRY_LAND, n_items
+from small_study import ON_DRY_LAND, labelled, n_items
 
 from pipeline.cluster import session
 from pipeline.commands.examination import examine_store
@@ -105,7 +105,7 @@ def test_items_behind_a_gap_are_not_garbage(lost, study, settings, evolving):
     """A discarded item is computed again, to the same bytes, so the items made from it will be found again."""
     assert not find_garbage(evolving).items
     _, upstream = study
-    gone = [upstream[stage].done[label][index] for stage, label, index in lost]
+    gone = [labelled(upstream[stage].done)[label][index] for stage, label, index in lost]
     files = [{name: evolving.read(one, name) for name in one.files} for one in gone]
     for one in gone:
         evolving.discard(one.stage, one.key)
@@ -130,8 +130,8 @@ def test_items_made_with_earlier_networks_are_garbage_before_the_new_ones_exist(
     old += [
         chain
         for stage in ("evolve", "transfer")
-        for label, chain in upstream[stage].done.items()
-        if label.startswith(RESIDUAL_ENVIRONMENTS)
+        for trial, chain in upstream[stage].done.items()
+        if trial.environment in RESIDUAL_ENVIRONMENTS
     ]
     assert set(garbage.items) >= {(one.stage, one.key) for chain in old for one in chain}
     for n_removed, (stage, key) in enumerate(garbage.items, 1):
@@ -146,7 +146,7 @@ def test_items_made_with_earlier_networks_are_garbage_before_the_new_ones_exist(
 def test_a_foreign_item_with_a_valid_seal_is_garbage(identity, study, evolving):
     key = key_of(identity)
     evolving.commit("evolve", key, identity, {"population.safetensors": b"?"}, record={})
-    evolving.discard("evolve", study[1]["evolve"].done["dry_land/1m/trial-0"][0].key)  # a chain with a gap
+    evolving.discard("evolve", labelled(study[1]["evolve"].done)["dry_land/1m/trial-0"][0].key)  # a chain with a gap
     assert ("evolve", key) in find_garbage(evolving).items
 
 

@@ -12,7 +12,8 @@ from pipeline.commands.rates import Rates
 from pipeline.commands.schedule import TASK_SECONDS, Work, play
 from pipeline.config.loading import load, preset_path
 from pipeline.config.settings import Settings
-from pipeline.stages import STAGES, evolve
+from pipeline.stages import STAGES
+from pipeline.stages.evolve import EVOLVE
 
 CLUSTER_PAGE = (Path(__file__).parents[3] / "docs" / "cluster.md").read_text()
 
@@ -82,8 +83,8 @@ def test_the_heaviest_chain_goes_first():
 def test_the_papers_evolution_keeps_a_thousand_cores_busy_in_the_grain_of_its_preset():
     paper = load(Settings, preset_path("paper"), ())
     whole = paper.model_copy(update={"work": paper.work.model_copy(update={"designs_per_batch": None})})
-    played = schedule(paper, evolve.STAGE, {}, QUIET, 1000, 0.02)
-    coarse = schedule(whole, evolve.STAGE, {}, QUIET, 1000, 0.02)
+    played = schedule(paper, EVOLVE, {}, QUIET, 1000, 0.02)
+    coarse = schedule(whole, EVOLVE, {}, QUIET, 1000, 0.02)
     # The play draws nothing: these hold to the digit until the preset, the policy or the stages change.
     assert (played.busy, coarse.busy) == pytest.approx((0.985, 0.101), abs=1e-3)
     assert (played.seconds, coarse.seconds) == pytest.approx((872.5, 8522.7), abs=0.5)
@@ -108,7 +109,7 @@ def test_the_page_on_clusters_shows_the_papers_schedule():
 def test_the_page_tells_the_schedule_in_words():
     paper = load(Settings, preset_path("paper"), ())
     whole = paper.model_copy(update={"work": paper.work.model_copy(update={"designs_per_batch": None})})
-    fine, coarse = (schedule(one, evolve.STAGE, {}, QUIET, 1000, 0.02) for one in (paper, whole))
+    fine, coarse = (schedule(one, EVOLVE, {}, QUIET, 1000, 0.02) for one in (paper, whole))
     told = " ".join(CLUSTER_PAGE.split())
     for words in (
         f"{QUIET.simulation['residual_slush']:g} s for a generation under the networks",

@@ -11,7 +11,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.workflow.dispatcher import run_stage
-from pipeline.workflow.graph import follow, results_of
+from pipeline.workflow.graph import StageRun, results_of
 from tasks.residual.network import ResidualNetwork
 
 SMALL = """
@@ -50,10 +50,11 @@ def test_every_stage_keeps_about_what_was_said(tmp_path):
     settings = parse(Settings, SMALL, name="small")
     store, sizes, upstream = Store.open(tmp_path / "store", create=True), weigh(settings), {}
     for stage in STAGES[:-1]:
-        walks = follow(stage, settings, store, upstream, say=print)
+        stage_run = StageRun(stage, settings, upstream, store, print)
+        chains = stage_run.chains()
         with serial_cluster() as cluster:
-            run_stage(settings, stage, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=print)
-        upstream[stage.name] = results_of(stage, walks)
+            run_stage(stage_run, chains, cluster=cluster, bar=NoBar())
+        upstream[stage.name] = results_of(stage, chains)
         kept = sum(store.item_bytes(stage.name, key) for key in store.keys(stage.name))
         said = sum(bytes_left(stage, chain, 0, settings, sizes) for chain in stage.plan(settings))
         assert said == pytest.approx(kept, rel=1 / 3), stage.name

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pipeline.config.settings import Rollout
+from pipeline.config.settings import RolloutSettings
 from pipeline.report.replay import QUANTUM, EncodedReplay, Overlay, encode, replay_of
 
 WORDS = {"title": "a robot", "environment": "", "seen_in": "True Slush", "depth": 2.0, "surroundings": "true slush"}
@@ -109,12 +109,12 @@ def test_the_shortest_rollout_that_settings_allow_is_the_shortest_that_can_be_sh
     """One frame is none: nothing moves in it."""
     design, trace, _ = rollout
     n_measure = 3 if n_settle == 0 else 2
-    n_steps = Rollout(n_settle=n_settle, n_measure=n_measure).n_settle + n_measure
+    n_steps = RolloutSettings(n_settle=n_settle, n_measure=n_measure).n_settle + n_measure
     assert len(replay_of(design, trace[:n_steps], n_settle=n_settle, **WORDS).frames) == 2
     with pytest.raises(ValueError, match=f"expected at least {n_steps} steps, got {n_steps - 1}"):
         replay_of(design, trace[: n_steps - 1], n_settle=n_settle, **WORDS)
     with pytest.raises(ValueError, match=f"n_measure is {n_measure - 1}.*expected {n_measure} or more"):
-        Rollout(n_settle=n_settle, n_measure=n_measure - 1)
+        RolloutSettings(n_settle=n_settle, n_measure=n_measure - 1)
 
 
 def test_an_overlay_survives_its_encoding(slush_replay):

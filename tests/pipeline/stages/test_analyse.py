@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 from scipy import stats
+from small_study import labelled
 
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
-from pipeline.stages import analyse, assess, transfer
-from pipeline.stages.analyse import read_reasons, read_table
-from pipeline.stages.assess import PREDICTIONS, read_predictions
-from pipeline.stages.segments import trial_label
-from pipeline.stages.transfer import SCORE
+from pipeline.stages.analyse import ANALYSE, read_reasons, read_table
+from pipeline.stages.assess import ASSESS, ASSESSED, PREDICTIONS, read_predictions
+from pipeline.stages.environments import MemberId
+from pipeline.stages.transfer import SCORE, SCORED, read_scores
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
+from pipeline.workflow.identity import InputName, TrialId
 from tasks.analysis import SPACE
 from tasks.design import Designs
 from tasks.design.genes import DTYPES
@@ -28,7 +29,7 @@ def inputs_of(store, item):
 @pytest.fixture(scope="module")
 def analyses(study):
     store, upstream = study
-    return {label: files_of(store, done) for label, (done,) in upstream["analyse"].done.items()}
+    return {label: files_of(store, done) for label, (done,) in labelled(upstream["analyse"].done).items()}
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def predictions(study):
 @pytest.fixture(scope="module")
 def scores(study, settings):
     store, upstream = study
-    rows = transfer.read_scores(settings, upstream["transfer"], store)
+    rows = read_scores(settings, upstream["transfer"], store)
     return {(row["environment"], row["depth"], row["trial"]): row for row in rows}
 
 
@@ -61,7 +62,7 @@ def test_assessed_designs_are_those_of_the_histories(settings, study, prediction
     counts = np.unique([f"{e}/{t}" for e, t in rows(predictions, "environment", "trial")], return_counts=True)[1]
     assert sorted(counts) == [5, 5, 5, 6]
     for environment in ("true_slush", "dry_land"):
-        segments = upstream["evolve"].done[trial_label(environment, 1.0, 0)]
+        segments = upstream["evolve"].done[TrialId("evolve", environment, 1.0, 0)]
         parts = [store.read(segment, "history.parquet") for segment in segments]
         tables = [decode_table(part, schema="history", version=1, source="") for part in parts]
         history = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
@@ -146,13 +147,13 @@ def test_links_cover_every_step_of_the_champion_that_the_page_films(settings, an
 def test_a_planted_exploiter_is_ranked_first(settings, study):
     """One assessed design is made to fail where every member says that it gets far."""
     store, upstream = study
-    item = specified(analyse.STAGE, settings, upstream, "exploiters")
+    item = specified(ANALYSE, settings, upstream, "exploiters")
     inputs = inputs_of(store, item)
-    share = "assess/dry_land/1m/trial-1"
+    share = InputName(ASSESSED, TrialId("assess", "dry_land", 1.0, 1))
     table = read_predictions([inputs[share]])
     table["predicted"][2] = 900.0
     inputs[share] = {PREDICTIONS: encode_table(table, schema="predictions", version=1, producer="planted")}
-    ranked = read_table(analyse.compute(item.job, inputs), "exploiters")
+    ranked = read_table(ANALYSE.compute(item.job, inputs), "exploiters")
     assert (ranked["rank"][0], ranked["kind"][0], ranked["ranked_by"][0]) == (1, "assessed", "excess")
     assert (ranked["trial"][0], ranked["identity"][0]) == (1, table["identity"][2])
     assert ranked["excess"][0] == 900.0 - table["true"][2] and ranked["disagreement"][0] == 0
@@ -173,12 +174,12 @@ def test_a_study_without_networks_gets_what_needs_none(settings, study):
     store, upstream = study
     grid = settings.grid.model_copy(update={"environments": ("true_slush", "dry_land"), "single_member_depths": ()})
     without = Settings.model_validate(settings.model_copy(update={"grid": grid}).model_dump())
-    assert not without.needs_ensemble and assess.STAGE.plan(without) == []
+    assert not without.needs_ensemble and ASSESS.plan(without) == []
     upstream = {**upstream, **{name: type(upstream[name])(name, {}) for name in ("collect", "train", "assess")}}
     why = "no trial of this study needs networks"
-    for chain in analyse.STAGE.plan(without):
-        item = analyse.STAGE.item(without, chain, 0, None, upstream)
-        files = analyse.compute(item.job, inputs_of(store, item))
+    for chain in ANALYSE.plan(without):
+        item = ANALYSE.item(without, chain, 0, None, upstream)
+        files = ANALYSE.compute(item.job, inputs_of(store, item))
         reasons = read_reasons(files)
         for name in files:
             if name.endswith(".parquet"):
@@ -194,24 +195,24 @@ def test_a_study_without_networks_gets_what_needs_none(settings, study):
 
 def test_what_was_set_aside_is_named_and_the_rest_is_there(settings, study):
     store, upstream = study
-    lost = [trial_label("dry_land", 1.0, trial) for trial in range(2)]
+    lost = [TrialId("transfer", "dry_land", 1.0, trial) for trial in range(2)]
     found = upstream["transfer"]
-    done = {label: chain for label, chain in found.done.items() if label not in lost}
-    cut = type(found)("transfer", done, dict.fromkeys(lost, "set aside: no such luck"))
-    no_member = type(found)("train", {}, {"member-00": "set aside: it burst"})
+    done = {trial: chain for trial, chain in found.done.items() if trial not in lost}
+    cut = type(found)("transfer", done, dict.fromkeys(lost, "failed: no such luck"))
+    no_member = type(found)("train", {}, {MemberId(0): "failed: it burst"})
     upstream = {**upstream, "transfer": cut, "train": no_member}
-    statistics = specified(analyse.STAGE, settings, upstream, "statistics")
-    files = analyse.compute(statistics.job, inputs_of(store, statistics))
+    statistics = specified(ANALYSE, settings, upstream, "statistics")
+    files = ANALYSE.compute(statistics.job, inputs_of(store, statistics))
     table = read_table(files, "scores")
     status = dict(zip(rows(table, "environment", "trial"), table["status"].tolist(), strict=True))
-    assert status["dry_land", 1] == "set aside: no such luck" and status["true_slush", 1] == "ok"
+    assert status["dry_land", 1] == "failed: no such luck" and status["true_slush", 1] == "ok"
     assert "Dry Land zero-shot against True Slush" in read_reasons(files)["contrasts"]
-    arm = specified(analyse.STAGE, settings, upstream, "instruments/dry_land/1m")
-    assert set(read_reasons(analyse.compute(arm.job, inputs_of(store, arm))).values()) == {
+    arm = specified(ANALYSE, settings, upstream, "instruments/dry_land/1m")
+    assert set(read_reasons(ANALYSE.compute(arm.job, inputs_of(store, arm))).values()) == {
         "no trial of this arm has a champion"
     }
-    arm = specified(analyse.STAGE, settings, upstream, "instruments/residual_slush/1m")
-    files = analyse.compute(arm.job, inputs_of(store, arm))
+    arm = specified(ANALYSE, settings, upstream, "instruments/residual_slush/1m")
+    files = ANALYSE.compute(arm.job, inputs_of(store, arm))
     assert "it burst" in read_reasons(files)["links"]
     assert np.isfinite(read_table(files, "champions")["slush_displacement"]).all()
     assert all("it burst" in why for why in read_table(files, "champions")["loss_reason"])
@@ -219,12 +220,12 @@ def test_what_was_set_aside_is_named_and_the_rest_is_there(settings, study):
 
 def test_champions_that_diverge_in_true_slush_are_shown_where_they_evolved(settings, study):
     store, upstream = study
-    item = specified(analyse.STAGE, settings, upstream, "instruments/residual_slush/1m")
+    item = specified(ANALYSE, settings, upstream, "instruments/residual_slush/1m")
     inputs = inputs_of(store, item)
-    for label in [name for name in inputs if name.startswith("transfer/")]:
-        scores = decode_json(inputs[label][SCORE], label) | {"zero_shot": None, "zero_shot_com": None}
-        inputs[label] = {**inputs[label], SCORE: encode_json(scores)}
-    files = analyse.compute(item.job, inputs)
+    for name in [name for name in inputs if name.role == SCORED]:
+        scores = decode_json(inputs[name][SCORE], name.label) | {"zero_shot": None, "zero_shot_com": None}
+        inputs[name] = {**inputs[name], SCORE: encode_json(scores)}
+    files = ANALYSE.compute(item.job, inputs)
     champions, worlds = read_table(files, "champions"), read_table(files, "worlds")
     assert worlds["world"].tolist() == ["residual_slush"] and len(read_table(files, "links")["step"]) == 25 * 6
     assert champions["best"].tolist() == (champions["claimed"] == champions["claimed"].max()).tolist()
@@ -234,11 +235,11 @@ def test_champions_that_diverge_in_true_slush_are_shown_where_they_evolved(setti
 def test_trials_whose_designs_all_diverged_leave_tables_that_say_so(settings, study):
     store, upstream = study
     status = "no champion: every design of the trial diverged"
-    for chain in analyse.STAGE.plan(settings):
-        item = analyse.STAGE.item(settings, chain, 0, None, upstream)
+    for chain in ANALYSE.plan(settings):
+        item = ANALYSE.item(settings, chain, 0, None, upstream)
         inputs = inputs_of(store, item)
-        none = {name: {SCORE: encode_json({"status": status})} for name in inputs if name.startswith("transfer/")}
-        files = analyse.compute(item.job, inputs | none)
+        none = {name: {SCORE: encode_json({"status": status})} for name in inputs if name.role == SCORED}
+        files = ANALYSE.compute(item.job, inputs | none)
         if chain.label == "statistics":
             assert set(read_table(files, "scores")["status"]) == {status}
             assert len(read_table(files, "contrasts")["a"]) == 0 and "contrasts" in read_reasons(files)
@@ -260,7 +261,7 @@ def test_the_assessed_depth_is_the_papers_or_the_deepest():
 
 def test_summary_gives_every_table_to_read_and_the_metrics_by_which_studies_are_compared(settings, study):
     store, upstream = study
-    summary = analyse.STAGE.summarise(settings, upstream["analyse"], store)
+    summary = ANALYSE.summarise(settings, upstream["analyse"], store)
     assert summary.of_study
     assert {"statistics/paper.csv", "members/phantom_thrust.csv", "exploiters/exploiters.csv"} <= set(summary.artifacts)
     assert not any("links" in name for name in summary.artifacts)

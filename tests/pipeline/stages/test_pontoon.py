@@ -5,18 +5,21 @@ import re
 
 import numpy as np
 import pytest
-from small_study import run
+from small_study import labelled, run
 
 from pipeline.cluster import serial_cluster
 from pipeline.commands.one_design import simulate_design
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.stages import analyse, evolve, report
-from pipeline.stages.analyse import read_table, tank_label
+from pipeline.stages.analyse import ANALYSE, TANK, read_table
+from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.evolve import EVOLVE
+from pipeline.stages.report import PAGE, REPORT
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
+from pipeline.workflow.identity import Arm
 from tasks.design import Designs, links_apart
 from tasks.evolution import OPERATORS
 
@@ -61,7 +64,7 @@ def built(pontoon, tmp_path_factory):
 @pytest.fixture(scope="module")
 def tank(built):
     store, upstream = built
-    (done,) = upstream["analyse"].done[tank_label("residual_slush", 2.0)]
+    (done,) = upstream["analyse"].done[AnalysisId(TANK, Arm("residual_slush", 2.0))]
     return read_table({name: store.read(done, name) for name in done.files}, "tank")
 
 
@@ -90,7 +93,7 @@ def test_a_tank_needs_a_step_of_settling():
 def test_everything_that_evolves_can_be_built(built):
     store, upstream = built
     for stage in ("evolve", "transfer"):
-        for label, segments in upstream[stage].done.items():
+        for label, segments in labelled(upstream[stage].done).items():
             for segment in segments:
                 if "history.parquet" not in segment.files:
                     continue
@@ -113,10 +116,10 @@ def test_an_adapted_controller_keeps_the_body_and_its_motors(built):
 
 def test_the_share_of_rejected_draws_is_told(pontoon, built):
     store, upstream = built
-    summary = evolve.summarise(pontoon, upstream["evolve"], store)
+    summary = EVOLVE.summarise(pontoon, upstream["evolve"], store)
     told = "\n".join(summary.lines)
     drawn, rejected = (dict.fromkeys(OPERATORS, 0) for _ in range(2))
-    for label, segments in upstream["evolve"].done.items():
+    for label, segments in labelled(upstream["evolve"].done).items():
         for segment in segments:
             history = decode_table(store.read(segment, "history.parquet"), schema="history", version=1, source=label)
             for code, operator in enumerate(OPERATORS):
@@ -151,14 +154,14 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
 def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, tank, tmp_path):
     store, upstream = built
     (trial,) = tank["trial"][tank["proposed"]].tolist()
-    told = "\n".join(analyse.summarise(pontoon, upstream["analyse"], store).lines)
+    told = "\n".join(ANALYSE.summarise(pontoon, upstream["analyse"], store).lines)
     assert f"to build: the champion of trial {trial}," in told
     (way,) = re.findall(r"in the tank of 16.7 m x 2.14 m of simulation it (.+) in 0.5 s \(.*\) as built;", told)
     came, expected = (tank[f"wet_{name}"][tank["proposed"]][0] for name in ("travelled", "distance"))
     assert way == f"comes {7 * came:z.1f} of {7 * expected:.1f} cm"  # as built, as its seconds are: 0.07 m for a metre
-    summary = report.summarise(pontoon, upstream["report"], store)
+    summary = REPORT.summarise(pontoon, upstream["report"], store)
     (path,) = (line.removesuffix(": a robot to build") for line in summary.lines if line.endswith("a robot to build"))
-    page = summary.artifacts[report.PAGE].decode()
+    page = summary.artifacts[PAGE].decode()
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
     assert f"✓ trial {trial}" in text
     assert "Residual Slush, 2 m: 0 of 3 cross, 0 on the dry floor" in text
@@ -166,7 +169,7 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     assert re.search(r"did were drawn again: 100 % of [\d,]+ by random, \d+ % of [\d,]+ by mutation", text)
     assert "as far to the right as they can in 1 seconds" in text
     # What is handed over is a design file like any other, of the champion itself.
-    (champion,) = (store.read(upstream["transfer"].done[f"{ARM}/trial-{trial}"][-1], "champion.json"),)
+    (champion,) = (store.read(labelled(upstream["transfer"].done)[f"{ARM}/trial-{trial}"][-1], "champion.json"),)
     written = store.root / "studies" / "pontoon" / "report" / "proposed-residual_slush-2m.json"
     assert str(written) == path
     assert written.read_bytes() == champion
@@ -182,7 +185,7 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
 
 def test_a_study_without_a_tank_proposes_nobody(settings, study):
     store, upstream = study
-    assert not [label for label in upstream["analyse"].done if label.startswith("tank/")]
-    summary = report.summarise(settings, upstream["report"], store)
+    assert not [label for label in labelled(upstream["analyse"].done) if label.startswith("tank/")]
+    summary = REPORT.summarise(settings, upstream["report"], store)
     assert len(summary.lines) == 1
-    assert 'id="tank"' not in summary.artifacts[report.PAGE].decode()
+    assert 'id="tank"' not in summary.artifacts[PAGE].decode()

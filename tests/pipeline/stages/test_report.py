@@ -6,16 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.stages import report
-from pipeline.stages.analyse import read_table
-from pipeline.stages.report import PAGE
+from pipeline.config.settings import ENVIRONMENTS
+from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS, read_table
+from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.environments import MEMBER, simulation_spec
+from pipeline.stages.proposed_design import ANALYSED
+from pipeline.stages.report import EVOLUTION, PAGE, REPORT
 from pipeline.stages.report_findings import findings
 from pipeline.stages.report_replays import replays_of
-from pipeline.stages.transfer import SCORE
+from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json, encode_json
-from pipeline.workflow.stage import NOT_POSSIBLE
-
-HOW = {"engine": "batch"}
+from pipeline.workflow.identity import Arm, InputName, trials_of
+from pipeline.workflow.stage import NOT_POSSIBLE, Execution
 
 
 def inputs_of(store, item):
@@ -24,11 +26,21 @@ def inputs_of(store, item):
 
 @pytest.fixture(scope="module")
 def page(study, settings):
-    """Specification and inputs of the page's work."""
+    """Settings and inputs of the page."""
     store, upstream = study
-    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == PAGE)
-    item = report.STAGE.item(settings, chain, 0, None, upstream)
-    return {**item.spec["settings"], "trials": item.spec["trials"]}, inputs_of(store, item)
+    chain = next(chain for chain in REPORT.plan(settings) if chain.label == PAGE)
+    item = REPORT.item(settings, chain, 0, None, upstream)
+    return item.spec.page.settings, inputs_of(store, item)
+
+
+def replays(settings, inputs):
+    simulation = simulation_spec(settings, *ENVIRONMENTS)
+    return replays_of(simulation, trials_of(settings, "transfer"), Execution(), inputs)
+
+
+def analysed(kind, environment=None):
+    """The name of the input that is an analysis, of an arm at 1 m if one is named."""
+    return InputName(ANALYSED, AnalysisId(kind, Arm(environment, 1.0) if environment else None))
 
 
 def by_world(replays):
@@ -37,9 +49,9 @@ def by_world(replays):
 
 def test_every_arm_is_filmed_in_true_slush_and_where_it_evolved(page):
     spec, inputs = page
-    found = by_world(replays_of(spec, HOW, inputs))
+    found = by_world(replays(spec, inputs))
     worlds = {
-        environment: read_table(inputs[f"analyse/instruments/{environment}/1m"], "worlds")
+        environment: read_table(inputs[analysed(INSTRUMENTS, environment)], "worlds")
         for environment in ("dry_land", "residual_slush", "single_member")
     }
     median = {name: f"Residual Slush (member {table['member'][1]})" for name, table in worlds.items()}
@@ -66,8 +78,8 @@ def test_every_arm_is_filmed_in_true_slush_and_where_it_evolved(page):
 def test_the_member_filmed_promises_the_median(page):
     """The lower of two members: the one that promises less."""
     _, inputs = page
-    table = read_table(inputs["analyse/instruments/residual_slush/1m"], "worlds")
-    ranked = read_table(inputs["analyse/exploiters"], "exploiters")
+    table = read_table(inputs[analysed(INSTRUMENTS, "residual_slush")], "worlds")
+    ranked = read_table(inputs[analysed(EXPLOITERS)], "exploiters")
     mine = (ranked["kind"] == "champion") & (ranked["environment"] == "residual_slush")
     by_member = ranked["by_member"][mine & (ranked["trial"] == table["trial"][1])][0]
     assert table["member"][1] == np.argmin(by_member)
@@ -76,8 +88,8 @@ def test_the_member_filmed_promises_the_median(page):
 
 def test_without_networks_and_analysis_there_is_what_needs_none(page):
     spec, inputs = page
-    bare = {name: files for name, files in inputs.items() if not name.startswith(("member-", "analyse/"))}
-    found = by_world(replays_of(spec, HOW, bare))
+    bare = {name: files for name, files in inputs.items() if name.role not in (MEMBER, ANALYSED)}
+    found = by_world(replays(spec, bare))
     assert set(found) == {
         ("dry_land", "Dry Land"),
         *((name, "True Slush") for name in ("true_slush", "dry_land", "residual_slush", "single_member")),
@@ -87,11 +99,10 @@ def test_without_networks_and_analysis_there_is_what_needs_none(page):
 
 def test_films_and_throws_take_as_long_as_in_the_simulation(page, settings):
     spec, inputs = page
-    slow = {**spec, "physics": {**spec["physics"], "time_step": 0.05}}
-    for replay in replays_of(slow, HOW, inputs):
-        assert replay.duration == pytest.approx(spec["rollout"]["n_measure"] * 0.05)
-    slow_settings = settings.model_copy(update={"physics": settings.physics.model_copy(update={"time_step": 0.05})})
-    found = findings(inputs, slow_settings)
+    slow = spec.model_copy(update={"physics": spec.physics.model_copy(update={"time_step": 0.05})})
+    for replay in replays(slow, inputs):
+        assert replay.duration == pytest.approx(spec.rollout.n_measure * 0.05)
+    found = findings(inputs, slow, None)
     assert found.throws.seconds == pytest.approx(settings.throws.n_steps * 0.05)
 
 
@@ -99,17 +110,17 @@ def test_champions_that_no_true_slush_has_seen_are_filmed_where_they_evolved(pag
     spec, inputs = page
     unseen = {}
     for name, files in inputs.items():
-        if name.startswith("transfer/"):
-            scores = decode_json(files[SCORE], name) | {"zero_shot": None, "zero_shot_com": None}
+        if name.role == SCORED:
+            scores = decode_json(files[SCORE], name.label) | {"zero_shot": None, "zero_shot_com": None}
             files = {**files, SCORE: encode_json(scores)}
         unseen[name] = files
-    assert {world for _, world in by_world(replays_of(spec, HOW, unseen))} & {"True Slush"} == set()
-    assert len(replays_of(spec, HOW, unseen)) == 3
+    assert {world for _, world in by_world(replays(spec, unseen))} & {"True Slush"} == set()
+    assert len(replays(spec, unseen)) == 3
 
 
 def test_each_replay_is_a_gif_and_an_mp4_and_mlflow_gets_the_small_ones(study, settings):
     store, upstream = study
-    summary = report.STAGE.summarise(settings, upstream["report"], store)
+    summary = REPORT.summarise(settings, upstream["report"], store)
     folder = store.export_path(settings.name)
     elsewhere = ("dry_land", "residual_slush", "single_member")
     names = [f"replay-{name}-1m{home}" for name in elsewhere for home in ("", "-at-home")]
@@ -124,29 +135,30 @@ def test_each_replay_is_a_gif_and_an_mp4_and_mlflow_gets_the_small_ones(study, s
 
 def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings):
     store, upstream = study
-    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == "films/residual_slush/1m")
-    item = report.STAGE.item(settings, chain, 0, None, upstream)
+    chain = next(chain for chain in REPORT.plan(settings) if chain.label == "films/residual_slush/1m")
+    item = REPORT.item(settings, chain, 0, None, upstream)
     none = {SCORE: encode_json({"status": "no champion: every design of the trial diverged"})}
-    inputs = {name: none if name.startswith("transfer/") else files for name, files in inputs_of(store, item).items()}
-    assert report.STAGE.compute(item.job, inputs) == {"films-residual_slush-1m.json": encode_json({})}
+    inputs = {name: none if name.role == SCORED else files for name, files in inputs_of(store, item).items()}
+    assert REPORT.compute(item.job, inputs) == {"films-residual_slush-1m.json": encode_json({})}
 
 
 def test_what_a_page_lacks_is_told_apart(study, settings):
     _, upstream = study
-    lost = {"a": "set aside after 2 attempts at a: not possible: so it says", "b": f"{NOT_POSSIBLE}evolve of a is gone"}
-    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == PAGE)
+    first, second = trials_of(settings, "transfer")[:2]
+    reasons = "failed after 2 attempts at a: not possible: so it says", f"{NOT_POSSIBLE}evolve of a: not done"
+    lost = dict(zip((first, second), reasons, strict=True))
+    chain = next(chain for chain in REPORT.plan(settings) if chain.label == PAGE)
     upstream = {**upstream, "transfer": replace(upstream["transfer"], failed=lost)}
-    spec = report.STAGE.item(settings, chain, 0, None, upstream).spec
-    assert spec["failed"] == [f"transfer: a {lost['a']}"]
-    assert spec["not_possible"] == [f"transfer: b {lost['b']}"]
+    spec = REPORT.item(settings, chain, 0, None, upstream).spec
+    assert spec.failed == (f"transfer: {first.label} {lost[first]}",)
+    assert spec.not_possible == (f"transfer: {second.label} {lost[second]}",)
 
 
 def test_segments_of_a_very_long_trial_stay_in_their_order(study, settings):
-    """The curve's parts are put together in the order of their names."""
+    """The curve's parts are joined in the order of the inputs."""
     _, upstream = study
-    label, segments = next(iter(upstream["evolve"].done.items()))
-    long = replace(upstream["evolve"], done={label: segments[:1] * 10_001})
-    chain = next(chain for chain in report.STAGE.plan(settings) if chain.label == PAGE)
-    inputs = report.STAGE.item(settings, chain, 0, None, {**upstream, "evolve": long}).inputs
-    names = [name for name in inputs if name.startswith(f"evolve/{label}/")]
-    assert len(names) == 10_001 and names == sorted(names)
+    trial, segments = next(iter(upstream["evolve"].done.items()))
+    long = replace(upstream["evolve"], done={trial: segments[:1] * 10_001})
+    chain = next(chain for chain in REPORT.plan(settings) if chain.label == PAGE)
+    inputs = REPORT.item(settings, chain, 0, None, {**upstream, "evolve": long}).inputs
+    assert [name.index for name in inputs if name.role == EVOLUTION] == list(range(10_001))

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from small_study import NoBar, digests
+from small_study import NoBar, digests, labelled
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
@@ -18,7 +18,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.workflow.driver import drive
-from pipeline.workflow.stage import Results, Stage
+from pipeline.workflow.stage import AnyStage, Results
 from tasks.simulation import batch
 
 SETTINGS = """
@@ -51,7 +51,7 @@ class Terminal:
 
 def run(
     store: Store,
-    stages: Sequence[Stage] = TO_TRANSFER,
+    stages: Sequence[AnyStage] = TO_TRANSFER,
     *overrides: str,
     terminal: Terminal | None = None,
     open_cluster=serial_cluster,
@@ -60,6 +60,7 @@ def run(
     return drive(
         parse(Settings, SETTINGS, name="tiny", overrides=overrides),
         stages,
+        stages=STAGES,
         store=store,
         open_cluster=open_cluster,
         tracker=terminal,
@@ -127,7 +128,7 @@ finally:
 
 def test_damage_met_while_other_work_is_under_way_is_mended(store: Store) -> None:
     """Trial 1's population is read when trial 0 has been submitted: nobody waits for that call's outcome any more."""
-    evolved = run(store, TO_EVOLVE)["evolve"].done["dry_land/1m/trial-1"][-1]
+    evolved = labelled(run(store, TO_EVOLVE)["evolve"].done)["dry_land/1m/trial-1"][-1]
     folder = store.root / "items" / "evolve" / evolved.key[:2] / evolved.key
     flip_a_bit(folder / "population.safetensors")
     terminal = Terminal()

@@ -1,4 +1,4 @@
-"""The middleware, with real stages on tiny settings: the same bytes however it runs, and from wherever it stops."""
+"""The workflow with real stages on tiny settings: the same bytes however it runs, and wherever it stopped before."""
 
 import contextlib
 import dataclasses
@@ -6,17 +6,18 @@ import re
 import shutil
 
 import pytest
-from small_study import NoBar, digests, run, silent
+from small_study import NoBar, digests, labelled, run, silent
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
+from pipeline.stages.collect import ChunkId
 from pipeline.store.store import Store
 from pipeline.workflow.dispatcher import run_stage
-from pipeline.workflow.graph import follow, require, results_of, survey
-from pipeline.workflow.stage import Files, Job, Stage
+from pipeline.workflow.graph import StageRun, require, results_of, survey
+from pipeline.workflow.stage import AnyStage, Execution, Files, Inputs, Job
 
 TINY = """
 name: tiny
@@ -48,7 +49,7 @@ def test_every_chain_of_every_stage_is_done(serial_run):
     for stage in STAGES:
         found = upstream[stage.name]
         assert not found.unfinished and not found.failed
-        assert sorted(found.done) == sorted(chain.label for chain in stage.plan(tiny()))
+        assert sorted(labelled(found.done)) == sorted(chain.label for chain in stage.plan(tiny()))
 
 
 def test_nothing_is_computed_twice(serial_run):
@@ -78,8 +79,8 @@ def test_batches_of_designs_on_ray_give_the_same_bytes(serial_run, local_ray, tm
     assert digests(batched) == {k: v for k, v in digests(upstream).items() if k.split("/")[0] in batched}
 
 
-def test_what_trains_is_a_part_of_what_a_member_is(serial_run):
-    """A GPU's low bits are its own: its members are others, and its tasks ask for one. A core goes without saying."""
+def test_the_training_device_is_part_of_a_members_identity(serial_run):
+    """A GPU gives other low bits, so other members; its tasks ask for a GPU."""
     _, upstream = serial_run
     train = next(stage for stage in STAGES if stage.name == "train")
 
@@ -88,14 +89,13 @@ def test_what_trains_is_a_part_of_what_a_member_is(serial_run):
         return train.item(settings, train.plan(settings)[0], 0, None, upstream)
 
     core, gpu = specified("training.device=cpu"), specified("training.device=cuda")
-    assert "device" not in core.spec["training"] and gpu.spec["training"]["device"] == "cuda"
-    assert (core.key, core.execution) == (upstream["train"].done["member-00"][0].key, {})
-    assert gpu.key != core.key and gpu.execution == {"n_gpus": 1}
+    assert core.key == labelled(upstream["train"].done)["member-00"][0].key and core.execution == Execution()
+    assert gpu.key != core.key and gpu.execution == Execution(n_gpus=1)
 
 
 @pytest.mark.parametrize("kind", ["serial", "ray"])
-def test_a_gpu_that_is_not_there_is_said_at_once(kind, request, serial_run):
-    """Ray would wait for one for ever."""
+def test_a_missing_gpu_is_reported_at_once(kind, request, serial_run):
+    """Ray would wait for one forever."""
     store, _ = serial_run
     with contextlib.ExitStack() as stack:
         cluster = request.getfixturevalue("local_ray") if kind == "ray" else stack.enter_context(serial_cluster())
@@ -109,14 +109,17 @@ def test_an_edited_setting_redoes_what_depends_on_it_and_nothing_else(serial_run
     store, upstream = serial_run
     found = survey(tiny("ensemble.disagreement_penalty=2.0"), STAGES, store, say=silent)
     assert digests({"train": found["train"]}) == digests({"train": upstream["train"]})
-    assert set(found["evolve"].unfinished) == {"residual_slush/1m/trial-0", "single_member/1m/trial-0"}
+    assert {trial.label for trial in found["evolve"].unfinished} == {
+        "residual_slush/1m/trial-0",
+        "single_member/1m/trial-0",
+    }
 
     more = survey(tiny("evolution.n_generations=8"), STAGES[:3], store, say=silent)
     assert all(n == 2 for n in more["evolve"].n_done.values())  # the first four generations stand
 
 
 def refusal(name: str, settings: Settings, store: Store) -> str:
-    """Say why a stage can't start."""
+    """Return why a stage can't start."""
     upstream = survey(settings, STAGES, store, say=silent)
     (stage,) = (stage for stage in STAGES if stage.name == name)
     with pytest.raises(PuddleError) as refused:
@@ -127,22 +130,22 @@ def refusal(name: str, settings: Settings, store: Store) -> str:
 @pytest.mark.parametrize("name", ["train", "evolve", "transfer", "assess", "analyse", "report"])
 @pytest.mark.parametrize("overrides", [(), ("grid.environments=[residual_slush]", "grid.single_member_depths=[]")])
 def test_a_stage_whose_inputs_are_missing_says_which_and_how_to_get_them(name, overrides, tmp_path):
-    """The first that must come, however far up: without it what is between them can't even be asked for."""
+    """The first stage to run is named, however far upstream it is."""
     said = refusal(name, tiny(*overrides), Store.open(tmp_path / "store", create=True))
     assert re.match(rf"{name} needs the results of collect.*throws-0.*\n.*`puddle collect`", said), said
 
 
-def test_a_piece_far_up_is_missed_too(serial_run, tmp_path):
+def test_an_item_far_upstream_is_missed_too(serial_run, tmp_path):
     store, upstream = serial_run
     lacking = shutil.copytree(store.root, tmp_path / "store")
-    (chunk,) = upstream["collect"].done["throws-2"]
+    (chunk,) = labelled(upstream["collect"].done)["throws-2"]
     Store.open(lacking, create=False).discard("collect", chunk.key)
     said = refusal("evolve", tiny(), Store.open(lacking, create=False))
     assert "evolve needs the results of collect, and 1 of them are missing (the first: throws-2)" in said
 
 
 def test_statistics_wait_for_every_trial(serial_run):
-    """Champions of trials that were never evolved can't be scored: that is no reason to go on without them."""
+    """Trials that were never evolved are missing, not failed."""
     store, _ = serial_run
     more = tiny("grid.n_trials=3")
     for name in ("transfer", "assess", "analyse", "report"):
@@ -150,29 +153,29 @@ def test_statistics_wait_for_every_trial(serial_run):
         assert f"{name} needs the results of evolve, and 8 of them are missing" in said and "`puddle evolve`" in said
 
 
-def test_what_was_set_aside_stops_no_stage(serial_run):
-    """The driver has tried it: what depends on it is not possible, and all else goes on."""
+def test_failed_chains_stop_no_stage(serial_run):
+    """What depends on them is not possible, and all else goes on."""
     store, upstream = serial_run
-    lost = dataclasses.replace(upstream["collect"], done={}, failed={"throws-0": "set aside after 2 attempts"})
+    lost = dataclasses.replace(upstream["collect"], done={}, failed={ChunkId(0): "failed after 2 attempts"})
     found = {"collect": lost}
     for stage in STAGES[1:]:
         require(tiny(), stage, STAGES, found, how_to_run=str)
-        found[stage.name] = results_of(stage, follow(stage, tiny(), store, found, say=silent))
+        found[stage.name] = results_of(stage, StageRun(stage, tiny(), found, store, silent).chains())
         if stage.name == "evolve":
-            assert set(found["evolve"].failed) == {"residual_slush/1m/trial-0", "single_member/1m/trial-0"}
+            assert set(labelled(found["evolve"].failed)) == {"residual_slush/1m/trial-0", "single_member/1m/trial-0"}
         found[stage.name] = dataclasses.replace(found[stage.name], unfinished=())  # it has run
 
 
 def _failing(compute, bad: str):
-    def fail(job: Job, inputs: dict[str, Files]) -> Files:
-        if job.spec["identity"][2] == bad:
+    def fail(job: Job, inputs: Inputs) -> Files:
+        if job.spec.trial.identity.environment == bad:
             raise ArithmeticError("no such luck")
         return compute(job, inputs)
 
     return fail
 
 
-def test_a_piece_that_fails_twice_is_set_aside_and_the_rest_goes_on(serial_run, tmp_path):
+def test_an_item_that_fails_twice_stops_nothing_else(serial_run, tmp_path):
     _, upstream = serial_run
     stages = list(STAGES)
     stages[2] = dataclasses.replace(STAGES[2], compute=_failing(STAGES[2].compute, "dry_land"))
@@ -180,9 +183,9 @@ def test_a_piece_that_fails_twice_is_set_aside_and_the_rest_goes_on(serial_run, 
     store = Store.open(tmp_path / "store", create=True)
     with serial_cluster() as cluster:
         found = run(tiny(), store, cluster, tuple(stages), said.append)
-    assert "no such luck" in found["evolve"].failed["dry_land/1m/trial-0"]
+    assert "no such luck" in labelled(found["evolve"].failed)["dry_land/1m/trial-0"]
     assert any("dry_land/1m/trial-0" in line and "2 attempts" in line for line in said)
-    assert "set aside" in found["transfer"].failed["dry_land/1m/trial-0"]
+    assert "failed after" in labelled(found["transfer"].failed)["dry_land/1m/trial-0"]
     of_all = (
         "report/index.html",
         "report/films/together",
@@ -196,27 +199,28 @@ def test_a_piece_that_fails_twice_is_set_aside_and_the_rest_goes_on(serial_run, 
 
     assert others(found) == others(upstream)
     assert not any(found[name].failed for name in ("analyse", "report"))  # they say what is missing, and go on
-    page = store.read(found["report"].done["index.html"][0], "index.html").decode()
+    page = store.read(labelled(found["report"].done)["index.html"][0], "index.html").decode()
     assert "no such luck" in page
 
-    with serial_cluster() as cluster:  # the cause is mended: the next run does what was set aside
+    with serial_cluster() as cluster:  # the cause is mended: the next run computes what failed
         assert digests(run(tiny(), store, cluster)) == digests(upstream)
 
 
-def test_a_page_that_fails_is_set_aside_like_any_piece(serial_run, tmp_path):
-    def fail(job: Job, inputs: dict[str, Files]) -> Files:
+def test_a_page_that_fails_is_reported_like_any_item(serial_run, tmp_path):
+    def fail(job: Job, inputs: Inputs) -> Files:
         raise ArithmeticError("no ink")
 
     store, upstream = serial_run
     report = dataclasses.replace(STAGES[-1], version=99, compute=fail, item=_of_version(STAGES[-1], 99))
-    walks = follow(report, tiny(), store, upstream, say=silent)
+    page_run = StageRun(report, tiny(), upstream, store, silent)
+    chains = page_run.chains()
     with serial_cluster() as cluster:
-        run_stage(tiny(), report, walks, upstream, store=store, cluster=cluster, bar=NoBar(), say=silent)
-    summary = report.summarise(tiny(), results_of(report, walks), store)
+        run_stage(page_run, chains, cluster=cluster, bar=NoBar())
+    summary = report.summarise(tiny(), results_of(report, chains), store)
     assert "no ink" in summary.lines[0]
 
 
-def _of_version(stage: Stage, version: int):
+def _of_version(stage: AnyStage, version: int):
     return lambda *arguments: dataclasses.replace(stage.item(*arguments), version=version)
 
 
@@ -225,7 +229,7 @@ def test_a_damaged_item_is_computed_again(tmp_path):
     said: list[str] = []
     with serial_cluster() as cluster:
         before = run(tiny(), store, cluster, STAGES[:2])
-        (manifest,) = before["train"].done["member-01"]
+        (manifest,) = labelled(before["train"].done)["member-01"]
         (path,) = store.root.glob(f"items/train/*/{manifest.key}/weights.safetensors")
         path.write_bytes(path.read_bytes()[:-1])
         after = run(tiny(), store, cluster, STAGES[:2], said.append)

@@ -1,0 +1,217 @@
+"""Environments of a study: built from settings and trained networks, and what it takes to simulate designs in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.cluster import spread
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, RolloutSettings, Settings
+from pipeline.store.encoding import decode_arrays
+from pipeline.workflow.identity import InputName
+from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
+from tasks.design import Designs
+from tasks.evolution import Evaluation, evaluate
+from tasks.parameters import Parameters
+from tasks.simulation import Rollouts, simulate
+from tasks.simulation.batch import n_that_fill_lanes
+from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
+
+WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
+
+MEMBER = "member"
+"""Role of the inputs that are trained networks."""
+
+_FLOPS_OF_PHYSICS = 8e3
+"""Approximate cost of one link's Box2D step, to weigh networks against."""
+
+_SETTINGS_OF: Mapping[EnvironmentName, tuple[str, ...]] = {
+    "true_slush": ("slush",),
+    "dry_land": (),
+    "residual_slush": (),
+    "single_member": (),
+}
+"""Groups of settings that define each environment, beside the physics."""
+
+
+@dataclass(frozen=True)
+class MemberId:
+    """A member of the ensemble."""
+
+    index: int
+
+    @property
+    def label(self) -> str:
+        """Name for display."""
+        return f"member-{self.index:02d}"
+
+
+Media = Mapping[str, Parameters]
+"""Settings of the environments' media, by group."""
+
+
+@dataclass(frozen=True)
+class SimulationSpec:
+    """Settings that decide what a simulation shows."""
+
+    physics: Physics
+    rollout: RolloutSettings
+    media: Media
+
+
+def media_of(settings: Settings, *environments: EnvironmentName) -> Media:
+    """Select the settings of some environments' media."""
+    groups = dict.fromkeys(group for environment in environments for group in _SETTINGS_OF[environment])
+    return {group: getattr(settings, group) for group in groups}
+
+
+def simulation_spec(settings: Settings, *environments: EnvironmentName) -> SimulationSpec:
+    """Select the settings that decide what simulations in some environments show."""
+    return SimulationSpec(settings.physics, settings.rollout, media_of(settings, *environments))
+
+
+def build_environment(media: Media, name: EnvironmentName, depth: float, inputs: Inputs) -> Environment:
+    """Build an environment.
+
+    Args:
+        media: settings, which include those of its medium.
+        name: name of the environment.
+        depth: of the ground below the surface [m].
+        inputs: hold the weights of its members, if it has any.
+    """
+    if name == "dry_land":
+        return DryLand(depth=depth)
+    if name == "true_slush":
+        return TrueSlush(depth=depth, slush=Slush.model_validate(media["slush"]))
+    from tasks.residual.ensemble import Ensemble
+
+    members = [
+        decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=member.label)[0]
+        for member, files in members_among(inputs).items()
+    ]
+    return ResidualSlush(depth=depth, ensemble=Ensemble.from_members(members))
+
+
+def true_slush(media: Media, depth: float) -> Environment:
+    """Build the environment that designs are made for and champions are tested in, ``depth`` in m."""
+    return build_environment(media, "true_slush", depth, {})
+
+
+def true_medium(media: Media) -> Medium:
+    """Return the medium of True Slush, which the base simulator lacks and the networks learn."""
+    medium = true_slush(media, 0.0).medium
+    assert medium is not None
+    return medium
+
+
+def members_among(inputs: Inputs) -> dict[InputName, Files]:
+    """Select the inputs that are trained networks, in the order of the ensemble."""
+    return {name: files for name, files in inputs.items() if name.role == MEMBER}
+
+
+def member_inputs(
+    settings: Settings, environment: EnvironmentName, trial: int, upstream: Upstream
+) -> dict[InputName, Input]:
+    """Return the trained networks of an environment as inputs.
+
+    Args:
+        settings: the study's settings.
+        environment: name of the environment.
+        trial: number of the trial, which selects the member of ``single_member``.
+        upstream: results of the stages before.
+
+    Returns:
+        One input per member, in the order of the ensemble; none for an environment without networks.
+
+    Raises:
+        MissingInputs: a member is not trained.
+    """
+    if environment not in RESIDUAL_ENVIRONMENTS:
+        return {}
+    n_members = settings.ensemble.n_members
+    members = map(MemberId, range(n_members) if environment == "residual_slush" else [trial % n_members])
+    return {InputName(MEMBER, of): Input(upstream["train"].chain(of)[-1], (WEIGHTS,)) for of in members}
+
+
+def execution_options(settings: Settings, environment: EnvironmentName) -> Execution:
+    """Return how rollouts in an environment are computed.
+
+    Only slow rollouts are split: without networks the batch engine takes milliseconds for a generation, less than it
+    takes to hand out its parts.
+    """
+    slow = environment in RESIDUAL_ENVIRONMENTS or settings.work.engine == "reference"
+    return Execution(settings.work.engine, settings.work.designs_per_batch if slow else None)
+
+
+def batch_size(settings: Settings, environment: EnvironmentName) -> int:
+    """Return how many trials of an environment fill the engine's lanes together, where one leaves some empty."""
+    if settings.work.engine != "batch":
+        return 1
+    if environment in RESIDUAL_ENVIRONMENTS:  # an ensemble fills the lanes; single members differ between trials
+        return 1
+    return n_that_fill_lanes(settings.evolution.afpo.population_size, settings.physics)
+
+
+def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
+    """Estimate the cost of a generation, relative to one on dry land."""
+    if environment not in RESIDUAL_ENVIRONMENTS:
+        return 1.0
+    width, n_hidden = settings.network.width, settings.network.hidden_layers
+    flops = 2 * (6 * width + (n_hidden - 1) * width**2 + width * 6)
+    n_members = settings.ensemble.n_members if environment == "residual_slush" else 1
+    return n_members * (1 + flops / _FLOPS_OF_PHYSICS)
+
+
+def roll_out(
+    simulation: SimulationSpec, execution: Execution, environment: Environment, designs: Designs, *, trace: bool = False
+) -> Rollouts:
+    """Simulate designs.
+
+    Args:
+        simulation: physics and duration.
+        execution: the engine.
+        environment: where they are simulated.
+        designs: (n_designs,)
+        trace: whether to record every step.
+    """
+    return simulate(
+        designs,
+        environment,
+        n_settle=simulation.rollout.n_settle,
+        n_measure=simulation.rollout.n_measure,
+        engine=execution.engine,
+        trace=trace,
+        physics=simulation.physics,
+    )
+
+
+def _score_batch(
+    designs: Designs, simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float
+) -> Evaluation:
+    return evaluate(roll_out(simulation, execution, environment, designs), disagreement_penalty=penalty)
+
+
+def score(
+    simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float, designs: Designs
+) -> Evaluation:
+    """Simulate and score designs, split over several workers where the execution options say so.
+
+    Args:
+        simulation: physics and duration.
+        execution: the engine, and the number of designs per batch.
+        environment: where they are simulated.
+        penalty: weight of the members' disagreement in the fitness.
+        designs: (n_designs,)
+    """
+    size = execution.designs_per_batch
+    if size is None or size >= len(designs):
+        return _score_batch(designs, simulation, execution, environment, penalty)
+    batches = [designs[first : first + size] for first in range(0, len(designs), size)]
+    parts: Sequence[Evaluation] = spread(_score_batch, batches, simulation, execution, environment, penalty)
+    return Evaluation(
+        fitness=np.concatenate([part.fitness for part in parts]),
+        displacement=np.concatenate([part.displacement for part in parts]),
+        com_displacement=np.concatenate([part.com_displacement for part in parts]),
+    )

@@ -1,0 +1,108 @@
+"""Identities: what tells the chains, items and inputs of a study from one another.
+
+They are frozen dataclasses with labels for display. Labels are never parsed. A specification, too, is a frozen
+dataclass; :func:`to_json` turns it into the JSON that an item's key is the hash of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+from pydantic_core import to_jsonable_python
+
+from pipeline.config.settings import EnvironmentName, Settings
+
+
+def to_json(specification: object) -> Any:
+    """Convert a specification of dataclasses, settings and plain values to JSON values."""
+    return to_jsonable_python(specification)
+
+
+class ChainId(Protocol):
+    """The identity of a chain within its stage: a frozen dataclass with a label."""
+
+    @property
+    def label(self) -> str:
+        """Name for display, unique within the stage."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An environment at one depth: all its trials are samples of one distribution."""
+
+    environment: EnvironmentName
+    depth: float
+    """[m]"""
+
+    @property
+    def label(self) -> str:
+        """Name for display."""
+        return f"{self.environment}/{self.depth:g}m"
+
+
+@dataclass(frozen=True)
+class TrialId:
+    """A trial of a stage."""
+
+    stage: str
+    environment: EnvironmentName
+    """Where its designs evolved."""
+    depth: float
+    """[m]"""
+    index: int
+
+    @property
+    def arm(self) -> Arm:
+        """The arm that it is a sample of."""
+        return Arm(self.environment, self.depth)
+
+    @property
+    def label(self) -> str:
+        """Name for display."""
+        return f"{self.arm.label}/trial-{self.index}"
+
+    @property
+    def seed_identity(self) -> tuple[str, float, str, int]:
+        """What seeds its random numbers, beside the study's seed."""
+        return self.stage, self.depth, self.environment, self.index
+
+    def in_stage(self, stage: str) -> TrialId:
+        """Return the same trial as another stage's chain."""
+        return replace(self, stage=stage)
+
+
+def trials_of(settings: Settings, stage: str) -> list[TrialId]:
+    """List the study's trials as chains of a stage."""
+    return [TrialId(stage, *row) for row in settings.grid.trials()]
+
+
+def arms_of(trials: Sequence[TrialId]) -> dict[Arm, list[TrialId]]:
+    """Group trials by arm, in the order of their first trials."""
+    arms: dict[Arm, list[TrialId]] = {}
+    for trial in trials:
+        arms.setdefault(trial.arm, []).append(trial)
+    return arms
+
+
+def deepest_first(trials: Sequence[TrialId]) -> dict[Arm, list[TrialId]]:
+    """Group trials by arm, the deepest arms first."""
+    return dict(sorted(arms_of(trials).items(), key=lambda entry: -entry[0].depth))
+
+
+@dataclass(frozen=True)
+class InputName:
+    """The part that an input plays for its item."""
+
+    role: str
+    """Such as "member" or "before"."""
+    chain: ChainId | None = None
+    """The chain that it comes from, where several play the role."""
+    index: int = 0
+    """Number of the item in that chain, where several play the role."""
+
+    @property
+    def label(self) -> str:
+        """Name for display, unique within the item."""
+        return f"{self.role}/{self.chain.label}/{self.index}" if self.chain else self.role
