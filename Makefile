@@ -32,16 +32,18 @@ $(READY): pyproject.toml constraints.txt
 study: $(READY) ## run the whole study (PRESET=laptop; also smoke, row, paper, pontoon)
 	$(PUDDLE) study --preset $(PRESET)
 
-test: $(READY) ## check style, types and layers, and run the tests
+test: $(READY) ## check style, format, types and layers, and run the tests
 	$(VENV)/bin/ruff check --quiet .
+	$(VENV)/bin/ruff format --check --quiet .
 	$(VENV)/bin/mypy
-	$(VENV)/bin/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder
+	$(VENV)/bin/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 5 --durations-min 10
 
 torture: $(READY) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=60)
 	$(VENV)/bin/python -m pytest tests/torture --torture --minutes $(MINUTES)
 
-lint: $(READY) ## check style, types and layers alone
+lint: $(READY) ## check style, format, types and layers alone
 	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 

@@ -1,9 +1,9 @@
-"""What several test files share: where they write, one Ray cluster for the whole session, a robot; and torture.
+"""Shared by all tests: temporary folders in memory, one Ray cluster per session, a robot, and the torture options.
 
-A test of torture takes the fixture ``torture`` and goes through ``torture.attempts(small, large)``: a small number of
-attempts in `make test`, a large one with ``--torture`` (`make torture`), where ``--minutes`` bounds the whole. Each
-attempt has a generator of its own, which follows from ``--seed``, the test and the attempt's number, so that whatever
-is found can be found again: with the seed that the table at the end shows.
+A torture test takes the fixture ``torture`` and loops over ``torture.attempts(small, large)``: a small number of
+attempts in `make test`, a large one with ``--torture`` (`make torture`), where ``--minutes`` bounds the whole run. Each
+attempt has its own generator, seeded by ``--seed``, the test and the attempt's number, so that every failure can be
+reproduced with the seed that the table at the end shows.
 """
 
 import os
@@ -23,12 +23,14 @@ import pytest
 from pipeline.cluster import Cluster, ray_cluster
 from tasks.design import N_LINKS, Designs
 
+pytest_plugins = ["without_guards"]
+
 hypothesis.settings.register_profile("puddle", deadline=None)  # an example may compile a kernel, or wait for a core
 hypothesis.settings.load_profile("puddle")
 
 MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4e9
-"""Ten times what the tests write, and Ray's shared memory beside it."""
+"""Room required in memory: ten times what the tests write, and Ray's shared memory."""
 
 LONGEST_FIRST = (
     "torture/test_kills.py",
@@ -55,14 +57,14 @@ LONGEST_FIRST = (
     "pipeline/stages/test_stages.py",
     "torture/test_hostile.py",
 )
-"""Files that take longest, so that no process is left with one of them at the end."""
+"""The slowest files run first, so that no process is left with one of them at the end."""
 
 
 def write_to_memory() -> None:
-    """Have pytest make its temporary folders in memory, where there is room for them.
+    """Have pytest make its temporary folders in memory if there is room.
 
-    On a disk the tests wait for thousands of flushes, of milliseconds each: every file of a store, every statement that
-    makes a database. What a flush is good for is seen elsewhere: see tests/torture/volatile.py.
+    On a disk the tests wait for thousands of flushes of milliseconds each: one per file of a store and per statement
+    that makes a database. That the flushes are needed is tested with tests/torture/crash_consistency_disk.py.
     """
     if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
         os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
@@ -70,14 +72,14 @@ def write_to_memory() -> None:
 
 @pytest.fixture(scope="session")
 def local_ray() -> Iterator[Cluster]:
-    """Two cores of this machine as a Ray cluster. Tests that share it leave nothing running on it."""
+    """A Ray cluster of two cores. Tests that share it leave nothing running on it."""
     with ray_cluster("local", n_workers=2) as cluster:
         yield cluster
 
 
 @pytest.fixture(scope="session")
 def crane() -> Designs:
-    """A design of the physical variant that one can work out by heart: links of 2 m, 140 × 35 mm on the bench.
+    """A design of the physical variant that is easy to compute by hand: links of 2 m, 140 × 35 mm on the bench.
 
     Part 1 is a cross at the origin (links 0, 1). At its top is joint 2: link 2 goes on upward and link 3 from its end
     to the right (part 2). At its right is joint 4: link 4 goes on to the right and link 5 from its end down (part 3).
@@ -100,11 +102,11 @@ def crane() -> Designs:
 
 @dataclass
 class Row:
-    """What the table shows of a test."""
+    """A test in the table at the end."""
 
     name: str
     attempt: int = -1
-    """The one that runs, or ran last."""
+    """Number of the current or last attempt."""
     n_planned: int = 0
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
@@ -113,25 +115,25 @@ class Row:
 
 @dataclass
 class Session:
-    """The torture of one pytest session."""
+    """The torture options and records of one pytest session."""
 
     large: bool
     seed: int
     end: float
-    """When it should be over, on the monotonic clock."""
+    """Time at which the session should end, on the monotonic clock [s]."""
     shares_left: float = 0.0
-    """Of the tests that have not begun, and of the one that runs."""
+    """Shares of the tests that have not ended."""
     rows: dict[str, Row] = field(default_factory=dict)
 
 
 _SESSION = pytest.StashKey[Session]()
 _ROW = "torture"
 _SHOWN: dict[str, Row] = {}
-"""Rows of the table at the end, by the names of their tests."""
+"""Rows of the table at the end, by the name of the test."""
 
 
 class Torture:
-    """How often a test tries, with which randomness, and what it wants said of it."""
+    """The number of attempts of a test, their random generators, and its notes for the table."""
 
     def __init__(self, session: Session, row: Row, share: float) -> None:
         self.large, self.seed = session.large, session.seed
@@ -140,9 +142,9 @@ class Torture:
         self._end = now + (session.end - now) * share / session.shares_left if session.large else np.inf
 
     def attempts(self, small: int, large: int) -> Iterator[np.random.Generator]:
-        """Give the generator of each attempt. With --torture, stop early where this test's share of the time is up.
+        """Yield the generator of each attempt; with --torture, stop when the share of the time is used up.
 
-        What the test does with the time that it has left goes to the tests after it.
+        Time that the test leaves unused goes to the tests after it.
         """
         self._row.n_planned = large if self.large else small
         for attempt in range(self._row.n_planned):
@@ -152,29 +154,31 @@ class Torture:
             yield np.random.default_rng([self.seed, zlib.crc32(self._row.name.encode()), attempt])
 
     def times(self, small: int, large: int) -> int:
-        """Give a number of attempts that are all made, whatever the time."""
+        """Return a number of attempts, which are all made regardless of the time."""
         self._row.n_planned = large if self.large else small
         self._row.attempt = self._row.n_planned - 1
         return self._row.n_planned
 
     def rng(self) -> np.random.Generator:
-        """Give a generator of the test's own, besides those of its attempts."""
+        """Return a generator of the test, apart from those of its attempts."""
         return np.random.default_rng([self.seed, zlib.crc32(self._row.name.encode())])
 
     def note(self, words: str) -> None:
-        """Say what came of it, in the table."""
+        """Add a line to the table."""
         self._row.notes.append(words)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("torture")
-    group.addoption("--torture", action="store_true", help="torture in large numbers")
-    group.addoption("--minutes", type=float, default=60.0, help="that --torture may take in all (default: 60)")
-    group.addoption("--seed", type=int, default=None, help="of all torture (default: a fresh one, which is shown)")
+    group.addoption("--torture", action="store_true", help="make many attempts in each torture test")
+    group.addoption("--minutes", type=float, default=60.0, help="time limit of --torture (default: 60)")
+    group.addoption(
+        "--seed", type=int, default=None, help="seed of the torture tests (default: a random one, which is shown)"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", "share(n): of the time of --torture, where other tests have 1")
+    config.addinivalue_line("markers", "share(n): share of the time of --torture; the default is 1")
     seed = getattr(config, "workerinput", {}).get("torture_seed", config.getoption("--seed"))
     config.stash[_SESSION] = Session(
         large=config.getoption("--torture"),
@@ -186,18 +190,18 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: Any) -> None:
-    """Where tests run in several processes (pytest-xdist), all have one seed."""
+    """Give the processes of pytest-xdist the same seed."""
     node.workerinput["torture_seed"] = node.config.stash[_SESSION].seed
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    place = {file: number for number, file in enumerate(LONGEST_FIRST)}
-    items.sort(key=lambda item: place.get("/".join(item.path.parts[-2:]), len(place)))
+    order = {file: number for number, file in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: order.get("/".join(item.path.parts[-2:]), len(order)))
     session = config.stash[_SESSION]
     tests = [item for item in items if "torture" in getattr(item, "fixturenames", ())]
     session.shares_left = sum(map(_share, tests))
     if session.large:
-        items.sort(key=_share)  # the long ones take what the short ones leave
+        items.sort(key=_share)  # long tests use the time that short ones leave
         for item in tests:
             item.add_marker(pytest.mark.timeout(60 * config.getoption("--minutes") + 300))
 
@@ -236,7 +240,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]):
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Take up a row, which may come from another process."""
+    """Collect a row, possibly from another process."""
     for name, row in report.user_properties:
         if name == _ROW:
             _SHOWN[row["name"]] = Row(**row)

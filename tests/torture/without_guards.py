@@ -1,9 +1,14 @@
-"""A pytest plugin that removes one guard while the test that should notice its absence runs."""
+"""A pytest plugin that repeats some tests with one guard removed, and passes them if they fail.
+
+tests/conftest.py loads it, so each repetition runs beside its test, as ``test_name[without the hash of a file]``.
+"""
 
 import contextlib
 import os
 import resource
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +26,8 @@ import tasks.residual.training
 from pipeline.store import disk
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
+
+ROOT = Path(__file__).parents[2]
 
 STORE, ARTIFACTS = "tests/pipeline/store/test_store.py::test_", "tests/pipeline/store/test_encoding.py::test_"
 PROCESS = "tests/pipeline/cluster/test_process.py::test_"
@@ -71,7 +78,7 @@ def open_to_all(name: str) -> Callable[..., int | None]:
 
 
 def any_name(patch: pytest.MonkeyPatch) -> None:
-    for module in (pipeline.store.items, pipeline.store):
+    for module in (pipeline.store.items, pipeline.store.store):
         patch.setattr(module, "check_name", lambda name, what: name)
 
 
@@ -135,7 +142,7 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
         lambda patch: patch.setattr(tasks.residual.training, "_finite", lambda loss, *where: loss.item()),
     ),
     "check that a survivor's fitness is finite": (
-        EVOLUTION + "test_afpo.py::test_a_fitness_that_is_not_finite_is_never_selected_and_dominates_nobody",
+        EVOLUTION + "test_afpo.py::test_a_fitness_that_is_not_finite_is_never_selected_and_dominates_nobody[inf]",
         lambda patch: patch.setattr(tasks.evolution.afpo, "np", every_array_is_finite()),
     ),
     "check that a design got somewhere with every member": (
@@ -143,13 +150,47 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
         lambda patch: patch.setattr(tasks.evolution.objectives.evaluation, "np", every_array_is_finite()),
     ),
     "refusal of numbers that are not finite": (
-        ARTIFACTS + "what_json_has_no_exact_form_for_is_refused",
+        ARTIFACTS + "what_json_has_no_exact_form_for_is_refused[inf-ValueError-is inf]",
         lambda patch: patch.setattr(pipeline.store.encoding, "math", everything_is_finite()),
     ),
 }
 
 
-@pytest.fixture(autouse=True)
-def without_its_guard(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    (take_out,) = (take for test, take in GUARDS.values() if request.node.nodeid.startswith(test))
-    take_out(monkeypatch)
+WITHOUT = pytest.StashKey[str]()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in [*items]:
+        for guard, (test, _) in GUARDS.items():
+            if item.nodeid == test and isinstance(item, pytest.Function):
+                name = f"{item.name}[without the {guard}]"
+                again = pytest.Function.from_parent(
+                    item.parent,
+                    name=name,
+                    callspec=getattr(item, "callspec", None),
+                    callobj=item.obj,
+                    fixtureinfo=item._fixtureinfo,
+                    originalname=item.originalname,
+                )
+                again.stash[WITHOUT] = guard
+                items.insert(items.index(item) + 1, again)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[None]:
+    guard = pyfuncitem.stash.get(WITHOUT, None)
+    if guard is None:
+        return (yield)
+    patch = pyfuncitem._request.getfixturevalue("monkeypatch")
+    GUARDS[guard][1](patch)
+    try:
+        yield
+    except (AssertionError, pytest.fail.Exception) as failure:
+        last = traceback.extract_tb(failure.__traceback__)[-1].filename
+        if Path(last).is_relative_to(ROOT) and Path(last) != pyfuncitem.path:
+            raise  # something else failed: the removal of the guard, or what it broke
+        return True
+    finally:
+        patch.undo()
+    pytest.fail(f"the test passes without the {guard}", pytrace=False)
