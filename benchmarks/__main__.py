@@ -25,7 +25,7 @@ OUT = Path("bench.json")
 
 
 def machine() -> dict[str, str | int | None]:
-    """Describe what was measured on."""
+    """Describe this machine."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         cpu = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
@@ -42,7 +42,7 @@ def machine() -> dict[str, str | int | None]:
 
 
 def main() -> None:
-    """Measure, print, write."""
+    """Measure, print a table and write the results."""
     console = Console(width=118)
     figures: list[Figure] = []
     for measure in (
@@ -63,8 +63,8 @@ def main() -> None:
         table.add_column(heading, justify="left" if heading in ("what", "unit") else "right")
     for figure in figures:
         low, high = min(figure.rounds), max(figure.rounds)
-        kept = "" if figure.promise is None else f"{figure.promise_text} {'✓' if figure.kept else '✗'}"
-        table.add_row(figure.name, f"{figure.median:.3g}", f"{low:.3g} to {high:.3g}", figure.unit, kept)
+        promise = "" if figure.promise is None else f"{figure.promise_text} {'✓' if figure.kept else '✗'}"
+        table.add_row(figure.name, f"{figure.median:.3g}", f"{low:.3g} to {high:.3g}", figure.unit, promise)
     console.print(table)
     OUT.write_text(json.dumps({"machine": machine(), "figures": [figure.as_dict() for figure in figures]}, indent=1))
     console.print(f"written to {OUT}")

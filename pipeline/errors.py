@@ -1,20 +1,20 @@
-"""Errors that a user can mend."""
+"""Errors that a user can correct."""
 
 
 class PuddleError(Exception):
-    """An error that a user can mend.
+    """An error that a user can correct.
 
-    The message says what is wrong and where, what was expected and what was received, and what to do. The command line
-    prints the message alone and exits with 2. Any other exception is a defect of puddle: a traceback and exit code 70.
+    The message names what is wrong and where, what was expected and what was found, and what to do. The command line
+    prints it and exits with 2. For any other exception, a bug in puddle, it prints the traceback and exits with 70.
     """
 
 
-class DamagedArtifact(PuddleError):  # noqa: N818 (names the state of an artifact)
-    """A file in the store differs from what was committed.
+class DamagedArtifact(PuddleError):  # noqa: N818 (a state, not a fault)
+    """Something in the store is not what was committed.
 
     Attributes:
-        stage: stage of the damaged item; None if the damage is not in an item.
-        key: key of the damaged item, or None. Discarding (stage, key) lets the item be computed again.
+        stage: the damaged item's stage; None if the damage is not in an item.
+        key: the damaged item's key, likewise. If (stage, key) is discarded, the item can be computed again.
     """
 
     def __init__(self, message: str, *, stage: str | None = None, key: str | None = None) -> None:
@@ -24,8 +24,8 @@ class DamagedArtifact(PuddleError):  # noqa: N818 (names the state of an artifac
 
 
 class OtherVersion(PuddleError):  # noqa: N818
-    """A document of puddle's in a version that this puddle does not read."""
+    """A document has a schema version that this puddle does not read."""
 
 
 class Irreproducible(PuddleError):  # noqa: N818
-    """Computing a work item again gave other bytes, which is a defect."""
+    """The same work gave different bytes than before: a bug in puddle or a faulty machine."""

@@ -1,4 +1,4 @@
-"""Settings written out in full: YAML in which every value has its reason beside it, and which reads back as it was."""
+"""Settings written out in full: YAML with every value's unit and reason, which loads as the same settings."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from typing import Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-OPENING = (
-    "Every setting, under its unit and its reason. [P]: the paper says so; the rest it leaves open, and was decided. "
-    "A file needs only what differs from the default, and the defaults are the paper's study."
+_OPENING = (
+    "Every setting, below its unit and its reason. [P]: as in the paper; the paper does not specify the others. "
+    "A file needs only what differs from the defaults, which are the paper's study."
 )
-WIDTH = 110
-"""Characters of a line of comment."""
+_LINE_LENGTH = 110
 
 
 def annotated_lines(settings: BaseModel) -> list[str]:
-    """Write settings as YAML, each under its unit and reason, and beside it its default where that is another."""
-    return [*_comment(OPENING, ""), "", *_fields(settings, "")]
+    """Write settings as YAML: above each its unit and reason, beside it its default if that differs."""
+    return [*_comment(_OPENING, ""), "", *_fields(settings, "")]
 
 
 def _fields(group: BaseModel, indent: str) -> Iterator[str]:
@@ -37,18 +36,18 @@ def _fields(group: BaseModel, indent: str) -> Iterator[str]:
 
 
 def _choices(field: FieldInfo) -> str:
-    """Name the words that a setting is one of."""
     if get_origin(field.annotation) is not Literal:
         return ""
     return f"One of: {', '.join(get_args(field.annotation))}."
 
 
 def _comment(text: str, indent: str) -> list[str]:
-    return textwrap.wrap(" ".join(text.split()), WIDTH, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}# ")
+    prefix = f"{indent}# "
+    return textwrap.wrap(" ".join(text.split()), _LINE_LENGTH, initial_indent=prefix, subsequent_indent=prefix)
 
 
 def _value(value: object) -> str:
-    """Write a value as JSON, which is YAML too; a plain word goes without quotes."""
+    """Write a value as JSON, which is also YAML; a plain word needs no quotes."""
     written = json.dumps(value, ensure_ascii=False)
     is_word = isinstance(value, str) and value.replace("_", "").isalpha() and value not in ("true", "false", "null")
     return str(value) if is_word else written

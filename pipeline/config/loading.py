@@ -1,8 +1,8 @@
-"""Reading settings: YAML and ``--set a.b=c`` into a typed, frozen model, every mistake told with its file and line.
+"""Loading of settings: YAML and ``--set a.b=c`` become a typed, frozen model, or errors with file and line.
 
-YAML chooses and never computes: no anchors, aliases, tags or repeated keys; and plain words mean what YAML 1.2 says
-(1e-3 is a number, ``no`` is a word), not what PyYAML makes of them. Types are strict: text is no number, though a
-whole number may be written 5e4.
+Only plain YAML values are accepted: no anchors, aliases, tags or repeated keys. Words mean what YAML 1.2 says (1e-3 is
+a number, ``no`` is text), not what PyYAML makes of them. Types are strict: text is not converted to a number, but a
+whole number may be written as 5e4.
 """
 
 from __future__ import annotations
@@ -22,16 +22,11 @@ from pydantic import BaseModel, ValidationError
 from pipeline.errors import PuddleError
 
 PRESETS = Path(__file__).resolve().parents[2] / "configs"
-"""Where the presets are: in the checkout. Only the driver reads them."""
+"""Folder of the presets, in the checkout. Only the driver reads them."""
 
-MAX_BYTES = 2**20
-"""A settings file's greatest length."""
-
-MAX_DEPTH = 32
-"""Levels of nesting in a settings file, at most."""
-
-SET = "--set "
-"""How the place of what an override says begins."""
+_MAX_BYTES = 2**20
+_MAX_NESTING = 32
+_SET = "--set "
 
 M = TypeVar("M", bound=BaseModel)
 Scalar: TypeAlias = bool | int | float | str | None
@@ -40,7 +35,7 @@ Location: TypeAlias = tuple[int | str, ...]
 
 @dataclass(frozen=True)
 class Value:
-    """A value of a settings file, and where it stands: ``FILE:LINE``, or ``--set a.b=c``."""
+    """A value of a settings file and its location: ``FILE:LINE`` or ``--set a.b=c``."""
 
     content: Scalar | list[Value] | dict[str, Value]
     where: str
@@ -58,7 +53,7 @@ def preset_path(name: str) -> Path:
     """Return a preset's file.
 
     Raises:
-        PuddleError: where there is none of that name; lists those there are.
+        PuddleError: there is no such preset; lists the presets.
     """
     names = preset_names()
     if name not in names:
@@ -67,49 +62,65 @@ def preset_path(name: str) -> Path:
     return PRESETS / f"{name}.yaml"
 
 
-# -- the whole way ---------------------------------------------------------------------------------------------------
+# -- from text to a model --------------------------------------------------------------------------------------------
 
 
 def load(model: type[M], path: Path, overrides: Sequence[str] = ()) -> M:
-    """Read a settings file into a model.
+    """Load a settings file.
 
     Args:
-        model: of the settings.
-        path: of a YAML file that states what differs from the model's defaults.
-        overrides: ``a.b=c`` each, c being YAML on one line; later ones win.
+        model: class of the settings.
+        path: a YAML file with the settings that differ from the model's defaults.
+        overrides: assignments ``a.b=c``, where c is YAML on one line; later ones win.
+
+    Returns:
+        The settings.
 
     Raises:
-        PuddleError: one line for each mistake, with its file and line or its override, what was expected and what came.
+        PuddleError: one line per mistake, with its file and line or its override, what was expected and what was found.
     """
     try:
         with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+            data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise PuddleError(f"{path}: expected a settings file, came: {error.strerror}") from error
-    if len(data) > MAX_BYTES:
-        raise PuddleError(f"{path}: expected at most {MAX_BYTES} bytes of settings, came more. Is it the right file?")
+        raise PuddleError(f"{path}: expected a settings file, got: {error.strerror}") from error
+    if len(data) > _MAX_BYTES:
+        raise PuddleError(f"{path}: expected at most {_MAX_BYTES} bytes of settings, got more. Is it the right file?")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise PuddleError(f"{path}:{line}: expected UTF-8 text, came the byte 0x{data[error.start]:02x}") from None
+        raise PuddleError(f"{path}:{line}: expected UTF-8 text, got the byte 0x{data[error.start]:02x}") from None
     return parse(model, text, name=str(path), overrides=overrides)
 
 
 def parse(model: type[M], text: str, *, name: str, overrides: Sequence[str] = ()) -> M:
-    """Read settings from YAML text; ``name`` is what a message calls it. Otherwise as :func:`load`."""
+    """Parse settings from YAML text.
+
+    Args:
+        model: class of the settings.
+        text: YAML with the settings that differ from the model's defaults.
+        name: what error messages call the text.
+        overrides: assignments ``a.b=c``; later ones win.
+
+    Returns:
+        The settings.
+
+    Raises:
+        PuddleError: as in :func:`load`.
+    """
     document = _compose(text, name)
     if not isinstance(document.content, dict | None):
-        raise PuddleError(f"{document.where}: expected settings like `name: value`, came {_show(_plain(document))}")
+        raise PuddleError(f"{document.where}: expected settings like `name: value`, got {_show(_plain(document))}")
     root = Value(document.content or {}, name)
     for override in overrides:
         root = _override(root, override)
     try:
-        # As JSON, because there pydantic can be strict about numbers and text and yet take a list for a tuple.
+        # In JSON mode, strict pydantic distinguishes numbers from text and still accepts a list for a tuple.
         return model.model_validate_json(json.dumps(_plain(root)), strict=True)
     except ValidationError as errors:
         found = errors.errors(include_url=False)
-        # Of a list whose elements were refused, pydantic says too that it is too short.
+        # If pydantic refuses an element of a list, it also reports that the list is too short.
         faulty = {error["loc"][:depth] for error in found for depth in range(len(error["loc"]))}
         found = [error for error in found if error["type"] != "too_short" or error["loc"] not in faulty]
         lines = [_explain(model, root, error) for error in found]
@@ -120,7 +131,7 @@ def parse(model: type[M], text: str, *, name: str, overrides: Sequence[str] = ()
 
 
 class _Loader(yaml.SafeLoader):
-    """PyYAML's composer, which must not repeat, alias, tag or nest without end."""
+    """PyYAML's composer without aliases, anchors, tags and deep nesting."""
 
     depth = 0
 
@@ -128,12 +139,12 @@ class _Loader(yaml.SafeLoader):
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
         line = event.start_mark
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
-            raise yaml.MarkedYAMLError(problem="expected plain values, came an anchor or an alias", problem_mark=line)
+            raise yaml.MarkedYAMLError(problem="expected plain values, got an anchor or an alias", problem_mark=line)
         if getattr(event, "tag", None) is not None:
-            raise yaml.MarkedYAMLError(problem=f"expected plain values, came the tag {event.tag}", problem_mark=line)
+            raise yaml.MarkedYAMLError(problem=f"expected plain values, got the tag {event.tag}", problem_mark=line)
         self.depth += 1
-        if self.depth > MAX_DEPTH:
-            raise yaml.MarkedYAMLError(problem=f"expected at most {MAX_DEPTH} levels of nesting", problem_mark=line)
+        if self.depth > _MAX_NESTING:
+            raise yaml.MarkedYAMLError(problem=f"expected at most {_MAX_NESTING} levels of nesting", problem_mark=line)
         node: yaml.Node | None = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -147,7 +158,7 @@ _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 
 def _compose(text: str, name: str, where: str | None = None) -> Value:
-    """Return what YAML text says; an empty one says null. Values stand at ``NAME:LINE``, or all at ``where``."""
+    """Parse YAML text, null if empty. Values are located at ``NAME:LINE``, or all at ``where``."""
     loader = None
     try:
         loader = _Loader(text)
@@ -160,7 +171,7 @@ def _compose(text: str, name: str, where: str | None = None) -> Value:
         raise PuddleError(f"{at}: {problem}") from None
     except yaml.reader.ReaderError as error:
         at = where or f"{name}:{text.count(chr(10), 0, error.position) + 1}"
-        raise PuddleError(f"{at}: expected text, came the character {chr(error.character)!r}") from None
+        raise PuddleError(f"{at}: expected text, got the character {chr(error.character)!r}") from None
     finally:
         if loader is not None:
             loader.dispose()
@@ -176,12 +187,12 @@ def _value(node: yaml.Node, name: str, where: str | None) -> Value:
     for key, item in node.value:
         line = f"{name}:{key.start_mark.line + 1}"
         if not isinstance(key, yaml.ScalarNode):
-            raise PuddleError(f"{where or line}: expected a name before the colon, came a list or a group")
+            raise PuddleError(f"{where or line}: expected a name before the colon, got a list or a group")
         if key.value in members:
             first = "" if where else f", first at {members[key.value].where}"
             raise PuddleError(f"{where or line}: {key.value!r} appears twice{first}")
         value = _value(item, name, where)
-        members[key.value] = Value(value.content, where or line)  # a mistake in a group is shown at the group's name
+        members[key.value] = Value(value.content, where or line)  # a mistake in a group is located at its name
     return Value(members, at)
 
 
@@ -196,15 +207,15 @@ def _scalar(node: yaml.ScalarNode, at: str) -> Scalar:
     if not _FLOAT.fullmatch(word):
         return str(word)
     number = float(word)
-    if not math.isfinite(number) or len(word) > 400:  # Python refuses to read whole numbers of more than 4300 digits
-        raise PuddleError(f"{at}: expected a number below 1e308, came {_show(word)}")
+    if not math.isfinite(number) or len(word) > 400:  # Python refuses to parse integers of more than 4300 digits
+        raise PuddleError(f"{at}: expected a number below 1e308, got {_show(word)}")
     if _INT.fullmatch(word):
         return int(word)
     return int(number) if number.is_integer() and abs(number) < 2**53 else number  # 5e4 is a whole number too
 
 
 def _plain(value: Value) -> Any:
-    """Return a value without its places."""
+    """Return a value without locations."""
     if isinstance(value.content, dict):
         return {name: _plain(inner) for name, inner in value.content.items()}
     if isinstance(value.content, list):
@@ -216,8 +227,8 @@ def _plain(value: Value) -> Any:
 
 
 def _override(root: Value, override: str) -> Value:
-    """Return the settings with ``a.b=c`` in place of what a.b was."""
-    where = f"{SET}{override}"
+    """Return the settings with the assignment ``a.b=c`` applied."""
+    where = f"{_SET}{override}"
     path, equals, text = override.partition("=")
     names = path.split(".")
     if not equals or not all(names):
@@ -226,7 +237,7 @@ def _override(root: Value, override: str) -> Value:
         raise PuddleError(f"{where}: expected a value on one line")
     value = _compose(text, name=where, where=where)
     if isinstance(value.content, dict) and not text.lstrip().startswith("{"):
-        raise PuddleError(f"{where}: expected a value, a list [..] or a group {{..}}, came a colon (quote it)")
+        raise PuddleError(f"{where}: expected a value, a list [..] or a group {{..}}, got a colon (quote it)")
     return _replaced(root, names, value)
 
 
@@ -234,8 +245,8 @@ def _replaced(group: Value, names: Sequence[str], value: Value, above: str = "")
     if not names:
         return value
     if not isinstance(group.content, dict):
-        came = _show(_plain(group))
-        raise PuddleError(f"{value.where}: {above}: expected a group of settings, came {came} at {group.where}")
+        got = _show(_plain(group))
+        raise PuddleError(f"{value.where}: {above}: expected a group of settings, got {got} at {group.where}")
     inner = group.content.get(names[0], Value({}, value.where))
     path = f"{above}.{names[0]}".lstrip(".")
     return Value({**group.content, names[0]: _replaced(inner, names[1:], value, path)}, group.where)
@@ -245,7 +256,7 @@ def _replaced(group: Value, names: Sequence[str], value: Value, above: str = "")
 
 
 def _explain(model: type[BaseModel], root: Value, error: Any) -> str:
-    """Return one line on one mistake: where it is, what was expected, what came."""
+    """Describe one mistake in one line: its location, what was expected, what was found."""
     location: Location = error["loc"]
     value, field = _place(root, location)
     where = value.where
@@ -255,8 +266,8 @@ def _explain(model: type[BaseModel], root: Value, error: Any) -> str:
         known = sorted({name for group in _groups(model, location[:-1]) for name in group.model_fields})
         return f"{where}: {field}: unknown setting{_did_you_mean(str(location[-1]), known)}; known: {', '.join(known)}"
     if kind == "missing":
-        return f"{where}: {field}: expected a value, came none"
-    if kind == "value_error":  # of values that do not go together: the file's, and those chosen beside it
+        return f"{where}: {field}: expected a value, got none"
+    if kind == "value_error":  # several values contradict one another; overrides may have supplied some of them
         where = " with ".join(dict.fromkeys([where, *_overrides_in(value)]))
     start = f"{where}: {field}: " if field else f"{where}: "
     if kind == "value_error":
@@ -277,13 +288,13 @@ def _explain(model: type[BaseModel], root: Value, error: Any) -> str:
         if said.startswith(words):
             said = ours + said.removeprefix(words)
             break
-    return f"{start}{said}, came {_show(error['input'])}"
+    return f"{start}{said}, got {_show(error['input'])}"
 
 
 def _place(root: Value, location: Location) -> tuple[Value, str]:
-    """Return the value at a location, and its dotted name; of what is not in the file, its group.
+    """Return the value at a location and its dotted name, or its group if the file has no such value.
 
-    Pydantic puts the alternative that it tried into the location; such parts name nothing in the file.
+    Pydantic's locations also name the alternative of a union that it tried; such parts match nothing in the file.
     """
     value, names = root, []
     for index, part in enumerate(location):
@@ -300,8 +311,8 @@ def _place(root: Value, location: Location) -> tuple[Value, str]:
 
 
 def _overrides_in(value: Value) -> Iterator[str]:
-    """Give the places of what --set put into a value."""
-    if value.where.startswith(SET):
+    """Give the locations of the overrides within a value."""
+    if value.where.startswith(_SET):
         yield value.where
     inner = value.content
     for one in inner.values() if isinstance(inner, dict) else inner if isinstance(inner, list) else ():
@@ -309,7 +320,7 @@ def _overrides_in(value: Value) -> Iterator[str]:
 
 
 def _groups(model: type[BaseModel], location: Location) -> list[type[BaseModel]]:
-    """Return the models that may describe the group at a location."""
+    """Return the models that the group at a location may be of."""
     groups = [model]
     for part in location:
         annotations = [group.model_fields[part].annotation for group in groups if part in group.model_fields]

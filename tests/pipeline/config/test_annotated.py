@@ -1,4 +1,4 @@
-"""Every setting written out: it says why, and reads back as what it was."""
+"""Settings written out: each has its reason, and the text loads as the same settings."""
 
 import pytest
 
@@ -9,18 +9,18 @@ from pipeline.config.settings import Settings
 
 
 @pytest.mark.parametrize("name", preset_names())
-def test_reads_back_as_it_was(name):
+def test_the_text_loads_as_the_same_settings(name):
     settings = load(Settings, preset_path(name))
     assert parse(Settings, "\n".join(annotated_lines(settings)), name=name) == settings
 
 
-def test_names_that_look_like_something_else_read_back_too():
+def test_names_that_look_like_other_types_are_quoted():
     for name in ("true", "null", "1e3", "9", "a-b_c", "no"):
         settings = Settings(name=name)
         assert parse(Settings, "\n".join(annotated_lines(settings)), name=name) == settings
 
 
-def test_every_setting_has_its_reason_above_it_and_its_default_beside_it():
+def test_a_setting_has_its_reason_above_and_its_default_beside_it():
     lines = annotated_lines(Settings(name="mine"))
     for number, line in enumerate(lines):
         if ":" in line and not line.lstrip().startswith("#"):
@@ -30,7 +30,7 @@ def test_every_setting_has_its_reason_above_it_and_its_default_beside_it():
     assert all(len(line) <= 120 for line in lines)
 
 
-def test_the_command_lists_what_was_chosen(capsys):
+def test_the_command_lists_the_chosen_settings(capsys):
     with pytest.raises(SystemExit) as ended:
         main(["settings", "--preset", "smoke", "--set", "seed=7"])
     assert not ended.value.code

@@ -1,4 +1,4 @@
-"""Settings files and --set: what is meant arrives, and every mistake is told with its place, in one line."""
+"""Settings files and --set: values arrive as written, and every mistake is one line with its location."""
 
 import time
 from pathlib import Path
@@ -38,7 +38,7 @@ class Study(Parameters):
     name: str = Field(default="paper", pattern="^[a-z]+$")
     """Its name."""
     seed: int = Field(default=1, ge=0, lt=2**63)
-    """Of all randomness."""
+    """Seed of all randomness."""
     resume: bool = True
     """A flag."""
     batch: int | None = None
@@ -65,10 +65,10 @@ def refused(text: str, *overrides: str) -> list[str]:
     return str(told.value).splitlines()
 
 
-# -- what is meant arrives -------------------------------------------------------------------------------------------
+# -- values ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_file_changes_what_it_names_and_nothing_else() -> None:
+def test_a_file_changes_only_the_settings_that_it_names() -> None:
     study = read("grid:\n  depths: [0, 0.5, 1e-3, 5E0]\n  environments:\n  - true_slush\nseed: 5\n")
     assert study == Study(seed=5, grid=Grid(depths=(0.0, 0.5, 0.001, 5.0), environments=("true_slush",)))
 
@@ -84,7 +84,7 @@ def test_an_empty_file_is_the_defaults(text: str, tmp_path: Path) -> None:
     ("word", "number"),
     [("1e-3", 0.001), ("1E3", 1000.0), (".5", 0.5), ("5.", 5.0), ("+2", 2.0), ("010", 10.0), ("1.5e+2", 150.0)],
 )
-def test_numbers_are_read_as_a_physicist_writes_them(word: str, number: float) -> None:
+def test_numbers_in_scientific_notation(word: str, number: float) -> None:
     density = read(f"slush: {{density: {word}}}").slush.density
     assert density == number and type(density) is float
 
@@ -96,8 +96,8 @@ def test_a_whole_number_may_be_written_with_an_exponent() -> None:
 
 
 @pytest.mark.parametrize("word", ["no", "off", "y", "on", "NO"])
-def test_words_are_words_and_no_flags(word: str) -> None:
-    expected = [f'lab.yaml:1: resume: expected true or false, came "{word}"']
+def test_words_are_not_booleans(word: str) -> None:
+    expected = [f'lab.yaml:1: resume: expected true or false, got "{word}"']
     assert refused(f"resume: {word}") == expected
     if word.islower():
         assert read(f"name: {word}").name == word
@@ -124,7 +124,7 @@ SETTINGS = st.fixed_dictionaries(
 
 
 @given(SETTINGS)
-def test_what_yaml_writes_is_read_back(chosen: dict[str, Any]) -> None:
+def test_what_yaml_writes_loads_as_the_same_settings(chosen: dict[str, Any]) -> None:
     assert read(yaml.safe_dump(chosen)) == Study.model_validate(chosen)
 
 
@@ -145,23 +145,23 @@ def test_overrides_win_over_the_file_and_later_ones_over_earlier() -> None:
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("grid.n_trials=ten", 'grid.n_trials: expected a whole number, came "ten"'),
-        ("grid.n_trials=0", "grid.n_trials: expected a number greater than or equal to 1, came 0"),
+        ("grid.n_trials=ten", 'grid.n_trials: expected a whole number, got "ten"'),
+        ("grid.n_trials=0", "grid.n_trials: expected a number greater than or equal to 1, got 0"),
         (
             "grid.n_trails=3",
             "grid.n_trails: unknown setting; did you mean n_trials?; known: by_name, depths, "
             "environments, media, n_trials",
         ),
-        ("grid.depths=[1, x]", 'grid.depths[1]: expected a number, came "x"'),
-        ("grid.depths=", "grid.depths: expected a list, came null"),
-        ("grid=3", "grid: expected a group of settings, came 3"),
+        ("grid.depths=[1, x]", 'grid.depths[1]: expected a number, got "x"'),
+        ("grid.depths=", "grid.depths: expected a list, got null"),
+        ("grid=3", "grid: expected a group of settings, got 3"),
         ("seed", "expected a setting's name, = and its value, such as grid.n_trials=3"),
         ("=3", "expected a setting's name, = and its value, such as grid.n_trials=3"),
         ("grid..n_trials=3", "expected a setting's name, = and its value, such as grid.n_trials=3"),
-        ("name=a: b", "expected a value, a list [..] or a group {..}, came a colon (quote it)"),
+        ("name=a: b", "expected a value, a list [..] or a group {..}, got a colon (quote it)"),
         ("grid.depths=[1", "while parsing a flow sequence, expected ',' or ']', but got '<stream end>'"),
-        ("seed=&a 1", "expected plain values, came an anchor or an alias"),
-        ("seed=!!int 1", "expected plain values, came the tag tag:yaml.org,2002:int"),
+        ("seed=&a 1", "expected plain values, got an anchor or an alias"),
+        ("seed=!!int 1", "expected plain values, got the tag tag:yaml.org,2002:int"),
         ("grid={n_trials: 1, n_trials: 2}", "'n_trials' appears twice"),
     ],
 )
@@ -169,7 +169,7 @@ def test_a_mistake_in_an_override_names_the_override(override: str, message: str
     assert refused("seed: 1\n", override) == [f"--set {override}: {message}"]
 
 
-def test_values_that_do_not_go_together_are_placed_where_they_may_have_come_from() -> None:
+def test_contradictory_values_are_located_at_the_file_and_the_overrides() -> None:
     said = "seed is 13, expected a luckier one"
     assert refused("name: a\nseed: 13\n") == [f"lab.yaml: {said}"]
     assert refused("name: a\n", "seed=13") == [f"lab.yaml with --set seed=13: {said}"]
@@ -177,9 +177,9 @@ def test_values_that_do_not_go_together_are_placed_where_they_may_have_come_from
     assert refused("grid: {n_trials: 3}\n", *twice) == [f"lab.yaml with --set {twice[0]} with --set {twice[1]}: {said}"]
 
 
-def test_an_override_below_a_value_says_where_the_value_is() -> None:
+def test_an_override_below_a_value_names_the_values_location() -> None:
     assert refused("name: a\nseed: 1\n", "seed.x=3") == [
-        "--set seed.x=3: seed: expected a group of settings, came 1 at lab.yaml:2"
+        "--set seed.x=3: seed: expected a group of settings, got 1 at lab.yaml:2"
     ]
     assert refused("", "seed=1\nname: b") == ["--set seed=1", "name: b: expected a value on one line"]
 
@@ -187,7 +187,7 @@ def test_an_override_below_a_value_says_where_the_value_is() -> None:
 # -- mistakes --------------------------------------------------------------------------------------------------------
 
 
-def test_all_mistakes_are_told_each_with_its_line() -> None:
+def test_all_mistakes_are_reported_each_with_its_line() -> None:
     text = (
         "seed: -1\n"
         "grid:\n"
@@ -204,15 +204,15 @@ def test_all_mistakes_are_told_each_with_its_line() -> None:
     )
     assert sorted(refused(text)) == sorted(
         [
-            "lab.yaml:1: seed: expected a number greater than or equal to 0, came -1",
-            'lab.yaml:4: grid.depths[1]: expected a number, came "deep"',
-            "lab.yaml:4: grid.depths[2]: expected a number, came true",
-            "lab.yaml:5: grid.environments[1]: expected 'dry_land' or 'true_slush', came \"moon\"",
-            "lab.yaml:8: grid.media[1].density: expected a number greater than 0, came 0",
+            "lab.yaml:1: seed: expected a number greater than or equal to 0, got -1",
+            'lab.yaml:4: grid.depths[1]: expected a number, got "deep"',
+            "lab.yaml:4: grid.depths[2]: expected a number, got true",
+            "lab.yaml:5: grid.environments[1]: expected 'dry_land' or 'true_slush', got \"moon\"",
+            "lab.yaml:8: grid.media[1].density: expected a number greater than 0, got 0",
             "lab.yaml:9: grid.n_trails: unknown setting; did you mean n_trials?; known: by_name, depths, environments, "
             "media, n_trials",
-            'lab.yaml:10: batch: expected a whole number, came "3"',
-            "lab.yaml:11: slush: expected a group of settings, came [1]",
+            'lab.yaml:10: batch: expected a whole number, got "3"',
+            "lab.yaml:11: slush: expected a group of settings, got [1]",
             "lab.yaml:12: nmae: unknown setting; did you mean name?; known: batch, grid, name, resume, seed, slush",
         ]
     )
@@ -230,18 +230,18 @@ def test_known_settings_are_those_of_the_group_within_an_optional_one() -> None:
 
 def test_long_values_are_cut() -> None:
     (line,) = refused(f"seed: {'x' * 500}")
-    assert line.startswith('lab.yaml:1: seed: expected a whole number, came "xxx') and len(line) < 140
+    assert line.startswith('lab.yaml:1: seed: expected a whole number, got "xxx') and len(line) < 140
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("a: 1\nb:\n  c: 1\n  c: 2\n", "lab.yaml:4: 'c' appears twice, first at lab.yaml:3"),
-        ("a: &x [1]\nb: *x\n", "lab.yaml:1: expected plain values, came an anchor or an alias"),
-        ("a: 1\nb: *x\n", "lab.yaml:2: expected plain values, came an anchor or an alias"),
+        ("a: &x [1]\nb: *x\n", "lab.yaml:1: expected plain values, got an anchor or an alias"),
+        ("a: 1\nb: *x\n", "lab.yaml:2: expected plain values, got an anchor or an alias"),
         (
             "a:\n  !!python/object/apply:os.system [ls]",
-            "lab.yaml:2: expected plain values, came the tag tag:yaml.org,2002:python/object/apply:os.system",
+            "lab.yaml:2: expected plain values, got the tag tag:yaml.org,2002:python/object/apply:os.system",
         ),
         ("seed: 1\n<<: {name: a}\n", "lab.yaml:2: <<: unknown setting; known: batch, grid, name, resume, seed, slush"),
         ("seed: 1\n---\nseed: 2\n", "lab.yaml:2: expected a single document in the stream, but found another document"),
@@ -249,28 +249,28 @@ def test_long_values_are_cut() -> None:
             "seed: 1\n\tname: a\n",
             "lab.yaml:2: while scanning for the next token, found character '\\t' that cannot start any token",
         ),
-        ("seed: 1\nname: a\x07\n", "lab.yaml:2: expected text, came the character '\\x07'"),
-        ("- 1\n", "lab.yaml:1: expected settings like `name: value`, came [1]"),
-        ("hello", 'lab.yaml:1: expected settings like `name: value`, came "hello"'),
-        ("seed: 1\n? [1]\n: 2\n", "lab.yaml:2: expected a name before the colon, came a list or a group"),
-        ("seed: .nan", 'lab.yaml:1: seed: expected a whole number, came ".nan"'),
-        ("seed: 1e999", 'lab.yaml:1: expected a number below 1e308, came "1e999"'),
-        ("seed: 2020-01-01", 'lab.yaml:1: seed: expected a whole number, came "2020-01-01"'),
-        ("seed: 1:30", 'lab.yaml:1: seed: expected a whole number, came "1:30"'),
-        ("seed: 1.5", "lab.yaml:1: seed: expected a whole number, came 1.5"),
-        ("seed: true", "lab.yaml:1: seed: expected a whole number, came true"),
+        ("seed: 1\nname: a\x07\n", "lab.yaml:2: expected text, got the character '\\x07'"),
+        ("- 1\n", "lab.yaml:1: expected settings like `name: value`, got [1]"),
+        ("hello", 'lab.yaml:1: expected settings like `name: value`, got "hello"'),
+        ("seed: 1\n? [1]\n: 2\n", "lab.yaml:2: expected a name before the colon, got a list or a group"),
+        ("seed: .nan", 'lab.yaml:1: seed: expected a whole number, got ".nan"'),
+        ("seed: 1e999", 'lab.yaml:1: expected a number below 1e308, got "1e999"'),
+        ("seed: 2020-01-01", 'lab.yaml:1: seed: expected a whole number, got "2020-01-01"'),
+        ("seed: 1:30", 'lab.yaml:1: seed: expected a whole number, got "1:30"'),
+        ("seed: 1.5", "lab.yaml:1: seed: expected a whole number, got 1.5"),
+        ("seed: true", "lab.yaml:1: seed: expected a whole number, got true"),
         (
             "seed: 9223372036854775808",
-            "lab.yaml:1: seed: expected a number less than 9223372036854775808, came 9223372036854775808",
+            "lab.yaml:1: seed: expected a number less than 9223372036854775808, got 9223372036854775808",
         ),
-        ("grid:\n", "lab.yaml:1: grid: expected a group of settings, came null"),
+        ("grid:\n", "lab.yaml:1: grid: expected a group of settings, got null"),
     ],
 )
 def test_bad_yaml_is_refused_with_its_line(text: str, message: str) -> None:
     assert refused(text) == [message]
 
 
-def test_bombs_are_refused_at_once() -> None:
+def test_expanding_or_deeply_nested_documents_are_refused_at_once() -> None:
     laughs = "a0: &a0 [x]\n" + "".join(f"a{i + 1}: &a{i + 1} [{', '.join([f'*a{i}'] * 9)}]\n" for i in range(9))
     start = time.monotonic()
     deep = ("[" * 2**20, "a: " + "{b: " * 50_000, "- " * 50_000)
@@ -282,7 +282,7 @@ def test_bombs_are_refused_at_once() -> None:
 
 @settings(max_examples=500)
 @given(st.text(max_size=60) | st.text("ab:[]{}-,&*!|>'\"%@`#?\n\t 01e.~<", max_size=60))
-def test_any_text_is_read_or_refused_in_lines(text: str) -> None:
+def test_any_text_is_loaded_or_refused_in_lines(text: str) -> None:
     try:
         study = read(text)
     except PuddleError as error:
@@ -296,12 +296,12 @@ def test_any_text_is_read_or_refused_in_lines(text: str) -> None:
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     path = tmp_path / "lab.yaml"
-    with pytest.raises(PuddleError, match=f"{path}: expected a settings file, came: No such file"):
+    with pytest.raises(PuddleError, match=f"{path}: expected a settings file, got: No such file"):
         load(Study, path)
-    with pytest.raises(PuddleError, match=f"{tmp_path}: expected a settings file, came: Is a directory"):
+    with pytest.raises(PuddleError, match=f"{tmp_path}: expected a settings file, got: Is a directory"):
         load(Study, tmp_path)
     path.write_bytes(b"seed: 1\nname: \xff\n")
-    with pytest.raises(PuddleError, match=f"{path}:2: expected UTF-8 text, came the byte 0xff"):
+    with pytest.raises(PuddleError, match=f"{path}:2: expected UTF-8 text, got the byte 0xff"):
         load(Study, path)
     path.write_bytes(b"#" * (2**20 + 1))
     with pytest.raises(PuddleError, match=f"{path}: expected at most 1048576 bytes"):
@@ -312,7 +312,7 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     assert load(Study, path, ["grid.n_trials=2"]).grid.n_trials == 2
 
 
-def test_presets_are_the_files_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_presets_are_the_yaml_files_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loading, "PRESETS", tmp_path)
     with pytest.raises(PuddleError, match=f"expected a file of {tmp_path}, which holds none"):
         preset_path("smoke")
@@ -327,6 +327,6 @@ def test_presets_are_the_files_of_the_folder(tmp_path: Path, monkeypatch: pytest
             preset_path(name)
 
 
-def test_the_presets_of_this_checkout_are_found() -> None:
+def test_the_presets_of_this_checkout_exist() -> None:
     assert {"smoke", "laptop", "row", "paper", "pontoon"} <= set(preset_names())
     assert all(preset_path(name).is_file() for name in preset_names())
