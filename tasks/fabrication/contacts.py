@@ -19,7 +19,7 @@ from tasks.arrays import Floats
 from tasks.design import Designs
 from tasks.fabrication.built_bodies import Mechanism
 from tasks.fabrication.rods import Layers
-from tasks.simulation.trees.contact import TOTAL_RADIUS
+from tasks.simulation.box2d import TOTAL_RADIUS
 
 
 @dataclass(frozen=True)

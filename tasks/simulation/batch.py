@@ -16,7 +16,7 @@ from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled, is_cached
 from tasks.design import body, genes
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation import controller
+from tasks.simulation import box2d, controller
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion
 from tasks.simulation.networks import coupled, inference
 from tasks.simulation.networks.inference import PackedNetworks
@@ -28,7 +28,7 @@ from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
 from tasks.world import Environment, LinkStates, Medium, Physics, Slush
 from tasks.world import slush as slush_source
 
-_SOURCES = [genes, slush_source, controller, lanes, vectors, layout, rotation, joint, contact, step]
+_SOURCES = [genes, box2d, slush_source, controller, lanes, vectors, layout, rotation, joint, contact, step]
 _advance = compiled(step.advance, _SOURCES, seconds=20)
 _pack_robots = compiled(packing.pack_robots, [genes, body, layout, contact, controller, packing], seconds=2)
 

@@ -9,10 +9,9 @@ import numpy.typing as npt
 
 from tasks.arrays import Float32
 from tasks.compiled import compiled
-from tasks.simulation.box2d import Column
+from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION, Column
 from tasks.simulation.simd import lanes, rotation, vectors
 from tasks.simulation.simd.lanes import Block
-from tasks.simulation.trees.step import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.world import LinkStates, Medium, Physics
 
 N_LANES = 16
@@ -81,11 +80,11 @@ class FreeLinks:
 
         # b2Island::Solve: limit the velocities, then move.
         squared, turned = (dt * vx) * (dt * vx) + (dt * vy) * (dt * vy), dt * omega
-        ratio = np.float32(MAX_TRANSLATION) / np.sqrt(np.maximum(squared, np.float32(MAX_TRANSLATION)))
-        too_far = squared > np.float32(MAX_TRANSLATION * MAX_TRANSLATION)
+        ratio = MAX_TRANSLATION / np.sqrt(np.maximum(squared, MAX_TRANSLATION))
+        too_far = squared > MAX_TRANSLATION * MAX_TRANSLATION
         vx, vy = np.where(too_far, vx * ratio, vx), np.where(too_far, vy * ratio, vy)
-        too_much = turned * turned > np.float32(MAX_ROTATION_SQUARED)
-        turn = np.float32(MAX_ROTATION) / np.maximum(abs(turned), np.float32(1))
+        too_much = turned * turned > MAX_ROTATION_SQUARED
+        turn = MAX_ROTATION / np.maximum(abs(turned), np.float32(1))
         omega = np.where(too_much, omega * turn, omega)
         velocity = np.stack((vx, vy, omega), axis=1)
         return np.concatenate((state[:, : Column.ANGLE + 1] + dt * velocity, velocity), axis=1)

@@ -13,7 +13,6 @@ from tasks.simulation import batch, reference
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column
 from tasks.simulation.controller import Controllers
 from tasks.simulation.rigid_bodies import broad_phase, engine, layout, polygons
-from tasks.simulation.simd.lanes import Block
 from tasks.simulation.simd.rotation import NEAR
 from tasks.simulation.trees import packing
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
@@ -101,44 +100,38 @@ def test_residual_slush_of_networks(trace: bool, variant, same_libm: None, seed:
     assert_equal(designs, environment, Physics(**variant), n_settle=30, n_measure=170, trace=trace)
 
 
-def record(shape: Box2D.b2PolygonShape, xf: Box2D.b2Transform) -> tuple[Block, Block]:
-    """A box and where it is, as the kernels have them."""
-    body, box = Block(layout.N_BODY, 1), Block(layout.N_FIXTURE, 1)
-    body.rows[[layout.P_X, layout.P_Y, layout.Q_C, layout.Q_S], 0] = *xf.position, xf.q.c, xf.q.s
-    box.rows[[layout.CENTROID_X, layout.CENTROID_Y], 0] = shape.centroid
-    corners = np.float32(shape.vertices)
+def records(shape: Box2D.b2PolygonShape, xf: Box2D.b2Transform) -> tuple[np.record, np.record]:
+    """A box and its body as the kernels have them."""
+    body, box = (np.zeros(1, layout.record_dtype(kind))[0] for kind in (layout.Body, layout.Fixture))
+    (body.p_x, body.p_y), body.cos, body.sin = xf.position, xf.q.c, xf.q.s
+    box.local_centroid_x, box.local_centroid_y = shape.centroid
+    corners, normals = np.float32(shape.vertices), np.float32(shape.normals)
     edges = np.roll(corners, -1, axis=0) - corners
     tangents = edges * (np.float32(1) / np.sqrt(edges[:, 0] * edges[:, 0] + edges[:, 1] * edges[:, 1]))[:, None]
-    for row, vectors in (
-        (layout.VERTEX_X, corners),
-        (layout.NORMAL_X, np.float32(shape.normals)),
-        (layout.TANGENT_X, tangents),
-    ):
-        box.rows[row : row + 8, 0] = vectors.T.ravel()
+    box.local_vertex_x, box.local_vertex_y = corners.T
+    box.local_normal_x, box.local_normal_y = normals.T
+    box.local_tangent_x, box.local_tangent_y = tangents.T
     broad_phase.orient(body, box)
     return body, box
 
 
 def assert_same_manifold(a: Box2D.b2PolygonShape, xf_a, b: Box2D.b2PolygonShape, xf_b, *, on_ground: bool) -> int:
-    """Ours is b2CollidePolygons' manifold, to the bit; give its number of points."""
+    """Check that our manifold is that of b2CollidePolygons, to the bit; return its number of points."""
     theirs = Box2D.b2Manifold()
     Box2D.b2CollidePolygons(theirs, a, xf_a, b, xf_b)
-    contact = Block(layout.N_CONTACT, 1)
-    polygons.collide_polygons(contact, *record(a, xf_a), *record(b, xf_b), on_ground)
-    ours, whole = contact.rows[:, 0], contact.rows.view(np.int32)[:, 0]
-    assert whole[layout.POINT_COUNT] == theirs.pointCount
+    contact = np.zeros(1, layout.record_dtype(layout.Contact))[0]
+    polygons.collide_polygons(contact, *records(a, xf_a), *records(b, xf_b), on_ground)
+    assert contact.point_count == theirs.pointCount
     if theirs.pointCount:
-        assert whole[layout.FACE_B] == (theirs.type_ == Box2D.b2Manifold.e_faceB)
-        assert tuple(ours[[layout.LOCAL_NORMAL_X, layout.LOCAL_NORMAL_Y]]) == tuple(theirs.localNormal)
-        assert tuple(ours[[layout.LOCAL_POINT_X, layout.LOCAL_POINT_Y]]) == tuple(theirs.localPoint)
-    for point, at in zip(
-        theirs.points[: theirs.pointCount], (layout.POINTS, layout.POINTS + layout.N_POINT), strict=False
-    ):
-        assert tuple(ours[[at + layout.POINT_X, at + layout.POINT_Y]]) == tuple(point.localPoint)
-        feature = point.id.cf
+        assert contact.flipped == (theirs.type_ == Box2D.b2Manifold.e_faceB)
+        assert (contact.local_normal_x, contact.local_normal_y) == tuple(theirs.localNormal)
+        assert (contact.local_point_x, contact.local_point_y) == tuple(theirs.localPoint)
+    for theirs_point, point in zip(theirs.points[: theirs.pointCount], contact.points, strict=False):
+        assert (point.local_x, point.local_y) == tuple(theirs_point.localPoint)
+        feature = theirs_point.id.cf
         number = feature.indexA + polygons.INDEX_B * feature.indexB
         number += polygons.FACE_OF_A * feature.typeA + polygons.FACE_OF_B * feature.typeB
-        assert whole[at + layout.ID] == number
+        assert point.id == number
     return int(theirs.pointCount)
 
 
@@ -191,13 +184,13 @@ def test_masses_are_those_of_b2_body(seed: int) -> None:
     physics = Physics(passive_joints="locked", link_density=1.7)
     designs = random_designs(40, np.random.default_rng(seed))
     trees, rigid = kinematic_trees(designs, density=1.7), rigid_bodies(designs, passive_joints="locked")
-    packed = engine.Robots(designs, 0.0, physics, n_members=1).blocks[..., 0]
+    packed = engine.Robots(designs, 0.0, physics, n_members=1).records
     for design in range(len(designs)):
         bodies = reference._Robot(trees, rigid, design, Controllers.of(designs), 0.0, physics).bodies
         for number, body in enumerate(bodies):
-            ours = packed[design, layout.BODIES + number * layout.N_BODY :][: layout.N_BODY]
-            assert tuple(ours[[layout.CENTER_X, layout.CENTER_Y]]) == tuple(body.localCenter)
-            assert ours[layout.INVERSE_MASS] == np.float32(1) / np.float32(body.mass)
+            ours = packed[design].bodies[number]
+            assert (ours.local_center_x, ours.local_center_y) == tuple(body.localCenter)
+            assert ours.inv_mass == np.float32(1) / np.float32(body.mass)
 
 
 @pytest.mark.parametrize(

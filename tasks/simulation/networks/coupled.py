@@ -12,6 +12,7 @@ engine's lanes lie side by side in the networks', and where a vector of the one 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,7 +60,13 @@ class Coupling(NamedTuple):
     """As networks.py has them."""
 
 
-def couple(networks: PackedNetworks, blocks: Float32, n_robots: int) -> Coupling:
+def couple(
+    networks: PackedNetworks,
+    blocks: Float32,
+    n_robots: int,
+    quantities: Mapping[str, int] = layout.QUANTITIES,
+    link_stride: int = 1,
+) -> Coupling:
     """Tie robots to their members' networks.
 
     Args:
@@ -67,6 +74,8 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int) -> Coupling
         blocks: (n_groups, n_rows, n_lanes) all robots' numbers, contiguous in aligned memory. Robot i is in lane i mod
             n_lanes of group i // n_lanes; lanes that are left over hold copies of the last, and stay copies.
         n_robots: of all members, as many of each; robot number member · n_designs + design.
+        quantities: first row of each quantity of :class:`tasks.world.LinkStates`.
+        link_stride: rows from a link's quantity to the next link's.
     """
     n_designs = n_robots // networks.n_members
     x, out = networks.room(n_designs * N_LINKS)
@@ -77,7 +86,7 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int) -> Coupling
     vector, first = np.divmod(link * n_designs + design, N_LANES)
     vector += member * x.shape[1]
     of_x, of_out = (vector * room.shape[2] * N_LANES + first for room in (x, out))
-    places = np.stack([(group * n_rows + link) * n_lanes + lane, of_x, of_out], axis=1)
+    places = np.stack([(group * n_rows + link * link_stride) * n_lanes + lane, of_x, of_out], axis=1)
 
     # A vector of the networks is one of the engine's where both begin with the same link, and a member has as many.
     begins = (first == 0) & (lane % N_LANES == 0) & (design + N_LANES <= n_designs) & (n_lanes % N_LANES == 0)
@@ -94,7 +103,7 @@ def couple(networks: PackedNetworks, blocks: Float32, n_robots: int) -> Coupling
     return Coupling(
         whole=ties(begins, N_LANES),
         single=ties(~is_whole, 1),
-        observed=np.array([layout.QUANTITIES[name] for name in networks.inputs], np.int64),
+        observed=np.array([quantities[name] for name in networks.inputs], np.int64),
         layers=networks.layers,
         sizes=networks.sizes,
         x=x,

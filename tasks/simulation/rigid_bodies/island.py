@@ -1,219 +1,169 @@
-"""Islands of bodies: Box2D 2.3's search for them in b2World::Solve, and b2Island::Solve, operation by operation.
+"""The island of a robot: Box2D 2.3's search for it in b2World::Solve, and b2Island::Solve, operation by operation.
 
 The order is Box2D's: integrate velocities; warm-start contacts, then joints; sweep joints then contacts for velocities;
 integrate positions; sweep contacts then joints for positions. Contacts tie bodies to each other, so their own order
-counts too, which is that in which the search meets them.
+matters too: it is that in which the search finds them.
 
-A constraint waits for the one before it, and the processor with it. So the sweeps go over a team of a few robots at
-once, constraint by constraint, whose blocks lie one after the other: while one waits, others do not.
+Each constraint depends on the result of the one before it, which leaves a processor's units idle. So the sweeps
+interleave a team of a few robots, constraint by constraint.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+
+import numpy as np
 
 from tasks.compiled import inline
+from tasks.simulation.box2d import LEAST_SEPARATION, MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.simulation.rigid_bodies import contact_solver, revolute_joint
-from tasks.simulation.rigid_bodies.layout import (
-    BODY_A,
-    BODY_B,
-    C_X,
-    C_Y,
-    CONTACT_BODY_A,
-    CONTACT_BODY_B,
-    CONTACT_LIST,
-    GROUND,
-    ISLAND_CONTACTS,
-    ISLAND_JOINTS,
-    LINK,
-    N_BODIES,
-    N_CONTACTS,
-    N_ISLAND_CONTACTS,
-    N_ISLAND_JOINTS,
-    N_JOINTS_HERE,
-    N_ROWS,
-    P_X,
-    P_Y,
-    POINT_COUNT,
-    STACK,
-    START_P_X,
-    START_P_Y,
-    TOUCHING,
-    V_X,
-    V_Y,
-    A,
-    W,
-)
-from tasks.simulation.rigid_bodies.records import bodies_of, body_at, contact_at, joint_at, place, synchronize_transform
-from tasks.simulation.simd.lanes import any_lane, from_row, load_whole, sqrt, store_whole
-from tasks.simulation.trees import layout
-from tasks.simulation.trees.contact import LEAST_SEPARATION
-from tasks.simulation.trees.step import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
+from tasks.simulation.rigid_bodies.layout import GROUND, Robot
+from tasks.simulation.rigid_bodies.transform import place, synchronize_transform
+from tasks.simulation.trees.step import Scene
 
 
 @inline
-def reach(block: Any, bodies: Any, n_stack: Any, body: Any) -> Any:
-    """Put a body on the stack, unless it is among those that were met; give what was met, and the stack's height."""
-    if bodies & (1 << body):
-        return bodies, n_stack
-    store_whole(block, STACK + n_stack, body)
-    return bodies | (1 << body), n_stack + 1
+def _push(robot: Robot, visited: int, n_stack: int, body: int) -> tuple[int, int]:
+    """Put a body on the stack unless it was visited; return the visited bodies and the stack's height."""
+    if visited & (1 << body):
+        return visited, n_stack
+    robot.stack[n_stack] = body
+    return visited | (1 << body), n_stack + 1
 
 
 @inline
-def search(block: Any) -> None:
-    """b2World::Solve's search, with a stack, from the root's body: contacts and joints in the order it meets them.
-
-    Sets of bodies, contacts and joints are the bits of numbers.
-    """
-    n_contacts, n_joints = 0, load_whole(block, N_JOINTS_HERE)
-    for i in range(load_whole(block, N_CONTACTS)):
-        k = load_whole(block, CONTACT_LIST + i)
-        if load_whole(contact_at(block, k), POINT_COUNT) > 0:
-            store_whole(block, TOUCHING + n_contacts, k)
-            n_contacts += 1
-    n_found_contacts, n_found_joints, n_stack = 0, 0, 1
+def search(robot: Robot) -> None:
+    """b2World::Solve's depth-first search from the root's body; sets are the bits of whole numbers."""
+    n_contacts, n_joints, n_stack = 0, 0, 1
     bodies, contacts, joints = 1, 0, 0
-    store_whole(block, STACK, 0)
+    robot.stack[0] = 0
     while n_stack > 0:
         n_stack -= 1
-        b = load_whole(block, STACK + n_stack)
+        b = robot.stack[n_stack]
         if b == GROUND:
-            continue  # a static body does not tie what it touches
-        for i in range(n_contacts - 1, -1, -1):
-            k = load_whole(block, TOUCHING + i)
-            contact = contact_at(block, k)
-            body_a, body_b = load_whole(contact, CONTACT_BODY_A), load_whole(contact, CONTACT_BODY_B)
-            if (body_a == b or body_b == b) and not contacts & (1 << i):
-                contacts |= 1 << i
-                store_whole(block, ISLAND_CONTACTS + n_found_contacts, k)
-                n_found_contacts += 1
-                bodies, n_stack = reach(block, bodies, n_stack, body_b if body_a == b else body_a)
-        for j in range(n_joints - 1, -1, -1):
-            joint = joint_at(block, j)
-            body_a, body_b = load_whole(joint, BODY_A), load_whole(joint, BODY_B)
-            if (body_a == b or body_b == b) and not joints & (1 << j):
+            continue  # the search does not go through static bodies
+        for i in range(robot.n_contacts - 1, -1, -1):
+            k = robot.contact_list[i]
+            contact = robot.contacts[k]
+            ties = contact.point_count > 0 and (contact.body_a == b or contact.body_b == b)
+            if ties and not contacts & (1 << k):
+                contacts |= 1 << k
+                robot.island_contacts[n_contacts] = k
+                n_contacts += 1
+                other = contact.body_b if contact.body_a == b else contact.body_a
+                bodies, n_stack = _push(robot, bodies, n_stack, other)
+        for j in range(robot.n_joints - 1, -1, -1):
+            joint = robot.joints[j]
+            if (joint.body_a == b or joint.body_b == b) and not joints & (1 << j):
                 joints |= 1 << j
-                store_whole(block, ISLAND_JOINTS + n_found_joints, j)
-                n_found_joints += 1
-                bodies, n_stack = reach(block, bodies, n_stack, body_b if body_a == b else body_a)
-    store_whole(block, N_ISLAND_CONTACTS, n_found_contacts)
-    store_whole(block, N_ISLAND_JOINTS, n_found_joints)
+                robot.island_joints[n_joints] = j
+                n_joints += 1
+                other = joint.body_b if joint.body_a == b else joint.body_a
+                bodies, n_stack = _push(robot, bodies, n_stack, other)
+    robot.n_island_contacts, robot.n_island_joints = n_contacts, n_joints
 
 
 @inline
-def dissolve(block: Any) -> None:
-    """Leave nothing to solve of a robot that has diverged."""
-    store_whole(block, N_ISLAND_CONTACTS, 0)
-    store_whole(block, N_ISLAND_JOINTS, 0)
+def begin(robot: Robot, scene: Scene) -> None:
+    """Integrate velocities, initialize the constraints and warm-start them.
 
-
-@inline
-def island_contact(block: Any, i: int) -> Any:
-    """Find a contact of the island and its two bodies."""
-    contact = contact_at(block, load_whole(block, ISLAND_CONTACTS + i))
-    body_a, body_b = bodies_of(block, contact)
-    return contact, body_a, body_b
-
-
-@inline
-def island_joint(block: Any, i: int) -> Any:
-    """Find a joint of the island and its two bodies."""
-    joint = joint_at(block, load_whole(block, ISLAND_JOINTS + i))
-    return joint, body_at(block, load_whole(joint, BODY_A)), body_at(block, load_whole(joint, BODY_B))
-
-
-@inline
-def most(team: Any, n_robots: int, row: int) -> Any:
-    """Find the largest of a number that each robot has."""
-    largest = load_whole(team, row)
-    for robot in range(1, n_robots):
-        largest = max(largest, load_whole(team, robot * N_ROWS + row))
-    return largest
-
-
-@inline
-def begin(block: Any, world: Any) -> None:
-    """Integrate velocities, prepare the constraints, start them warm. At the spawn frames are not rounded yet."""
-    for b in range(load_whole(block, N_BODIES)):
-        body = body_at(block, b)
+    Frames follow from the centres of mass, as Box2D has them after every step; at the spawn they still differ by a
+    rounding.
+    """
+    for b in range(robot.n_bodies):
+        body = robot.bodies[b]
         synchronize_transform(body)
-        body[START_P_X], body[START_P_Y] = body[P_X], body[P_Y]
-        body[V_Y] = body[V_Y] + world.fall
-    n_contacts = load_whole(block, N_ISLAND_CONTACTS)
-    for i in range(n_contacts):
-        contact, body_a, body_b = island_contact(block, i)
-        contact_solver.initialize_velocity_constraint(contact, body_a, body_b, world.restitution)
-    for i in range(n_contacts):
-        contact, body_a, body_b = island_contact(block, i)
-        contact_solver.warm_start(contact, body_a, body_b, world.dt_ratio)
-    for i in range(load_whole(block, N_ISLAND_JOINTS)):
-        joint, body_a, body_b = island_joint(block, i)
-        revolute_joint.init_velocity_constraints(joint, body_a, body_b, world.dt_ratio)
+        body.start_p_x, body.start_p_y = body.p_x, body.p_y
+        body.v_y = body.v_y + scene.fall
+    for i in range(robot.n_island_contacts):
+        contact = robot.contacts[robot.island_contacts[i]]
+        body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
+        contact_solver.initialize_velocity_constraint(contact, body_a, body_b, scene.restitution)
+    for i in range(robot.n_island_contacts):
+        contact = robot.contacts[robot.island_contacts[i]]
+        body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
+        contact_solver.warm_start(contact, body_a, body_b, scene.dt_ratio)
+    for i in range(robot.n_island_joints):
+        joint = robot.joints[robot.island_joints[i]]
+        body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
+        revolute_joint.init_velocity_constraints(joint, body_a, body_b, scene.dt_ratio)
 
 
 @inline
-def sweep_velocities(team: Any, n_robots: int, world: Any) -> None:
-    """Sweeps of the velocity solver."""
-    n_contacts, n_joints = most(team, n_robots, N_ISLAND_CONTACTS), most(team, n_robots, N_ISLAND_JOINTS)
-    for _ in range(world.velocity_iterations):
+def _longest_lists(team: Sequence[Robot]) -> tuple[int, int]:
+    """Count the island contacts and joints of the robots that have most of them."""
+    n_contacts, n_joints = 0, 0
+    for r in range(len(team)):
+        n_contacts = max(n_contacts, team[r].n_island_contacts)
+        n_joints = max(n_joints, team[r].n_island_joints)
+    return n_contacts, n_joints
+
+
+@inline
+def sweep_velocities(team: Sequence[Robot], scene: Scene) -> None:
+    """Run the velocity solver."""
+    n_contacts, n_joints = _longest_lists(team)
+    for _ in range(scene.velocity_iterations):
         for i in range(n_joints):
-            for robot in range(n_robots):
-                block = from_row(team, robot * N_ROWS)
-                if i < load_whole(block, N_ISLAND_JOINTS):
-                    joint, body_a, body_b = island_joint(block, i)
-                    motor_speed = block[layout.MOTOR_SPEED - 1 + load_whole(joint, LINK)]
-                    revolute_joint.solve_velocity_constraints(joint, body_a, body_b, motor_speed)
+            for r in range(len(team)):
+                robot = team[r]
+                if i < robot.n_island_joints:
+                    joint = robot.joints[robot.island_joints[i]]
+                    body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
+                    revolute_joint.solve_velocity_constraints(joint, body_a, body_b)
         for i in range(n_contacts):
-            for robot in range(n_robots):
-                block = from_row(team, robot * N_ROWS)
-                if i < load_whole(block, N_ISLAND_CONTACTS):
-                    contact, body_a, body_b = island_contact(block, i)
-                    if load_whole(contact, CONTACT_BODY_A) == GROUND:
-                        contact_solver.solve_velocity_constraint_on_ground(contact, body_b, world.friction)
+            for r in range(len(team)):
+                robot = team[r]
+                if i < robot.n_island_contacts:
+                    contact = robot.contacts[robot.island_contacts[i]]
+                    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
+                    if contact.body_a == GROUND:
+                        contact_solver.solve_velocity_constraint_on_ground(contact, body_b, scene.friction)
                     else:
-                        contact_solver.solve_velocity_constraint(contact, body_a, body_b, world.friction)
+                        contact_solver.solve_velocity_constraint(contact, body_a, body_b, scene.friction)
 
 
 @inline
-def integrate_positions(block: Any, dt: Any) -> None:
-    """Limit the velocities, then move."""
-    for b in range(load_whole(block, N_BODIES)):
-        body = body_at(block, b)
-        vx, vy, w = body[V_X], body[V_Y], body[W]
-        translation_x, translation_y, rotation = dt * vx, dt * vy, dt * w
+def integrate_positions(robot: Robot, dt: np.float32) -> None:
+    """Limit the velocities, then move the bodies."""
+    for b in range(robot.n_bodies):
+        body = robot.bodies[b]
+        v_x, v_y, w = body.v_x, body.v_y, body.w
+        translation_x, translation_y, rotation = dt * v_x, dt * v_y, dt * w
         squared = translation_x * translation_x + translation_y * translation_y
-        if any_lane(squared > MAX_TRANSLATION * MAX_TRANSLATION):
-            ratio = MAX_TRANSLATION / sqrt(squared)
-            vx, vy = vx * ratio, vy * ratio
-        if any_lane(rotation * rotation > MAX_ROTATION_SQUARED):
+        if squared > MAX_TRANSLATION * MAX_TRANSLATION:
+            ratio = MAX_TRANSLATION / np.sqrt(squared)
+            v_x, v_y = v_x * ratio, v_y * ratio
+        if rotation * rotation > MAX_ROTATION_SQUARED:
             w = w * (MAX_ROTATION / abs(rotation))
-        body[V_X], body[V_Y], body[W] = vx, vy, w
-        place(body, body[C_X] + dt * vx, body[C_Y] + dt * vy, body[A] + dt * w)
+        body.v_x, body.v_y, body.w = v_x, v_y, w
+        place(body, body.c_x + dt * v_x, body.c_y + dt * v_y, body.a + dt * w)
 
 
 @inline
-def sweep_positions(team: Any, n_robots: int, world: Any) -> None:
-    """Sweeps of the position solver; a robot is left alone once all its errors were small in one sweep."""
-    n_contacts, n_joints = most(team, n_robots, N_ISLAND_CONTACTS), most(team, n_robots, N_ISLAND_JOINTS)
-    unsolved = (1 << n_robots) - 1  # a set of robots: the bits of a number
-    for _ in range(world.position_iterations):
+def sweep_positions(team: Sequence[Robot], scene: Scene) -> None:
+    """Run the position solver; a robot is finished once all its errors were small in one sweep."""
+    n_contacts, n_joints = _longest_lists(team)
+    unsolved = (1 << len(team)) - 1  # a set of robots: the bits of a whole number
+    for _ in range(scene.position_iterations):
         failed = 0
         for i in range(n_contacts):
-            for robot in range(n_robots):
-                block = from_row(team, robot * N_ROWS)
-                if unsolved & (1 << robot) and i < load_whole(block, N_ISLAND_CONTACTS):
-                    contact, body_a, body_b = island_contact(block, i)
+            for r in range(len(team)):
+                robot = team[r]
+                if unsolved & (1 << r) and i < robot.n_island_contacts:
+                    contact = robot.contacts[robot.island_contacts[i]]
+                    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
                     least = contact_solver.solve_position_constraint(contact, body_a, body_b)
-                    if not any_lane(least >= LEAST_SEPARATION):
-                        failed |= 1 << robot
+                    if not least >= LEAST_SEPARATION:  # NaN counts as failed
+                        failed |= 1 << r
         for i in range(n_joints):
-            for robot in range(n_robots):
-                block = from_row(team, robot * N_ROWS)
-                if unsolved & (1 << robot) and i < load_whole(block, N_ISLAND_JOINTS):
-                    joint, body_a, body_b = island_joint(block, i)
+            for r in range(len(team)):
+                robot = team[r]
+                if unsolved & (1 << r) and i < robot.n_island_joints:
+                    joint = robot.joints[robot.island_joints[i]]
+                    body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
                     if not revolute_joint.solve_position_constraints(joint, body_a, body_b):
-                        failed |= 1 << robot
+                        failed |= 1 << r
         unsolved = failed
         if unsolved == 0:
             break

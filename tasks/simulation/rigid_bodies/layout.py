@@ -1,174 +1,250 @@
-"""Where the numbers of a robot of rigid bodies lie: a block of one lane, whose rows go on behind those of rows.py.
+"""The records of a robot: Box2D's objects with named fields, all in one block of memory.
 
-The rows of rows.py hold what is a link's own: its state, its sizes, its controller, in the design's own numbering.
-Behind them are records of Box2D's things, one after the other: bodies (the ground is the last), fixtures (a link each,
-and the ground's), contacts (one for each pair of fixtures that may touch), joints; and lists of their numbers. Numbers
-of things and how many there are lie as int32, all else as float32.
+Each class describes a record twice: to mypy, and to :func:`record_dtype`, which makes the NumPy dtype. numba passes a
+record as its address, so ``robot.bodies[b].v_x`` is a single load. Names follow Box2D's members. Quantities are in SI
+units; those without a suffix _local or local_ are in the world's frame.
 """
 
 from __future__ import annotations
 
+from typing import Annotated, Any, get_args, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+from numpy import float32
+
 from tasks.design.genes import N_JOINTS, N_LINKS
-from tasks.simulation.trees import layout
 
 GROUND = N_LINKS
-"""The ground's number among the bodies and among the fixtures."""
+"""The ground's index among the bodies and among the fixtures."""
+N_BODIES = N_LINKS + 1
 MAX_CONTACTS = N_LINKS + N_LINKS * (N_LINKS - 1) // 2 - N_JOINTS
-"""Every link with the ground, and every two links but those that a joint ties."""
+"""Every link with the ground, and every two links except those that a joint ties."""
 
-# Of the links: tasks/simulation/fused_links.py's place in the body, and what a medium adds to the velocities in a step.
-(
-    PLACE_X,
-    PLACE_Y,
-    PLACE_ANGLE,
-    PLACE_COS,
-    PLACE_SIN,
-    LEVER_X,
-    LEVER_Y,
-    MASS_SHARE,
-    INERTIA_SHARE,
-    MASS_OVER_INERTIA,
-    WORLD_LEVER_X,
-    WORLD_LEVER_Y,
-    CHANGE_VX,
-    CHANGE_VY,
-    CHANGE_OMEGA,
-) = range(layout.N_ROWS, layout.N_ROWS + 15 * N_LINKS, N_LINKS)
+OfCorners = Annotated[list[float32], 4]
+"""A quantity of a box's four corners or edges; edge i goes from corner i to corner i + 1."""
 
-# How many there are, and lists: contacts from the oldest to the newest, all and those that touch; what the search
-# for the island met; its stack.
-N_BODIES, N_JOINTS_HERE, N_PAIRS, N_CONTACTS, N_ISLAND_CONTACTS, N_ISLAND_JOINTS = range(
-    CHANGE_OMEGA + N_LINKS, CHANGE_OMEGA + N_LINKS + 6
-)
-CONTACT_LIST = N_ISLAND_JOINTS + 1
-TOUCHING = CONTACT_LIST + MAX_CONTACTS
-ISLAND_CONTACTS = TOUCHING + MAX_CONTACTS
-ISLAND_JOINTS = ISLAND_CONTACTS + MAX_CONTACTS
-STACK = ISLAND_JOINTS + N_JOINTS
-BODIES = STACK + N_LINKS + 1
 
-# A body (b2Body): centre of mass and angle, velocities, transform of its frame; where the frame was at
-# the start of the step; mass, centre of mass in the frame; what a medium adds to the velocities.
-(
-    C_X,
-    C_Y,
-    A,
-    V_X,
-    V_Y,
-    W,
-    P_X,
-    P_Y,
-    Q_C,
-    Q_S,
-    START_P_X,
-    START_P_Y,
-    INVERSE_MASS,
-    INVERSE_INERTIA,
-    CENTER_X,
-    CENTER_Y,
-    PUSH_VX,
-    PUSH_VY,
-    PUSH_OMEGA,
-    N_BODY,
-) = range(20)
-FIXTURES = BODIES + (N_LINKS + 1) * N_BODY
+class Link:
+    """A link: its state, what a medium needs to know of it, and its place in its body (tasks.design.RigidBodies)."""
 
-# A fixture (b2Fixture, b2PolygonShape, b2FixtureProxy): its body; its fat AABB; its AABB now; its centroid in the
-# body's frame and in the world; its corners and edges, each quantity of all four: in the body's frame and in the world.
-(
-    FIXTURE_BODY,
-    FAT_LOWER_X,
-    FAT_LOWER_Y,
-    FAT_UPPER_X,
-    FAT_UPPER_Y,
-    LOWER_X,
-    LOWER_Y,
-    UPPER_X,
-    UPPER_Y,
-    CENTROID_X,
-    CENTROID_Y,
-    WORLD_CENTROID_X,
-    WORLD_CENTROID_Y,
-    VERTEX_X,
-) = range(14)
-(
-    VERTEX_Y,
-    NORMAL_X,
-    NORMAL_Y,
-    TANGENT_X,
-    TANGENT_Y,
-    WORLD_VERTEX_X,
-    WORLD_VERTEX_Y,
-    WORLD_NORMAL_X,
-    WORLD_NORMAL_Y,
-    N_FIXTURE,
-) = range(VERTEX_X + 4, VERTEX_X + 44, 4)
-CONTACTS = FIXTURES + (N_LINKS + 1) * N_FIXTURE
+    x: float32
+    y: float32
+    angle: float32
+    vx: float32
+    vy: float32
+    omega: float32
+    cos: float32
+    sin: float32
+    length_scale: float32
+    width: float32
+    mass: float32
+    inertia: float32
+    change_vx: float32
+    """Velocity change by the medium, to be given to the body."""
+    change_vy: float32
+    change_omega: float32
+    lever_x: float32
+    """The link's centre less the body's centre of mass."""
+    lever_y: float32
+    body: int
+    local_x: float32
+    local_y: float32
+    local_angle: float32
+    local_cos: float32
+    local_sin: float32
+    local_lever_x: float32
+    local_lever_y: float32
+    mass_share: float32
+    inertia_share: float32
+    mass_over_inertia: float32
 
-# A contact (b2Contact, b2Manifold, b2ContactVelocityConstraint) and each of its two points.
-(
-    FIXTURE_A,
-    FIXTURE_B,
-    CONTACT_BODY_A,
-    CONTACT_BODY_B,
-    EXISTS,
-    POINT_COUNT,
-    FACE_B,
-    LOCAL_NORMAL_X,
-    LOCAL_NORMAL_Y,
-    LOCAL_POINT_X,
-    LOCAL_POINT_Y,
-    N_X,
-    N_Y,
-    CONSTRAINT_POINTS,
-    K_11,
-    K_12,
-    K_22,
-    M_11,
-    M_12,
-    M_22,
-    POINTS,
-) = range(21)
-(
-    POINT_X,
-    POINT_Y,
-    ID,
-    NORMAL_IMPULSE,
-    TANGENT_IMPULSE,
-    RA_X,
-    RA_Y,
-    RB_X,
-    RB_Y,
-    NORMAL_MASS,
-    TANGENT_MASS,
-    BIAS,
-    N_POINT,
-) = range(13)
-N_CONTACT = POINTS + 2 * N_POINT
-JOINTS = CONTACTS + MAX_CONTACTS * N_CONTACT
 
-# A joint (b2RevoluteJoint): bodies, the link that hangs from it, anchors from the centres of mass.
-(
-    BODY_A,
-    BODY_B,
-    LINK,
-    ANCHOR_A_X,
-    ANCHOR_A_Y,
-    ANCHOR_B_X,
-    ANCHOR_B_Y,
-    MAX_MOTOR_IMPULSE,
-    IMPULSE_X,
-    IMPULSE_Y,
-    MOTOR_IMPULSE,
-    LEVER_A_X,
-    LEVER_A_Y,
-    LEVER_B_X,
-    LEVER_B_Y,
-    K_XX,
-    K_XY,
-    K_YY,
-    K_INVERSE_DET,
-    MOTOR_MASS,
-    N_JOINT,
-) = range(21)
-N_ROWS = JOINTS + N_JOINTS * N_JOINT
+class Body:
+    """b2Body."""
+
+    c_x: float32
+    """Centre of mass."""
+    c_y: float32
+    a: float32
+    """Angle."""
+    v_x: float32
+    """Velocity of the centre of mass."""
+    v_y: float32
+    w: float32
+    """Angular velocity."""
+    p_x: float32
+    """Origin of the body's frame."""
+    p_y: float32
+    cos: float32
+    sin: float32
+    start_p_x: float32
+    """Origin of the body's frame at the start of the step."""
+    start_p_y: float32
+    inv_mass: float32
+    inv_inertia: float32
+    local_center_x: float32
+    """Centre of mass in the body's frame."""
+    local_center_y: float32
+
+
+class Fixture:
+    """b2Fixture, b2PolygonShape and b2FixtureProxy: a box, its AABB, and the fat AABB in the broad phase."""
+
+    body: int
+    fat_lower_x: float32
+    fat_lower_y: float32
+    fat_upper_x: float32
+    fat_upper_y: float32
+    lower_x: float32
+    lower_y: float32
+    upper_x: float32
+    upper_y: float32
+    local_centroid_x: float32
+    local_centroid_y: float32
+    centroid_x: float32
+    centroid_y: float32
+    local_vertex_x: OfCorners
+    local_vertex_y: OfCorners
+    local_normal_x: OfCorners
+    local_normal_y: OfCorners
+    local_tangent_x: OfCorners
+    local_tangent_y: OfCorners
+    vertex_x: OfCorners
+    vertex_y: OfCorners
+    normal_x: OfCorners
+    normal_y: OfCorners
+
+
+class ContactPoint:
+    """b2ManifoldPoint and b2VelocityConstraintPoint."""
+
+    local_x: float32
+    """The point in the frame of the body whose edge was clipped."""
+    local_y: float32
+    id: int
+    """b2ContactID; see polygons.py."""
+    normal_impulse: float32
+    tangent_impulse: float32
+    ra_x: float32
+    """The point from body A's centre of mass."""
+    ra_y: float32
+    rb_x: float32
+    rb_y: float32
+    normal_mass: float32
+    tangent_mass: float32
+    velocity_bias: float32
+
+
+class Contact:
+    """b2Contact, b2Manifold and b2ContactVelocityConstraint."""
+
+    fixture_a: int
+    fixture_b: int
+    body_a: int
+    body_b: int
+    exists: int
+    """Whether the fat AABBs overlap; 0 or 1."""
+    point_count: int
+    """Points of the manifold."""
+    flipped: int
+    """Whether the reference edge is body B's (b2Manifold::e_faceB); 0 or 1."""
+    local_normal_x: float32
+    """Of the reference edge, in its body's frame."""
+    local_normal_y: float32
+    local_point_x: float32
+    """Centre of the reference edge, in its body's frame."""
+    local_point_y: float32
+    normal_x: float32
+    """From A to B."""
+    normal_y: float32
+    solved_count: int
+    """Points that the velocity solver has: 1 where a block of 2 is ill-conditioned."""
+    k11: float32
+    """K of both normal impulses, and its inverse M."""
+    k12: float32
+    k22: float32
+    m11: float32
+    m12: float32
+    m22: float32
+    points: Annotated[list[ContactPoint], 2]
+
+
+class Joint:
+    """b2RevoluteJoint, and the controller of its motor (tasks/simulation/controller.py)."""
+
+    body_a: int
+    body_b: int
+    parent: int
+    """The links that it joins."""
+    child: int
+    phase_turns: float32
+    motion_range: float32
+    rest_angle: float32
+    motor_speed: float32
+    max_motor_impulse: float32
+    """0 where there is no motor."""
+    local_ra_x: float32
+    """The joint from body A's centre of mass, in the body's frame."""
+    local_ra_y: float32
+    local_rb_x: float32
+    local_rb_y: float32
+    ra_x: float32
+    ra_y: float32
+    rb_x: float32
+    rb_y: float32
+    impulse_x: float32
+    impulse_y: float32
+    motor_impulse: float32
+    k_xx: float32
+    k_xy: float32
+    k_yy: float32
+    k_inverse_det: float32
+    motor_mass: float32
+
+
+class Robot:
+    """A robot alone in its b2World; lists hold indices, of which the first few count."""
+
+    links: Annotated[list[Link], N_LINKS]
+    bodies: Annotated[list[Body], N_BODIES]
+    """Ordered by their first links; the ground is the last."""
+    fixtures: Annotated[list[Fixture], N_BODIES]
+    """A link's has its index; the ground's is the last."""
+    contacts: Annotated[list[Contact], MAX_CONTACTS]
+    """All pairs of fixtures that may collide, ordered by their proxies."""
+    joints: Annotated[list[Joint], N_JOINTS]
+    frequency: float32
+    divergence: float32
+    """NaN from where the robot diverged; 0 before."""
+    n_bodies: int
+    """Without the ground."""
+    n_joints: int
+    n_pairs: int
+    n_contacts: int
+    n_island_contacts: int
+    n_island_joints: int
+    contact_list: Annotated[list[int], MAX_CONTACTS]
+    """Contacts that exist, from the oldest to the newest."""
+    island_contacts: Annotated[list[int], MAX_CONTACTS]
+    """Contacts that touch, in the order in which the island's search finds them."""
+    island_joints: Annotated[list[int], N_JOINTS]
+    stack: Annotated[list[int], N_BODIES]
+    """Bodies that the search still has to visit."""
+
+
+Records = npt.NDArray[np.record]
+"""Records of one of these classes."""
+
+
+def record_dtype(record: type) -> np.dtype[Any]:
+    """Make the dtype of a class above: float32, int32 for int, and nested records; scalars are np.record."""
+    fields: list[Any] = []
+    for name, hint in get_type_hints(record, include_extras=True).items():
+        shape = getattr(hint, "__metadata__", ())
+        element = get_args(get_args(hint)[0])[0] if shape else hint
+        fields.append((name, {float32: "f4", int: "i4"}.get(element) or record_dtype(element), shape))
+    return np.dtype((np.record, fields))
+
+
+ROBOT = record_dtype(Robot)

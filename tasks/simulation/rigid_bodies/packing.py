@@ -1,8 +1,6 @@
-"""Packing robots of rigid bodies into blocks: what Box2D makes of bodies, fixtures and joints as they are created."""
+"""Packing robots into records: b2Body, b2Fixture and b2Joint as Box2D creates them."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +11,8 @@ from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH
 from tasks.simulation.controller import Controllers
 from tasks.simulation.free_links import sines_and_cosines
-from tasks.simulation.rigid_bodies import layout as body_rows
-from tasks.simulation.trees import layout
+from tasks.simulation.rigid_bodies.layout import GROUND, MAX_CONTACTS, ROBOT, Records
 from tasks.world import Physics
-
-GROUND = body_rows.GROUND
 
 
 def boxes(half_width: Float32, half_height: Float32) -> tuple[Float32, Float32]:
@@ -116,8 +111,8 @@ def reset_mass_data(
     return inverse_mass, inverse_inertia, local
 
 
-def body_number(rigid: RigidBodies) -> Int64:
-    """(n_designs, n_links) number of the body that each link belongs to: in the order of their first links."""
+def body_index(rigid: RigidBodies) -> Int64:
+    """(n_designs, n_links) index of the body that each link belongs to; bodies are ordered by their first links."""
     number = np.cumsum(rigid.is_first, axis=1) - 1
     return np.take_along_axis(number, rigid.first_link, axis=1)
 
@@ -142,142 +137,117 @@ def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tup
         apart = rigid.first_link[design, link_a] != rigid.first_link[design, b]
         unjoined = (designs.parent[design, link_a] != b) & (designs.parent[design, b] != link_a)
         may = may | (apart & unjoined)
-    order = np.argsort(~may, axis=1, kind="stable")[:, : body_rows.MAX_CONTACTS]
+    order = np.argsort(~may, axis=1, kind="stable")[:, :MAX_CONTACTS]
     return np.take_along_axis(a, order, axis=1), np.take_along_axis(b, order, axis=1), may.sum(axis=1)
 
 
-def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: float, physics: Physics) -> Float32:
-    """Fill (n_designs, N_ROWS) blocks with what does not change, and with the bodies as they are made."""
-    single = np.float32
-    records = np.zeros((len(designs), body_rows.N_ROWS), single)
-    _pack_links(records, designs, trees, rigid)
+def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: float, physics: Physics) -> Records:
+    """Make the records of robots as Box2D creates their bodies, fixtures and joints.
 
+    Args:
+        designs: n_designs designs.
+        trees: of these designs.
+        rigid: of these designs.
+        depth: of the ground [m].
+        physics: the base simulator's constants.
+
+    Returns:
+        (n_designs,) records, to be spawned by the kernel.
+    """
+    robots = np.zeros(len(designs), ROBOT)
+    index = body_index(rigid)
     spin, turn = sines_and_cosines(rigid.angle.ravel())
     vertices, normals = boxes(trees.half_width, trees.half_height)
     cos, sin = turn.reshape(rigid.angle.shape), spin.reshape(rigid.angle.shape)
     centroid = np.stack([rigid.x, rigid.y], axis=-1)
     vertices, normals = _rotated(vertices, cos, sin) + centroid[..., None, :], _rotated(normals, cos, sin)
     inverse_mass, inverse_inertia, center = reset_mass_data(rigid, *compute_mass(vertices, physics.link_density))
-    _pack_fixtures(records, range(N_LINKS), body_number(rigid), vertices, normals, centroid)
 
+    _pack_links(robots["links"], designs, trees, rigid)
+    robots["n_bodies"] = rigid.is_first.sum(axis=1)
     design, link = np.nonzero(rigid.is_first)
-    base = body_rows.BODIES + body_number(rigid)[design, link] * body_rows.N_BODY
-    for row, quantity in (
-        (body_rows.P_X, trees.x),
-        (body_rows.P_Y, trees.y),
-        (body_rows.A, trees.angle),
-        (body_rows.INVERSE_MASS, inverse_mass),
-        (body_rows.INVERSE_INERTIA, inverse_inertia),
-        (body_rows.CENTER_X, center[..., 0]),
-        (body_rows.CENTER_Y, center[..., 1]),
+    for name, quantity in (
+        ("p_x", trees.x),
+        ("p_y", trees.y),
+        ("a", trees.angle),
+        ("inv_mass", inverse_mass),
+        ("inv_inertia", inverse_inertia),
+        ("local_center_x", center[..., 0]),
+        ("local_center_y", center[..., 1]),
     ):
-        records[design, base + row] = quantity[design, link]
-    records.view(np.int32)[:, body_rows.N_BODIES] = rigid.is_first.sum(axis=1)
-    _pack_joints(records, designs, trees, rigid, center, physics)
-    _pack_ground(records, depth)
+        robots["bodies"][name][design, index[design, link]] = quantity[design, link]
+    _pack_fixtures(robots["fixtures"][:, :N_LINKS], index, vertices, normals, centroid)
+    _pack_ground(robots, depth)
+    _pack_joints(robots, designs, trees, rigid, center, physics)
 
-    _pack_contacts(records, designs, rigid, physics)
-    return records
+    fixture_a, fixture_b, robots["n_pairs"] = fixture_pairs(designs, rigid, physics)
+    body = np.concatenate([index, np.full((len(designs), 1), GROUND)], axis=1)
+    contacts = robots["contacts"]
+    contacts["fixture_a"], contacts["fixture_b"] = fixture_a, fixture_b
+    contacts["body_a"] = np.take_along_axis(body, fixture_a, axis=1)
+    contacts["body_b"] = np.take_along_axis(body, fixture_b, axis=1)
+    return robots
 
 
-def _pack_links(records: Float32, designs: Designs, trees: KinematicTrees, rigid: RigidBodies) -> None:
-    controllers = Controllers.of(designs)
-    length = designs.length_scale.astype(np.float32)
-    for row, quantity in (
-        (layout.HALF_HEIGHT, trees.half_height),
-        (layout.LONG_AXIS, length),
-        (layout.SHORT_AXIS, 1 / length),
-        (layout.MASS, trees.mass),
-        (layout.INERTIA, trees.inertia),
-        (layout.PARENT, trees.parent[:, 1:]),
-        (layout.PHASE, controllers.phase_turns[:, 1:]),
-        (layout.MOTION_RANGE, controllers.motion_range[:, 1:]),
-        (layout.REST_ANGLE, controllers.rest_angle[:, 1:]),
-        (layout.FREQUENCY, controllers.frequency),
-        (body_rows.PLACE_X, rigid.x),
-        (body_rows.PLACE_Y, rigid.y),
-        (body_rows.PLACE_ANGLE, rigid.angle),
-        (body_rows.PLACE_COS, rigid.cos),
-        (body_rows.PLACE_SIN, rigid.sin),
-        (body_rows.LEVER_X, rigid.lever_x),
-        (body_rows.LEVER_Y, rigid.lever_y),
-        (body_rows.MASS_SHARE, rigid.mass_share),
-        (body_rows.INERTIA_SHARE, rigid.inertia_share),
-        (body_rows.MASS_OVER_INERTIA, rigid.mass_over_inertia),
-    ):
-        records[:, row : row + quantity.shape[1]] = quantity
+def _pack_links(links: Records, designs: Designs, trees: KinematicTrees, rigid: RigidBodies) -> None:
+    links["length_scale"] = designs.length_scale
+    links["width"] = 1 / links["length_scale"]
+    links["mass"], links["inertia"] = trees.mass, trees.inertia
+    links["body"] = body_index(rigid)
+    for name in ("x", "y", "angle", "cos", "sin", "lever_x", "lever_y"):
+        links[f"local_{name}"] = getattr(rigid, name)
+    for name in ("mass_share", "inertia_share", "mass_over_inertia"):
+        links[name] = getattr(rigid, name)
 
 
 def _pack_fixtures(
-    records: Float32,
-    numbers: Sequence[int],
-    body: npt.ArrayLike,
-    vertices: Float32,
-    normals: Float32,
-    centroid: Float32,
+    fixtures: Records, body: npt.ArrayLike, vertices: Float32, normals: Float32, centroid: Float32
 ) -> None:
-    """Pack boxes as the fixtures of some numbers: (..., n, 4, 2) vertices and normals, (..., n, 2) centroids."""
-    base = body_rows.FIXTURES + np.array(numbers) * body_rows.N_FIXTURE
-    records.view(np.int32)[:, base + body_rows.FIXTURE_BODY] = body
-    records[:, base + body_rows.CENTROID_X] = centroid[..., 0]
-    records[:, base + body_rows.CENTROID_Y] = centroid[..., 1]
-    corner = base[:, None] + np.arange(4)
-    records[:, corner + body_rows.VERTEX_X], records[:, corner + body_rows.VERTEX_Y] = np.moveaxis(vertices, -1, 0)
+    """Pack (..., n, 4, 2) vertices and normals and (..., n, 2) centroids of boxes."""
     edges = np.roll(vertices, -1, axis=-2) - vertices
     tangents = edges * (np.float32(1) / np.sqrt(_dot(edges, edges)))[..., None]  # b2Vec2::Normalize
-    records[:, corner + body_rows.TANGENT_X], records[:, corner + body_rows.TANGENT_Y] = np.moveaxis(tangents, -1, 0)
-    records[:, corner + body_rows.NORMAL_X], records[:, corner + body_rows.NORMAL_Y] = np.moveaxis(normals, -1, 0)
+    fixtures["body"] = body
+    for k, axis in enumerate("xy"):
+        fixtures[f"local_centroid_{axis}"] = centroid[..., k]
+        fixtures[f"local_vertex_{axis}"] = vertices[..., k]
+        fixtures[f"local_normal_{axis}"] = normals[..., k]
+        fixtures[f"local_tangent_{axis}"] = tangents[..., k]
 
 
 def _pack_joints(
-    records: Float32, designs: Designs, trees: KinematicTrees, rigid: RigidBodies, center: Float32, physics: Physics
+    robots: Records, designs: Designs, trees: KinematicTrees, rigid: RigidBodies, center: Float32, physics: Physics
 ) -> None:
-    """Joints by their links; anchors from the centres of mass, as b2RevoluteJoint takes them in every step."""
+    """Pack the joints, ordered by their child links."""
     design, link = np.nonzero(rigid.is_first & (np.arange(N_LINKS) > 0))
-    number = body_number(rigid)
-    parent = designs.parent[design, link]
-    above = center[design, rigid.first_link[design, parent]]
-    own = center[design, link]
+    index, parent = body_index(rigid), designs.parent[design, link]
+    center_a, center_b = center[design, rigid.first_link[design, parent]], center[design, link]
+    controllers = Controllers.of(designs)
     max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
-    base = body_rows.JOINTS + (number[design, link] - 1) * body_rows.N_JOINT
-    for row, which in (
-        (body_rows.BODY_A, number[design, parent]),
-        (body_rows.BODY_B, number[design, link]),
-        (body_rows.LINK, link),
+    for name, quantity in (
+        ("body_a", index[design, parent]),
+        ("body_b", index[design, link]),
+        ("parent", parent),
+        ("child", link),
+        ("local_ra_x", rigid.joint_x[design, link] - center_a[:, 0]),
+        ("local_ra_y", rigid.joint_y[design, link] - center_a[:, 1]),
+        ("local_rb_x", -center_b[:, 0]),
+        ("local_rb_y", trees.child_anchor[design, link] - center_b[:, 1]),
+        ("max_motor_impulse", designs.motor_on[design, link] * max_motor_impulse),
+        ("phase_turns", controllers.phase_turns[design, link]),
+        ("motion_range", controllers.motion_range[design, link]),
+        ("rest_angle", controllers.rest_angle[design, link]),
     ):
-        records.view(np.int32)[design, base + row] = which
-    for row, quantity in (
-        (body_rows.ANCHOR_A_X, rigid.joint_x[design, link] - above[:, 0]),
-        (body_rows.ANCHOR_A_Y, rigid.joint_y[design, link] - above[:, 1]),
-        (body_rows.ANCHOR_B_X, -own[:, 0]),
-        (body_rows.ANCHOR_B_Y, trees.child_anchor[design, link] - own[:, 1]),
-        (body_rows.MAX_MOTOR_IMPULSE, designs.motor_on[design, link] * max_motor_impulse),
-    ):
-        records[design, base + row] = quantity
-    records.view(np.int32)[:, body_rows.N_JOINTS_HERE] = rigid.is_first.sum(axis=1) - 1
+        robots["joints"][name][design, index[design, link] - 1] = quantity
+    robots["n_joints"] = rigid.is_first.sum(axis=1) - 1
+    robots["frequency"] = controllers.frequency[:, 0]
 
 
-def _pack_contacts(records: Float32, designs: Designs, rigid: RigidBodies, physics: Physics) -> None:
-    fixture_a, fixture_b, n_pairs = fixture_pairs(designs, rigid, physics)
-    body = np.concatenate([body_number(rigid), np.full((len(designs), 1), GROUND)], axis=1)
-    base = body_rows.CONTACTS + np.arange(body_rows.MAX_CONTACTS) * body_rows.N_CONTACT
-    whole = records.view(np.int32)
-    whole[:, body_rows.N_PAIRS] = n_pairs
-    for row, number in (
-        (body_rows.FIXTURE_A, fixture_a),
-        (body_rows.FIXTURE_B, fixture_b),
-        (body_rows.CONTACT_BODY_A, np.take_along_axis(body, fixture_a, axis=1)),
-        (body_rows.CONTACT_BODY_B, np.take_along_axis(body, fixture_b, axis=1)),
-    ):
-        whole[:, base + row] = number
-
-
-def _pack_ground(records: Float32, depth: float) -> None:
+def _pack_ground(robots: Records, depth: float) -> None:
     """Pack one static box: without mass, at an angle of 0."""
     single = np.float32
-    body = body_rows.BODIES + GROUND * body_rows.N_BODY
-    y = single(-depth - GROUND_HALF_HEIGHT)
-    records[:, [body + body_rows.P_Y, body + body_rows.C_Y]] = y
-    records[:, body + body_rows.Q_C] = 1.0
+    body = robots["bodies"][:, GROUND]
+    body["p_y"] = body["c_y"] = single(-depth - GROUND_HALF_HEIGHT)
+    body["cos"] = 1.0
     half_width, half_height = np.full(1, GROUND_HALF_WIDTH, single), np.full(1, GROUND_HALF_HEIGHT, single)
-    _pack_fixtures(records, [GROUND], GROUND, *boxes(half_width, half_height), np.zeros((1, 2), single))
+    vertices, normals = boxes(half_width, half_height)
+    _pack_fixtures(robots["fixtures"][:, GROUND:], GROUND, vertices, normals, np.zeros((1, 2), single))

@@ -9,12 +9,20 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from tasks.compiled import inline
+from tasks.simulation.box2d import (
+    BAUMGARTE,
+    LEAST_SEPARATION,
+    LINEAR_SLOP,
+    MAX_CONDITION_NUMBER,
+    MAX_LINEAR_CORRECTION,
+    POLYGON_RADIUS,
+    TOTAL_RADIUS,
+    VELOCITY_THRESHOLD,
+)
 from tasks.simulation.simd.lanes import any_lane, select
 from tasks.simulation.simd.rotation import sincos
-from tasks.simulation.trees.joint import LINEAR_SLOP, clamp
+from tasks.simulation.trees.joint import clamp
 from tasks.simulation.trees.layout import (
     ANGLE,
     BIAS_1,
@@ -55,20 +63,8 @@ from tasks.simulation.trees.layout import (
 )
 
 NO_VERTEX = -1.0
-POLYGON_RADIUS = 0.01
-"""b2_polygonRadius [m]: the skin of a polygon."""
-TOTAL_RADIUS = 0.02
-"""Both skins [m]: how near a vertex makes a contact point."""
 CLEARLY_APART = 0.1
 """[m]. Estimated, and far more than the error of the estimate: no contact, whatever the rounding."""
-VELOCITY_THRESHOLD = 1.0
-"""b2_velocityThreshold [m/s]: slower than this nothing bounces."""
-MAX_CONDITION_NUMBER = 1000.0
-BAUMGARTE = 0.2
-MAX_LINEAR_CORRECTION = 0.2
-"""b2_maxLinearCorrection [m]."""
-LEAST_SEPARATION = float(-np.float32(3.0) * np.float32(LINEAR_SLOP))
-"""Least separation that is good enough [m]."""
 
 
 @inline

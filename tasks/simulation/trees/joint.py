@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from tasks.compiled import inline
+from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
 from tasks.simulation.simd.lanes import from_row, select
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees.layout import (
@@ -44,23 +43,6 @@ from tasks.simulation.trees.layout import (
     X,
     Y,
 )
-
-LINEAR_SLOP = 0.005
-"""b2_linearSlop [m]: separation of a joint that is good enough."""
-
-
-def largest_square(root: float) -> float:
-    """Find the largest float32 whose root, rounded to float32, is no more than this: a comparison without a root."""
-    square = np.float32(root) * np.float32(root)
-    while np.sqrt(np.nextafter(square, np.float32(np.inf))) <= np.float32(root):
-        square = np.nextafter(square, np.float32(np.inf))
-    while np.sqrt(square) > np.float32(root):
-        square = np.nextafter(square, np.float32(0.0))
-    return float(square)
-
-
-LINEAR_SLOP_SQUARED = largest_square(LINEAR_SLOP)
-"""[m²]"""
 
 
 @inline

@@ -14,6 +14,7 @@ import numpy as np
 
 from tasks.compiled import inline
 from tasks.design.genes import N_JOINTS
+from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.simulation.controller import SINE_OF_TURNS
 from tasks.simulation.simd.lanes import any_lane, count_parts, floor, from_row, part, select, sqrt
 from tasks.simulation.simd.rotation import sincos
@@ -48,12 +49,6 @@ from tasks.world.slush import TINY
 _C1, _C3, _C5, _C7, _C9 = (np.float32(c) for c in SINE_OF_TURNS)
 _ZERO, _QUARTER, _HALF, _ONE, _TWO, _FOUR, _TWENTY_FOUR = (np.float32(x) for x in (0, 0.25, 0.5, 1, 2, 4, 24))
 _TINY = np.float32(TINY)
-MAX_TRANSLATION = 2.0
-"""b2_maxTranslation [m]: no body moves farther in a step."""
-MAX_ROTATION = float(np.float32(0.5) * np.float32(3.14159265359))
-"""b2_maxRotation [rad]."""
-MAX_ROTATION_SQUARED = float(np.float32(MAX_ROTATION) * np.float32(MAX_ROTATION))
-
 MAX_GROUPS_AT_ONCE = 2
 """Groups that take a step together; what the velocity solver touches of two still fits a core's L1 cache."""
 

@@ -10,7 +10,7 @@ from tasks.fabrication.contacts import passing_contacts
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.rods import Layers
 from tasks.simulation import simulate
-from tasks.simulation.trees.contact import TOTAL_RADIUS
+from tasks.simulation.box2d import TOTAL_RADIUS
 from tasks.world import DryLand, Physics
 
 DT = 0.1

@@ -11,7 +11,6 @@ from both_engines import Slushes, assert_equal_in_plain_python, peaks_of_memory
 from tasks.design import Designs, random_designs, rigid_bodies
 from tasks.simulation import DIVERGED, OK, batch, simulate
 from tasks.simulation.rigid_bodies import engine, layout, packing, step
-from tasks.simulation.simd.lanes import Block, load_whole, store_whole
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, TrueSlush
 
 compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in plain Python")
@@ -64,14 +63,14 @@ def test_without_a_trace_the_ends_are_the_same(designs, environment):
 
 @compiled_only
 @pytest.mark.parametrize("poison", [np.nan, np.inf, 3e38])
-@pytest.mark.parametrize("row", [layout.V_X, layout.W, layout.A])
-def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, row):
+@pytest.mark.parametrize("quantity", ["v_x", "w", "a"])
+def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, quantity):
     world = batch.scene_of(TrueSlush(0.5), PHYSICS)
     clean, spoiled = (engine.Robots(designs, 0.5, PHYSICS, n_members=1) for _ in range(2))
     for each in (clean, spoiled):
         each.advance(world, 0, 60, None)
     victim = step.TEAM + 1
-    spoiled.blocks[victim, layout.BODIES + row, 0] = poison
+    spoiled.records["bodies"][quantity][victim, 0] = poison
     for each in (clean, spoiled):
         each.advance(world, 60, 90, None)
     others = np.arange(N_DESIGNS) != victim
@@ -134,22 +133,6 @@ def test_the_mass_of_a_box_anywhere_in_the_frame():
     np.testing.assert_allclose(mass, 3.0, rtol=1e-6)
     np.testing.assert_allclose(center, [[2.0, -1.5]], rtol=1e-6)
     np.testing.assert_allclose(inertia, 3.0 * ((0.5**2 + 2**2) / 12 + 2.0**2 + 1.5**2), rtol=1e-6)
-
-
-@numba.njit
-def swap(block):
-    first = load_whole(block, 0)
-    store_whole(block, 0, load_whole(block, 1))
-    store_whole(block, 1, first)
-
-
-@pytest.mark.parametrize("exchange", [swap, swap.py_func] if not numba.config.DISABLE_JIT else [swap])
-def test_whole_numbers_lie_in_blocks_of_one_lane(exchange):
-    block = Block(2, 1)
-    store_whole(block, 0, -7)
-    store_whole(block, 1, 2**31 - 1)
-    exchange(block)
-    assert (load_whole(block, 0), load_whole(block, 1)) == (2**31 - 1, -7)
 
 
 def test_the_kernels_are_plain_python_too():

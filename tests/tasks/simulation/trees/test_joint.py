@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tasks.simulation.trees.joint import LINEAR_SLOP, LINEAR_SLOP_SQUARED, largest_square
+from tasks.simulation.box2d import LINEAR_SLOP, LINEAR_SLOP_SQUARED, largest_square
 
 
 @pytest.mark.parametrize("root", [LINEAR_SLOP, 0.3, 1.0, 7.0])
