@@ -34,7 +34,7 @@ def fabricate(
     from pipeline.fabrication.choices import FabricationSettings
     from pipeline.fabrication.make_kit import fabricate as make
     from pipeline.tracking.mirror import open_tracker
-    from pipeline.workflow.driver import settings_of
+    from pipeline.workflow.record import settings_of
 
     if (design is None) == (study is None):
         raise PuddleError("expected either a design file or --study NAME: `puddle fabricate design.json`")

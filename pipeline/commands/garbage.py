@@ -22,9 +22,9 @@ from pipeline.stages import STAGES
 from pipeline.store import disk
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.driver import settings_of
 from pipeline.workflow.graph import ChainProgress, StageRun, results_of
 from pipeline.workflow.identity import to_json
+from pipeline.workflow.record import settings_of
 from pipeline.workflow.stage import AnyStage, Results
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
-from pipeline.config.settings import DEEPEST, RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.config.settings import DEEPEST, RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.errors import PuddleError
 from pipeline.report import render_gif, render_mp4, render_robot, replay_of
 from pipeline.stages import environments
@@ -66,7 +65,7 @@ def simulate_design(
         raise PuddleError(f"--environment: expected one of {', '.join(_ENVIRONMENTS)}, got {environment!r}")
     if not 0.0 <= depth <= DEEPEST:
         raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, got {depth:g}")
-    world = cast(EnvironmentName, environment)
+    world = environment
     kind = None if out is None else out.suffix.lower()
     if out is not None and (kind not in (*_RENDERERS, _PAGE_SUFFIX) or not out.parent.is_dir()):
         suffixes = " or ".join((*_RENDERERS, _PAGE_SUFFIX))

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.cluster.process import signals_unwind
 from pipeline.commands.sizes import BYTES_OF_A_DESIGN
 from pipeline.commands.specimens import N_FEW_THROWS, few_throws, short_film, untrained_ensemble
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.errors import PuddleError
 from pipeline.report import render_films
 from pipeline.stages import environments
@@ -28,7 +28,7 @@ from tasks.design import Designs, random_designs
 from tasks.evolution import EMPTY_POPULATION, Population, ask, tell
 from tasks.residual import initial_states, simulate_throws
 from tasks.simulation import simulate
-from tasks.world import Environment, ResidualSlush
+from tasks.world import Environment, EnvironmentName, ResidualSlush
 
 FEWEST_STEPS = 20
 """Steps of the shortest rollout that is timed."""

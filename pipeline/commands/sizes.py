@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.commands.specimens import N_FEW_THROWS, few_throws, layers_of, short_film
-from pipeline.config.settings import ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.config.settings import Settings
 from pipeline.report import render_films
 from pipeline.stages import STAGES
 from pipeline.stages.analyses.specs import AnalysisSpec, ExploitersSpec, InstrumentsSpec
@@ -24,6 +24,7 @@ from pipeline.workflow.stage import AnyStage, Chain, Results
 from tasks.design import N_LINKS, Designs, random_designs
 from tasks.evolution import Evaluation, Trial, evolve
 from tasks.residual import Transitions
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 MANIFEST_BYTES = 2_500
 """Of an item; a report's is longer, and nothing beside its films."""

@@ -9,24 +9,20 @@ assessment, and how the work is cut. How it is cut never changes a result.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
 from tasks.evolution import Afpo
 from tasks.parameters import Parameters
 from tasks.residual import Architecture, Throws, Training
-from tasks.world import Physics, Slush, environment
+from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush
+from tasks.world.registry import settings_groups
 
-EnvironmentName = environment.EnvironmentName
-"""Where a trial evolves."""
-
-ENVIRONMENTS: tuple[EnvironmentName, ...] = get_args(EnvironmentName)
-
-RESIDUAL_ENVIRONMENTS: tuple[EnvironmentName, ...] = ("residual_slush", "single_member")
-"""The environments that need trained networks."""
+RESIDUAL_ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kind.networks != "none")
+"""Environments that need trained networks."""
 
 DEEPEST = 1000.0
 """The deepest ground that there may be [m]."""
@@ -120,7 +116,7 @@ class EvolutionSettings(Parameters):
 class TransferSettings(Parameters):
     """What champions go through in True Slush."""
 
-    adapted_environments: tuple[EnvironmentName, ...] = ENVIRONMENTS
+    adapted_environments: tuple[EnvironmentName, ...] = tuple(ENVIRONMENTS)
     """Whose champions' controllers are evolved again from scratch in True Slush, bodies frozen."""
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Of each adaptation. [P]"""
@@ -149,6 +145,22 @@ class WorkSettings(Parameters):
     worker, which is right unless a generation costs core-seconds or there are more cores than trials."""
 
 
+_SettingsT = TypeVar("_SettingsT", bound=Parameters)
+
+
+def _with_registered_media(declared: type[_SettingsT]) -> type[_SettingsT]:
+    """Add the settings groups of registered media that have no field of their own."""
+    groups: dict[str, Any] = {
+        name: (group, Field(default=group(), description=group.__doc__))
+        for name, group in settings_groups().items()
+        if name not in declared.model_fields
+    }
+    if not groups:
+        return declared
+    return create_model(declared.__name__, __base__=declared, __module__=declared.__module__, **groups)
+
+
+@_with_registered_media
 class Settings(Parameters):
     """A study."""
 

@@ -63,7 +63,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.config.settings import ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.analyses import champions, instruments, statistics, tank_tests
 from pipeline.stages.analyses.specs import (
@@ -102,6 +102,7 @@ from pipeline.workflow.stage import (
 )
 from tasks.analysis import Tank
 from tasks.analysis.prediction import mean_less_deviations
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 _VERSION = 4
 

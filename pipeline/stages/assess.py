@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.config.settings import EnvironmentName, Settings
+from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_table, encode_table
@@ -24,6 +24,7 @@ from tasks.analysis import draw_over_generations, spread_evenly
 from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
 from tasks.seeding import generator
+from tasks.world import EnvironmentName
 
 PREDICTIONS = "predictions.parquet"
 

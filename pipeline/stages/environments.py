@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.cluster import spread
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, RolloutSettings, Settings
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, RolloutSettings, Settings
 from pipeline.store.encoding import decode_arrays
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
@@ -17,7 +17,7 @@ from tasks.evolution import Evaluation, evaluate
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
-from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 
@@ -26,14 +26,6 @@ MEMBER = "member"
 
 _FLOPS_OF_PHYSICS = 8e3
 """Approximate cost of one link's Box2D step, to weigh networks against."""
-
-_SETTINGS_OF: Mapping[EnvironmentName, tuple[str, ...]] = {
-    "true_slush": ("slush",),
-    "dry_land": (),
-    "residual_slush": (),
-    "single_member": (),
-}
-"""Groups of settings that define each environment, beside the physics."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +55,8 @@ class SimulationSpec:
 
 def media_of(settings: Settings, *environments: EnvironmentName) -> Media:
     """Select the settings of some environments' media."""
-    groups = dict.fromkeys(group for environment in environments for group in _SETTINGS_OF[environment])
-    return {group: getattr(settings, group) for group in groups}
+    groups = (ENVIRONMENTS[environment].settings_group for environment in environments)
+    return {group: getattr(settings, group) for group in groups if group is not None}
 
 
 def simulation_spec(settings: Settings, *environments: EnvironmentName) -> SimulationSpec:
@@ -81,17 +73,19 @@ def build_environment(media: Media, name: EnvironmentName, depth: float, inputs:
         depth: of the ground below the surface [m].
         inputs: hold the weights of its members, if it has any.
     """
-    if name == "dry_land":
-        return DryLand(depth=depth)
-    if name == "true_slush":
-        return TrueSlush(depth=depth, slush=Slush.model_validate(media["slush"]))
+    ensemble = None if ENVIRONMENTS[name].networks == "none" else ensemble_of(inputs)
+    return ENVIRONMENTS[name].environment(depth, media, ensemble)
+
+
+def ensemble_of(inputs: Inputs) -> EnsembleMedium:
+    """Decode the members among an item's inputs."""
     from tasks.residual.ensemble import Ensemble
 
     members = [
         decode_arrays(files[WEIGHTS], schema=MEMBER_SCHEMA, version=MEMBER_VERSION, source=member.label)[0]
         for member, files in members_among(inputs).items()
     ]
-    return ResidualSlush(depth=depth, ensemble=Ensemble.from_members(members))
+    return Ensemble.from_members(members)
 
 
 def true_slush(media: Media, depth: float) -> Environment:
@@ -128,10 +122,9 @@ def member_inputs(
     Raises:
         MissingInputs: a member is not trained.
     """
-    if environment not in RESIDUAL_ENVIRONMENTS:
-        return {}
     n_members = settings.ensemble.n_members
-    members = map(MemberId, range(n_members) if environment == "residual_slush" else [trial % n_members])
+    numbers = {"none": range(0), "one": [trial % n_members], "all": range(n_members)}
+    members = [MemberId(number) for number in numbers[ENVIRONMENTS[environment].networks]]
     return {InputName(MEMBER, of): Input(upstream["train"].chain(of)[-1], (WEIGHTS,)) for of in members}
 
 
@@ -160,7 +153,7 @@ def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
         return 1.0
     width, n_hidden = settings.network.width, settings.network.hidden_layers
     flops = 2 * (6 * width + (n_hidden - 1) * width**2 + width * 6)
-    n_members = settings.ensemble.n_members if environment == "residual_slush" else 1
+    n_members = settings.ensemble.n_members if ENVIRONMENTS[environment].networks == "all" else 1
     return n_members * (1 + flops / _FLOPS_OF_PHYSICS)
 
 

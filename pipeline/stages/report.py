@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import yaml
 
-from pipeline.config.settings import ENVIRONMENTS, RESIDUAL_ENVIRONMENTS, Settings, WorkSettings
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings, WorkSettings
 from pipeline.report import Drawing, Replay, draw_all, render_films, render_page
 from pipeline.report.camera import FILM_FPS
 from pipeline.report.data import ArtifactDigest, Draws, ResidualError, StudyReport, TrialResult
@@ -44,6 +44,7 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.evolution import OPERATORS
+from tasks.world import ENVIRONMENTS
 
 PAGE = "index.html"
 """The page's file."""

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import environments
 from pipeline.stages.analyse import INSTRUMENTS, read_table
-from pipeline.stages.analyses.champions import champions, ensemble_of
+from pipeline.stages.analyses.champions import champions
 from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, film_arm
 from pipeline.stages.analyses.instruments import transitions_of
 from pipeline.stages.analyses.specs import AnalysisId
@@ -24,7 +24,7 @@ from pipeline.workflow.identity import Arm, InputName, TrialId, deepest_first
 from pipeline.workflow.stage import Execution, Files, Inputs
 from tasks.analysis import acceleration, disagreement, link_states, novelty, thrown
 from tasks.design import Designs
-from tasks.world import ENVIRONMENTS, Medium
+from tasks.world import ENVIRONMENTS, EnvironmentName, Medium
 
 LAID_OVER = (
     ("disagreement", "what the members disagree about", "m/s²", 0.0),
@@ -124,7 +124,7 @@ def looked_at(
     """
     physics = simulation.physics
     learned, _ = transitions_of(held_out, seed, inputs)
-    said = disagreement(design, trace, ensemble_of(inputs), physics).magnitude[0]
+    said = disagreement(design, trace, environments.ensemble_of(inputs), physics).magnitude[0]
     new = novelty(link_states(design, trace, physics), thrown(learned.observation, learned.throw)).novelty[0]
     return tuple(
         Overlay(label, unit, at_frames(values, simulation.rollout.n_settle), least)
@@ -158,7 +158,7 @@ def push_of(
         medium: Medium | None = environments.build_environment(simulation.media, arm.environment, arm.depth, {}).medium
     else:
         name, files = list(members_among(networks).items())[member]
-        medium = ensemble_of({name: files})
+        medium = environments.ensemble_of({name: files})
     if medium is None:
         return None
     physics = simulation.physics

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName, Settings
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.stages import environments
 from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
@@ -22,7 +22,7 @@ from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
 from tasks.evolution import EMPTY_POPULATION, HISTORY_UNITS, OPERATORS, Afpo, Population, Trial, evolve
 from tasks.seeding import generator
-from tasks.world import Environment
+from tasks.world import Environment, EnvironmentName
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
 

@@ -12,7 +12,8 @@ from typing import Any, Protocol
 
 from pydantic_core import to_jsonable_python
 
-from pipeline.config.settings import EnvironmentName, Settings
+from pipeline.config.settings import Settings
+from tasks.world import EnvironmentName
 
 
 def to_json(specification: object) -> Any:

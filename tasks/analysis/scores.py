@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tasks.arrays import Float64
-from tasks.world.environment import EnvironmentName
+from tasks.world.registry import EnvironmentName
 
 EvolvedIn = EnvironmentName
 """The arm of a study that a champion is of."""

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from numbers import Real
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from tasks.world.medium import Medium
-
-EnvironmentName = Literal["true_slush", "dry_land", "residual_slush", "single_member"]
-"""Where a trial evolves: E, E', Ê with the whole ensemble, Ê with one member of it."""
 
 
 @dataclass(frozen=True)

@@ -45,13 +45,13 @@ store = Store.open(Path("store"), create=True)
 with serial_cluster() as cluster:
     upstream = run(settings, store, cluster)
 for stage, results in upstream.items():
-    for label, manifests in results.done.items():
-        folder = Path("out", stage, label)
+    for chain, manifests in results.done.items():
+        folder = Path("out", stage, chain.label)
         folder.mkdir(parents=True)
         for manifest in manifests:
             for name in manifest.files:
                 (folder / name).write_bytes(store.read(manifest, name))
-print(json.dumps([f"{stage} {label}: {why}" for stage in upstream for label, why in upstream[stage].failed.items()]))
+print(json.dumps([f"{stage} {of.label}: {why}" for stage in upstream for of, why in upstream[stage].failed.items()]))
 """
 
 TAR = '''"""Tar: a current that carries along whatever is below y = 0."""
@@ -111,30 +111,15 @@ register(
 '''
 PULL, TIME_STEP = 3.0, 1 / 60
 
-IMPORT_TAR = "from tasks.world.tar import Tar\n"
-
-MEDIUM = {
-    "tasks/world/environment.py": [('"single_member"]', '"single_member", "tar_pit"]')],
-    "pipeline/config/settings.py": [
-        ("from tasks.world import", f"{IMPORT_TAR}from tasks.world import"),
-        ("    slush: Slush", '    tar: Tar = Tar()\n    """That of the tar pit."""\n    slush: Slush'),
-    ],
-    "pipeline/stages/segments.py": [
-        ('    "dry_land": (),\n', '    "dry_land": (),\n    "tar_pit": ("tar",),\n'),
-        ("from tasks.world import", "from tasks.world.tar import Tar, TarPit\nfrom tasks.world import"),
-        (
-            '    if world == "true_slush":\n',
-            '    if world == "tar_pit":\n        return TarPit(depth=depth, tar=Tar.model_validate(spec["tar"]))\n'
-            '    if world == "true_slush":\n',
-        ),
-    ],
-}
 LEARNT = {
-    "pipeline/stages/segments.py": [
-        ('    "true_slush": ("slush",),\n', '    "true_slush": ("tar",),\n'),
+    "tasks/world/slush.py": [
         (
-            '        return TrueSlush(depth=depth, slush=Slush.model_validate(spec["slush"]))\n',
-            '        return TarPit(depth=depth, tar=Tar.model_validate(spec["tar"]))\n',
+            "from tasks.world.registry import",
+            "from tasks.world.tar import Tar, TarPit\nfrom tasks.world.registry import",
+        ),
+        (
+            '        build=TrueSlush,\n        settings_group="slush",\n        settings=Slush,\n',
+            '        build=TarPit,\n        settings_group="tar",\n        settings=Tar,\n',
         ),
     ]
 }
@@ -154,7 +139,7 @@ GENE = {
             "    hollow: npt.NDArray[np.bool_]\n    girth: npt.NDArray[np.float64]\n",
         ),
     ],
-    "pipeline/stages/evolve.py": [('"evolve", 2\n', '"evolve", 3\n')],
+    "pipeline/stages/evolve.py": [("    version=2,\n", "    version=3,\n")],
 }
 
 
@@ -191,7 +176,7 @@ def pushes(copy: Path) -> dict[tuple[str, str], np.ndarray]:
     page = (copy / "out" / "report" / "index.html" / "index.html").read_text()
     replays = json.loads(re.search(r'id="replays">(.*?)</script>', page).group(1))
     assert all(replay["pushQuantum"] == MOST_ACCELERATION / 127 for replay in replays)
-    where = [(replay["environment"], replay["world"]) for replay in replays]
+    where = [(replay["environment"], replay["seenIn"]) for replay in replays]
     push = [np.frombuffer(base64.b64decode(replay["push"]), np.int8).reshape(-1, 2) for replay in replays]
     return dict(zip(where, push, strict=True))
 
@@ -199,7 +184,6 @@ def pushes(copy: Path) -> dict[tuple[str, str], np.ndarray]:
 @pytest.mark.timeout(600)
 def test_a_medium_to_evolve_in(copy):
     (copy / "tasks/world/tar.py").write_text(TAR)
-    change(copy, MEDIUM)
     assert run(copy, STUDY.replace("depths: [1.0],", "depths: [1.0], environments: [tar_pit, dry_land],", 1)) == []
     films = copy / "out" / "report" / "films" / "tar_pit" / "1m"
     assert {path.stem for path in films.glob("*.mp4")} == {"replay-tar_pit-1m", "replay-tar_pit-1m-at-home"}
@@ -213,7 +197,6 @@ def test_a_medium_to_evolve_in(copy):
 @pytest.mark.timeout(600)
 def test_a_medium_to_learn_and_to_transfer_to(copy):
     (copy / "tasks/world/tar.py").write_text(TAR)
-    change(copy, MEDIUM)
     change(copy, LEARNT)
     assert run(copy, STUDY) == []
     (throws,) = (copy / "out" / "collect").glob("*/transitions.parquet")

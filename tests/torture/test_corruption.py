@@ -21,7 +21,7 @@ from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.fabrication.timeline_file import calibration_yaml, read_calibration, read_timeline, timeline_json
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
-from pipeline.workflow.driver import _differences
+from pipeline.workflow.record import differences
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import Timeline
 
@@ -284,7 +284,7 @@ def test_a_damaged_loose_file_is_refused_by_name_or_means_something_else(torture
             assert str(path) in str(error)
             n_refused += 1
         else:
-            n_other += bool(_differences(meant, means))
+            n_other += bool(differences(meant, means))
     torture.note(f"{n_refused:,} refused by name, {n_other:,} valid and different, the rest in a comment or a space")
 
 

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.config.settings import EnvironmentName
 from pipeline.report.findings import ExploiterRow
 from pipeline.stages import environments
 from pipeline.stages.analyses.specs import AnalysisItemSpec, ExploitersSpec, MatrixSpec
@@ -28,7 +27,7 @@ from tasks.analysis import Exploiter, TransferMatrix, rank_exploiters, transfer_
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.evolution import penalised_mean
-from tasks.world import EnsembleMedium, ResidualSlush
+from tasks.world import EnvironmentName, ResidualSlush
 
 
 @dataclass(frozen=True)
@@ -54,13 +53,6 @@ def champions(trials: Sequence[TrialId], inputs: Inputs) -> list[Champion]:
             zero_shot = np.nan if scores["zero_shot"] is None else scores["zero_shot"]
             found.append(Champion(trial, design, scores["predicted"], zero_shot))
     return found
-
-
-def ensemble_of(inputs: Inputs) -> EnsembleMedium:
-    """Load every member."""
-    environment = environments.build_environment({}, "residual_slush", 0.0, inputs)
-    assert isinstance(environment, ResidualSlush)
-    return environment.ensemble
 
 
 # -- transfer matrix -------------------------------------------------------------------------------------------------
@@ -179,7 +171,7 @@ def _promise(by_member: npt.NDArray[np.float64], penalty: float) -> npt.NDArray[
 
 def _champions_under_members(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs: Inputs) -> list[Candidate]:
     """Simulate champions of all environments under every member, at the depth where they evolved."""
-    spec, ensemble = job.spec.analysis, ensemble_of(inputs)
+    spec, ensemble = job.spec.analysis, environments.ensemble_of(inputs)
     entrants = champions(spec.trials, inputs)
     suspects = []
     for depth in dict.fromkeys(of.trial.depth for of in entrants):

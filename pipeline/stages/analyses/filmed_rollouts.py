@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, EnvironmentName
+from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.stages import environments
 from pipeline.stages.analyses.champions import Champion
 from pipeline.stages.environments import SimulationSpec
 from pipeline.workflow.stage import Execution, Inputs
-from tasks.world import Environment
+from tasks.world import Environment, EnvironmentName
 
 NOBODY = -1
 """The member whose world it is, where it is no member's."""

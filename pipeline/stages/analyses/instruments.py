@@ -15,7 +15,7 @@ import numpy.typing as npt
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.report.findings import ChampionRow, Moved
 from pipeline.stages import environments
-from pipeline.stages.analyses.champions import Champion, champions, ensemble_of
+from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, best_of, film_at_home, home_of
 from pipeline.stages.analyses.specs import AnalysisItemSpec, InstrumentsSpec, MembersSpec
 from pipeline.stages.analyses.statistics import Reasons, Tables
@@ -77,7 +77,7 @@ def compute_members(job: Job[AnalysisItemSpec[MembersSpec]], inputs: Inputs) -> 
     thrusts: list[ThrustRow] = []
     errors: Sequence[MemberError] = ()
     if not why:
-        ensemble, (_, held_out) = ensemble_of(inputs), transitions_of(spec.held_out, spec.seed, inputs)
+        ensemble, (_, held_out) = environments.ensemble_of(inputs), transitions_of(spec.held_out, spec.seed, inputs)
         rng = generator(spec.seed, "analyse", "phantom thrust")
         found = phantom_thrust(ensemble, held_out, spec.physics, rng=rng)
         thrusts = [ThrustRow(member, thrust) for member, thrust in enumerate(found)]
@@ -121,7 +121,7 @@ def compute_arm(job: Job[AnalysisItemSpec[InstrumentsSpec]], inputs: Inputs) -> 
     rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
     if why := job.spec.no_networks:
         return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "worlds", "member_errors"), why)
-    ensemble, physics = ensemble_of(inputs), simulation.physics
+    ensemble, physics = environments.ensemble_of(inputs), simulation.physics
     links = link_states(designs, in_slush.trace, physics)
     errors = member_errors(ensemble, environments.true_medium(simulation.media), links, physics)
     learned, _ = transitions_of(spec.held_out, spec.seed, inputs)

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from pipeline.config.settings import EnvironmentName
 from pipeline.stages.environments import Media, SimulationSpec
 from pipeline.workflow.identity import Arm, TrialId
 from tasks.analysis import Tank
-from tasks.world import Physics
+from tasks.world import EnvironmentName, Physics
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.config.settings import ENVIRONMENTS
 from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS, read_table
 from pipeline.stages.analyses.specs import AnalysisId
 from pipeline.stages.environments import MEMBER, simulation_spec
@@ -18,6 +17,7 @@ from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json, encode_json
 from pipeline.workflow.identity import Arm, InputName, trials_of
 from pipeline.workflow.stage import NOT_POSSIBLE, Execution
+from tasks.world import ENVIRONMENTS
 
 
 def inputs_of(store, item):

@@ -19,7 +19,6 @@ from pipeline.stages import STAGES
 from pipeline.store.store import Store
 from pipeline.workflow.driver import drive
 from pipeline.workflow.stage import AnyStage, Results
-from tasks.simulation import batch
 
 SETTINGS = """
 name: tiny
@@ -55,6 +54,7 @@ def run(
     *overrides: str,
     terminal: Terminal | None = None,
     open_cluster=serial_cluster,
+    **options,
 ) -> dict[str, Results]:
     terminal = terminal or Terminal()
     return drive(
@@ -66,6 +66,7 @@ def run(
         tracker=terminal,
         progress=terminal,
         how_to_run=lambda name: f"puddle {name}",
+        **options,
     )
 
 
@@ -182,7 +183,6 @@ def test_settings_that_have_nothing_left_to_compute_are_put_on_record_too(store:
 
 
 @pytest.mark.parametrize("is_compiled", [True, False])
-def test_who_waits_for_the_compiler_is_told(store: Store, monkeypatch: pytest.MonkeyPatch, is_compiled: bool) -> None:
-    monkeypatch.setattr(batch, "is_compiled", lambda: is_compiled)
-    run(store, TO_EVOLVE, terminal=(terminal := Terminal()))
+def test_compilation_of_kernels_is_announced(store: Store, is_compiled: bool) -> None:
+    run(store, TO_EVOLVE, terminal=(terminal := Terminal()), is_compiled=lambda: is_compiled)
     assert any("compiles the kernels" in line for line in terminal.said) == (not is_compiled)

@@ -1,0 +1,131 @@
+"""The record of a study: its settings, its items, and its failed chains, as `puddle status` and `puddle gc` read them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from pydantic import ValidationError
+
+from pipeline.config.settings import Settings
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.store.store import FailedChain, Store, StudyItem, StudyRecord
+from pipeline.workflow.progress import Bar, Work
+from pipeline.workflow.stage import Upstream
+
+
+class DrivenStudy:
+    """The record of the study that this process drives: read once, then rewritten as its stages end.
+
+    `puddle gc` keeps what the record lists. So where the name had other settings, their record stays until these
+    settings have a result, or need none.
+    """
+
+    def __init__(self, settings: Settings, store: Store, say: Callable[[str], None]) -> None:
+        """Read the record.
+
+        Args:
+            settings: the study's settings.
+            store: where the record is.
+            say: shows a line to the user, such as that the name had other settings.
+        """
+        self._store = store
+        self._new = StudyRecord(settings.name, settings.model_dump(mode="json"), ())
+        self._record: StudyRecord | None = None
+        """The record of these settings; None while the store has that of others."""
+        try:
+            before = store.read_study(settings.name)
+        except DamagedArtifact as damage:
+            say(f"{damage}")
+            before = None
+        if before is None:
+            self.begin()
+        elif before.settings == self._new.settings:
+            self._record = before
+        else:
+            changes = differences(before.settings, self._new.settings)
+            listed = ", ".join(changes[:4]) + (f" and {len(changes) - 4} more" if len(changes) > 4 else "")
+            say(
+                f"study {settings.name} had other settings until now ({listed}). Its report will be replaced. Its "
+                f"results stay: with the old settings, the old report is back in seconds, until `puddle gc`. To keep "
+                f"both reports, stop (Ctrl-C) before the first result, and add --set name=ANOTHER."
+            )
+
+    def begin(self) -> None:
+        """Put the study's settings on record, if they are not."""
+        if self._record is None:
+            self._write(self._new)
+
+    def update(self, upstream: Upstream, *, finished: bool) -> None:
+        """Record what stages made and lack; later stages keep what the record says of them.
+
+        Args:
+            upstream: results of the stages up to the current one.
+            finished: whether the last stage that is asked for has ended; until then, settings without a result are not
+                put on record.
+        """
+        if self._record is None and not finished:
+            return
+        before = self._record or self._new
+        items = [
+            StudyItem(name, f"{chain.label}#{index}", manifest.key)
+            for name, results in upstream.items()
+            for chain, manifests in results.done.items()
+            for index, manifest in enumerate(manifests)
+        ]
+        failed = [
+            FailedChain(name, chain.label, why)
+            for name, results in upstream.items()
+            for chain, why in results.failed.items()
+        ]
+        items += [item for item in before.items if item.stage not in upstream]
+        failed += [lost for lost in before.failed if lost.stage not in upstream]
+        self._write(replace(before, items=tuple(items), failed=tuple(failed)))
+
+    def _write(self, record: StudyRecord) -> None:
+        self._store.write_study(record.name, record.settings, record.items, record.failed)
+        self._record = record
+
+
+class RecordingBar:
+    """A stage's bar that puts the study's settings on record once the stage has a result."""
+
+    def __init__(self, bar: Bar, record: DrivenStudy) -> None:
+        self._bar, self._record = bar, record
+
+    def advance(self, work: Work) -> None:
+        """Count work just done."""
+        self._record.begin()
+        self._bar.advance(work)
+
+
+def settings_of(record: StudyRecord) -> Settings:
+    """Return the settings of a recorded study.
+
+    Raises:
+        PuddleError: another version of puddle recorded them, with other fields; the message names the first.
+    """
+    try:
+        return Settings.model_validate(record.settings)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise PuddleError(
+            f"study {record.name}: expected settings of this version of puddle, got those of another "
+            f"({'.'.join(map(str, first['loc']))}: {first['msg']}). The version that made the study can read them."
+        ) from None
+
+
+def differences(old: Any, new: Any, name: str = "") -> list[str]:
+    """List the settings that differ, with both values.
+
+    Args:
+        old: settings before, as JSON values.
+        new: settings now.
+        name: name of the group that they are, for nested groups.
+    """
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        names = [*new, *(gone for gone in old if gone not in new)]
+        return [line for one in names for line in differences(old.get(one), new.get(one), f"{name}.{one}".strip("."))]
+    return [] if old == new else [f"{name}: {json.dumps(old)} → {json.dumps(new)}"]
