@@ -1,4 +1,4 @@
-"""The record of a study: its settings, its items, and its failed chains, as `puddle status` and `puddle gc` read them."""
+"""The record of a study: settings, items and failed chains, as `puddle status` and `puddle gc` read them."""
 
 from __future__ import annotations
 
