@@ -1,4 +1,4 @@
-"""Robots of rigid bodies that collide, in the batch engine, against pybox2d: every float of every step, with ==."""
+"""The rigid-body engine against pybox2d: every float of every step, with ==."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def variant(request) -> dict:
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])
 @pytest.mark.parametrize("depth", [0.0, 0.3, 2.0, 9.0])
 def test_every_float_of_every_step(kind, depth: float, variant, same_libm: None, seed: int) -> None:
-    # Links of most random designs overlap at the spawn, and push each other apart for good.
+    # Links of most random designs overlap at the spawn and push each other apart.
     designs = random_designs(25, np.random.default_rng(seed))
     motion = assert_equal(designs, kind(depth), Physics(**variant), n_settle=20, n_measure=280)
     assert np.isfinite(motion.final).all()
@@ -63,7 +63,7 @@ def test_motors_far_beyond_the_paper_s_range(kind, depth: float, variant, same_l
     rng = np.random.default_rng(seed)
     designs = wild(random_designs(16, rng), rng, motor_on=0.8)
     motion = assert_equal(designs, kind(depth), Physics(**variant, **STRONG_MOTORS), n_settle=20, n_measure=480)
-    assert abs(motion.final[..., Column.ANGLE]).max() > NEAR  # so that the other reduction of angles is met
+    assert abs(motion.final[..., Column.ANGLE]).max() > NEAR  # so the reduction of large angles is tested too
 
 
 @pytest.mark.parametrize("environment", [DryLand(0.3), TrueSlush(0.3), TrueSlush(9.0)], ids=str)
@@ -100,27 +100,29 @@ def test_residual_slush_of_networks(trace: bool, variant, same_libm: None, seed:
     assert_equal(designs, environment, Physics(**variant), n_settle=30, n_measure=170, trace=trace)
 
 
-def records(shape: Box2D.b2PolygonShape, xf: Box2D.b2Transform) -> tuple[np.record, np.record]:
-    """A box and its body as the kernels have them."""
-    body, box = (np.zeros(1, layout.record_dtype(kind))[0] for kind in (layout.Body, layout.Fixture))
+def place_box(robot: np.record, index: int, shape: Box2D.b2PolygonShape, xf: Box2D.b2Transform) -> None:
+    """Write a box and its body to the records of a robot, as the kernels have them."""
+    body, box = robot.bodies[index], robot.fixtures[index]
     (body.p_x, body.p_y), body.cos, body.sin = xf.position, xf.q.c, xf.q.s
     box.local_centroid_x, box.local_centroid_y = shape.centroid
     corners, normals = np.float32(shape.vertices), np.float32(shape.normals)
     edges = np.roll(corners, -1, axis=0) - corners
     tangents = edges * (np.float32(1) / np.sqrt(edges[:, 0] * edges[:, 0] + edges[:, 1] * edges[:, 1]))[:, None]
-    box.local_vertex_x, box.local_vertex_y = corners.T
-    box.local_normal_x, box.local_normal_y = normals.T
-    box.local_tangent_x, box.local_tangent_y = tangents.T
+    for name, vectors in (("vertex", corners), ("normal", normals), ("tangent", tangents)):
+        box[f"local_{name}_x"], box[f"local_{name}_y"] = vectors.T
     broad_phase.orient(body, box)
-    return body, box
 
 
 def assert_same_manifold(a: Box2D.b2PolygonShape, xf_a, b: Box2D.b2PolygonShape, xf_b, *, on_ground: bool) -> int:
     """Check that our manifold is that of b2CollidePolygons, to the bit; return its number of points."""
     theirs = Box2D.b2Manifold()
     Box2D.b2CollidePolygons(theirs, a, xf_a, b, xf_b)
-    contact = np.zeros(1, layout.record_dtype(layout.Contact))[0]
-    polygons.collide_polygons(contact, *records(a, xf_a), *records(b, xf_b), on_ground)
+    robot = np.zeros(1, layout.ROBOT)[0]
+    contact, index = robot.contacts[0], layout.GROUND if on_ground else 1
+    contact.fixture_a = contact.body_a = index
+    place_box(robot, index, a, xf_a)
+    place_box(robot, 0, b, xf_b)
+    polygons.collide_polygons(robot, contact)
     assert contact.point_count == theirs.pointCount
     if theirs.pointCount:
         assert contact.flipped == (theirs.type_ == Box2D.b2Manifold.e_faceB)
@@ -155,7 +157,7 @@ def test_manifolds_are_those_of_b2_collide_polygons(seed: int) -> None:
             )
             for _ in range(2)
         ]
-        # Wherever the boxes' bodies are, the centres of the boxes are near each other.
+        # The centres of the boxes are near each other, wherever the bodies are.
         places = [transform(*rng.normal(size=2), rng.choice([0, np.pi, rng.uniform(-9, 9)])) for _ in range(2)]
         apart = places[0] * shapes[0].centroid - places[1] * shapes[1].centroid
         places[1].position = places[1].position + apart + Box2D.b2Vec2(*rng.normal(size=2))

@@ -14,7 +14,7 @@ from tasks.world.slush import submerged_part
 DT, G = 1 / 60, 9.8
 EPS32 = 2.0**-24
 SKINS, SLOP = 0.02, 0.005
-"""Box2D 2.3, b2Settings.h: two polygons keep their skins of 0.01 m apart, less a slop."""
+"""Box2D 2.3, b2Settings.h: resting polygons are two skins of 0.01 m apart, less the slop [m]."""
 X, Y, ANGLE, VX, VY, OMEGA = range(6)
 BUILT = Physics(max_motor_torque=30.0, passive_joints="locked", link_collisions=True)
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
@@ -34,12 +34,21 @@ def trace_of(designs: Designs, environment: DryLand | TrueSlush, n_steps: int, p
 
 
 def locked(designs: Designs) -> Designs:
-    """Without motors: a single rigid body, where passive joints are locked."""
+    """Turn all motors off: with locked passive joints a robot is a single rigid body."""
     return replace(designs, motor_on=np.zeros_like(designs.motor_on))
 
 
 def gaps(designs: Designs, state: np.ndarray, *, joined: bool) -> np.ndarray:
-    """(..., 10 or so) separation of every pair of links that a joint ties, or does not; NaN for the other pairs."""
+    """Measure the separation of every pair of links that a joint ties (or does not); NaN for the other pairs.
+
+    Args:
+        designs: n_designs designs.
+        state: (n_designs, n_steps, n_links, 6) of those designs.
+        joined: whether a joint ties the pairs.
+
+    Returns:
+        (n_designs, n_steps, 15) [m]
+    """
     half = np.stack([0.5 / designs.length_scale, designs.length_scale / 2], axis=-1)[:, None]
     pose = [state[..., X], state[..., Y], np.cos(state[..., ANGLE]), np.sin(state[..., ANGLE])]
     links = np.concatenate([np.stack(pose, axis=-1), np.broadcast_to(half, (*state.shape[:3], 2))], axis=-1)
@@ -77,33 +86,33 @@ def test_links_of_a_body_keep_their_places_whatever_happens(buildable: Designs) 
     trace = trace_of(locked(buildable), TrueSlush(1.0), 300, BUILT)
     across = trace[..., X : Y + 1] - trace[:, :, :1, X : Y + 1]
     distance = np.hypot(across[..., 0], across[..., 1])
-    # Places within 30 m, a few roundings each.
+    # Positions are within 30 m and carry a few roundings each.
     assert np.ptp(distance, axis=1).max() < 8 * EPS32 * 30
     assert np.ptp(trace[..., ANGLE] - trace[:, :, :1, ANGLE], axis=1).max() < 4 * EPS32 * 20
     assert np.ptp(trace[..., ANGLE], axis=1).max() > 0.5  # they do tumble
 
 
 def test_a_fused_body_floats_where_its_weight_and_its_moments_balance(buildable: Designs) -> None:
-    # Drag dies away with speed, so that a robot bobs on, ever less: means over its last ten seconds.
+    # Drag vanishes with speed, so a robot keeps bobbing, ever less. Take the means over its last ten seconds.
     n_steps = 4800
     designs = locked(buildable)
     state = trace_of(designs, TrueSlush(50.0), n_steps, BUILT)[:, -600:]
     length = np.broadcast_to(designs.length_scale[:, None], state.shape[:3])
     area, _ = submerged_part(length, state[..., Y], np.cos(state[..., ANGLE]), np.sin(state[..., ANGLE]))
-    # Archimedes: 6 kg of slush of 1.25 kg/m² are displaced, and half of what bobs over and under cancels.
+    # Archimedes: 6 kg of slush of 1.25 kg/m² are displaced; the bobbing cancels in the mean.
     np.testing.assert_allclose(area.sum(axis=2).mean(axis=1), 6 / 1.25, rtol=2e-3)
-    # And about the centre of mass there is no moment: the buoyancy of 6 kg would turn it about a lever of 0.02 m.
+    # There is no moment about the centre of mass: less than that of 6 kg of buoyancy on a lever of 0.02 m.
     lever = state[..., X] - state[..., X].mean(axis=2, keepdims=True)
     moment = (area * lever).sum(axis=2).mean(axis=1)
     assert np.abs(moment).max() < 0.02 * 6 / 1.25
-    assert np.abs(np.cos(state[..., ANGLE])).min() < 0.999  # not all of them upright, where it would be nothing
+    assert np.abs(np.cos(state[..., ANGLE])).min() < 0.999  # not all links are upright, which would balance trivially
 
 
 def stack() -> Designs:
-    """Two links, the upper one falling onto the lower one along its side: links 0 and 2 of a chain that folds.
+    """Build a chain that folds: link 2 swings down and hits link 0.
 
     Link 0 stands upright; link 1 goes on from its top, bent over to the right; link 2 hangs from link 1's far end by a
-    free joint, level at first, pointing back to link 0, which it hits when it swings down. The others follow link 2.
+    free joint, level at first and pointing back to link 0. The other links follow link 2.
     """
     design = random_designs(1, np.random.default_rng(53))
     half = np.pi / 2
@@ -126,27 +135,27 @@ def test_unjoined_links_do_not_pass_through_each_other(collisions: bool) -> None
     deepest = np.nanmin(gaps(design, trace, joined=False)[..., :3])  # pairs (0, 1), (0, 2), (1, 2); joined ones NaN
     if collisions:
         fastest = np.abs(trace[..., VX : VY + 1]).max() + np.abs(trace[..., OMEGA]).max() * 1.5
-        assert deepest > SKINS - 2 * SLOP - fastest * DT  # what one step may enter before it is pushed out
-        assert deepest < SKINS + 0.05  # they did meet
+        assert deepest > SKINS - 2 * SLOP - fastest * DT  # overlap of one step before it is corrected
+        assert deepest < SKINS + 0.05  # they did collide
     else:
-        assert deepest < -0.3  # a link is a third of a metre thick: right through
+        assert deepest < -0.3  # link 0 is a third of a metre thick, so link 2 passed through
 
 
-def test_built_robots_stay_out_of_themselves(buildable: Designs) -> None:
+def test_buildable_robots_do_not_interpenetrate(buildable: Designs) -> None:
     trace = trace_of(buildable, TrueSlush(2.0), 1200, BUILT)
     unjoined = gaps(buildable, trace, joined=False)
-    # Three position sweeps leave a crash or a squeeze by motors a little overlap, for a while.
+    # Three position iterations leave a little overlap after an impact or while motors squeeze links together.
     fastest = np.abs(trace[..., VX : VY + 1]).max() + np.abs(trace[..., OMEGA]).max() * 1.5
     assert np.nanmin(unjoined) > -fastest * DT
     assert np.nanquantile(unjoined, 1e-3) > -SKINS
-    # Through one another, the same robots are in each other all the time.
+    # Without collisions the links of the same robots do overlap.
     through = trace_of(buildable, TrueSlush(2.0), 1200, BUILT.model_copy(update={"link_collisions": False}))
     assert np.nanmin(gaps(buildable, through, joined=False)) < -0.2
 
 
 def test_joined_links_do_not_collide() -> None:
-    # A chain whose links overlap by a fifth of a metre or more at every joint, gently bent by its motors: neighbours
-    # but one never meet. If joined links collided they would burst apart.
+    # In a chain whose links overlap by a fifth of a metre or more at every joint, and which its motors bend gently,
+    # only joined links overlap. If they collided, the chain would burst apart.
     design = random_designs(4, np.random.default_rng(54))
     design = replace(
         design,
@@ -166,7 +175,7 @@ def test_joined_links_do_not_collide() -> None:
         assert np.nanmax(gaps(design, without, joined=True)) < -0.05  # they overlap all the time
         assert np.nanmin(gaps(design, without, joined=False)) > SKINS
         np.testing.assert_array_equal(with_, without)
-        assert np.ptp(with_[..., ANGLE], axis=1).max() > 0.1  # and they do move
+        assert np.ptp(with_[..., ANGLE], axis=1).max() > 0.1  # they do move
 
 
 def test_motors_between_fused_bodies_do_not_move_the_centre_of_mass(buildable: Designs) -> None:
@@ -176,7 +185,7 @@ def test_motors_between_fused_bodies_do_not_move_the_centre_of_mass(buildable: D
     trace = trace_of(designs, DryLand(100.0), n_steps, physics)
     centre = trace[..., X : Y + 1].mean(axis=2)
     # Impulses on two bodies are equal and opposite up to the rounding of momenta within 6 kg · 30 m/s, eight sweeps a
-    # step; their sum drifts as a walk of that many steps, and over the time that is left.
-    walk = np.sqrt(n_steps * 8) * EPS32 * 30 * n_steps * DT
-    assert np.abs(centre - centre[:, :1]).max() < 10 * walk
+    # step. Their sum is a random process of that many steps, which acts over the remaining time.
+    drift = np.sqrt(n_steps * 8) * EPS32 * 30 * n_steps * DT
+    assert np.abs(centre - centre[:, :1]).max() < 10 * drift
     assert np.abs(trace[..., X] - trace[:, :1, :, X]).max() > 0.2  # the links do move

@@ -11,7 +11,7 @@ from numpy import float32
 
 from tasks.compiled import inline
 from tasks.simulation.box2d import POLYGON_RADIUS
-from tasks.simulation.rigid_bodies.layout import GROUND, Body, Fixture, Robot
+from tasks.simulation.rigid_bodies.layout import Body, Fixture, Robot
 from tasks.simulation.rigid_bodies.polygons import update
 from tasks.simulation.rigid_bodies.transform import rotate, transform
 
@@ -24,10 +24,10 @@ _AABB_MULTIPLIER = float32(2.0)
 @inline
 def orient(body: Body, box: Fixture) -> None:
     """Compute a box's corners, normals and AABB in the world: b2Mul and b2PolygonShape::ComputeAABB."""
-    box.centroid_x, box.centroid_y = transform(body, box.local_centroid_x, box.local_centroid_y)
+    box.centroid_x, box.centroid_y = transform(body, (box.local_centroid_x, box.local_centroid_y))
     for i in range(4):
-        box.vertex_x[i], box.vertex_y[i] = transform(body, box.local_vertex_x[i], box.local_vertex_y[i])
-        box.normal_x[i], box.normal_y[i] = rotate(body, box.local_normal_x[i], box.local_normal_y[i])
+        box.vertex_x[i], box.vertex_y[i] = transform(body, (box.local_vertex_x[i], box.local_vertex_y[i]))
+        box.normal_x[i], box.normal_y[i] = rotate(body, (box.local_normal_x[i], box.local_normal_y[i]))
     lower_x, lower_y = box.vertex_x[0], box.vertex_y[0]
     upper_x, upper_y = lower_x, lower_y
     for i in range(1, 4):
@@ -98,10 +98,8 @@ def collide(robot: Robot) -> None:
     for i in range(robot.n_contacts):
         k = robot.contact_list[i]
         contact = robot.contacts[k]
-        box_a, box_b = robot.fixtures[contact.fixture_a], robot.fixtures[contact.fixture_b]
-        if test_overlap(box_a, box_b):
-            body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
-            update(contact, body_a, box_a, body_b, box_b, contact.body_a == GROUND)
+        if test_overlap(robot.fixtures[contact.fixture_a], robot.fixtures[contact.fixture_b]):
+            update(robot, contact)
             robot.contact_list[n_left] = k
             n_left += 1
         else:

@@ -24,7 +24,7 @@ from tasks.simulation.box2d import (
     POLYGON_RADIUS,
     VELOCITY_THRESHOLD,
 )
-from tasks.simulation.rigid_bodies.layout import Body, Contact, ContactPoint
+from tasks.simulation.rigid_bodies.layout import GROUND, Body, Contact, ContactPoint, Robot
 from tasks.simulation.rigid_bodies.transform import place, rotate, transform
 from tasks.simulation.trees.joint import clamp
 
@@ -47,19 +47,26 @@ def _relative_velocity(
 
 
 @inline
-def initialize_velocity_constraint(contact: Contact, body_a: Body, body_b: Body, restitution: float32) -> None:
-    """b2ContactSolver::InitializeVelocityConstraints and b2WorldManifold::Initialize (b2Collision.cpp)."""
+def initialize_velocity_constraint(robot: Robot, contact: Contact, restitution: float32) -> None:
+    """b2ContactSolver::InitializeVelocityConstraints and b2WorldManifold::Initialize (b2Collision.cpp).
+
+    Args:
+        robot: with the contact's bodies.
+        contact: one of its contacts that touch.
+        restitution: speed after a bounce over the speed before.
+    """
+    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
     flipped = contact.flipped != 0
     reference, incident = (body_b, body_a) if flipped else (body_a, body_b)
-    n_x, n_y = rotate(reference, contact.local_normal_x, contact.local_normal_y)
-    plane_x, plane_y = transform(reference, contact.local_point_x, contact.local_point_y)
+    n_x, n_y = rotate(reference, (contact.local_normal_x, contact.local_normal_y))
+    plane_x, plane_y = transform(reference, (contact.local_point_x, contact.local_point_y))
     normal_x, normal_y = (-n_x, -n_y) if flipped else (n_x, n_y)
     tangent_x, tangent_y = normal_y, -normal_x
     contact.normal_x, contact.normal_y = normal_x, normal_y
     for j in range(contact.point_count):
         # The point lies midway between the surfaces of both skins.
         point = contact.points[j]
-        clip_x, clip_y = transform(incident, point.local_x, point.local_y)
+        clip_x, clip_y = transform(incident, (point.local_x, point.local_y))
         on_face = POLYGON_RADIUS - ((clip_x - plane_x) * n_x + (clip_y - plane_y) * n_y)
         x = _HALF * ((clip_x + on_face * n_x) + (clip_x - POLYGON_RADIUS * n_x))
         y = _HALF * ((clip_y + on_face * n_y) + (clip_y - POLYGON_RADIUS * n_y))
@@ -99,8 +106,15 @@ def _initialize_block(contact: Contact, body_a: Body, body_b: Body) -> None:
 
 
 @inline
-def warm_start(contact: Contact, body_a: Body, body_b: Body, dt_ratio: float32) -> None:
-    """b2ContactSolver::WarmStart. A redundant point keeps its impulses for the next step."""
+def warm_start(robot: Robot, contact: Contact, dt_ratio: float32) -> None:
+    """b2ContactSolver::WarmStart. A redundant point keeps its impulses for the next step.
+
+    Args:
+        robot: with the contact's bodies.
+        contact: one of its contacts that touch.
+        dt_ratio: this step's duration over the last one's.
+    """
+    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     normal_x, normal_y = contact.normal_x, contact.normal_y
     tangent_x, tangent_y = normal_y, -normal_x
@@ -117,11 +131,25 @@ def warm_start(contact: Contact, body_a: Body, body_b: Body, dt_ratio: float32) 
 
 
 @inline
-def solve_velocity_constraint(contact: Contact, body_a: Body, body_b: Body, friction: float32) -> None:
+def solve_velocity_constraint(robot: Robot, contact: Contact, friction: float32) -> None:
     """b2ContactSolver::SolveVelocityConstraints: friction at each point, then the normal impulses, of two as a block.
 
     The impulses stay in the contact for the next step, so StoreImpulses has nothing to do.
+
+    Args:
+        robot: with the contact's bodies.
+        contact: one of its contacts that touch.
+        friction: the coefficient μ.
     """
+    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
+    if contact.body_a == GROUND:
+        _solve_velocity_constraint_on_ground(contact, body_b, friction)
+    else:
+        _solve_velocity_constraint(contact, body_a, body_b, friction)
+
+
+@inline
+def _solve_velocity_constraint(contact: Contact, body_a: Body, body_b: Body, friction: float32) -> None:
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     vA_x, vA_y, wA = body_a.v_x, body_a.v_y, body_a.w
     vB_x, vB_y, wB = body_b.v_x, body_b.v_y, body_b.w
@@ -157,8 +185,8 @@ def solve_velocity_constraint(contact: Contact, body_a: Body, body_b: Body, fric
 
 
 @inline
-def solve_velocity_constraint_on_ground(contact: Contact, body_b: Body, friction: float32) -> None:
-    """Solve the velocity constraint where body A is the ground: n = (0, 1), so factors of 0 and 1 are left out."""
+def _solve_velocity_constraint_on_ground(contact: Contact, body_b: Body, friction: float32) -> None:
+    # As above with n = (0, 1) and no motion of body A; factors of 0 and 1 are left out.
     mB, iB = body_b.inv_mass, body_b.inv_inertia
     v_x, v_y, w = body_b.v_x, body_b.v_y, body_b.w
     for j in range(contact.solved_count):
@@ -232,7 +260,7 @@ def _solve_block(contact: Contact, a1: float32, a2: float32, b1: float32, b2: fl
 
 
 @inline
-def solve_position_constraint(contact: Contact, body_a: Body, body_b: Body) -> float32:
+def solve_position_constraint(robot: Robot, contact: Contact) -> float32:
     """b2ContactSolver::SolvePositionConstraints and b2PositionSolverManifold.
 
     A fraction of the separation beyond the slop is corrected: P = -C / K with C = clamp(β (separation + slop)).
@@ -240,15 +268,16 @@ def solve_position_constraint(contact: Contact, body_a: Body, body_b: Body) -> f
     Returns:
         The least separation before the correction [m], at most 0.
     """
+    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     flipped = contact.flipped != 0
     reference, incident = (body_b, body_a) if flipped else (body_a, body_b)
     least = _ZERO
     for j in range(contact.point_count):
         point = contact.points[j]
-        n_x, n_y = rotate(reference, contact.local_normal_x, contact.local_normal_y)
-        plane_x, plane_y = transform(reference, contact.local_point_x, contact.local_point_y)
-        clip_x, clip_y = transform(incident, point.local_x, point.local_y)
+        n_x, n_y = rotate(reference, (contact.local_normal_x, contact.local_normal_y))
+        plane_x, plane_y = transform(reference, (contact.local_point_x, contact.local_point_y))
+        clip_x, clip_y = transform(incident, (point.local_x, point.local_y))
         separation = (clip_x - plane_x) * n_x + (clip_y - plane_y) * n_y - POLYGON_RADIUS - POLYGON_RADIUS
         least = least if least < separation else separation
         C = clamp(BAUMGARTE * (separation + LINEAR_SLOP), -MAX_LINEAR_CORRECTION, _ZERO)
@@ -262,6 +291,6 @@ def solve_position_constraint(contact: Contact, body_a: Body, body_b: Body) -> f
         impulse = -C / _effective_mass(body_a, body_b, rnA, rnB, rnA, rnB)
         P_x, P_y = impulse * n_x, impulse * n_y
         if mA != 0.0:  # not the ground
-            place(body_a, cA_x - mA * P_x, cA_y - mA * P_y, body_a.a - iA * (rA_x * P_y - rA_y * P_x))
-        place(body_b, cB_x + mB * P_x, cB_y + mB * P_y, body_b.a + iB * (rB_x * P_y - rB_y * P_x))
+            place(body_a, (cA_x - mA * P_x, cA_y - mA * P_y), body_a.a - iA * (rA_x * P_y - rA_y * P_x))
+        place(body_b, (cB_x + mB * P_x, cB_y + mB * P_y), body_b.a + iB * (rB_x * P_y - rB_y * P_x))
     return least

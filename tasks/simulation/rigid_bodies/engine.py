@@ -33,25 +33,9 @@ from tasks.simulation.trees.step import Scene
 from tasks.world import LinkStates, Medium, Physics
 from tasks.world import slush as slush_source
 
-_SOURCES = [
-    genes,
-    box2d,
-    slush_source,
-    controller,
-    lanes,
-    vectors,
-    rotation,
-    joint,
-    tree_step,
-    layout,
-    transform,
-    polygons,
-    broad_phase,
-    contact_solver,
-    revolute_joint,
-    island,
-    step,
-]
+_SHARED = [genes, box2d, slush_source, controller, lanes, vectors, rotation, joint, tree_step]
+_OWN = [layout, transform, polygons, broad_phase, contact_solver, revolute_joint, island, step]
+_SOURCES = [*_SHARED, *_OWN]
 _advance = compiled(step.advance_robots, _SOURCES, seconds=30)
 
 _QUANTITIES = ("length_scale", "mass", "inertia", "y", "cos", "sin", "vx", "vy", "omega")

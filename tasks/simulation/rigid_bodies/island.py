@@ -77,16 +77,13 @@ def begin(robot: Robot, scene: Scene) -> None:
         body.v_y = body.v_y + scene.fall
     for i in range(robot.n_island_contacts):
         contact = robot.contacts[robot.island_contacts[i]]
-        body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
-        contact_solver.initialize_velocity_constraint(contact, body_a, body_b, scene.restitution)
+        contact_solver.initialize_velocity_constraint(robot, contact, scene.restitution)
     for i in range(robot.n_island_contacts):
         contact = robot.contacts[robot.island_contacts[i]]
-        body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
-        contact_solver.warm_start(contact, body_a, body_b, scene.dt_ratio)
+        contact_solver.warm_start(robot, contact, scene.dt_ratio)
     for i in range(robot.n_island_joints):
         joint = robot.joints[robot.island_joints[i]]
-        body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
-        revolute_joint.init_velocity_constraints(joint, body_a, body_b, scene.dt_ratio)
+        revolute_joint.init_velocity_constraints(robot, joint, scene.dt_ratio)
 
 
 @inline
@@ -109,18 +106,13 @@ def sweep_velocities(team: Sequence[Robot], scene: Scene) -> None:
                 robot = team[r]
                 if i < robot.n_island_joints:
                     joint = robot.joints[robot.island_joints[i]]
-                    body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
-                    revolute_joint.solve_velocity_constraints(joint, body_a, body_b)
+                    revolute_joint.solve_velocity_constraints(robot, joint)
         for i in range(n_contacts):
             for r in range(len(team)):
                 robot = team[r]
                 if i < robot.n_island_contacts:
                     contact = robot.contacts[robot.island_contacts[i]]
-                    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
-                    if contact.body_a == GROUND:
-                        contact_solver.solve_velocity_constraint_on_ground(contact, body_b, scene.friction)
-                    else:
-                        contact_solver.solve_velocity_constraint(contact, body_a, body_b, scene.friction)
+                    contact_solver.solve_velocity_constraint(robot, contact, scene.friction)
 
 
 @inline
@@ -137,7 +129,7 @@ def integrate_positions(robot: Robot, dt: np.float32) -> None:
         if rotation * rotation > MAX_ROTATION_SQUARED:
             w = w * (MAX_ROTATION / abs(rotation))
         body.v_x, body.v_y, body.w = v_x, v_y, w
-        place(body, body.c_x + dt * v_x, body.c_y + dt * v_y, body.a + dt * w)
+        place(body, (body.c_x + dt * v_x, body.c_y + dt * v_y), body.a + dt * w)
 
 
 @inline
@@ -152,8 +144,7 @@ def sweep_positions(team: Sequence[Robot], scene: Scene) -> None:
                 robot = team[r]
                 if unsolved & (1 << r) and i < robot.n_island_contacts:
                     contact = robot.contacts[robot.island_contacts[i]]
-                    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
-                    least = contact_solver.solve_position_constraint(contact, body_a, body_b)
+                    least = contact_solver.solve_position_constraint(robot, contact)
                     if not least >= LEAST_SEPARATION:  # NaN counts as failed
                         failed |= 1 << r
         for i in range(n_joints):
@@ -161,8 +152,7 @@ def sweep_positions(team: Sequence[Robot], scene: Scene) -> None:
                 robot = team[r]
                 if unsolved & (1 << r) and i < robot.n_island_joints:
                     joint = robot.joints[robot.island_joints[i]]
-                    body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
-                    if not revolute_joint.solve_position_constraints(joint, body_a, body_b):
+                    if not revolute_joint.solve_position_constraints(robot, joint):
                         failed |= 1 << r
         unsolved = failed
         if unsolved == 0:

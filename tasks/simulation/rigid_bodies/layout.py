@@ -2,7 +2,7 @@
 
 Each class describes a record twice: to mypy, and to :func:`record_dtype`, which makes the NumPy dtype. numba passes a
 record as its address, so ``robot.bodies[b].v_x`` is a single load. Names follow Box2D's members. Quantities are in SI
-units; those without a suffix _local or local_ are in the world's frame.
+units and in the world's frame, those named local_… in a body's.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ OfCorners = Annotated[list[float32], 4]
 
 
 class Link:
-    """A link: its state, what a medium needs to know of it, and its place in its body (tasks.design.RigidBodies)."""
+    """A link: its state, what a medium reads, and its place in its body (local_…; see tasks.design.RigidBodies).
+
+    The lever is the link's centre less the body's centre of mass; change_… is the velocity change by the medium.
+    """
 
     x: float32
     y: float32
@@ -41,11 +44,9 @@ class Link:
     mass: float32
     inertia: float32
     change_vx: float32
-    """Velocity change by the medium, to be given to the body."""
     change_vy: float32
     change_omega: float32
     lever_x: float32
-    """The link's centre less the body's centre of mass."""
     lever_y: float32
     body: int
     local_x: float32
@@ -61,35 +62,31 @@ class Link:
 
 
 class Body:
-    """b2Body."""
+    """b2Body: centre of mass c and angle a, their velocities v and w, origin p and rotation of the body's frame.
+
+    start_p is p at the start of the step, local_center the centre of mass in the body's frame.
+    """
 
     c_x: float32
-    """Centre of mass."""
     c_y: float32
     a: float32
-    """Angle."""
     v_x: float32
-    """Velocity of the centre of mass."""
     v_y: float32
     w: float32
-    """Angular velocity."""
     p_x: float32
-    """Origin of the body's frame."""
     p_y: float32
     cos: float32
     sin: float32
     start_p_x: float32
-    """Origin of the body's frame at the start of the step."""
     start_p_y: float32
     inv_mass: float32
     inv_inertia: float32
     local_center_x: float32
-    """Centre of mass in the body's frame."""
     local_center_y: float32
 
 
 class Fixture:
-    """b2Fixture, b2PolygonShape and b2FixtureProxy: a box, its AABB, and the fat AABB in the broad phase."""
+    """b2Fixture, b2PolygonShape and b2FixtureProxy: a box, its AABB (lower, upper), and its fat AABB."""
 
     body: int
     fat_lower_x: float32
@@ -117,17 +114,17 @@ class Fixture:
 
 
 class ContactPoint:
-    """b2ManifoldPoint and b2VelocityConstraintPoint."""
+    """b2ManifoldPoint and b2VelocityConstraintPoint.
+
+    local is the point in the frame of the body whose edge was clipped, ra and rb from the bodies' centres of mass.
+    """
 
     local_x: float32
-    """The point in the frame of the body whose edge was clipped."""
     local_y: float32
     id: int
-    """b2ContactID; see polygons.py."""
     normal_impulse: float32
     tangent_impulse: float32
     ra_x: float32
-    """The point from body A's centre of mass."""
     ra_y: float32
     rb_x: float32
     rb_y: float32
@@ -137,31 +134,29 @@ class ContactPoint:
 
 
 class Contact:
-    """b2Contact, b2Manifold and b2ContactVelocityConstraint."""
+    """b2Contact, b2Manifold and b2ContactVelocityConstraint.
+
+    It exists (0 or 1) while the fat AABBs overlap. local_normal and local_point are the reference edge's normal and
+    centre in the frame of its body, which is B where the manifold is flipped (0 or 1; b2Manifold::e_faceB). The normal
+    points from A to B. Of point_count points the velocity solver has solved_count: 1 where a block of 2 is
+    ill-conditioned. k is the matrix K of both normal impulses, m its inverse.
+    """
 
     fixture_a: int
     fixture_b: int
     body_a: int
     body_b: int
     exists: int
-    """Whether the fat AABBs overlap; 0 or 1."""
     point_count: int
-    """Points of the manifold."""
     flipped: int
-    """Whether the reference edge is body B's (b2Manifold::e_faceB); 0 or 1."""
     local_normal_x: float32
-    """Of the reference edge, in its body's frame."""
     local_normal_y: float32
     local_point_x: float32
-    """Centre of the reference edge, in its body's frame."""
     local_point_y: float32
     normal_x: float32
-    """From A to B."""
     normal_y: float32
     solved_count: int
-    """Points that the velocity solver has: 1 where a block of 2 is ill-conditioned."""
     k11: float32
-    """K of both normal impulses, and its inverse M."""
     k12: float32
     k22: float32
     m11: float32
@@ -171,21 +166,21 @@ class Contact:
 
 
 class Joint:
-    """b2RevoluteJoint, and the controller of its motor (tasks/simulation/controller.py)."""
+    """b2RevoluteJoint between the links parent and child, and its controller (tasks/simulation/controller.py).
+
+    ra and rb are the joint seen from the bodies' centres of mass; max_motor_impulse is 0 where there is no motor.
+    """
 
     body_a: int
     body_b: int
     parent: int
-    """The links that it joins."""
     child: int
     phase_turns: float32
     motion_range: float32
     rest_angle: float32
     motor_speed: float32
     max_motor_impulse: float32
-    """0 where there is no motor."""
     local_ra_x: float32
-    """The joint from body A's centre of mass, in the body's frame."""
     local_ra_y: float32
     local_rb_x: float32
     local_rb_y: float32
@@ -204,33 +199,31 @@ class Joint:
 
 
 class Robot:
-    """A robot alone in its b2World; lists hold indices, of which the first few count."""
+    """A robot alone in its b2World.
+
+    Bodies are ordered by their first links, fixtures as their links; the ground is the last of both. Contacts are all
+    pairs of fixtures that may collide, ordered by their proxies. Lists hold indices: contact_list of the contacts that
+    exist, from the oldest to the newest; island_contacts and island_joints in the order in which the search finds
+    them. divergence is NaN from where the robot diverged, 0 before.
+    """
 
     links: Annotated[list[Link], N_LINKS]
     bodies: Annotated[list[Body], N_BODIES]
-    """Ordered by their first links; the ground is the last."""
     fixtures: Annotated[list[Fixture], N_BODIES]
-    """A link's has its index; the ground's is the last."""
     contacts: Annotated[list[Contact], MAX_CONTACTS]
-    """All pairs of fixtures that may collide, ordered by their proxies."""
     joints: Annotated[list[Joint], N_JOINTS]
     frequency: float32
     divergence: float32
-    """NaN from where the robot diverged; 0 before."""
     n_bodies: int
-    """Without the ground."""
     n_joints: int
     n_pairs: int
     n_contacts: int
     n_island_contacts: int
     n_island_joints: int
     contact_list: Annotated[list[int], MAX_CONTACTS]
-    """Contacts that exist, from the oldest to the newest."""
     island_contacts: Annotated[list[int], MAX_CONTACTS]
-    """Contacts that touch, in the order in which the island's search finds them."""
     island_joints: Annotated[list[int], N_JOINTS]
     stack: Annotated[list[int], N_BODIES]
-    """Bodies that the search still has to visit."""
 
 
 Records = npt.NDArray[np.record]

@@ -17,18 +17,8 @@ from tasks.world import Physics
 
 def boxes(half_width: Float32, half_height: Float32) -> tuple[Float32, Float32]:
     """b2PolygonShape::SetAsBox: the (..., 4, 2) vertices and normals of boxes."""
-    vertices = np.stack(
-        [
-            np.stack([x, y], axis=-1)
-            for x, y in (
-                (-half_width, -half_height),
-                (half_width, -half_height),
-                (half_width, half_height),
-                (-half_width, half_height),
-            )
-        ],
-        axis=-2,
-    )
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float32)
+    vertices = np.stack([half_width, half_height], axis=-1)[..., None, :] * corners
     normals = np.array([(0, -1), (1, 0), (0, 1), (-1, 0)], np.float32)
     return vertices, np.broadcast_to(normals, vertices.shape)
 

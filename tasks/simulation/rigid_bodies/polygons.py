@@ -9,7 +9,7 @@ from numpy import float32
 
 from tasks.compiled import inline
 from tasks.simulation.box2d import TOTAL_RADIUS
-from tasks.simulation.rigid_bodies.layout import Body, Contact, Fixture
+from tasks.simulation.rigid_bodies.layout import GROUND, Body, Contact, Fixture, Robot
 from tasks.simulation.rigid_bodies.transform import rotate, rotate_back
 
 _RELATIVE_TOLERANCE, _ABSOLUTE_TOLERANCE = float32(0.98), float32(0.001)
@@ -23,10 +23,10 @@ INDEX_B, FACE_OF_A, FACE_OF_B = 4, 16, 32
 
 
 @inline
-def edge_separation(box_1: Fixture, edge: int, body_2: Body, box_2: Fixture) -> float32:
+def _edge_separation(box_1: Fixture, edge: int, body_2: Body, box_2: Fixture) -> float32:
     """b2EdgeSeparation: the distance of box 2 from an edge of box 1, along its normal."""
     normal_x, normal_y = box_1.normal_x[edge], box_1.normal_y[edge]
-    local_x, local_y = rotate_back(body_2, normal_x, normal_y)
+    local_x, local_y = rotate_back(body_2, (normal_x, normal_y))
     least = box_2.local_vertex_x[0] * local_x + box_2.local_vertex_y[0] * local_y
     support = 0
     for i in range(1, 4):
@@ -38,14 +38,14 @@ def edge_separation(box_1: Fixture, edge: int, body_2: Body, box_2: Fixture) -> 
 
 
 @inline
-def find_max_separation(body_1: Body, box_1: Fixture, body_2: Body, box_2: Fixture) -> tuple[int, float32]:
+def _find_max_separation(body_1: Body, box_1: Fixture, body_2: Body, box_2: Fixture) -> tuple[int, float32]:
     """b2FindMaxSeparation: the edge of box 1 that separates most, and its separation.
 
     Box2D climbs from the edge that faces box 2, from neighbour to neighbour. The separation only grows on the way, so
     the climb stops here once the boxes can't touch.
     """
     d_x, d_y = box_2.centroid_x - box_1.centroid_x, box_2.centroid_y - box_1.centroid_y
-    local_x, local_y = rotate_back(body_1, d_x, d_y)
+    local_x, local_y = rotate_back(body_1, (d_x, d_y))
     most = box_1.local_normal_x[0] * local_x + box_1.local_normal_y[0] * local_y
     edge = 0
     for i in range(1, 4):
@@ -53,12 +53,12 @@ def find_max_separation(body_1: Body, box_1: Fixture, body_2: Body, box_2: Fixtu
         if dot > most:
             most, edge = dot, i
 
-    s = edge_separation(box_1, edge, body_2, box_2)
+    s = _edge_separation(box_1, edge, body_2, box_2)
     if s > TOTAL_RADIUS:
         return edge, s
     previous, following = (edge + 3) & 3, (edge + 1) & 3
-    s_previous = edge_separation(box_1, previous, body_2, box_2)
-    s_next = edge_separation(box_1, following, body_2, box_2)
+    s_previous = _edge_separation(box_1, previous, body_2, box_2)
+    s_next = _edge_separation(box_1, following, body_2, box_2)
     if s_previous > s and s_previous > s_next:
         increment, best, best_separation = 3, previous, s_previous
     elif s_next > s:
@@ -67,7 +67,7 @@ def find_max_separation(body_1: Body, box_1: Fixture, body_2: Body, box_2: Fixtu
         return edge, s
     while not best_separation > TOTAL_RADIUS:
         edge = (best + increment) & 3
-        s = edge_separation(box_1, edge, body_2, box_2)
+        s = _edge_separation(box_1, edge, body_2, box_2)
         if not s > best_separation:
             break
         best, best_separation = edge, s
@@ -75,9 +75,9 @@ def find_max_separation(body_1: Body, box_1: Fixture, body_2: Body, box_2: Fixtu
 
 
 @inline
-def find_incident_edge(box_1: Fixture, edge: int, body_2: Body, box_2: Fixture) -> int:
+def _find_incident_edge(box_1: Fixture, edge: int, body_2: Body, box_2: Fixture) -> int:
     """b2FindIncidentEdge: the edge of box 2 that faces an edge of box 1."""
-    local_x, local_y = rotate_back(body_2, box_1.normal_x[edge], box_1.normal_y[edge])
+    local_x, local_y = rotate_back(body_2, (box_1.normal_x[edge], box_1.normal_y[edge]))
     least = local_x * box_2.local_normal_x[0] + local_y * box_2.local_normal_y[0]
     incident = 0
     for i in range(1, 4):
@@ -92,21 +92,15 @@ ClipVertex = tuple[float32, float32, int]
 
 
 @inline
-def clip_segment_to_line(
+def _clip_segment_to_line(
     v0: ClipVertex, v1: ClipVertex, normal_x: float32, normal_y: float32, offset: float32, vertex: int
 ) -> tuple[bool, ClipVertex, ClipVertex]:
     """b2ClipSegmentToLine (b2Collision.cpp): clip a segment to the half-plane behind a line.
 
-    Args:
-        v0: one end of the segment.
-        v1: the other end.
-        normal_x: of the line.
-        normal_y: of the line.
-        offset: of the line from the origin, along its normal [m].
-        vertex: index of the reference box's corner on the line.
+    The line's normal is a unit vector; vertex is the index of the reference box's corner on the line.
 
     Returns:
-        Whether a part is left with two ends, and its ends.
+        Whether a part with two ends is left, and its ends.
     """
     x0, y0, id0 = v0
     x1, y1, _ = v1
@@ -131,31 +125,23 @@ def _flip_id(feature: int) -> int:
 
 
 @inline
-def collide_polygons(
-    contact: Contact, body_a: Body, box_a: Fixture, body_b: Body, box_b: Fixture, on_ground: bool
-) -> None:
+def collide_polygons(robot: Robot, contact: Contact) -> None:
     """b2CollidePolygons: find where two boxes touch, and write it to the contact's manifold.
 
     The ground is so wide and thick that its top is always the edge that separates most.
-
-    Args:
-        contact: whose manifold is replaced.
-        body_a: body of box A.
-        box_a: the box with the lower proxy.
-        body_b: body of box B.
-        box_b: the other box.
-        on_ground: whether box A is the ground.
     """
+    body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
+    box_a, box_b = robot.fixtures[contact.fixture_a], robot.fixtures[contact.fixture_b]
     contact.point_count = 0
     flip, edge_a, edge_b = False, _TOP, 0
-    if on_ground:
-        if edge_separation(box_a, _TOP, body_b, box_b) > TOTAL_RADIUS:
+    if contact.body_a == GROUND:
+        if _edge_separation(box_a, _TOP, body_b, box_b) > TOTAL_RADIUS:
             return
     else:
-        edge_a, separation_a = find_max_separation(body_a, box_a, body_b, box_b)
+        edge_a, separation_a = _find_max_separation(body_a, box_a, body_b, box_b)
         if separation_a > TOTAL_RADIUS:
             return
-        edge_b, separation_b = find_max_separation(body_b, box_b, body_a, box_a)
+        edge_b, separation_b = _find_max_separation(body_b, box_b, body_a, box_a)
         if separation_b > TOTAL_RADIUS:
             return
         flip = bool(separation_b > _RELATIVE_TOLERANCE * separation_a + _ABSOLUTE_TOLERANCE)
@@ -172,7 +158,7 @@ def _clip_to_manifold(
     contact: Contact, body_1: Body, box_1: Fixture, edge_1: int, body_2: Body, box_2: Fixture, flip: bool
 ) -> None:
     """Clip the edge of box 2 that faces the reference edge of box 1 to the sides of that edge."""
-    first = find_incident_edge(box_1, edge_1, body_2, box_2)
+    first = _find_incident_edge(box_1, edge_1, body_2, box_2)
     second = (first + 1) & 3
     v0 = box_2.vertex_x[first], box_2.vertex_y[first], edge_1 + INDEX_B * first + FACE_OF_A
     v1 = box_2.vertex_x[second], box_2.vertex_y[second], edge_1 + INDEX_B * second + FACE_OF_A
@@ -181,16 +167,16 @@ def _clip_to_manifold(
     v11_x, v11_y = box_1.vertex_x[edge_1], box_1.vertex_y[edge_1]
     v12_x, v12_y = box_1.vertex_x[edge_2], box_1.vertex_y[edge_2]
     local_tangent_x, local_tangent_y = box_1.local_tangent_x[edge_1], box_1.local_tangent_y[edge_1]
-    tangent_x, tangent_y = rotate(body_1, local_tangent_x, local_tangent_y)
+    tangent_x, tangent_y = rotate(body_1, (local_tangent_x, local_tangent_y))
     normal_x, normal_y = tangent_y, -tangent_x
 
     front_offset = normal_x * v11_x + normal_y * v11_y
     side_offset_1 = -(tangent_x * v11_x + tangent_y * v11_y) + TOTAL_RADIUS
     side_offset_2 = tangent_x * v12_x + tangent_y * v12_y + TOTAL_RADIUS
-    two_ends, v0, v1 = clip_segment_to_line(v0, v1, -tangent_x, -tangent_y, side_offset_1, edge_1)
+    two_ends, v0, v1 = _clip_segment_to_line(v0, v1, -tangent_x, -tangent_y, side_offset_1, edge_1)
     if not two_ends:
         return
-    two_ends, v0, v1 = clip_segment_to_line(v0, v1, tangent_x, tangent_y, side_offset_2, edge_2)
+    two_ends, v0, v1 = _clip_segment_to_line(v0, v1, tangent_x, tangent_y, side_offset_2, edge_2)
     if not two_ends:
         return
 
@@ -202,29 +188,20 @@ def _clip_to_manifold(
         x, y, feature = v0 if i == 0 else v1
         if normal_x * x + normal_y * y - front_offset <= TOTAL_RADIUS:
             point = contact.points[count]
-            point.local_x, point.local_y = rotate_back(body_2, x - body_2.p_x, y - body_2.p_y)
+            point.local_x, point.local_y = rotate_back(body_2, (x - body_2.p_x, y - body_2.p_y))
             point.id = _flip_id(feature) if flip else feature
             count += 1
     contact.point_count = count
 
 
 @inline
-def update(contact: Contact, body_a: Body, box_a: Fixture, body_b: Body, box_b: Fixture, on_ground: bool) -> None:
-    """b2Contact::Update: collide, and give a point the impulses of the old point with its id.
-
-    Args:
-        contact: as in :func:`collide_polygons`, like the other arguments.
-        body_a: body of box A.
-        box_a: the box with the lower proxy.
-        body_b: body of box B.
-        box_b: the other box.
-        on_ground: whether box A is the ground.
-    """
+def update(robot: Robot, contact: Contact) -> None:
+    """b2Contact::Update: collide, and give a point the impulses of the old point with its id."""
     point_1, point_2 = contact.points[0], contact.points[1]
     old_count, old_id_1, old_id_2 = contact.point_count, point_1.id, point_2.id
     normal_1, tangent_1 = point_1.normal_impulse, point_1.tangent_impulse
     normal_2, tangent_2 = point_2.normal_impulse, point_2.tangent_impulse
-    collide_polygons(contact, body_a, box_a, body_b, box_b, on_ground)
+    collide_polygons(robot, contact)
     for i in range(contact.point_count):
         point = contact.points[i]
         point.normal_impulse, point.tangent_impulse = _ZERO, _ZERO

@@ -26,7 +26,7 @@ from numpy import float32
 
 from tasks.compiled import inline
 from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
-from tasks.simulation.rigid_bodies.layout import Body, Joint
+from tasks.simulation.rigid_bodies.layout import Joint, Robot
 from tasks.simulation.rigid_bodies.transform import place, rotate
 from tasks.simulation.trees.joint import clamp
 
@@ -34,11 +34,18 @@ _ONE = float32(1)
 
 
 @inline
-def init_velocity_constraints(joint: Joint, body_a: Body, body_b: Body, dt_ratio: float32) -> None:
-    """b2RevoluteJoint::InitVelocityConstraints: levers, K, and the warm start with the last step's impulses."""
+def init_velocity_constraints(robot: Robot, joint: Joint, dt_ratio: float32) -> None:
+    """b2RevoluteJoint::InitVelocityConstraints: levers, K, and the warm start with the last step's impulses.
+
+    Args:
+        robot: with the joint's bodies.
+        joint: one of its joints.
+        dt_ratio: this step's duration over the last one's.
+    """
+    body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
-    rA_x, rA_y = rotate(body_a, joint.local_ra_x, joint.local_ra_y)
-    rB_x, rB_y = rotate(body_b, joint.local_rb_x, joint.local_rb_y)
+    rA_x, rA_y = rotate(body_a, (joint.local_ra_x, joint.local_ra_y))
+    rB_x, rB_y = rotate(body_b, (joint.local_rb_x, joint.local_rb_y))
     joint.ra_x, joint.ra_y, joint.rb_x, joint.rb_y = rA_x, rA_y, rB_x, rB_y
 
     k_xx = mA + mB + rA_y * rA_y * iA + rB_y * rB_y * iB
@@ -58,8 +65,9 @@ def init_velocity_constraints(joint: Joint, body_a: Body, body_b: Body, dt_ratio
 
 
 @inline
-def solve_velocity_constraints(joint: Joint, body_a: Body, body_b: Body) -> None:
+def solve_velocity_constraints(robot: Robot, joint: Joint) -> None:
     """b2RevoluteJoint::SolveVelocityConstraints: the motor, then the point."""
+    body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     vA_x, vA_y, wA = body_a.v_x, body_a.v_y, body_a.w
     vB_x, vB_y, wB = body_b.v_x, body_b.v_y, body_b.w
@@ -87,12 +95,13 @@ def solve_velocity_constraints(joint: Joint, body_a: Body, body_b: Body) -> None
 
 
 @inline
-def solve_position_constraints(joint: Joint, body_a: Body, body_b: Body) -> bool:
+def solve_position_constraints(robot: Robot, joint: Joint) -> bool:
     """b2RevoluteJoint::SolvePositionConstraints; return whether the error was small before the correction."""
+    body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     cA_x, cA_y, cB_x, cB_y = body_a.c_x, body_a.c_y, body_b.c_x, body_b.c_y
-    rA_x, rA_y = rotate(body_a, joint.local_ra_x, joint.local_ra_y)
-    rB_x, rB_y = rotate(body_b, joint.local_rb_x, joint.local_rb_y)
+    rA_x, rA_y = rotate(body_a, (joint.local_ra_x, joint.local_ra_y))
+    rB_x, rB_y = rotate(body_b, (joint.local_rb_x, joint.local_rb_y))
     C_x, C_y = cB_x + rB_x - cA_x - rA_x, cB_y + rB_y - cA_y - rA_y
 
     # The products associate otherwise than in the velocity constraint, and so round otherwise.
@@ -103,6 +112,6 @@ def solve_position_constraints(joint: Joint, body_a: Body, body_b: Body) -> bool
     inverse_det = _ONE / determinant if determinant != 0.0 else determinant
     P_x = inverse_det * (k_xy * C_y - k_yy * C_x)
     P_y = inverse_det * (k_xy * C_x - k_xx * C_y)
-    place(body_a, cA_x - mA * P_x, cA_y - mA * P_y, body_a.a - iA * (rA_x * P_y - rA_y * P_x))
-    place(body_b, cB_x + mB * P_x, cB_y + mB * P_y, body_b.a + iB * (rB_x * P_y - rB_y * P_x))
+    place(body_a, (cA_x - mA * P_x, cA_y - mA * P_y), body_a.a - iA * (rA_x * P_y - rA_y * P_x))
+    place(body_b, (cB_x + mB * P_x, cB_y + mB * P_y), body_b.a + iB * (rB_x * P_y - rB_y * P_x))
     return bool(C_x * C_x + C_y * C_y <= LINEAR_SLOP_SQUARED)

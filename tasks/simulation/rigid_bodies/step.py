@@ -24,12 +24,12 @@ _ZERO = float32(0)
 
 
 @inline
-def place_link(robot: Robot, index: int) -> None:
+def _place_link(robot: Robot, index: int) -> None:
     """Place a link by its body, as fused_links.place_links does."""
     link = robot.links[index]
     body = robot.bodies[link.body]
-    x, y = rotate(body, link.local_x, link.local_y)
-    link.lever_x, link.lever_y = rotate(body, link.local_lever_x, link.local_lever_y)
+    x, y = rotate(body, (link.local_x, link.local_y))
+    link.lever_x, link.lever_y = rotate(body, (link.local_lever_x, link.local_lever_y))
     link.x, link.y, link.angle = body.p_x + x, body.p_y + y, body.a + link.local_angle
     link.vx, link.vy, link.omega = body.v_x - body.w * link.lever_y, body.v_y + body.w * link.lever_x, body.w
     link.cos = body.cos * link.local_cos - body.sin * link.local_sin
@@ -37,7 +37,7 @@ def place_link(robot: Robot, index: int) -> None:
 
 
 @inline
-def push(robot: Robot, scene: Scene) -> None:
+def _push(robot: Robot, scene: Scene) -> None:
     """Change the velocities of the bodies by those of their links, as fused_links.body_change does."""
     for b in range(robot.n_bodies):
         vx, vy, omega = _ZERO, _ZERO, _ZERO
@@ -53,7 +53,7 @@ def push(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def submerge(robot: Robot, scene: Scene) -> None:
+def _submerge(robot: Robot, scene: Scene) -> None:
     """Compute the velocity changes of the links by the slush."""
     for index in range(scene.n_links):
         link = robot.links[index]
@@ -66,7 +66,7 @@ def submerge(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def command_motors(robot: Robot, time: float32, gain: float32) -> None:
+def _command_motors(robot: Robot, time: float32, gain: float32) -> None:
     """Set the motors' speeds by the controller."""
     for j in range(robot.n_joints):
         joint = robot.joints[j]
@@ -76,7 +76,7 @@ def command_motors(robot: Robot, time: float32, gain: float32) -> None:
 
 
 @inline
-def orient_fixtures(robot: Robot, scene: Scene) -> None:
+def _orient_fixtures(robot: Robot, scene: Scene) -> None:
     """Compute the corners, normals and AABBs of all fixtures."""
     for i in range(scene.n_links + 1):
         box = robot.fixtures[i]
@@ -84,7 +84,7 @@ def orient_fixtures(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def synchronize_fixtures(robot: Robot, scene: Scene) -> None:
+def _synchronize_fixtures(robot: Robot, scene: Scene) -> None:
     """Finish b2World::Solve: update the AABBs, and look for new contacts where one has left its fat AABB."""
     moved = False
     for i in range(scene.n_links):
@@ -95,25 +95,25 @@ def synchronize_fixtures(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def begin_step(robot: Robot, scene: Scene, step: int) -> None:
+def _begin_step(robot: Robot, scene: Scene, step: int) -> None:
     """Run the motors and the slush, collide, and prepare the island."""
-    command_motors(robot, float32(step) * scene.dt, scene.motor_gain)
+    _command_motors(robot, float32(step) * scene.dt, scene.motor_gain)
     if scene.slush:
-        submerge(robot, scene)
-    push(robot, scene)
+        _submerge(robot, scene)
+    _push(robot, scene)
     broad_phase.collide(robot)
     island.search(robot)
     island.begin(robot, scene)
     if step == 0:
-        orient_fixtures(robot, scene)
+        _orient_fixtures(robot, scene)
 
 
 @inline
-def finish_step(robot: Robot, scene: Scene) -> None:
+def _finish_step(robot: Robot, scene: Scene) -> None:
     """Look for new contacts, place the links, and notice a divergence."""
-    synchronize_fixtures(robot, scene)
+    _synchronize_fixtures(robot, scene)
     for index in range(scene.n_links):
-        place_link(robot, index)
+        _place_link(robot, index)
         link = robot.links[index]
         pose = _ZERO * link.x + _ZERO * link.y + _ZERO * link.angle
         velocity = _ZERO * link.vx + _ZERO * link.vy + _ZERO * link.omega
@@ -121,12 +121,12 @@ def finish_step(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def take_step(team: Sequence[Robot], scene: Scene, step: int) -> None:
+def _take_step(team: Sequence[Robot], scene: Scene, step: int) -> None:
     """Run the motors, the slush, and b2World::Step for a team; a robot that has diverged only drifts."""
     for r in range(len(team)):
         robot = team[r]
         if robot.divergence == 0.0:
-            begin_step(robot, scene, step)
+            _begin_step(robot, scene, step)
         else:
             robot.n_island_contacts, robot.n_island_joints = 0, 0
     island.sweep_velocities(team, scene)
@@ -134,26 +134,26 @@ def take_step(team: Sequence[Robot], scene: Scene, step: int) -> None:
         island.integrate_positions(team[r], scene.dt)
     island.sweep_positions(team, scene)
     for r in range(len(team)):
-        finish_step(team[r], scene)
+        _finish_step(team[r], scene)
 
 
 @inline
-def spawn(robot: Robot, scene: Scene) -> None:
+def _spawn(robot: Robot, scene: Scene) -> None:
     """Orient the bodies, place the links, and look for the first contacts."""
     for b in range(robot.n_bodies):
         body = robot.bodies[b]
         body.sin, body.cos = scalar_sincos(body.a)
-        body.c_x, body.c_y = transform(body, body.local_center_x, body.local_center_y)
+        body.c_x, body.c_y = transform(body, (body.local_center_x, body.local_center_y))
     for index in range(scene.n_links):
-        place_link(robot, index)
-    orient_fixtures(robot, scene)
+        _place_link(robot, index)
+    _orient_fixtures(robot, scene)
     for i in range(scene.n_links + 1):
         broad_phase.create_proxy(robot.fixtures[i])
     broad_phase.find_new_contacts(robot)
 
 
 @inline
-def record_states(robot: Robot, states: Float32) -> None:
+def _record_states(robot: Robot, states: Float32) -> None:
     """Write (n_links, 6) states, NaN where the robot has diverged."""
     for index in range(len(states)):
         link, state, divergence = robot.links[index], states[index], robot.divergence
@@ -175,9 +175,9 @@ def advance_robots(robots: Sequence[Robot], scene: Scene, first_step: int, end_s
         team = robots[first : first + TEAM]
         if first_step == 0:
             for r in range(len(team)):
-                spawn(team[r], scene)
+                _spawn(team[r], scene)
         for step in range(first_step, end_step):
-            take_step(team, scene, step)
+            _take_step(team, scene, step)
             if trace.size > 0:
                 for r in range(len(team)):
-                    record_states(team[r], trace[first + r, step - first_step])
+                    _record_states(team[r], trace[first + r, step - first_step])

@@ -8,36 +8,48 @@ from tasks.compiled import inline
 from tasks.simulation.rigid_bodies.layout import Body
 from tasks.simulation.simd.rotation import scalar_sincos
 
+Vector = tuple[float32, float32]
+"""b2Vec2."""
+
 
 @inline
-def rotate(body: Body, x: float32, y: float32) -> tuple[float32, float32]:
+def rotate(body: Body, v: Vector) -> Vector:
     """b2Mul(xf.q, v): from the body's frame to the world's."""
+    x, y = v
     return body.cos * x - body.sin * y, body.sin * x + body.cos * y
 
 
 @inline
-def rotate_back(body: Body, x: float32, y: float32) -> tuple[float32, float32]:
+def rotate_back(body: Body, v: Vector) -> Vector:
     """b2MulT(xf.q, v): from the world's frame to the body's."""
+    x, y = v
     return body.cos * x + body.sin * y, -body.sin * x + body.cos * y
 
 
 @inline
-def transform(body: Body, x: float32, y: float32) -> tuple[float32, float32]:
+def transform(body: Body, v: Vector) -> Vector:
     """b2Mul(xf, v): a point of the body's frame in the world."""
-    rotated_x, rotated_y = rotate(body, x, y)
-    return rotated_x + body.p_x, rotated_y + body.p_y
+    x, y = rotate(body, v)
+    return x + body.p_x, y + body.p_y
 
 
 @inline
 def synchronize_transform(body: Body) -> None:
     """b2Body::SynchronizeTransform, where cos and sin are up to date."""
-    x, y = rotate(body, body.local_center_x, body.local_center_y)
+    x, y = rotate(body, (body.local_center_x, body.local_center_y))
     body.p_x, body.p_y = body.c_x - x, body.c_y - y
 
 
 @inline
-def place(body: Body, c_x: float32, c_y: float32, a: float32) -> None:
-    """Set a body's centre of mass and angle, and its frame accordingly."""
-    body.c_x, body.c_y, body.a = c_x, c_y, a
+def place(body: Body, c: Vector, a: float32) -> None:
+    """Set a body's centre of mass and angle, and its frame accordingly.
+
+    Args:
+        body: the body.
+        c: its centre of mass [m].
+        a: its angle [rad].
+    """
+    body.c_x, body.c_y = c
+    body.a = a
     body.sin, body.cos = scalar_sincos(a)
     synchronize_transform(body)

@@ -153,16 +153,6 @@ def count_lanes(lanes: Any) -> int:
     return len(lanes)
 
 
-def load_whole(block: Any, row: int) -> Any:
-    """Load a whole number from a block of one lane, in which it lies as int32."""
-    return np.int64(block.rows[row].view(np.int32)[0])
-
-
-def store_whole(block: Any, row: int, number: int) -> None:
-    """Store a whole number in a block of one lane, as int32."""
-    block.rows[row].view(np.int32)[0] = number
-
-
 @functools.cache  # asking LLVM takes longer than packing designs
 def widest() -> int:
     """Count the lanes that this machine favours, those of two vector registers; the bits do not depend on it."""

@@ -31,12 +31,10 @@ from tasks.simulation.simd.lanes import (
     fma,
     from_row,
     lane,
-    load_whole,
     n_parts,
     part,
     select,
     sqrt,
-    store_whole,
     to_double,
     to_single,
     truncate,
@@ -394,30 +392,6 @@ def _type_part(context: Any) -> Any:
 def _lower_part(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     halves = builder.bitcast(args[0], context.get_value_type(signature.return_type))
     return builder.gep(halves, [args[1]])
-
-
-@type_callable(load_whole)
-def _type_load_whole(context: Any) -> Any:
-    return lambda block, row: types.int64 if isinstance(block, BlockType) and block.count == 1 else None
-
-
-@lower_builtin(load_whole, BlockType, types.Integer)
-def _lower_load_whole(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    pointer = builder.bitcast(_row(builder, signature.args[0], *args), INT.as_pointer())
-    return builder.sext(builder.load(pointer, align=4), ir.IntType(64))
-
-
-@type_callable(store_whole)
-def _type_store_whole(context: Any) -> Any:
-    return lambda block, row, number: types.none if isinstance(block, BlockType) and block.count == 1 else None
-
-
-@lower_builtin(store_whole, BlockType, types.Integer, types.Integer)
-def _lower_store_whole(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    pointer = builder.bitcast(_row(builder, signature.args[0], *args[:2]), INT.as_pointer())
-    number = context.cast(builder, args[2], signature.args[2], types.int32)
-    builder.store(number, pointer, align=4)
-    return context.get_dummy_value()
 
 
 @lower_cast(Lanes, Lanes)

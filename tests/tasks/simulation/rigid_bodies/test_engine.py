@@ -1,7 +1,4 @@
-"""Rigid bodies in the batch engine by themselves: nothing but the clock depends on batches, teams or neighbours.
-
-See also tests/parity.
-"""
+"""The rigid-body engine: results do not depend on batches, teams or neighbours. See also tests/parity."""
 
 import numba
 import numpy as np
@@ -24,7 +21,7 @@ def designs() -> Designs:
 
 
 class Members(Slushes):
-    """Slushes of three densities, of which one kills links that whirl."""
+    """Slushes of three densities, the last of which makes fast-spinning links diverge."""
 
     def __init__(self) -> None:
         super().__init__(0.6, 1.25, 2.0)
@@ -101,7 +98,7 @@ def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_eng
 @compiled_only
 def test_memory_does_not_grow_with_steps():
     peaks = peaks_of_memory(random_designs(2000, np.random.default_rng(4)), PHYSICS)
-    assert peaks[0] < 120e6  # bytes: 7 kB a robot, a few times over while packing
+    assert peaks[0] < 120e6  # bytes: 5 kB a robot, a few times over while packing
     assert peaks[1] < 1.01 * peaks[0]
 
 
@@ -114,13 +111,13 @@ def test_pairs_come_in_the_order_in_which_fixtures_are_made():
             "motor_on": np.array([[False, False, True, True, False, False]]),
         }
     )
-    # Bodies {0, 1, 4}, {2}, {3, 5}; they are made from the last: links 3, 5; 2; 0, 1, 4.
+    # Bodies {0, 1, 4}, {2}, {3, 5} are created from the last to the first: links 3, 5; 2; 0, 1, 4.
     rigid = rigid_bodies(star, passive_joints="locked")
     assert rigid.first_link.tolist() == [[0, 0, 2, 3, 0, 3]]
     a, b, n = packing.fixture_pairs(star, rigid, PHYSICS)
     pairs = list(zip(a[0].tolist(), b[0].tolist(), strict=True))[: n[0]]
     ground = [(layout.GROUND, link) for link in (3, 5, 2, 0, 1, 4)]
-    # Not 3 and 1, nor 2 and 0, which joints tie; nor links of one body.
+    # Without (3, 1) and (2, 0), which joints tie, and without links of one body.
     assert pairs == [*ground, (3, 2), (3, 0), (3, 4), (5, 2), (5, 0), (5, 1), (5, 4), (2, 1), (2, 4)]
     a, b, n = packing.fixture_pairs(star, rigid, Physics(passive_joints="locked"))
     assert list(zip(a[0].tolist(), b[0].tolist(), strict=True))[: n[0]] == ground

@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from numba.core.errors import TypingError
 
 from tasks.compiled import inline
+from tasks.simulation.free_links import sines_and_cosines
 from tasks.simulation.simd.lanes import (
     ALIGNMENT,
     Block,
@@ -22,17 +23,16 @@ from tasks.simulation.simd.lanes import (
     fma,
     from_row,
     lane,
-    load_whole,
     part,
     select,
     sqrt,
-    store_whole,
     to_double,
     to_single,
     truncate,
     widest,
     with_lane,
 )
+from tasks.simulation.simd.rotation import scalar_sincos
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="these are the compiled lanes")
 
@@ -197,20 +197,22 @@ def test_a_part_of_later_rows_and_a_part_of_a_part(width, run):
 
 
 @numba.njit
-def move_whole(block):
-    one = from_row(block, 1)
-    one[1] = one[0]
-    number = load_whole(one, 1)
-    store_whole(one, 2, number + 1)
-    return number
+def of_a_number(x):
+    doubled = to_double(x)
+    chosen = select(any_lane(x > 0.0), sqrt(abs(x)), floor(x))
+    return chosen, to_single(fma(doubled, 3.0, 0.25)), truncate(doubled), scalar_sincos(x)
 
 
-@pytest.mark.parametrize("run", [move_whole, move_whole.py_func], ids=["compiled", "plain"])
-def test_whole_numbers(run):
-    block = Block(4, 1)
-    block.rows.view(np.int32)[:2, 0] = 5, 7
-    assert run(block) == 7
-    assert block.rows.view(np.int32)[:, 0].tolist() == [5, 7, 7, 8]
+@pytest.mark.parametrize("run", [of_a_number, of_a_number.py_func], ids=["compiled", "plain"])
+@pytest.mark.parametrize("x", [-2.75, 0.3, 2.5, 119.0, 1e7, -1e9])
+def test_functions_of_lanes_take_numbers(run, x):
+    x = np.float32(x)
+    chosen, tripled, truncated, sincos = run(x)
+    assert chosen == (np.sqrt(x) if x > 0 else np.floor(x))
+    assert tripled == np.float32(np.float64(x) * 3 + 0.25)
+    assert truncated == np.int32(x)
+    (sine,), (cosine,) = sines_and_cosines(np.array([x]))
+    assert sincos == (sine, cosine)
 
 
 def test_a_part_made_in_python_is_a_part_in_a_kernel():
