@@ -1,13 +1,13 @@
-"""Whose fault is a transfer gap? Paper, "Evolution" and Fig. 4, made into figures.
+"""Attribution of the transfer gap to controller and body. Paper, "Evolution" and Fig. 4.
 
-A champion goes to True Slush as it is (zero-shot), and with a controller that was evolved there (adapted). What designs
-reach that evolved in True Slush is the best possible. So the gap splits in two:
+Champions are tested in True Slush as they are (zero-shot) and with a controller that evolved there (adapted). Designs
+that evolved in True Slush mark the best possible displacement. So the gap has two parts:
 
     best - zero_shot  =  (adapted - zero_shot)  +  (best - adapted)
       the gap             lost to the controller     lost to the body
 
-A part can be negative: an adaptation from scratch may find a worse controller than the design came with, and then the
-body's part is that much too large. A share needs a gap to be a share of.
+A part can be negative: adaptation from scratch may find a worse controller than the design's own, and the body's part
+is then too large by the same amount. Shares exist only where there is a gap.
 """
 
 from __future__ import annotations
@@ -21,52 +21,46 @@ from numpy.random import Generator
 from tasks.analysis.comparison import ratio
 from tasks.analysis.scores import EvolvedIn, Scores
 from tasks.analysis.uncertainty import Estimate, bootstrap, finite, mean
-from tasks.arrays import Float64, Floats
+from tasks.arrays import Float64, Floats, Int64
 
-NO_GAP = "there is no gap to take shares of"
+_NO_GAP = "there is no gap to take shares of"
 
 
 @dataclass(frozen=True)
 class Attribution:
-    """The transfer gap of one arm at one depth. Lengths in m, over trials."""
+    """The transfer gap of one arm at one depth: means over trials [m], and shares."""
 
     evolved_in: EvolvedIn
     depth: float
     """[m]"""
     n: int
-    """Trials with a finite zero-shot and adapted displacement: those that the split is computed from."""
+    """Trials with a finite zero-shot and adapted displacement, from which the split is computed."""
     n_best: int
     """Trials in True Slush."""
     predicted: Estimate
-    """[m]"""
     zero_shot: Estimate
-    """[m]"""
     adapted: Estimate
-    """[m]"""
     best: Estimate
-    """[m]"""
     imagined: Estimate
-    """predicted - zero_shot: promised where it evolved, and not there in True Slush [m]."""
+    """predicted - zero_shot: displacement that exists only where the champion evolved."""
     gap: Estimate
-    """best - zero_shot [m]."""
+    """best - zero_shot."""
     lost_to_controller: Estimate
-    """[m]"""
     lost_to_body: Estimate
-    """[m]"""
     controller_share: Estimate
-    """Of the gap."""
+    """lost_to_controller / gap."""
     body_share: Estimate
-    """Of the gap."""
+    """lost_to_body / gap."""
     recovered_zero_shot: Estimate
     """zero_shot / best: the paper's 67 %."""
     recovered_adapted: Estimate
     """adapted / best: the paper's 87 %."""
     recovered_of_dry_land: Estimate
-    """(zero_shot - Dry Land's) / (best - Dry Land's): how much of the damage done by the missing dynamics is undone."""
+    """(zero_shot - Dry Land's) / (best - Dry Land's): share of Dry Land's gap that this arm closes."""
 
 
 def attribute(scores: Scores, *, rng: Generator) -> tuple[Attribution, ...]:
-    """Split the transfer gap of every arm but True Slush's own, depth by depth."""
+    """Split the transfer gap of every arm except True Slush, at each depth."""
     arms: tuple[EvolvedIn, ...] = ("dry_land", "residual_slush", "single_member")
     return tuple(
         _attribution(scores, arm, depth, rng)
@@ -107,7 +101,7 @@ def _attribution(scores: Scores, arm: EvolvedIn, depth: float, rng: Generator) -
 
 
 def _split(zero_shot: Float64, adapted: Float64, best: Float64, rng: Generator) -> tuple[Estimate, ...]:
-    """Estimate the gap, its two parts and their shares; trials keep their pairs when resampled."""
+    """Estimate the gap, its two parts and their shares; resampling draws a trial's two scores together."""
     if len(zero_shot) == 0 or len(best) == 0:
         reason = (
             f"{len(zero_shot)} trials scored zero-shot and adapted and {len(best)} in True Slush, expected 1 or more"
@@ -119,11 +113,10 @@ def _split(zero_shot: Float64, adapted: Float64, best: Float64, rng: Generator) 
         gap = np.where(B > Z, B - Z, np.nan)
         return np.stack((B - Z, A - Z, B - A, (A - Z) / gap, (B - A) / gap), axis=-1)
 
-    return bootstrap(split, np.stack((zero_shot, adapted), axis=-1), best[:, None], rng=rng, undefined=NO_GAP)
+    return bootstrap(split, np.stack((zero_shot, adapted), axis=-1), best[:, None], rng=rng, undefined=_NO_GAP)
 
 
 def _undone(arm: EvolvedIn, zero_shot: Float64, best: Float64, dry_land: Float64, rng: Generator) -> Estimate:
-    """Share of Dry Land's gap that this arm closes."""
     if arm == "dry_land":
         return Estimate.missing("it is the reference")
     n = {"zero-shot": len(zero_shot), "True Slush": len(best), "Dry Land zero-shot": len(dry_land)}
@@ -134,12 +127,12 @@ def _undone(arm: EvolvedIn, zero_shot: Float64, best: Float64, dry_land: Float64
         return np.where(dry < E, (arm - dry) / np.where(dry < E, E - dry, 1), np.nan)
 
     columns = (values[:, None] for values in (zero_shot, best, dry_land))
-    return bootstrap(share, *columns, rng=rng, undefined=NO_GAP)[0]
+    return bootstrap(share, *columns, rng=rng, undefined=_NO_GAP)[0]
 
 
 @dataclass(frozen=True, eq=False)
 class TransferMatrix:
-    """Champions of one depth, tested at another; rows are where they evolved, columns where they were tested."""
+    """Displacement of champions by the depth where they evolved (rows) and the depth of the test (columns)."""
 
     trained: Float64
     """(n_trained,) depths [m]."""
@@ -149,19 +142,19 @@ class TransferMatrix:
     """(n_trained, n_tested) displacement [m]; NaN where n is 0."""
     sd: Float64
     """(n_trained, n_tested) sample deviation [m]; NaN where n is below 2."""
-    n: npt.NDArray[np.int64]
-    """(n_trained, n_tested) champions with a finite displacement."""
+    n: Int64
+    """(n_trained, n_tested) number of champions with a finite displacement."""
     relative: Float64
-    """(n_trained, n_tested) mean over that of the champions that evolved at the tested depth; NaN where there are none,
-    or where they go nowhere."""
+    """(n_trained, n_tested) mean / mean of the champions that evolved at the tested depth; NaN where these do not exist
+    or do not advance."""
 
 
 def transfer_matrix(trained: npt.ArrayLike, tested: npt.ArrayLike, displacement: Floats) -> TransferMatrix:
-    """Shape a table of tests into a matrix.
+    """Return the matrix of a table of tests.
 
     Args:
-        trained: (n_tests,) depth at which the champion evolved [m].
-        tested: (n_tests,) depth at which it was tested [m].
+        trained: (n_tests,) depth where the champion evolved [m].
+        tested: (n_tests,) depth of the test [m].
         displacement: (n_tests,) [m]; NaN where diverged.
     """
     rows, row = np.unique(np.asarray(trained, dtype=np.float64), return_inverse=True)

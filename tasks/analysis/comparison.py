@@ -1,9 +1,9 @@
-"""Do two groups of champions differ? The paper's Student's t test, and beside it what it leaves open.
+"""Comparisons of two groups of champions: the paper's Student's t test and alternatives with weaker assumptions.
 
-Student's t assumes equal variances, which champions of different worlds do not have; Welch's test does not, and
-Mann-Whitney assumes no normality either. The size of an effect is Hedges' g, and what people ask for is the ratio of
-the means. Over a sweep of depths, the smallest of ten p-values is small by chance: hence Holm's correction.
-All tests are two-sided.
+Student's t assumes equal variances, which champions of different environments do not have. Welch's test does not, and
+Mann-Whitney's does not assume normality either. Hedges' g and the ratio of the means give the size of an effect. Over a
+sweep of depths, the smallest of ten p-values is small by chance; Holm's correction allows for that. All tests are
+two-sided.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from tasks.analysis.scores import EvolvedIn, Quantity, Scores
 from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
 from tasks.arrays import Float64, Floats
 
-EXACT = 20
-"""Values in both groups up to which Mann-Whitney's p is exact, unless values are tied."""
+_MAX_EXACT = 20
+"""Largest number of values in both groups for which Mann-Whitney's p is exact, unless values are tied."""
 
 
 @dataclass(frozen=True)
 class SignificanceTest:
-    """A two-sided test. What there is not is None, and the reason says why."""
+    """A two-sided test. Missing figures are None; the reason explains why."""
 
     statistic: float | None
     p: float | None
@@ -37,19 +37,19 @@ class SignificanceTest:
 
 @dataclass(frozen=True)
 class Group:
-    """A group of values, of which those that are not finite were left out."""
+    """A group of values. Values that are not finite are left out."""
 
     n: int
     n_left_out: int
     mean: Estimate
-    """[m], with Student's t interval."""
+    """Mean with Student's t interval [m]."""
     sd: float | None
-    """Sample deviation [m]; None below two values."""
+    """Sample deviation [m]; None for fewer than two values."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Group a against group b."""
+    """Comparison of group a with group b, the reference."""
 
     a: Group
     b: Group
@@ -63,19 +63,19 @@ class Comparison:
 
 
 def group(values: Floats) -> Group:
-    """Describe a group."""
+    """Return the number, mean and deviation of the finite values of a group (n_values,)."""
     known = finite(values)
     sd = float(known.std(ddof=1)) if len(known) > 1 else None
     return Group(len(known), len(values) - len(known), mean(known), sd)
 
 
 def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
-    """Compare two groups of independent values.
+    """Return all tests and effect sizes for two groups of independent values.
 
     Args:
-        a: (n_a,) values; those that are not finite are left out and counted.
-        b: (n_b,) the reference.
-        rng: source of randomness of the ratio's interval.
+        a: (n_a,) values; values that are not finite are left out and counted.
+        b: (n_b,) values of the reference.
+        rng: source of randomness for the ratio's interval.
     """
     x, y = finite(a), finite(b)
     tied = "all values of both groups are equal" if _is_constant(np.concatenate((x, y))) else None
@@ -91,16 +91,14 @@ def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
 
 
 def student(x: Float64, y: Float64) -> SignificanceTest:
-    """Test whether the means of two groups of finite values differ, assuming equal variances: the paper's test."""
+    """Run the paper's test: whether the means of (n_x,) and (n_y,) finite values differ, given equal variances."""
     return _test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=True))
 
 
 def difference(x: Float64, y: Float64) -> Estimate:
-    """Difference of two means with the interval that belongs to Student's t: it holds 0 where p is above 1 - LEVEL.
+    """Estimate the difference of the means of (n_x,) and (n_y,) finite values, with Student's t interval.
 
-    Args:
-        x: (n_x,) finite values.
-        y: (n_y,) finite values, the reference.
+    The interval contains 0 exactly where p is above 1 - LEVEL.
     """
     if min(len(x), len(y)) == 0:
         return Estimate.missing(f"{len(x)} and {len(y)} finite values, expected 1 or more in both groups")
@@ -118,7 +116,7 @@ def _pooled_deviation(x: Float64, y: Float64) -> float:
 
 
 def _t_test(x: Float64, y: Float64, *, equal_variances: bool) -> Any:
-    """Compare means by deviations that are exactly 0 for constant groups, over which scipy would worry."""
+    # Deviations of constant groups are set to exactly 0; scipy would warn of lost precision.
     described = ((v.mean(), 0.0 if _is_constant(v) else v.std(ddof=1), len(v)) for v in (x, y))
     return stats.ttest_ind_from_stats(*chain.from_iterable(described), equal_var=equal_variances)
 
@@ -130,7 +128,7 @@ def _too_few(x: Float64, y: Float64) -> str | None:
 
 
 def _no_spread(x: Float64, y: Float64) -> str | None:
-    """Say why two groups have no variance to compare means by, if so."""
+    """Return why the means of two groups can't be tested, or None if they can."""
     return _too_few(x, y) or ("both groups are constant" if _is_constant(x) and _is_constant(y) else None)
 
 
@@ -140,7 +138,7 @@ def _is_constant(displacement: Float64) -> bool:
 
 def _method(x: Float64, y: Float64) -> str:
     tied = len(np.unique(np.concatenate((x, y)))) < len(x) + len(y)
-    return "exact" if len(x) + len(y) <= EXACT and not tied else "asymptotic"
+    return "exact" if len(x) + len(y) <= _MAX_EXACT and not tied else "asymptotic"
 
 
 def _test(reason: str | None, run: Callable[[], Any]) -> SignificanceTest:
@@ -151,14 +149,10 @@ def _test(reason: str | None, run: Callable[[], Any]) -> SignificanceTest:
 
 
 def hedges_g(x: Float64, y: Float64) -> Estimate:
-    """Standardised difference of two means, with its large-sample interval.
+    """Estimate the standardised difference of the means of (n_x,) and (n_y,) finite values, for large samples.
 
     Hedges & Olkin 1985, Statistical Methods for Meta-Analysis, ch. 5: J = Γ(m/2) / (√(m/2) Γ((m - 1)/2)) with
     m = n_x + n_y - 2, and var g = (n_x + n_y) / (n_x n_y) + g² / (2 (n_x + n_y)).
-
-    Args:
-        x: (n_x,) finite values.
-        y: (n_y,) finite values, the reference.
     """
     reason = _no_spread(x, y)
     if reason is not None:
@@ -172,12 +166,12 @@ def hedges_g(x: Float64, y: Float64) -> Estimate:
 
 
 def ratio(part: Floats, whole: Floats, *, rng: Generator) -> Estimate:
-    """Say what share of one mean another is, such as champions of Dry Land of those of True Slush.
+    """Return the ratio of two means, such as that of Dry Land's champions to True Slush's.
 
     Args:
         part: (n_part,) values.
-        whole: (n_whole,) the reference, independent of the part.
-        rng: source of randomness.
+        whole: (n_whole,) values of the reference, independent of the part.
+        rng: source of randomness for the interval.
     """
     x, y = finite(part), finite(whole)
     if len(x) == 0 or len(y) == 0:
@@ -190,7 +184,7 @@ def _ratio(part: Float64, whole: Float64) -> Float64:
 
 
 def holm(p: Sequence[float | None]) -> list[float | None]:
-    """Correct p-values for being several (Holm 1979); None stays None and does not count."""
+    """Correct p-values for multiple comparisons (Holm 1979); None stays None and does not count."""
     known = [i for i, value in enumerate(p) if value is not None]
     corrected: list[float | None] = [None] * len(p)
     largest = 0.0
@@ -204,7 +198,7 @@ Arm = tuple[EvolvedIn, Quantity]
 """Champions of one environment, zero-shot or adapted."""
 
 BEST: Arm = ("true_slush", "zero_shot")
-"""E: the upper bound of the paper."""
+"""Designs that evolved in True Slush, E: the paper's upper bound."""
 
 CONTRASTS: tuple[tuple[Arm, Arm], ...] = (
     (("dry_land", "zero_shot"), BEST),
@@ -219,7 +213,7 @@ CONTRASTS: tuple[tuple[Arm, Arm], ...] = (
     (("residual_slush", "zero_shot"), ("single_member", "zero_shot")),
     (("residual_slush", "adapted"), ("single_member", "adapted")),
 )
-"""What is compared at every depth: each arm with the best possible, and the arms that the paper contrasts."""
+"""Pairs compared at every depth: each arm with the best possible, and the arms that the paper contrasts."""
 
 
 @dataclass(frozen=True)
@@ -232,13 +226,13 @@ class Contrast:
     """[m]"""
     comparison: Comparison = field(metadata={"prefix": False})
     student_holm: float | None
-    """p of Student's t corrected over the depths of this contrast; the same of the other two tests."""
+    """p of Student's t, corrected over the depths of this contrast; the other two tests likewise."""
     welch_holm: float | None
     mann_whitney_holm: float | None
 
 
 def sweep(scores: Scores, *, rng: Generator) -> tuple[Contrast, ...]:
-    """Make every comparison that both sides have trials for, at every depth; Holm's family is one contrast's depths."""
+    """Make every contrast at every depth where both arms have trials; Holm's family is the depths of one contrast."""
     contrasts = []
     for a, b in CONTRASTS:
         depths = [d for d in scores.depths() if all(np.isfinite(scores.values(*arm, d)).any() for arm in (a, b))]

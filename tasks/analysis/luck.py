@@ -1,8 +1,8 @@
-"""Winner's luck, and reach: two ways in which a champion's fitness is not worth what it says.
+"""Winner's luck and reach: two ways in which a champion's fitness overstates its worth.
 
-The best of tens of thousands of designs is also the luckiest where fitness is chaotic, as on hard ground: a design
-moved by less than any builder could keep goes a different way. And fitness is the displacement of the root link between
-two instants, which a coiled chain can gain by uncoiling, without the robot going anywhere.
+Where fitness is chaotic, as on hard ground, the best of tens of thousands of designs is also the luckiest: a change far
+below any manufacturing tolerance alters its path. And fitness is the displacement of the root link between two
+instants, which a coiled chain can gain by uncoiling while the robot as a whole stays in place.
 """
 
 from __future__ import annotations
@@ -11,38 +11,42 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.analysis.uncertainty import Estimate, mean
-from tasks.arrays import Float64, Floats
+from tasks.arrays import Float64, Floats, Int64
 from tasks.design import Designs, concatenate
 
-JITTER = 1e-4
-"""How far each attachment is moved [half heights]: at 70 mm a metre, at most 0.01 mm."""
-ATTACHMENTS = ("parent_attachment", "child_attachment")
+_JITTER = 1e-4
+"""Change of each attachment [half heights]: at most 0.01 mm if a metre is built as 70 mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Luck:
-    """What designs are worth when tried again; diverged tries are left out and counted."""
+    """Scores of designs in repeated tries with jittered attachments; diverged tries are left out and counted."""
 
     claimed: Float64
     """(n_designs,) score as evolved [m]; not finite where diverged."""
     again: Float64
-    """(n_designs, n_tries) score with moved attachments [m]; not finite where diverged."""
-    n_diverged: npt.NDArray[np.int64]
+    """(n_designs, n_tries) score with jittered attachments [m]; not finite where diverged."""
+    n_diverged: Int64
     """(n_designs,) tries that diverged."""
     loss: tuple[Estimate, ...]
-    """Of each design: claimed less the mean when tried again [m]; positive is luck that a copy does not have."""
+    """For each design, claimed - mean of the tries [m]; positive if copies do worse than the champion."""
     share_below: Float64
-    """(n_designs,) share of the tries that scored less than claimed; NaN where the loss has no value either."""
+    """(n_designs,) share of the tries that scored below the claim; NaN where the loss has no value."""
 
 
-def jittered(designs: Designs, rng: Generator, *, jitter: float = JITTER) -> Designs:
-    """Move every attachment by the jitter up or down, at a gene's bound inward; all else stays as it is."""
+def jittered(designs: Designs, rng: Generator, *, jitter: float = _JITTER) -> Designs:
+    """Return designs with every attachment moved up or down, or inwards at a gene's bound.
+
+    Args:
+        designs: n_designs designs.
+        rng: source of randomness.
+        jitter: change of each attachment [half heights].
+    """
     moved = {}
-    for name in ATTACHMENTS:
+    for name in ("parent_attachment", "child_attachment"):
         attachment = getattr(designs, name)
         step = np.where(rng.random(attachment.shape) < 0.5, -jitter, jitter)
         step = np.where(np.abs(attachment + step) > 1, -step, step)
@@ -51,16 +55,16 @@ def jittered(designs: Designs, rng: Generator, *, jitter: float = JITTER) -> Des
 
 
 def luck(
-    designs: Designs, score: Callable[[Designs], Floats], *, rng: Generator, n_tries: int = 32, jitter: float = JITTER
+    designs: Designs, score: Callable[[Designs], Floats], *, rng: Generator, n_tries: int = 32, jitter: float = _JITTER
 ) -> Luck:
-    """Try designs again with their attachments moved by next to nothing.
+    """Return the scores of designs in repeated tries with jittered attachments.
 
     Args:
         designs: n_designs champions.
-        score: simulates n designs where they evolved, all at once: (n,) their fitness [m], not finite where diverged.
+        score: simulates n designs where they evolved: (n,) fitness [m], not finite where diverged.
         rng: source of randomness.
-        n_tries: times that each is tried again.
-        jitter: how far an attachment moves [half heights].
+        n_tries: number of tries for each design.
+        jitter: change of each attachment [half heights].
     """
     n = len(designs)
     tries = [jittered(designs, rng, jitter=jitter) for _ in range(n_tries)]
@@ -81,17 +85,17 @@ def luck(
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """Displacement of the root that is not displacement of the robot."""
+    """Displacement of the root without displacement of the robot."""
 
     displacement: Float64
-    """(n_designs,) of the root [m]."""
+    """(n_designs,) displacement of the root [m]."""
     com_displacement: Float64
-    """(n_designs,) of the whole robot's centre of mass [m]."""
+    """(n_designs,) displacement of the whole robot's centre of mass [m]."""
     reach: Float64
-    """(n_designs,) the difference: gained by stretching out towards +x [m]; NaN where diverged."""
+    """(n_designs,) difference, gained by stretching towards +x [m]; NaN where diverged."""
 
 
 def reach(displacement: Floats, com_displacement: Floats) -> Reach:
-    """Compare the two measures of (n_designs,) rollouts [m]."""
+    """Return the difference of the two (n_designs,) displacements of rollouts [m]."""
     root, whole = (np.asarray(moved, dtype=np.float64) for moved in (displacement, com_displacement))
     return Reach(root, whole, root - whole)

@@ -1,7 +1,7 @@
-"""How wrong each member is, and where: by speed and immersion along rollouts, and at rest as a phantom thrust.
+"""Errors of each member: by speed and immersion along rollouts, and as a phantom thrust at low speed.
 
-The first needs the true medium. The second needs throws that a member was not trained on, and no more: it is there for
-users whose true world is no simulation.
+The first needs the true medium. The second needs only throws that the members were not trained on, so it also serves
+users whose true environment is not a simulation.
 """
 
 from __future__ import annotations
@@ -20,45 +20,44 @@ from tasks.world import EnsembleMedium, LinkStates, Medium, Physics
 from tasks.world.slush import submerged_part
 
 COMPONENTS = ("vx", "vy", "omega")
-"""Of what a medium changes; accelerations of them in m/s², m/s², rad/s²."""
+"""Velocities that a medium changes [m/s, m/s, rad/s]."""
 
 IMMERSIONS = ("all", "dry", "partly", "submerged")
-"""How much of a link is below the surface: anything, nothing, some, everything."""
+"""Part of a link below the surface: any, none, some, all."""
 
-WHOLE = 1 - 1e-6
-"""Submerged area from which a link of 1 m² counts as submerged, rounding allowed for [m²]."""
+_FULLY_SUBMERGED = 1 - 1e-6
+"""Least area below the surface of a submerged link [m²], which has 1 m² up to rounding."""
 
 
 @dataclass(frozen=True)
 class MemberError:
-    """A line of the table; None where there are no rows. Errors are predicted less true, as accelerations."""
+    """One row of the table. Errors are predicted - true accelerations [m/s², m/s², rad/s²]; None if n_rows is 0."""
 
     member: int
     component: str
-    """Of COMPONENTS [m/s², m/s², rad/s²]."""
+    """One of COMPONENTS."""
     band: str
-    """Of speed, of BANDS [m/s]."""
+    """Speed band, one of BANDS [m/s]."""
     immersion: str
-    """Of IMMERSIONS."""
+    """One of IMMERSIONS."""
     n_rows: int
     """Link states in the band."""
     bias: float | None
     """Mean error."""
     rmse: float | None
-    """Root of the mean squared error."""
     rms_true: float | None
-    """Root of the mean squared truth: the error of predicting nothing."""
+    """Root mean square of the true acceleration, which is the error of predicting zero."""
 
 
 def member_errors(
     ensemble: EnsembleMedium, medium: Medium, links: LinkStates, physics: Physics
 ) -> tuple[MemberError, ...]:
-    """Compare every member with the true medium on link states of any one shape; those not finite are left out.
+    """Return the errors of every member on link states; states that are not finite are left out.
 
     Args:
         ensemble: n_members members.
-        medium: the truth, such as Slush.
-        links: where to compare, such as the states that champions pass through.
+        medium: the true medium, such as Slush.
+        links: link states of shape (...), such as those of champions.
         physics: the base simulator's constants.
     """
     true = acceleration(medium, links, physics).reshape(-1, 3)
@@ -67,7 +66,12 @@ def member_errors(
     speed = np.hypot(links.vx, links.vy).ravel()
     area, _ = submerged_part(links.length_scale, links.y, links.cos, links.sin)
     wet = area.ravel()
-    immersed = {"all": known, "dry": wet <= 0, "partly": (wet > 0) & (wet < WHOLE), "submerged": wet >= WHOLE}
+    immersed = {
+        "all": known,
+        "dry": wet <= 0,
+        "partly": (wet > 0) & (wet < _FULLY_SUBMERGED),
+        "submerged": wet >= _FULLY_SUBMERGED,
+    }
     rows = []
     for band, low, high in BANDS:
         for immersion in IMMERSIONS:
@@ -90,7 +94,7 @@ def _error_rows(error: Float64, true: Float64, band: str, immersion: str) -> lis
 
 
 def thrown_links(transitions: Transitions, physics: Physics) -> LinkStates:
-    """Read the states of throws as links, (n_transitions,)."""
+    """Convert the states of throws to link states, (n_transitions,)."""
     a = transitions.length_scale.astype(np.float32)
     mass = np.full(len(a), physics.link_density, np.float32)  # every link has 1 m²
     _, y, angle, vx, vy, omega = transitions.state.T
@@ -101,11 +105,11 @@ def thrown_links(transitions: Transitions, physics: Physics) -> LinkStates:
 def phantom_thrust(
     ensemble: EnsembleMedium, held_out: Transitions, physics: Physics, *, rng: Generator
 ) -> tuple[Estimate, ...]:
-    """Estimate the horizontal acceleration that each member imagines at low speed [m/s²].
+    """Estimate the horizontal acceleration that each member hallucinates at low speed.
 
-    Slush pushes nothing that is at rest to either side. A mean error of vx where |v| < 0.5 m/s is a thrust that does
-    not exist, and robots that do nothing but float in it are predicted to travel. The intervals come from drawing
-    throws whole, since the steps of one resemble each other.
+    Slush does not push a link at rest to either side. So a mean error of vx at |v| < 0.5 m/s is a thrust that does not
+    exist: a robot that merely floats in it is predicted to travel. The intervals come from resampling whole throws,
+    because the steps of one throw resemble each other.
 
     Args:
         ensemble: n_members members.
@@ -114,7 +118,7 @@ def phantom_thrust(
         rng: source of randomness.
 
     Returns:
-        One estimate a member; positive pushes towards +x.
+        One estimate for each member [m/s²]; positive pushes towards +x.
     """
     _, low, high = next(band for band in BANDS if band[0] == LOW_SPEED)
     state = held_out.state
@@ -122,10 +126,10 @@ def phantom_thrust(
     slow = (low <= speed) & (speed < high)
     if not slow.any():
         return (Estimate.missing(f"no held-out state with |v| {LOW_SPEED} m/s"),) * ensemble.n_members
-    said = member_accelerations(ensemble, thrown_links(held_out, physics), physics)[:, slow, 0]
+    predicted = member_accelerations(ensemble, thrown_links(held_out, physics), physics)[:, slow, 0]
     true = held_out.residual[slow, 3].astype(np.float64) / physics.time_step
     _, throw = np.unique(held_out.throw[slow], return_inverse=True)
-    errors = np.concatenate((said - true, np.ones((1, int(slow.sum())))))
+    errors = np.concatenate((predicted - true, np.ones((1, int(slow.sum())))))
     sums: Float64 = np.stack([np.bincount(throw, weights=row).astype(np.float64) for row in errors], axis=-1)
     return bootstrap(
         lambda means: means[..., :-1] / means[..., -1:], sums, rng=rng, undefined="a member's prediction is not finite"

@@ -1,16 +1,16 @@
-"""How far a state is from every state that was thrown: where members may agree and still know nothing.
+"""Novelty: the distance of a state from the thrown states. Far away, members may agree and still be wrong.
 
-The space is that of what a network reads of a link's motion: y, cos θ, vx, vy, ω. Velocities are taken as
-asinh(v / v₀), linear below v₀ and logarithmic above, because drag is: half a metre per second is everything to a
-floating link and nothing to a falling one. Then each component is divided by its deviation over the throws.
+The space consists of a network's observations of a link's motion: y, cos θ, vx, vy, ω. Velocities enter as
+asinh(v / v₀), which is linear below v₀ and logarithmic above, because 0.5 m/s matters to a floating link and not to a
+falling one. Each component is divided by its deviation over the throws.
 
-- No mirror images are added: slush is the same to the left and to the right, but the networks are not told so, and
-  know of ω < 0 only what was thrown with ω < 0.
-- A link's length is left out. Throws have three lengths and robots any between; the same gap in every step made up 80 %
-  of the distance of most links, and hid what changes.
+- No mirror images are added. Slush is symmetric in x, but the networks do not know that: what they know of ω < 0 comes
+  from throws with ω < 0.
+- A link's length is left out. Throws have three lengths, robots any between. That gap, the same in every step, made up
+  80 % of most links' distance and hid changes.
 
-A distance becomes a figure by what is usual: 1 is the median over the states of fresh throws of the distance to the
-other throws. A link at 5 is five times as far from what the members were trained on as what they were tested on.
+The unit of novelty is the usual distance: the median distance of the states of held-back throws from the other throws.
+A link at 5 is five times as far from the training data as fresh throws are.
 """
 
 from __future__ import annotations
@@ -21,91 +21,94 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from tasks.arrays import Float64, Floats
+from tasks.arrays import Float64, Floats, Int64
 from tasks.residual import OBSERVATION, observe
 from tasks.world import LinkStates
 
 SPACE = ("y", "cos_angle", "vx", "vy", "omega")
-"""Components of OBSERVATION that make up the space."""
+"""Components of OBSERVATION that span the space."""
 _COLUMNS = [OBSERVATION.index(name) for name in SPACE]
 _VELOCITIES = slice(SPACE.index("vx"), None)
-LOW_VELOCITY = 0.5
-"""v₀ [m/s, rad/s]: the lowest band of speeds of the error report, in which swimmers mostly live."""
-FRESH_ONE_IN = 10
-"""One throw in this many is taken out to see how far fresh throws are from the others."""
-MIN_SCALE = 1e-6
-"""Stands in for the deviation of a component that never varies: any change of it is far away."""
+_LOW_VELOCITY = 0.5
+"""v₀ [m/s, rad/s]: end of the lowest speed band of the error report, in which swimmers spend most of their time."""
+_FRESH_EVERY = 10
+"""Every tenth throw is held back to measure the usual distance."""
+_MIN_SCALE = 1e-6
+"""Lower bound of a component's deviation, for components that do not vary over the throws."""
 
 
 @dataclass(frozen=True, eq=False)
 class Thrown:
-    """The states of the throws, to look for the nearest of."""
+    """An index of the thrown states."""
 
     tree: cKDTree
-    """Of their places in the space."""
+    """Points of the states in the scaled space."""
     scale: Float64
     """(5,) deviation of each component."""
     usual: float | None
-    """Distance that counts as 1; None where the reason says why."""
+    """Usual distance; None if the reason says why."""
     reason: str | None
 
 
 @dataclass(frozen=True, eq=False)
 class Novelty:
-    """Distances of links from the throws, of the links' shape; NaN where a state is not finite."""
+    """Distances of links from the throws, in the links' shape; NaN where a state is not finite."""
 
     distance: Float64
-    """(...) to the nearest, in deviations of the throws."""
+    """(...) distance to the nearest thrown state, in deviations of the throws."""
     novelty: Float64
-    """(...) the same over the usual distance; NaN where that is unknown (see Thrown.reason)."""
-    component: npt.NDArray[np.int64]
-    """(...) of SPACE, the one that contributes most to the distance; -1 where there is none."""
+    """(...) distance / usual distance; NaN where the latter is unknown (see Thrown.reason)."""
+    component: Int64
+    """(...) index into SPACE of the largest contribution to the distance; -1 where the state is not finite."""
 
 
-def _places(observation: Floats) -> Float64:
-    """Map (n_rows, 6) observations to the (n_rows, 5) space, before it is scaled."""
+def _points(observation: Floats) -> Float64:
+    """Map (n_rows, 6) observations to (n_rows, 5) points of the space before scaling."""
     rows = np.asarray(observation, dtype=np.float64)[:, _COLUMNS]
-    rows[:, _VELOCITIES] = np.arcsinh(rows[:, _VELOCITIES] / LOW_VELOCITY)
+    rows[:, _VELOCITIES] = np.arcsinh(rows[:, _VELOCITIES] / _LOW_VELOCITY)
     return rows
 
 
 def thrown(observation: Floats, throw: npt.ArrayLike) -> Thrown:
-    """Index the data set, or the part of it that the members were trained on.
+    """Index the data set, or the part that the members were trained on.
 
     Args:
-        observation: (n_transitions, 6) in the order of OBSERVATION; finite.
-        throw: (n_transitions,) which throw each comes from.
+        observation: (n_transitions, 6) finite observations in the order of OBSERVATION.
+        throw: (n_transitions,) throw of each.
+
+    Raises:
+        ValueError: the observations have another shape, or there are none.
     """
     if observation.ndim != 2 or observation.shape[1] != len(OBSERVATION) or len(observation) == 0:
-        raise ValueError(f"observation has shape {observation.shape}, expected (1 or more, {len(OBSERVATION)})")
-    places = _places(observation)
-    scale = np.maximum(places.std(axis=0), MIN_SCALE)
-    places = places / scale
+        raise ValueError(f"observation has shape {observation.shape}, expected (at least 1, {len(OBSERVATION)})")
+    points = _points(observation)
+    scale = np.maximum(points.std(axis=0), _MIN_SCALE)
+    points = points / scale
     which = np.asarray(throw)
-    fresh = np.isin(which, np.unique(which)[::FRESH_ONE_IN])
+    fresh = np.isin(which, np.unique(which)[::_FRESH_EVERY])
     usual, reason = None, None
     if fresh.all():
-        reason = "all states are of one throw: there is no telling how far fresh throws are"
+        reason = "all states come from one throw, so the distance of fresh throws is unknown"
     else:
-        distance, _ = cKDTree(places[~fresh]).query(places[fresh])
+        distance, _ = cKDTree(points[~fresh]).query(points[fresh])
         usual = float(np.median(distance))
         if usual == 0:
-            usual, reason = None, "throws repeat each other exactly: there is no telling how far fresh throws are"
-    return Thrown(cKDTree(places), scale, usual, reason)
+            usual, reason = None, "throws repeat each other exactly, so the distance of fresh throws is unknown"
+    return Thrown(cKDTree(points), scale, usual, reason)
 
 
 def novelty(links: LinkStates, throws: Thrown) -> Novelty:
-    """Measure how far links of any one shape are from the throws; some 10,000 states a second."""
+    """Measure the distance of links of shape (...) from the throws, at about 10,000 states per second."""
     rows = observe(
         length_scale=links.length_scale, y=links.y, cos=links.cos, vx=links.vx, vy=links.vy, omega=links.omega
     )
     shape = rows.shape[:-1]
-    places = _places(rows.reshape(-1, len(OBSERVATION))) / throws.scale
-    known = np.isfinite(places).all(axis=1)
-    distance = np.full(len(places), np.nan)
-    component = np.full(len(places), -1)
+    points = _points(rows.reshape(-1, len(OBSERVATION))) / throws.scale
+    known = np.isfinite(points).all(axis=1)
+    distance = np.full(len(points), np.nan)
+    component = np.full(len(points), -1)
     if known.any():
-        distance[known], nearest = throws.tree.query(places[known])
-        component[known] = np.abs(places[known] - throws.tree.data[nearest]).argmax(axis=1)
+        distance[known], nearest = throws.tree.query(points[known])
+        component[known] = np.abs(points[known] - throws.tree.data[nearest]).argmax(axis=1)
     usual = np.nan if throws.usual is None else throws.usual
     return Novelty(distance.reshape(shape), (distance / usual).reshape(shape), component.reshape(shape))

@@ -1,16 +1,15 @@
-"""What the paper found, as data, and how a run compares with it.
+"""The paper's results as data, and a run's comparison with them.
 
-When does a number agree? The paper's number comes from a sample as this run's does, so neither is the truth. It agrees
-where it lies within this run's 95 % prediction interval, the range into which a repeat of this run with the paper's
-number of trials would fall: the 95 % interval of this run's figure, with both arms widened by √(1 + n / n_paper), since
-variances add and go as 1/n. What the paper gives as a range over members agrees where this run's median member is in
-it. What it states without a number, that single members vary more, agrees or differs where the whole interval does.
+- A number agrees if it lies within this run's 95 % prediction interval, the range for a repeat of this run with the
+  paper's number of trials. Both arms of this run's 95 % interval are widened by √(1 + n / n_paper), because the paper's
+  number comes from a sample too: variances add and are proportional to 1/n.
+- A range over members agrees if it contains this run's median member.
+- The statement that single members vary more agrees or differs if the whole interval does.
+- A t test with "p < 0.0001" agrees if this run's p is as small in the same direction. One with "insignificant (p >
+  0.01)" agrees if this run's p is above 0.01. Fewer trials than the paper's make large p-values easy and small ones
+  hard, so effects that they fail to show are not comparable; effects that they show count.
 
-When does a statement of a t test agree? With "p < 0.0001": where this run's p is as small, in the same direction. With
-"insignificant (p > 0.01)": where this run's p is above 0.01. Fewer trials than the paper's make large p-values easy and
-small ones hard, so what fewer trials fail to show is not comparable; what they do show counts.
-
-Not comparable, too, is what this run did not measure, and what has too few values for an interval.
+Anything that this run did not measure, or that has too few values for an interval, is not comparable.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ RATIOS: Mapping[Arm, tuple[float, str]] = {
     ("residual_slush", "zero_shot"): (0.67, '"recover 67% … with their evolved controllers", Evolution'),
     ("residual_slush", "adapted"): (0.87, '"and 87% with controller adaptation", Evolution'),
 }
-"""The same over that of the designs that evolved in True Slush."""
+"""Mean displacement divided by that of designs that evolved in True Slush, at 9 m."""
 
 AGGREGATES: Mapping[tuple[str, Figure], tuple[float, str]] = {
     (mean_less_deviations(0), "r"): (0.77, '"a correlation coefficient of 0.77", Fig. 3'),
@@ -62,23 +61,23 @@ AGGREGATES: Mapping[tuple[str, Figure], tuple[float, str]] = {
     (mean_less_deviations(1), "r"): (0.60, '"a slightly reduced correlation coefficient of 0.6", Fig. 3'),
     (mean_less_deviations(1), "slope"): (0.99, '"a nearly ideal regression slope of 0.99", Fig. 3'),
 }
-"""Of what the eight members say together."""
+"""Figures of aggregates of the eight members."""
 
 RANGES: Mapping[Figure, tuple[float, float, str]] = {
     "r": (0.24, 0.68, '"ranging from 0.24 and 0.68", Fig. 3'),
     "slope": (0.25, 0.76, '"ranging from 0.25 to 0.76", Fig. 3'),
 }
-"""Over the eight members."""
+"""Ranges of figures over the eight members."""
 
 
 @dataclass(frozen=True)
 class Statement:
-    """What the paper says of a t test."""
+    """A statement of the paper about a t test."""
 
     a: Arm
     b: Arm
     claim: Claim
-    """a than b."""
+    """Whether a is less or greater than b."""
     depths: tuple[float, ...]
     """[m]"""
     source: str
@@ -121,46 +120,46 @@ STATEMENTS = (
         '"significantly more performant … (Student\'s t-test, p < 0.0001; n=10)", Evolution',
     ),
 )
-"""Of the sweep over depths the paper does not say which controllers it tests; its Fig. 4B draws the adapted ones."""
+"""For the sweep over depths the paper does not name the controllers; its Fig. 4B shows the adapted ones."""
 
 PHYSICAL = (
     ("crosses the tank of slush", "8 of 8 trials", "Fig. 5"),
     ("moves on dry land", "a few centimetres in 150 s, in 6 of 6 trials", "Fig. 5"),
 )
-"""Of the robot that was built."""
+"""Results of the built robot."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table."""
+    """One row of the comparison."""
 
     what: str
     paper: str
     source: str
-    """Where the paper says so."""
+    """Quotation and section of the paper."""
     this_run: str
     verdict: Verdict
     why: str
     value: float | None = None
-    """This run's, in the unit of ``what``: of a range its median, of a t test the difference a - b of the means [m]."""
+    """This run's value in the unit of ``what``: a range's median, or the difference a - b of a t test's means [m]."""
     interval: str = ""
-    """The 95 % interval of this run's number in words, of a range those of its two ends; empty where there is none."""
+    """Text of the 95 % interval, for a range those of its two ends; empty if there is none."""
     low: float | None = None
     high: float | None = None
-    """Ends of the 95 % interval of ``value``."""
+    """Ends of the 95 % interval of ``value``; None if there is none."""
     p: float | None = None
-    """Of a t test."""
+    """p of a t test."""
 
 
 def against_paper(
     scores: Scores, accuracy: Sequence[Regression], ranges: Mapping[Figure, MembersRange], *, rng: Generator
 ) -> tuple[Row, ...]:
-    """Compare a run with every number and statement of the paper's results.
+    """Return the comparison of a run with every number and statement of the paper's results.
 
     Args:
-        scores: the champions; whatever environments and depths there are.
-        accuracy: of predictions at 9 m, as :func:`tasks.analysis.prediction.accuracy` gives it; empty if not assessed.
-        ranges: over the members, as :func:`tasks.analysis.prediction.members_ranges` gives them; empty likewise.
+        scores: scores of the champions, in any arms and depths.
+        accuracy: result of :func:`tasks.analysis.prediction.accuracy` at 9 m; empty if not assessed.
+        ranges: result of :func:`tasks.analysis.prediction.members_ranges` at 9 m; empty if not assessed.
         rng: source of randomness.
     """
     rows = [_mean_row(scores, arm, *stated) for arm, stated in MEANS.items()]
@@ -184,11 +183,11 @@ NAMES: Mapping[str, str] = {
     "zero_shot": "zero-shot",
     "adapted": "adapted",
 }
-"""Of the paper's arms, and what is measured of them."""
+"""Labels of the paper's arms and quantities."""
 
 
 def name_of(arm: Arm) -> str:
-    """Name an arm in words; designs of True Slush are at home there, whatever they are called elsewhere."""
+    """Return an arm's label; zero-shot designs of True Slush are at home there, so 'zero-shot' is left out."""
     evolved_in, quantity = arm
     return NAMES[evolved_in] if arm == BEST else f"{NAMES[evolved_in]} {NAMES[quantity]}"
 
@@ -220,7 +219,7 @@ _FIGURE = {"r": "Pearson's R", "slope": "slope"}
 def _number_row(
     what: str, stated: float, form: str, source: str, found: Estimate, n: int, n_paper: int, unit: str
 ) -> Row:
-    """Compare a number with the prediction interval of this run."""
+    """Compare a number of the paper with this run's prediction interval."""
     paper = form.format(stated)
     if found.value is None:
         return Row(what, paper, source, "-", "not comparable", found.reason or "")
@@ -242,7 +241,7 @@ def _agrees(holds: bool) -> Verdict:
 
 
 def _interval(found: Estimate, form: str) -> tuple[str, float | None, float | None]:
-    """Write an estimate's interval, and give its ends."""
+    """Format an estimate's interval; return the text and the two ends."""
     if found.low is None or found.high is None:
         return "", None, None
     return f"{form.format(found.low)} to {form.format(found.high)}", found.low, found.high
@@ -265,7 +264,7 @@ def _range_row(found: MembersRange | None, figure: Figure, low: float, high: flo
 
 
 def _variation_row(scores: Scores, rng: Generator) -> Row:
-    """Say whether champions of single members differ more from each other than those of the ensemble."""
+    """Compare the deviation over trials of single members with that of the ensemble."""
     what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
     paper, source = "above 1", '"very high variation in fitness across independent trials", Evolution'
     single, ensemble = (finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush"))
@@ -285,7 +284,6 @@ def _variation_row(scores: Scores, rng: Generator) -> Row:
 
 
 def _above_one(low: float, high: float) -> tuple[Verdict, str]:
-    """Hold an interval against a statement without a number."""
     if low > 1:
         return "agrees", "the whole interval is above 1"
     if high < 1:
@@ -294,7 +292,7 @@ def _above_one(low: float, high: float) -> tuple[Verdict, str]:
 
 
 def _deviations_ratio(n: int, m: int, single: Float64, ensemble: Float64) -> Float64:
-    """Divide the sample deviations of n and m values, given (..., 2) means of x and x²: (..., 1)."""
+    """Return the ratio of the sample deviations of n and m values, from (..., 2) means of x and x²: (..., 1)."""
     variances = [
         size / (size - 1) * (means[..., 1] - means[..., 0] ** 2) for size, means in ((n, single), (m, ensemble))
     ]
@@ -319,7 +317,7 @@ def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:
 
 
 def _judge(claim: Claim, direction: Claim, p: float, n: int) -> tuple[Verdict, str]:
-    """Hold what the paper says of a t test against this run's direction and p, from n trials or more."""
+    """Compare a statement about a t test with this run's direction and p, from at least n trials."""
     if claim == "no difference":
         if p <= INSIGNIFICANT:
             return "differs", f"p is not above {INSIGNIFICANT:g}"

@@ -1,11 +1,10 @@
-"""How well simulated designs predict true ones. Paper, "Prediction Accuracy" and Fig. 3.
+"""Prediction accuracy of the ensemble. Paper, "Prediction Accuracy" and Fig. 3.
 
-Displacement in True Slush is regressed on the displacement that each member predicts, and on what the members say
-together. A slope below 1 is a promise not kept, a low R a bad guide; evolution needs a good guide that does not promise
-too much where it searches.
+Displacement in True Slush is regressed on the prediction of each member, and on aggregates of the members. A slope
+below 1 means that predictions are too optimistic, a low R that they rank designs badly.
 
-Designs of one evolutionary trial descend from each other and are no independent samples. Where the trial of each is
-given, the intervals come from drawing trials whole; drawing designs one by one gives intervals that are too narrow.
+Designs of one trial descend from each other, so they are not independent samples. Where the trial of each design is
+given, the intervals come from resampling whole trials; resampling designs gives intervals that are too narrow.
 """
 
 from __future__ import annotations
@@ -19,18 +18,17 @@ import numpy.typing as npt
 from numpy.random import Generator
 
 from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_constant
-from tasks.arrays import Float64, Floats
+from tasks.arrays import Bools, Float64, Floats, Int64
 from tasks.evolution import penalised_mean
 
 Figure = Literal["r", "slope"]
-"""Of a regression: Pearson's R, or the slope of true on predicted."""
+"""A figure of a regression: Pearson's R, or the slope of true on predicted."""
 
-PENALTIES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
+_PENALTIES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
 """k of μ - kσ; the paper's are 0 and 1."""
-TAIL = 0.25
-"""Share of the members, the most pessimistic, that the lower quantile and CVaR look at: two of eight."""
-MIN_DESIGNS = 3
-"""Any two points lie on a line."""
+_TAIL = 0.25
+"""Share of the most pessimistic members in the lower quantile and CVaR: two of eight."""
+_MIN_DESIGNS = 3  # any two points lie on a line
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class Regression:
     """True displacement = intercept + slope · predicted displacement, over designs that diverged in neither."""
 
     name: str
-    """Of the predictor: "member 0", "mean", "mean - 1 sd", "min"."""
+    """Name of the predictor, such as "member 0", "mean", "mean - 1 sd" or "min"."""
     n: int
     """Designs in the regression."""
     n_left_out: int
@@ -47,15 +45,15 @@ class Regression:
     intercept: Estimate
     """[m]"""
     r: Estimate
-    """Pearson's."""
+    """Pearson's R."""
 
 
 @dataclass(frozen=True)
 class MembersRange:
-    """A figure over the members of an ensemble, such as Pearson's R; intervals are of other designs, not members."""
+    """Range of a figure over the members of an ensemble; the intervals are for other designs, not other members."""
 
     n: int
-    """Members that have one."""
+    """Members with a figure."""
     lowest: Estimate
     median: Estimate
     highest: Estimate
@@ -63,17 +61,17 @@ class MembersRange:
 
 @dataclass(frozen=True, eq=False)
 class Histograms:
-    """2-D histograms of predicted and true displacement on the same square, one per predictor."""
+    """2-D histograms of predicted and true displacement on the same square, one for each predictor."""
 
     names: tuple[str, ...]
     edges: Float64
-    """(n_bins + 1,) of both axes [m]."""
-    counts: npt.NDArray[np.int64]
-    """(n_predictors, n_bins, n_bins): predicted by true."""
-    n_outside: npt.NDArray[np.int64]
-    """(n_predictors,) designs beyond the edges or not finite, so that none is lost in silence."""
+    """(n_bins + 1,) edges of both axes [m]."""
+    counts: Int64
+    """(n_predictors, n_bins, n_bins) designs by predicted and true displacement."""
+    n_outside: Int64
+    """(n_predictors,) designs outside the edges or not finite."""
     reason: str | None
-    """Why there are none, if so; counts then have no bins."""
+    """Why there are no histograms, if so; counts then have no bins."""
 
 
 def mean_less_deviations(k: float) -> str:
@@ -82,43 +80,43 @@ def mean_less_deviations(k: float) -> str:
 
 
 def members(predicted: Floats) -> dict[str, Float64]:
-    """Name each member's predictions, given (n_members, n_designs)."""
+    """Name each member's row of (n_members, n_designs) predictions."""
     return {f"member {k}": np.asarray(row, dtype=np.float64) for k, row in enumerate(predicted)}
 
 
 def aggregates(predicted: Floats) -> dict[str, Float64]:
-    """Say in several ways what the members predict together.
+    """Aggregate the members' predictions in several ways.
+
+    CVaR is the mean of the lowest quarter of the members; the last member counts in part if that is not a whole number.
 
     Args:
-        predicted: (n_members, n_designs) displacement [m], NaN where diverged.
+        predicted: (n_members, n_designs) displacement [m]; NaN where diverged.
 
     Returns:
-        (n_designs,) by name; not finite where any member diverged. A single member makes them all the same. CVaR is
-        the mean of the lowest TAIL of the members, of which the last one counts in part where TAIL · n_members is no
-        whole number.
+        (n_designs,) aggregates by name; not finite where any member diverged.
     """
     of_members = np.asarray(predicted, dtype=np.float64)
     ranked = np.sort(of_members, axis=0)  # NaN last, and so into every weighted sum below
-    weight = np.clip(TAIL * len(ranked) - np.arange(len(ranked)), 0, 1)
+    weight = np.clip(_TAIL * len(ranked) - np.arange(len(ranked)), 0, 1)
     return {
-        **{mean_less_deviations(k): penalised_mean(of_members.T, disagreement_penalty=k) for k in PENALTIES},
+        **{mean_less_deviations(k): penalised_mean(of_members.T, disagreement_penalty=k) for k in _PENALTIES},
         "min": of_members.min(axis=0),
         "median": np.median(of_members, axis=0),
-        f"quantile {TAIL:g}": np.quantile(of_members, TAIL, axis=0),
-        f"CVaR {TAIL:g}": (weight @ ranked) / weight.sum(),
+        f"quantile {_TAIL:g}": np.quantile(of_members, _TAIL, axis=0),
+        f"CVaR {_TAIL:g}": (weight @ ranked) / weight.sum(),
     }
 
 
 def regress(
     predictors: Mapping[str, Floats], true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
 ) -> tuple[Regression, ...]:
-    """Regress true on predicted displacement, for every predictor, with intervals of the same resamples.
+    """Return the regression of true displacement on each predictor, with intervals from the same resamples.
 
     Args:
         predictors: (n_designs,) predicted displacement [m] by name; not finite where diverged.
         true: (n_designs,) displacement in True Slush [m].
         rng: source of randomness.
-        trial: (n_designs,) which trial each design comes from; each its own unless given.
+        trial: (n_designs,) trial of each design; designs count as independent if not given.
     """
     if not predictors:
         return ()
@@ -136,12 +134,12 @@ def regress(
 
 def _resampled_lines(
     predictors: Mapping[str, Floats], true: Floats, trial: npt.ArrayLike | None
-) -> tuple[Float64, Float64, npt.NDArray[np.bool_], Float64, Callable[[Float64], Float64]]:
-    """Lay predictions out for a bootstrap of least squares.
+) -> tuple[Float64, Float64, Bools, Float64, Callable[[Float64], Float64]]:
+    """Prepare predictions for a bootstrap of least squares.
 
     Returns:
-        (n_predictors, n_designs) predictions, (n_designs,) truth, (n_predictors, n_designs) which designs count, rows
-        to resample, and what gives (..., n_predictors, 3) slope, intercept, Pearson's R of the rows' means.
+        Predictions (n_predictors, n_designs), truth (n_designs,), a mask of finite pairs, rows to resample, and a
+        function of the rows' means: (..., n_predictors, 3) slope, intercept, Pearson's R.
     """
     x = np.stack([np.asarray(row, dtype=np.float64) for row in predictors.values()])
     y = np.asarray(true, dtype=np.float64)
@@ -165,14 +163,13 @@ def _resampled_lines(
 
 
 def _centre_and_scale(values: Float64) -> tuple[float, float]:
-    """Mean and deviation; a scale of 1 where there is no deviation."""
     if len(values) == 0:
         return 0.0, 1.0
     return float(values.mean()), 1.0 if is_constant(values) else float(values.std())
 
 
 def _line(moments: Float64, centre: Float64) -> Float64:
-    """Least squares from (..., 6) means of 1, u, w, u², w², uw: (..., 3) slope, intercept, Pearson's R."""
+    """Fit least squares to (..., 6) means of 1, u, w, u², w², uw: (..., 3) slope, intercept, Pearson's R."""
     x0, y0, sx, sy = centre
     share, u, w, uu, ww, uw = np.moveaxis(moments, -1, 0)
     u, w, uu, ww, uw = (m / share for m in (u, w, uu, ww, uw))
@@ -187,12 +184,11 @@ def _line(moments: Float64, centre: Float64) -> Float64:
 
 
 def _regression(name: str, x: Float64, y: Float64, n_designs: int, figures: tuple[Estimate, ...]) -> Regression:
-    """Put the figures together, or say why there are none."""
     slope, intercept, r = figures
     n = len(x)
     reason = None
-    if n < MIN_DESIGNS:
-        reason = f"{n} designs with a finite predicted and true displacement, expected {MIN_DESIGNS} or more"
+    if n < _MIN_DESIGNS:
+        reason = f"{n} designs with a finite predicted and true displacement, expected {_MIN_DESIGNS} or more"
     elif is_constant(x, resolution=RESOLUTION):
         reason = "every design is predicted to go equally far"
     if reason is not None:
@@ -205,41 +201,40 @@ def _regression(name: str, x: Float64, y: Float64, n_designs: int, figures: tupl
 def accuracy(
     predicted: Floats, true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
 ) -> tuple[Regression, ...]:
-    """Regress true displacement on each member's prediction and on every aggregate: the paper's Fig. 3 and beyond.
+    """Return the regression of true displacement on each member's prediction and on every aggregate (Fig. 3).
 
     Args:
         predicted: (n_members, n_designs) displacement [m]; NaN where diverged.
         true: (n_designs,) displacement in True Slush [m]; NaN where diverged.
         rng: source of randomness.
-        trial: (n_designs,) which trial each design comes from; see :func:`regress`.
+        trial: (n_designs,) trial of each design; see :func:`regress`.
     """
-    together = aggregates(predicted) if len(predicted) else {}
-    return regress(members(predicted) | together, true, rng=rng, trial=trial)
+    aggregated = aggregates(predicted) if len(predicted) else {}
+    return regress(members(predicted) | aggregated, true, rng=rng, trial=trial)
 
 
 def members_ranges(
     predicted: Floats, true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
 ) -> dict[Figure, MembersRange]:
-    """Say between what figures the members' regressions lie, and in the middle of which.
+    """Return the lowest, median and highest figure of the members' regressions.
 
-    The members stay the same from resample to resample. Drawing them too would say nothing of the ends: the lowest of
-    members drawn from eight is never below the lowest of the eight.
+    Designs are resampled, members are not: resampled members could never exceed the range of the original ones.
 
     Args:
         predicted: (n_members, n_designs) displacement [m]; NaN where diverged.
         true: (n_designs,) displacement in True Slush [m]; NaN where diverged.
         rng: source of randomness.
-        trial: (n_designs,) which trial each design comes from; see :func:`regress`.
+        trial: (n_designs,) trial of each design; see :func:`regress`.
     """
     used = np.isfinite(predicted) & np.isfinite(true)
     fit = {
         name: row
         for (name, row), mask in zip(members(predicted).items(), used, strict=True)
-        if mask.sum() >= MIN_DESIGNS and not is_constant(row[mask], resolution=RESOLUTION)
+        if mask.sum() >= _MIN_DESIGNS and not is_constant(row[mask], resolution=RESOLUTION)
     }
     if not fit:
-        nobody = Estimate.missing("no member's could be computed")
-        return dict.fromkeys(("slope", "r"), MembersRange(0, nobody, nobody, nobody))
+        missing = Estimate.missing("no member has a regression")
+        return dict.fromkeys(("slope", "r"), MembersRange(0, missing, missing, missing))
     *_, rows, lines = _resampled_lines(fit, true, trial)
 
     def ends(means: Float64) -> Float64:
@@ -251,14 +246,14 @@ def members_ranges(
 
 
 def histograms(predictors: Mapping[str, Floats], true: Floats, *, n_bins: int = 48) -> Histograms:
-    """Count designs by predicted and true displacement, every predictor on the same square.
+    """Return counts of designs by predicted and true displacement, on the same square for every predictor.
 
-    The square spans 99.8 % of all displacements, so that one wild prediction does not empty the picture.
+    The square spans 99.8 % of all displacements, so that a single extreme prediction does not stretch it.
 
     Args:
         predictors: (n_designs,) predicted displacement [m] by name.
-        true: (n_designs,) [m].
-        n_bins: along each side.
+        true: (n_designs,) displacement in True Slush [m].
+        n_bins: number of bins along each side.
     """
     names = tuple(predictors)
     x = np.array([*predictors.values()], dtype=np.float64).reshape(len(names), len(true))

@@ -1,7 +1,7 @@
-"""Which designs prediction accuracy is judged by. Paper, "Prediction Accuracy".
+"""The sample of designs for prediction accuracy. Paper, "Prediction Accuracy".
 
-The paper draws 2,376 designs uniformly over the generations of runs in True Slush and on Dry Land: early ones that
-hardly move and late ones that go far, so that a predictor has something to tell apart.
+The paper draws 2,376 designs uniformly over the generations of trials in True Slush and on Dry Land, so that the sample
+contains early designs that hardly move and late ones that go far.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from tasks.arrays import Int64
 
 
 def spread_evenly(n_designs: int, n_trials: int) -> list[int]:
-    """Share out designs over trials so that no two shares differ by more than one."""
+    """Split a number of designs over trials into parts that differ by at most one."""
     return [n_designs * (i + 1) // n_trials - n_designs * i // n_trials for i in range(n_trials)]
 
 
 def draw_over_generations(generation: npt.ArrayLike, n_designs: int, rng: Generator) -> Int64:
-    """Draw designs of one trial without repeats, every generation as likely as every other.
+    """Draw designs of one trial without replacement, each generation with equal probability.
 
     Args:
-        generation: (n_evaluated,) in which each design of the trial was evaluated.
-        n_designs: how many to draw; all there are, if there are fewer.
+        generation: (n_evaluated,) generation of each design of the trial.
+        n_designs: number of designs to draw; all are drawn if there are fewer.
         rng: source of randomness.
 
     Returns:
-        (n_drawn,) their indices, in ascending order.
+        (n_drawn,) indices in ascending order.
     """
     _, which, n_in = np.unique(np.asarray(generation), return_inverse=True, return_counts=True)
     share = 1 / n_in[which]

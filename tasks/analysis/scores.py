@@ -1,4 +1,4 @@
-"""How champions fared: the table that the comparisons, the attribution and the paper's numbers are computed from."""
+"""Scores of champions: the input of comparisons, attribution and the comparison with the paper."""
 
 from __future__ import annotations
 
@@ -8,47 +8,56 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from tasks.arrays import Float64
+from tasks.arrays import Float64, Int64
 from tasks.world.registry import EnvironmentName
 
 EvolvedIn = EnvironmentName
-"""The arm of a study that a champion is of."""
+"""The arm of a study: where a champion evolved."""
 Quantity = Literal["predicted", "zero_shot", "adapted"]
-"""Displacement in the world of its evolution; in True Slush; there with a controller that was evolved there."""
+"""Displacement where a champion evolved; in True Slush; in True Slush with a controller that evolved there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """One row per trial, that is per champion."""
+    """Scores with one row for each trial, that is for each champion."""
 
     evolved_in: npt.NDArray[np.str_]
-    """(n_trials,) of EvolvedIn."""
+    """(n_trials,) values of EvolvedIn."""
     depth: Float64
     """(n_trials,) [m]"""
-    trial: npt.NDArray[np.int64]
+    trial: Int64
     """(n_trials,)"""
     predicted: Float64
-    """(n_trials,) fitness where it evolved [m]; NaN where unknown, as in the other two."""
+    """(n_trials,) fitness where the champion evolved [m]; NaN where unknown, as in the next two."""
     zero_shot: Float64
-    """(n_trials,) in True Slush [m]."""
+    """(n_trials,) displacement in True Slush [m]."""
     adapted: Float64
-    """(n_trials,) in True Slush with an adapted controller [m]."""
+    """(n_trials,) displacement in True Slush with an adapted controller [m]."""
 
     def __post_init__(self) -> None:
         shapes = {name: np.shape(array) for name, array in vars(self).items()}
         if len(set(shapes.values())) != 1 or len(shapes["depth"]) != 1:
             raise ValueError(f"scores have columns of shapes {shapes}, expected (n_trials,) for all")
 
-    def rows(self, evolved_in: EvolvedIn, depth: float) -> npt.NDArray[np.int64]:
-        """Find the trials of one environment and depth, in the order of their numbers."""
+    def rows(self, evolved_in: EvolvedIn, depth: float) -> Int64:
+        """Return the rows of one arm and depth [m], by trial number."""
         chosen = np.flatnonzero((self.evolved_in == evolved_in) & (self.depth == depth))
         return chosen[np.argsort(self.trial[chosen], kind="stable")]
 
     def values(self, evolved_in: EvolvedIn, quantity: Quantity, depth: float) -> Float64:
-        """Take one quantity of these trials, NaN included."""
+        """Return one quantity of the trials of an arm and depth, NaN included.
+
+        Args:
+            evolved_in: the arm.
+            quantity: the column.
+            depth: depth where the champions evolved [m].
+
+        Returns:
+            (n_trials,) values [m], by trial number.
+        """
         column: Float64 = getattr(self, quantity)
         return column[self.rows(evolved_in, depth)]
 
     def depths(self) -> list[float]:
-        """List the depths, shallowest first."""
+        """Return the depths in ascending order [m]."""
         return [float(depth) for depth in np.unique(self.depth)]

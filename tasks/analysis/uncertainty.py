@@ -1,13 +1,12 @@
-"""Figures with their uncertainty, or with the reason why there is none.
+"""Estimates with confidence intervals, or with the reason why they are missing.
 
 Every figure of the analysis is a smooth function of means: a ratio of two means, a share of a gap, a regression (of the
-means of x, y, x², y², xy). So one bootstrap serves them all: it resamples means. Its intervals are BCa (Efron &
-Tibshirani 1993, An Introduction to the Bootstrap, ch. 14; the acceleration of several samples as in scipy), widened for
-small samples to the quantiles of Student's t (Hesterberg 2015, "What Teachers Should Know About the Bootstrap").
+means of x, y, x², y², xy). So one bootstrap of means serves them all. Its intervals are BCa (Efron & Tibshirani 1993,
+An Introduction to the Bootstrap, ch. 14; the acceleration of several samples as in scipy), widened for small samples to
+the quantiles of Student's t (Hesterberg 2015, "What Teachers Should Know About the Bootstrap").
 
-Limit: a bootstrap knows no more than its sample. Intervals for the mean of normal values hold the truth 75 % of the
-time with 3 values, 92 % with 5, 94 % with 10, 95 % with 20; of exponential ones 87 % with 5 and 92 % with 10. A mean
-by itself gets Student's t.
+Limit: for the mean of normal values, the intervals contain the truth 75 % of the time with 3 values, 92 % with 5, 94 %
+with 10 and 95 % with 20; for exponential values 87 % with 5 and 92 % with 10. A single mean gets Student's t interval.
 """
 
 from __future__ import annotations
@@ -23,41 +22,41 @@ from scipy import stats
 from tasks.arrays import Float64, Floats
 
 LEVEL = 0.95
-"""Probability with which an interval is to hold the truth."""
-N_RESAMPLES = 2000
-"""A 2.5 % tail is then 50 resamples: its place is known to about 14 % of that tail."""
-MIN_VALUES = 3
-"""Values in a sample below which no bootstrap interval is given."""
+"""Confidence level of every interval."""
+_N_RESAMPLES = 2000
+"""A 2.5 % tail then has 50 resamples, so its position is known to about 14 % of the tail."""
+_MIN_VALUES = 3
+"""Fewest values in a sample for a bootstrap interval."""
 RESOLUTION = 1e-6
-"""Below which displacements are nothing [m]: the engines' positions are of single precision, 5e-7 m at 8 m."""
-NUMBERS_AT_ONCE = 4_000_000
-"""Of the matrix of resamples by values: 32 MB."""
+"""Smallest meaningful displacement [m]: positions are of single precision, 5e-7 m at 8 m."""
+_MAX_MATRIX = 4_000_000
+"""Largest number of elements in a matrix of resamples by values: 32 MB."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure with its 95 % interval. What there is not is None, and the reason says why; it is never NaN."""
+    """A figure with its 95 % interval. Missing numbers are None, never NaN."""
 
     value: float | None
     low: float | None = None
     high: float | None = None
     reason: str | None = None
-    """Why the value, or its interval, is missing; None where both are there."""
+    """Why the value or its interval is missing; None if both exist."""
 
     @staticmethod
     def missing(reason: str) -> Estimate:
-        """Say why there is no figure."""
+        """Return an estimate without a value."""
         return Estimate(None, reason=reason)
 
 
 def finite(values: Floats) -> Float64:
-    """Take the finite values, as float64: what diverged is no number."""
+    """Return the finite values as float64."""
     wide = np.asarray(values, dtype=np.float64)
     return wide[np.isfinite(wide)]
 
 
 def is_constant(values: Floats, *, resolution: float = 0.0) -> bool:
-    """Tell whether values differ by no more than rounding, or than a resolution below which they say nothing."""
+    """Return whether values differ by no more than rounding errors or a resolution."""
     return len(values) == 0 or bool(np.ptp(values) <= max(1e-12 * np.abs(values).max(), resolution))
 
 
@@ -80,26 +79,26 @@ def bootstrap(
     """Estimate functions of means, with BCa intervals.
 
     Args:
-        statistic: of each sample's means, (..., n_columns) each, to (..., n_figures); NaN where a figure is undefined.
-        samples: (n_values, n_columns) each; rows are drawn whole, samples independently of each other.
+        statistic: maps each sample's (..., n_columns) means to (..., n_figures); NaN where a figure is undefined.
+        *samples: (n_values, n_columns) each; rows are resampled whole, and samples independently of each other.
         rng: source of randomness.
-        undefined: what it means that a figure is NaN; becomes its reason.
+        undefined: reason to give for a figure that is NaN.
 
     Returns:
-        n_figures estimates, all of the same resamples.
+        n_figures estimates from the same resamples.
     """
     with np.errstate(all="ignore"):
         means = [sample.mean(axis=0) for sample in samples]
         values = statistic(*means)
         n_fewest = min(len(sample) for sample in samples)
-        if n_fewest < MIN_VALUES:
-            few = f"{n_fewest} value{'s' * (n_fewest != 1)}, an interval needs {MIN_VALUES} or more"
+        if n_fewest < _MIN_VALUES:
+            few = f"{n_fewest} value{'s' * (n_fewest != 1)}, an interval needs {_MIN_VALUES} or more"
             return tuple(
                 Estimate(float(v), reason=few) if np.isfinite(v) else Estimate.missing(undefined) for v in values
             )
         resampled = statistic(*(_resampled_means(sample, rng) for sample in samples))
         acceleration = _acceleration(statistic, samples, means)
-    # The resamples' deviation is √((n - 1) / n) of the sample's, and is itself uncertain as Student knew.
+    # The resamples' deviation is √((n - 1) / n) of the sample's; Student's t allows for its uncertainty.
     z = math.sqrt(n_fewest / (n_fewest - 1)) * float(stats.t.ppf((1 + LEVEL) / 2, n_fewest - 1))
     return tuple(
         _bca(float(v), resampled[:, i], float(acceleration[i]), z, undefined)
@@ -110,12 +109,12 @@ def bootstrap(
 
 
 def _resampled_means(sample: Float64, rng: Generator) -> Float64:
-    """Draw n_values rows with replacement, N_RESAMPLES times, and take (N_RESAMPLES, n_columns) means."""
+    """Resample the rows with replacement and return (_N_RESAMPLES, n_columns) means."""
     n = len(sample)
-    at_once = max(NUMBERS_AT_ONCE // n, 1)
+    at_once = max(_MAX_MATRIX // n, 1)
     means = []
-    for first in range(0, N_RESAMPLES, at_once):
-        n_drawn = min(at_once, N_RESAMPLES - first)
+    for first in range(0, _N_RESAMPLES, at_once):
+        n_drawn = min(at_once, _N_RESAMPLES - first)
         drawn = rng.integers(0, n, (n_drawn, n)) + n * np.arange(n_drawn)[:, None]
         counts = np.bincount(drawn.ravel(), minlength=n_drawn * n).reshape(n_drawn, n)
         means.append(counts.astype(np.float64) @ sample / n)
@@ -123,7 +122,7 @@ def _resampled_means(sample: Float64, rng: Generator) -> Float64:
 
 
 def _acceleration(statistic: Callable[..., Float64], samples: tuple[Float64, ...], means: list[Float64]) -> Float64:
-    """Estimate the skewness of each figure from what it does when one value is left out."""
+    """Estimate the skewness of each figure by leaving out one value at a time."""
     cubes = squares = np.float64(0)
     for i, sample in enumerate(samples):
         n = len(sample)

@@ -1,7 +1,7 @@
-"""What the base simulator misses, learned from throws. Paper, "Neural Network Training".
+"""Residual dynamics, learned from throws. Paper, "Neural Network Training".
 
-Here is what needs no torch, so that reading a settings file does not wait for it; :mod:`tasks.residual.training` and
-:mod:`tasks.residual.ensemble` are imported by those who train and those who simulate.
+This package imports no torch, so that reading a settings file is fast. :mod:`tasks.residual.training` and
+:mod:`tasks.residual.ensemble` do.
 """
 
 from tasks.residual.error_report import ErrorRow, error_rows

@@ -1,11 +1,11 @@
-"""The ensemble: trained members side by side, as a medium. Paper, "Simulation Environments".
+"""The ensemble of trained members as a medium. Paper, "Simulation Environments".
 
-The standardisation is folded into the first and last layers, and only the three velocity residuals are kept, because
-only they are applied. What is left is rows @ weight + bias and ReLU, per member, in SI units.
+The standardisation is folded into the first and last layers, and only the three velocity residuals remain, because only
+they are applied. So each member is a chain of rows @ weight + bias and ReLU in SI units.
 
-A row's result must not depend on the rows beside it, or a trial would depend on how its designs were batched. On a CPU
-that is so by construction: see tasks/simulation/networks/inference.py. torch's matrix product picks its algorithm by shape and so
-changes in its last bits with the number of rows; on CUDA the promise holds for batches of one size alone.
+A row's result must not depend on the other rows, or a trial would depend on how its designs were batched. On a CPU that
+holds by construction: see tasks/simulation/networks/inference.py. torch chooses the algorithm of a matrix product by
+its shape, so the last bits change with the number of rows; on CUDA, results are equal only for batches of equal size.
 """
 
 from __future__ import annotations
@@ -25,40 +25,40 @@ from tasks.simulation.networks.inference import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
 N_OUT = len(STATE[VELOCITIES])
-SCALES = ("observation_mean", "observation_deviation", "residual_mean", "residual_deviation")
+_SCALES = ("observation_mean", "observation_deviation", "residual_mean", "residual_deviation")
 """A member's standardisation."""
 
 
 class WeightsError(ValueError):
-    """Arrays that are not an ensemble's or a member's: names the array, what was expected and what came."""
+    """Arrays that are not those of an ensemble or member."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Networks of one shape, one member per entry of the arrays' first axis."""
+    """Networks of one shape; the first axis of every array is the member."""
 
     weights: tuple[Float32, ...]
-    """Of layer i: (n_members, n_in, n_out), from 6 observations to 3 velocity changes."""
+    """(n_members, n_in, n_out) for each layer, from 6 observations to 3 velocity changes."""
     biases: tuple[Float32, ...]
-    """Of layer i: (n_members, n_out)."""
+    """(n_members, n_out) for each layer."""
     device: str = "cpu"
-    """Where the networks run: "cpu" is our own kernel, any other is torch's name for a device."""
+    """Device of the networks: "cpu" selects the compiled kernel, any other name is torch's."""
 
     def __post_init__(self) -> None:
         n_members = self.weights[0].shape[:1]
         if n_members == (0,):
-            raise WeightsError("an ensemble of no members, expected at least one")
+            raise WeightsError("an ensemble of 0 members, expected at least 1")
         _check_layers(self.weights, self.biases, n_out=N_OUT, members=n_members)
 
     @staticmethod
     def from_members(members: Sequence[Mapping[str, Float32]], *, device: str = "cpu") -> Ensemble:
-        """Stack members, each as :meth:`TrainedMember.arrays` gives them.
+        """Stack members, each given by the arrays of :meth:`TrainedMember.arrays`.
 
         Raises:
-            WeightsError: an array is missing, of the wrong shape or not finite, or members differ in shape.
+            WeightsError: there are no members; an array is missing, of the wrong shape or not finite; or shapes differ.
         """
         if not members:
-            raise WeightsError("an ensemble of no members, expected at least one")
+            raise WeightsError("an ensemble of 0 members, expected at least 1")
         folded = [_folded(member, k) for k, member in enumerate(members)]
         shapes = [[weight.shape for weight, _ in layers] for layers in folded]
         for k, shape in enumerate(shapes):
@@ -73,14 +73,13 @@ class Ensemble:
 
     @property
     def n_members(self) -> int:
-        """How many networks there are."""
+        """Number of networks."""
         return len(self.weights[0])
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:  # noqa: ARG002 (see below)
-        """Predict what the slush adds to velocities in one step: entry k of the first axis by member k.
+        """Predict the velocity changes of one step; member k predicts entry k of the first axis.
 
-        The length of the step is in the weights, from the throws. States that are not finite give changes that are
-        not finite, in their own rows.
+        The length of the step is implied by the throws. A state that is not finite gives a change that is not finite.
 
         Raises:
             ValueError: the links' first axis is not n_members long.
@@ -94,19 +93,18 @@ class Ensemble:
         return VelocityChange(vx=vx.reshape(shape), vy=vy.reshape(shape), omega=omega.reshape(shape))
 
     def predict(self, observation: Float32) -> Float32:
-        """Map (n_members, n_rows, 6) observations to (n_members, n_rows, 3) changes of vx, vy, ω a step, in SI."""
+        """Map (n_members, n_rows, 6) observations to (n_members, n_rows, 3) changes of vx, vy, ω in one step, in SI."""
         if self.networks is not None:
             return self.networks.forward(observation)
         return self.predict_with_torch(observation)
 
     def predict_with_torch(self, observation: Float32) -> Float32:
-        """Map like :meth:`predict`, by torch on the device: for CUDA, and to compare."""
+        """Predict with torch on the device: for CUDA, and for comparison with the compiled kernel."""
         with torch.inference_mode():
             torch.set_num_threads(1)  # the number of threads changes the last bits
             return self._forward(torch.from_numpy(observation).to(self.device)).cpu().numpy()
 
     def _forward(self, rows: Tensor) -> Tensor:
-        """(n_members, n_rows, 6) to (n_members, n_rows, 3)."""
         *hidden_layers, (last_weight, last_bias) = self._tensors
         for weight, bias in hidden_layers:
             rows = torch.baddbmm(bias, rows, weight).relu_()
@@ -114,14 +112,14 @@ class Ensemble:
 
     @cached_property
     def networks(self) -> PackedNetworks | None:
-        """What the batch engine's own kernel runs; None where torch does the work."""
+        """Networks of the compiled kernel; None where torch is used instead."""
         if self.device != "cpu" or numba.config.DISABLE_JIT:
             return None
         return PackedNetworks(self.weights, self.biases, OBSERVED)
 
     @cached_property
     def _tensors(self) -> tuple[tuple[Tensor, Tensor], ...]:
-        """Weights and (n_members, 1, n_out) biases in torch's own memory, whose alignment it chooses."""
+        """Weights and (n_members, 1, n_out) biases in memory that torch aligns."""
         return tuple(
             (torch.tensor(weight, device=self.device), torch.tensor(bias[:, None], device=self.device))
             for weight, bias in zip(self.weights, self.biases, strict=True)
@@ -129,10 +127,10 @@ class Ensemble:
 
 
 def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float32]]:
-    """Fold a member's standardisation into its first and last layers and keep the velocities, in float64."""
+    """Fold a member's standardisation into its first and last layers; compute in float64."""
     whose = f"member {k}"
     n_layers = _count_layers(member, whose)
-    for name in SCALES:
+    for name in _SCALES:
         _check(f"{whose}: {name}", member[name], (len(STATE),))
     layers = [member[f"weight_{i}"] for i in range(n_layers)], [member[f"bias_{i}"] for i in range(n_layers)]
     _check_layers(*layers, n_out=len(STATE), whose=f"{whose}: ")
@@ -140,7 +138,7 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
 
     # W ((o - mean) / deviation) + b = (W / deviation) o + (b - W mean / deviation)
     observation_mean, observation_deviation, residual_mean, residual_deviation = (
-        member[name].astype(np.float64) for name in SCALES
+        member[name].astype(np.float64) for name in _SCALES
     )
     weights[0] = weights[0] / observation_deviation[:, None]
     biases[0] = biases[0] - observation_mean @ weights[0]
@@ -150,9 +148,9 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
 
 
 def _count_layers(arrays: Mapping[str, Float32], whose: str) -> int:
-    """Count a member's layers, of which there are two or more, and refuse names that are missing or unknown."""
+    """Count a member's layers, at least two; refuse missing and unknown names."""
     n_layers = max(sum(name.startswith("weight_") for name in arrays), 2)
-    expected = {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(n_layers)} | set(SCALES)
+    expected = {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(n_layers)} | set(_SCALES)
     if set(arrays) != expected:
         missing, unknown = sorted(expected - set(arrays)), sorted(set(arrays) - expected)
         raise WeightsError(f"{whose}: arrays are missing {missing} and unknown {unknown}, expected {sorted(expected)}")
@@ -162,7 +160,7 @@ def _count_layers(arrays: Mapping[str, Float32], whose: str) -> int:
 def _check_layers(
     weights: Sequence[Float32], biases: Sequence[Float32], *, n_out: int, members: tuple[int, ...] = (), whose: str = ""
 ) -> None:
-    """Refuse layers that do not follow each other from 6 observations to n_out residuals."""
+    """Refuse layers that do not connect 6 observations to n_out residuals."""
     n_in = len(OBSERVATION)
     for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         last = i == len(weights) - 1

@@ -1,8 +1,7 @@
-"""How wrong a network is, per component and by speed.
+"""Errors of a network by component and speed.
 
-The first steps of fast throws hold most of the residuals' variance, so R² over all rows says little about a robot,
-which lives at low speed. There a small mean error is a thrust that does not exist, and evolution finds it. Hence the
-bands.
+The first steps of fast throws contain most of the residuals' variance, so R² over all rows says little about a robot,
+which moves slowly. At low speed, a small mean error is a thrust that does not exist, and evolution exploits it.
 """
 
 from __future__ import annotations
@@ -22,39 +21,44 @@ BANDS = (
     ("2-10", 2.0, 10.0),
     ("> 10", 10.0, math.inf),
 )
-"""Name, and the range low <= |v| < high of each band of speeds [m/s]."""
+"""Name and range low <= |v| < high of each speed band [m/s]."""
 
 LOW_SPEED = "< 0.5"
-"""The band that an evolved swimmer mostly lives in."""
+"""Speed band of most states of an evolved swimmer."""
 
 
 @dataclass(frozen=True)
 class ErrorRow:
-    """One line of the table: a component of the residual, in a band of speeds.
+    """Errors of one component of the residual in one speed band.
 
-    Errors are predicted minus true, a step, in the component's unit (m, rad, m/s, rad/s). A figure that does not exist
-    (no rows, or a true residual without variance) is NaN.
+    Errors are predicted - true residuals of a step, in the component's unit [m, rad, m/s, rad/s]. Figures that do not
+    exist (no rows, or a true residual without variance) are NaN.
     """
 
     component: str
-    """Of STATE."""
+    """One of STATE."""
     band: str
-    """Of BANDS [m/s]."""
+    """One of BANDS."""
     n_rows: int
     """Transitions in the band."""
     rmse: float
-    """Root of the mean squared error."""
     bias: float
     """Mean error."""
     relative_error: float
-    """rmse over the root of the mean squared true residual: predicting 0 scores 1."""
+    """rmse divided by the root mean square of the true residual; predicting 0 scores 1."""
     r2: float
-    """Share of the variance explained: predicting the mean scores 0."""
+    """Share of the variance explained; predicting the mean scores 0."""
 
 
 def error_rows(predicted: Floats, true: Floats, speed: Floats) -> tuple[ErrorRow, ...]:
-    """Compare (n_rows, 6) residuals; ``speed`` is (n_rows,) |v| at the start of the step [m/s]."""
-    # Sums in float64: a bias is a small difference of many values.
+    """Return the errors of predicted residuals by speed band and component.
+
+    Args:
+        predicted: (n_rows, 6) predicted residuals, in the order of STATE.
+        true: (n_rows, 6) true residuals.
+        speed: (n_rows,) |v| at the start of the step [m/s].
+    """
+    # In float64, because a bias is a small difference of large sums.
     error = predicted.astype(np.float64) - true.astype(np.float64)
     true = true.astype(np.float64)
     rows = []

@@ -1,4 +1,4 @@
-"""One residual network: a multilayer perceptron between standardised observations and standardised residuals."""
+"""One residual network: a multilayer perceptron from standardised observations to standardised residuals."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -17,7 +16,7 @@ from tasks.residual.observation import OBSERVATION, STATE
 
 @dataclass(frozen=True, eq=False)
 class Standardisation:
-    """Mean and deviation of the training set's observations and residuals: each (6,), in the unit of its component."""
+    """Means and deviations of the training set's observations and residuals, each (6,) in the components' units."""
 
     observation_mean: Float32
     observation_deviation: Float32
@@ -26,7 +25,13 @@ class Standardisation:
 
     @staticmethod
     def of(observation: Float32, residual: Float32, *, standardise_targets: bool) -> Standardisation:
-        """Measure (n_rows, 6) observations and residuals; without ``standardise_targets`` residuals keep SI units."""
+        """Return the standardisation of a training set.
+
+        Args:
+            observation: (n_rows, 6) observations in the order of OBSERVATION.
+            residual: (n_rows, 6) residuals in the order of STATE.
+            standardise_targets: whether to standardise residuals; they keep SI units otherwise.
+        """
         observation_mean, observation_deviation = _moments(observation)
         residual_mean, residual_deviation = np.zeros(len(STATE), np.float32), np.ones(len(STATE), np.float32)
         if standardise_targets:
@@ -42,11 +47,11 @@ class Standardisation:
         return _standard(residual, self.residual_mean, self.residual_deviation)
 
     def residual(self, standard: Float32) -> Float32:
-        """Bring (n_rows, 6) standardised residuals back to SI units."""
+        """Convert (n_rows, 6) standardised residuals to SI units."""
         return standard * self.residual_deviation + self.residual_mean
 
 
-# Data that are not finite make no noise here: they come out as a training that diverged.
+# No warnings for data that are not finite: training reports that it diverged.
 _quietly = np.errstate(invalid="ignore", over="ignore")
 
 
@@ -58,13 +63,13 @@ def _standard(rows: Float32, mean: Float32, deviation: Float32) -> Float32:
 @_quietly
 def _moments(rows: Float32) -> tuple[Float32, Float32]:
     mean, deviation = rows.mean(axis=0, dtype=np.float64), rows.std(axis=0, dtype=np.float64)
-    # A constant column (one length scale alone, say) has no scale of its own, but may have a deviation from rounding.
+    # A constant column, such as a single length scale, has no deviation except by rounding.
     deviation[np.ptp(rows, axis=0) == 0] = 1.0
     return mean.astype(np.float32), deviation.astype(np.float32)
 
 
 class ResidualNetwork(nn.Module):
-    """(n_rows, 6) standardised observations to (n_rows, 6) standardised residuals."""
+    """Network from (n_rows, 6) standardised observations to (n_rows, 6) standardised residuals."""
 
     def __init__(self, architecture: Architecture) -> None:
         """Initialise from torch's current seed."""
@@ -74,7 +79,7 @@ class ResidualNetwork(nn.Module):
         self.dropout = architecture.dropout
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Predict; drops units while training."""
+        """Predict residuals; dropout is active while training."""
         *hidden_layers, last = self.layers
         rows = observation
         for layer in hidden_layers:
@@ -85,8 +90,8 @@ class ResidualNetwork(nn.Module):
         return out
 
     def arrays(self) -> dict[str, Float32]:
-        """Copy the weights: weight_i (n_in, n_out) and bias_i (n_out,) of layer i, for rows @ weight + bias."""
-        arrays: dict[str, npt.NDArray[np.float32]] = {}
+        """Return copies of weight_i (n_in, n_out) and bias_i (n_out,) of each layer i, for rows @ weight + bias."""
+        arrays: dict[str, Float32] = {}
         for i in range(len(self.layers)):
             arrays[f"weight_{i}"] = self.get_parameter(f"layers.{i}.weight").detach().cpu().numpy().T.copy()
             arrays[f"bias_{i}"] = self.get_parameter(f"layers.{i}.bias").detach().cpu().numpy().copy()
@@ -94,13 +99,21 @@ class ResidualNetwork(nn.Module):
 
 
 def dropout_mask(shape: torch.Size, p: float, device: torch.device) -> Tensor:
-    """Draw 0 with probability p, else 1 / (1 - p), each independently.
+    """Draw factors that are 0 with probability p and 1 / (1 - p) otherwise, independently.
 
-    The gaps between successes of independent draws are geometric, so it is enough to draw the gaps between the few
-    units dropped. torch's dropout draws a number per unit: with the paper's p that took half of a small net's training.
+    Gaps between dropped units are geometric, so only the few gaps are drawn. torch's dropout draws a number for every
+    unit, which took half the training time of a small network at the paper's p.
+
+    Args:
+        shape: shape of the mask.
+        p: probability of 0.
+        device: device of the mask.
+
+    Returns:
+        A tensor of the shape.
     """
     n = shape.numel()
-    # Enough gaps to pass the end: short by more than ten deviations is a chance below 1e-20.
+    # Enough gaps to pass the end: the mean plus ten deviations falls short with a probability below 1e-20.
     n_gaps = int(n * p + 10 * (n * p) ** 0.5 + 20)
     dropped = torch.empty(n_gaps, dtype=torch.int64, device=device).geometric_(p).cumsum(0).sub_(1).clamp_(max=n)
     mask = torch.full((n + 1,), 1 / (1 - p), device=device)  # position n stands for all past the end

@@ -1,7 +1,7 @@
-"""The data set: links thrown into slush, and what one step of the base simulator misses. Paper, "Dataset Collection".
+"""The data set: links thrown into slush, and the base simulator's residual in each step. Paper, "Dataset Collection".
 
-There is no ground in the throws' world, so one data set serves every depth. A throw's numbers depend on its start
-alone, not on the chunk of throws it was computed with.
+Throws have no ground, so one data set serves every depth. A throw depends on its start only, not on the chunk of throws
+that it was computed with.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
-from tasks.arrays import Float32, Float64, Int64
+from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.parameters import Parameters
 from tasks.residual.observation import STATE, observe
 from tasks.simulation.free_links import FreeLinks
@@ -22,81 +21,81 @@ from tasks.world import Medium, Physics
 
 
 class Throws(Parameters):
-    """What is thrown, and how."""
+    """Settings of the throws."""
 
     n_throws: int = Field(default=500, ge=2, le=1_000_000)
-    """[P]"""
+    """Number of throws. [P]"""
     n_steps: int = Field(default=200, ge=1, le=100_000)
-    """Steps of each throw: 3.3 s. [P]"""
+    """Steps of each throw; the default is 3.3 s. [P]"""
     length_scales: tuple[Annotated[float, Field(ge=0.1, le=10.0)], ...] = Field(default=(1.0, 2.0, 3.0), min_length=1)
-    """Long axes that links are drawn from [m]. [P]"""
+    """Long axes of links, drawn with equal probability [m]. [P]"""
     x_reach: float = Field(default=0.2, ge=0.0, le=1000.0)
-    """x starts within ± this [m]. [P]"""
+    """Initial x lies within ± this [m]. [P]"""
     y_reach: float = Field(default=6.0, ge=0.0, le=1000.0)
-    """y starts within ± this [m]: above and in the slush. [P]"""
+    """Initial y lies within ± this [m], above and in the slush. [P]"""
     max_velocity: float = Field(default=20.0, ge=0.0, le=80.0)
-    """vx and vy start within ± this [m/s]. [P] Box2D moves nothing by more than 2 m a step."""
+    """Initial vx and vy lie within ± this [m/s]. [P] Box2D limits motion to 2 m per step."""
     max_omega: float = Field(default=20.0, ge=0.0, le=90.0)
-    """ω starts within ± this [rad/s]. [P] Box2D turns nothing by more than π/2 a step."""
+    """Initial ω lies within ± this [rad/s]. [P] Box2D limits rotation to π/2 per step."""
     throw_speed: Literal["uniform", "log_uniform"] = "uniform"
-    """Velocities as drawn [P]; or all three of a throw times 10^U(-2, 0), for more of the low speeds robots live at."""
+    """Initial velocities: uniform [P], or all three of a throw times 10^U(-2, 0), for more low speeds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Where throws begin; axis 0 is the throw."""
+    """Initial states of throws; axis 0 is the throw."""
 
     throw: Int64
-    """(n_throws,) which throw of the data set."""
+    """(n_throws,) index of the throw in the data set."""
     length_scale: Float64
     """(n_throws,) long axis [m]."""
     state: Float32
-    """(n_throws, 6) in the order of STATE."""
+    """(n_throws, 6) initial state in the order of STATE."""
 
     def __len__(self) -> int:
         return len(self.throw)
 
     def __getitem__(self, chunk: slice) -> Starts:
-        """Take a chunk of the throws."""
+        """Return a chunk of the throws."""
         return Starts(self.throw[chunk], self.length_scale[chunk], self.state[chunk])
 
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """One step from each state that throws pass through, in E and in E'; axis 0 is the transition."""
+    """One step from each state of the throws, in E and in E'; axis 0 is the transition."""
 
     throw: Int64
-    """(n_transitions,)"""
+    """(n_transitions,) index of the throw in the data set."""
     step: Int64
     """(n_transitions,) steps since the start."""
     length_scale: Float64
     """(n_transitions,) long axis [m]."""
     state: Float32
-    """(n_transitions, 6) in the order of STATE: where both steps begin."""
+    """(n_transitions, 6) state before both steps, in the order of STATE."""
     next_in_slush: Float32
-    """(n_transitions, 6) after a step of E."""
+    """(n_transitions, 6) state after a step of E."""
     next_on_dry_land: Float32
-    """(n_transitions, 6) after a step of E'."""
+    """(n_transitions, 6) state after a step of E'."""
     observation: Float32
-    """(n_transitions, 6) in the order of OBSERVATION: what a network reads of the state."""
+    """(n_transitions, 6) a network's input, in the order of OBSERVATION."""
     residual: Float32
-    """(n_transitions, 6) e = E(x) - E'(x), in the order of STATE."""
+    """(n_transitions, 6) residual e = E(x) - E'(x), in the order of STATE."""
 
     def __len__(self) -> int:
         return len(self.throw)
 
-    def __getitem__(self, rows: npt.NDArray[np.bool_]) -> Transitions:
-        """Choose transitions by a mask."""
+    def __getitem__(self, rows: Bools) -> Transitions:
+        """Select transitions by a mask."""
         return Transitions(*(getattr(self, f.name)[rows] for f in fields(Transitions)))
 
     @staticmethod
     def concatenate(chunks: Sequence[Transitions]) -> Transitions:
-        """Join chunks in the order given."""
+        """Concatenate chunks in the given order."""
         return Transitions(*(np.concatenate([getattr(c, f.name) for c in chunks]) for f in fields(Transitions)))
 
 
 def initial_states(throws: Throws, rng: np.random.Generator) -> Starts:
-    """Draw the starts of all throws, each uniform within its range."""
+    """Draw the initial states of all throws, uniformly within their ranges."""
     n = throws.n_throws
     reach = np.array((throws.x_reach, throws.y_reach, np.pi, *[throws.max_velocity] * 2, throws.max_omega))
     length_scale = rng.choice(np.array(throws.length_scales), size=n)
@@ -108,16 +107,16 @@ def initial_states(throws: Throws, rng: np.random.Generator) -> Starts:
 
 
 def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physics) -> Transitions:
-    """Follow throws through E, and take one step of E' beside each step of E, from the same state.
+    """Simulate throws in E and, from each state, one step in E'.
 
     Args:
-        starts: the throws, or a chunk of them.
-        n_steps: steps of each throw.
-        medium: what E has and E' lacks.
-        physics: the base simulator that both share.
+        starts: initial states of all throws, or of a chunk.
+        n_steps: number of steps of each throw.
+        medium: the medium of E; E' has none.
+        physics: the base simulator's constants.
 
     Returns:
-        (len(starts) * n_steps) transitions, throw by throw and step by step.
+        (len(starts) * n_steps) transitions, ordered by throw and step.
     """
     links = FreeLinks(starts.length_scale, physics)
     n = len(starts)

@@ -1,7 +1,7 @@
-"""Training one member of the ensemble. Paper, "Neural Network Training".
+"""Training of one ensemble member. Paper, "Neural Network Training".
 
-A member follows from the transitions, its settings, the seed and its number: a second run gives the same bytes on the
-same machine and device. The throws held out are the same for all members.
+The transitions, settings, seed and member's number determine the result: a second run gives the same bytes on the same
+machine and device. All members of a study hold out the same throws.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from tasks.arrays import Float32, Int64
+from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import ResidualNetwork, Standardisation
@@ -25,38 +25,38 @@ from tasks.residual.observation import OBSERVATION
 from tasks.residual.throws import Transitions
 from tasks.seeding import generator
 
-N_CURVE_POINTS = 100
-"""About how many points a learning curve has."""
+_N_CURVE_POINTS = 100
+"""Approximate number of points of a learning curve."""
 
 
 class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a rollout's status)
-    """The loss of a member is no longer a number; says which member and when."""
+    """The loss of a member is not finite."""
 
 
 class NoDevice(RuntimeError):  # noqa: N818 (what is the case)
-    """There is no such device for torch here; says which was asked for, and what torch has."""
+    """torch does not find the requested device."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedMember:
-    """One network, how it learned, and how wrong it is on throws that it never saw."""
+    """One network, its learning curve, and its errors on held-out throws."""
 
     weights: dict[str, Float32]
-    """weight_i (n_in, n_out) and bias_i (n_out,) of layer i, between standardised quantities."""
+    """weight_i (n_in, n_out) and bias_i (n_out,) of each layer i, for standardised quantities."""
     standardisation: Standardisation
-    """Measured on the training set."""
-    learning_curve: npt.NDArray[np.float64]
-    """(n_points, 3) iteration, mean training loss since the point before, validation loss."""
+    """Standardisation of the training set."""
+    learning_curve: Float64
+    """(n_points, 3) iteration, mean training loss since the previous point, validation loss."""
     validation: tuple[ErrorRow, ...]
-    """Errors on the throws held out, in SI units."""
+    """Errors on the held-out throws, in SI units."""
 
     def arrays(self) -> dict[str, Float32]:
-        """All that inference needs, flat: the weights and the standardisation."""
+        """Return the weights and the standardisation by name: everything that inference needs."""
         return {**self.weights, **asdict(self.standardisation)}
 
 
 def learning_rate(training: Training, iteration: int) -> float:
-    """Rise linearly to the full rate, then decay exponentially to reach the least at the last iteration (from 0)."""
+    """Return the rate at an iteration from 0: a linear warm-up, then exponential decay to the least rate at the end."""
     n_warm_up = round(training.warm_up * training.n_iterations)
     if iteration < n_warm_up:
         return training.learning_rate * (iteration + 1) / n_warm_up
@@ -65,9 +65,14 @@ def learning_rate(training: Training, iteration: int) -> float:
 
 
 def mean_loss(training: Training, predicted: Tensor, true: Tensor) -> Tensor:
-    """Average the loss of (n_rows, 6) predictions over the rows.
+    """Return the mean loss over rows.
 
     L_mse = ‖φ(o) - e‖² / 6, and the focal loss is α (1 - exp(-s L_mse))^γ L_mse.
+
+    Args:
+        training: the loss and its parameters.
+        predicted: (n_rows, 6) predicted residuals φ(o).
+        true: (n_rows, 6) residuals e.
     """
     L_mse = (predicted - true).square().mean(dim=1)
     if training.loss == "mse":
@@ -76,17 +81,32 @@ def mean_loss(training: Training, predicted: Tensor, true: Tensor) -> Tensor:
     return training.focal_alpha * (weight * L_mse).mean()
 
 
-def held_out_rows(throw: Int64, share: float, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
-    """Choose throws for validation, at least one and not all, and mark their rows: (n_transitions,)."""
+def held_out_rows(throw: Int64, share: float, rng: np.random.Generator) -> Bools:
+    """Return a mask of the transitions of randomly chosen throws, at least one and not all.
+
+    Args:
+        throw: (n_transitions,) throw of each transition.
+        share: share of the throws to choose.
+        rng: source of randomness.
+
+    Raises:
+        ValueError: there are fewer than two throws.
+    """
     throws = np.unique(throw)
     if len(throws) < 2:
-        raise ValueError(f"transitions of {len(throws)} throws, expected 2 or more: one to learn from and one held out")
+        raise ValueError(f"transitions of {len(throws)} throws, expected at least 2: one to train on, one held out")
     n_held_out = min(max(round(share * len(throws)), 1), len(throws) - 1)
     return np.isin(throw, rng.permutation(throws)[:n_held_out])
 
 
-def validation_rows(throw: Int64, share: float, *, seed: int) -> npt.NDArray[np.bool_]:
-    """Mark the rows that a study holds out, the same for all its members: (n_transitions,)."""
+def validation_rows(throw: Int64, share: float, *, seed: int) -> Bools:
+    """Return a mask of the transitions that a study holds out, the same for all members.
+
+    Args:
+        throw: (n_transitions,) throw of each transition.
+        share: share of the throws to hold out.
+        seed: the study's seed.
+    """
     return held_out_rows(throw, share, generator(seed, "held out"))
 
 
@@ -104,19 +124,22 @@ def train_member(
     member: int,
     on_progress: Callable[[int, float], None] | None = None,
 ) -> TrainedMember:
-    """Train one network on one thread, or on a CUDA device, as ``training`` says; the data stay there.
+    """Train one network on one CPU thread or one CUDA device; the data stay on the device.
 
     Args:
         transitions: the data set.
         architecture: the network's size.
-        training: how it learns.
-        seed: of the study; it decides which throws are held out.
-        member: which of the ensemble, 0 or more; with the seed it decides the rest.
-        on_progress: called with the iterations done and the minibatch's loss after each.
+        training: settings of the training.
+        seed: the study's seed; it determines the held-out throws.
+        member: index in the ensemble; with the seed, it determines all other randomness.
+        on_progress: called after each iteration with the number of iterations done and the minibatch's loss.
+
+    Returns:
+        The trained network and its errors.
 
     Raises:
-        NoDevice: there is no CUDA device for torch here.
-        TrainingDiverged: the loss is no longer finite.
+        NoDevice: torch finds no CUDA device.
+        TrainingDiverged: the loss is not finite.
         ValueError: there are fewer than two throws.
     """
     if training.device == "cuda" and not n_cuda_devices():
@@ -158,8 +181,8 @@ def _fit(
     training: Training,
     member: int,
     on_progress: Callable[[int, float], None] | None,
-) -> npt.NDArray[np.float64]:
-    """Train in place, on rows of observation and residual side by side; return the learning curve."""
+) -> Float64:
+    """Train in place on (n_rows, 12) observations and residuals; return the learning curve."""
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=training.weight_decay, fused=True)
     n_rows, n_observed = len(training_set), len(OBSERVATION)
     curve = []
@@ -178,7 +201,7 @@ def _fit(
         losses.append(_finite(loss, "training", member, done))
         if on_progress is not None:
             on_progress(done, losses[-1])
-        if done % max(training.n_iterations // N_CURVE_POINTS, 1) == 0 or done == training.n_iterations:
+        if done % max(training.n_iterations // _N_CURVE_POINTS, 1) == 0 or done == training.n_iterations:
             predicted = _predict(network, validation_set[:, :n_observed])
             validation_loss = mean_loss(training, predicted, validation_set[:, n_observed:])
             curve.append((done, float(np.mean(losses)), _finite(validation_loss, "validation", member, done)))
@@ -191,7 +214,7 @@ def _finite(loss: Tensor, name: str, member: int, iteration: int) -> float:
     if not math.isfinite(value):
         raise TrainingDiverged(
             f"member {member}: the {name} loss is {value} at iteration {iteration}; "
-            f"lower learning_rate, or look for values that are not finite in the transitions"
+            f"lower learning_rate, or check the transitions for values that are not finite"
         )
     return value
 
@@ -206,7 +229,7 @@ def _predict(network: ResidualNetwork, observation: Tensor) -> Tensor:
 
 @contextmanager
 def _deterministic(seed: int, device: torch.device) -> Iterator[None]:
-    """Seed torch, hold it to one thread and to algorithms that repeat; and put everything back."""
+    """Seed torch and restrict it to one thread and deterministic algorithms; restore its state afterwards."""
     n_threads, was_deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     if device.type == "cuda":
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # without it cuBLAS refuses to be deterministic

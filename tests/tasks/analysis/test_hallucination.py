@@ -28,7 +28,7 @@ def test_a_planted_hallucination_is_ranked_first(study):
     promised = rank_exploiters(study.predicted.mean(axis=0), true=study.true)
     assert (promised[0].rank, promised[0].design, promised[0].ranked_by) == (1, liar, "excess")
     assert promised[0].excess > 0.3  # of a quarter of the members, in 200 steps
-    assert all(row.excess == 0 for row in promised[1:])  # nobody lied about them
+    assert all(row.excess == 0 for row in promised[1:])  # these predictions were true
 
     by_outcome = rank_exploiters(study.predicted.mean(axis=0), disagreement=study.predicted.std(axis=0))
     said = disagreement(study.designs, study.trace, study.planted, PHYSICS)
@@ -119,10 +119,10 @@ def test_the_size_of_an_acceleration_is_that_of_the_link_s_points():
     assert size(np.array([[3.0, 4.0, 2.0]]), links)[0] == pytest.approx(np.sqrt(mean_square), rel=1e-5)
 
 
-def test_a_single_member_has_nobody_to_disagree_with(study):
+def test_a_single_member_can_not_disagree(study):
     planted = type(study.planted)(n_members=1)
     found = disagreement(study.designs, study.trace, planted, PHYSICS)
-    assert found.reason == "a single member has nobody to disagree with"
+    assert found.reason == "a single member can't disagree"
     assert np.isnan(found.magnitude).all() and np.isnan(found.by_design()).all()
 
 

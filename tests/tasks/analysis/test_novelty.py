@@ -113,5 +113,5 @@ def test_rollouts_are_measured_link_by_link(study, known):
 
 
 def test_observations_of_the_wrong_shape_are_refused():
-    with pytest.raises(ValueError, match=r"observation has shape \(5, 3\), expected \(1 or more, 6\)"):
+    with pytest.raises(ValueError, match=r"observation has shape \(5, 3\), expected \(at least 1, 6\)"):
         thrown(np.zeros((5, 3)), np.zeros(5))

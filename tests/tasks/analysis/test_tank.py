@@ -72,7 +72,7 @@ def test_a_robot_that_is_too_slow_has_not_crossed() -> None:
     assert found.speed == pytest.approx(0.3)
 
 
-def test_a_link_that_reaches_ahead_takes_nobody_across() -> None:
+def test_a_link_that_reaches_ahead_is_no_crossing() -> None:
     x = gliding(speed=0.0, apart=1.0)
     x[0, N_SETTLE + 100 :, 5] += 30  # its front is far beyond the end; its centre of mass has moved 5 m
     (found,) = cross(x)
@@ -120,7 +120,7 @@ def test_a_trace_of_another_length_is_refused() -> None:
 
 def test_a_robot_that_never_settled_is_refused() -> None:
     rollouts = rolled_out(gliding(0.5, 1.0, n_steps=400))  # whose first state is already a step after the spawn
-    with pytest.raises(ValueError, match=r"n_settle is 0, expected 1 or more"):
+    with pytest.raises(ValueError, match=r"n_settle is 0, expected at least 1"):
         crossings(upright(1), rollouts, TANK, n_settle=0, time_step=DT)
 
 

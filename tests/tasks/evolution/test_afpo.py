@@ -87,7 +87,7 @@ def test_the_dominated_are_sampled_alike_and_without_replacement() -> None:
 
 
 @pytest.mark.parametrize("bad", [-np.inf, np.nan, np.inf])
-def test_a_fitness_that_is_not_finite_is_never_selected_and_dominates_nobody(bad: float) -> None:
+def test_a_fitness_that_is_not_finite_is_never_selected_and_never_dominates(bad: float) -> None:
     for seed in range(20):
         assert chosen([1.0, bad, 0.5], [3, 0, 3], 2, seed) == [0, 2]
         assert chosen([bad, 1.0, bad], [0, 3, 0], 2, seed) == [1]
@@ -222,9 +222,9 @@ def test_the_arguments_are_left_as_they_were() -> None:
 
 def test_after_a_generation_that_diverged_throughout_evolution_starts_again() -> None:
     afpo = Afpo(population_size=8)
-    nobody = tell(EMPTY_POPULATION, ask(EMPTY_POPULATION, rng(10), afpo), np.full(8, -np.inf), rng(11), afpo)
-    assert len(nobody.designs) == 0
-    children = ask(nobody, rng(12), afpo)
+    empty = tell(EMPTY_POPULATION, ask(EMPTY_POPULATION, rng(10), afpo), np.full(8, -np.inf), rng(11), afpo)
+    assert len(empty.designs) == 0
+    children = ask(empty, rng(12), afpo)
     assert (children.operator == RANDOM).all()
     np.testing.assert_array_equal(children.identity, np.arange(8, 16))
 

@@ -49,7 +49,7 @@ def run(
     body: Designs | None = None,
     score: Callable[[Designs], Evaluation] = long_and_fast,
 ) -> tuple[Population, History]:
-    """Run a trial in pieces that end at the given generations; between them the state travels as arrays."""
+    """Run a trial in segments that end at the given generations; between them the state travels as arrays."""
     population, histories, first = EMPTY_POPULATION, [], 0
     for end in cuts:
         population = Population.from_arrays(population.arrays())
@@ -145,7 +145,7 @@ def test_another_trial_is_another() -> None:
     assert not one.designs.equals(two.designs)
 
 
-def test_trials_side_by_side_are_what_each_is_alone() -> None:
+def test_batched_trials_equal_each_alone() -> None:
     """One begins, one goes on, one has a body that stays; and all designs of a generation are evaluated at once."""
     n_at_once = []
 
