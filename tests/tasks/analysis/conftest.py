@@ -57,5 +57,5 @@ def study():
     designs = replace(designs, length_scale=length_scale)
     planted, steps = Planted(), {"n_settle": 50, "n_measure": 200, "engine": "reference"}
     in_slush = simulate(designs, TrueSlush(depth=9.0), trace=True, **steps)
-    imagined = simulate(designs, ResidualSlush(depth=9.0, ensemble=planted), **steps)
-    return Study(designs, planted, imagined.displacement, in_slush.displacement, in_slush.trace)
+    hallucinated = simulate(designs, ResidualSlush(depth=9.0, ensemble=planted), **steps)
+    return Study(designs, planted, hallucinated.displacement, in_slush.displacement, in_slush.trace)

@@ -24,7 +24,7 @@ E = ([9.0, 10.0, 11.0], [9.0, 10.0, 11.0], [NAN] * 3)  # best 10
 
 
 def test_a_worked_example():
-    """Of a gap of 10 - 2 = 8, a new controller brings 5 back, and 3 are the body's."""
+    """The gap is 10 - 2 = 8; a new controller recovers 5, and 3 are the body's."""
     dry_land = ([60.0, 50.0, 70.0], [1.0, 2.0, 3.0], [6.0, 8.0, 7.0])
     (found,) = attribute(table(true_slush=E, dry_land=dry_land), rng=rng())
     assert (found.evolved_in, found.depth, found.n, found.n_best) == ("dry_land", 9.0, 3, 3)

@@ -129,7 +129,7 @@ def test_no_ratio_to_what_goes_nowhere():
 
 
 def test_holm_of_a_worked_example():
-    """Of four: 0.01 · 4, 0.02 · 3, 0.03 · 2 (both 0.06), 0.9 · 1."""
+    """For four p-values: 0.01 · 4, 0.02 · 3, 0.03 · 2 (both 0.06), 0.9 · 1."""
     assert holm([0.03, None, 0.01, 0.9, 0.02]) == pytest.approx([0.06, None, 0.04, 0.9, 0.06])
     assert holm([0.6, 0.7]) == [1.0, 1.0]
     assert holm([None, None]) == [None, None] and holm([]) == []

@@ -72,8 +72,8 @@ def test_states_of_a_trace_are_those_that_the_engine_shows_a_medium():
             return Slush().velocity_change(links, physics)
 
     designs = random_designs(2, rng(1))
-    world = ResidualSlush(depth=2.0, ensemble=Witness())
-    trace = simulate(designs, world, n_settle=0, n_measure=30, engine="reference", trace=True).trace
+    environment = ResidualSlush(depth=2.0, ensemble=Witness())
+    trace = simulate(designs, environment, n_settle=0, n_measure=30, engine="reference", trace=True).trace
     links = link_states(designs, trace, PHYSICS)
     assert links.y.shape == (1, 2, 30, 6)
     for name in vars(links):
@@ -86,7 +86,7 @@ def test_traces_of_other_designs_are_refused():
     designs = random_designs(2, rng())
     with pytest.raises(ValueError, match=r"trace has shape \(3, 5, 6, 6\), expected \(..., 2 designs, n_steps, "):
         link_states(designs, np.zeros((3, 5, 6, 6), np.float32), PHYSICS)
-    with pytest.raises(ValueError, match="of one world"):
+    with pytest.raises(ValueError, match="trace has shape"):
         disagreement(designs, np.zeros((8, 2, 5, 6, 6), np.float32), None, PHYSICS)
 
 

@@ -86,7 +86,7 @@ def test_states_that_are_not_finite_have_no_distance(known):
 
 def test_one_throw_has_distances_but_no_usual_one():
     known = thrown(rng().normal(size=(50, 6)), np.zeros(50, int))
-    assert known.usual is None and known.reason.startswith("all states are of one throw")
+    assert known.usual is None and known.reason.startswith("all states come from one throw")
     found = novelty(one_link(), known)
     assert np.isfinite(found.distance[0]) and np.isnan(found.novelty[0])
 

@@ -58,7 +58,7 @@ def accuracy(mean_r=0.77, members_r=MEMBERS_R, n=2376):
 
 
 def ranges(members_r=MEMBERS_R):
-    """Of the members that accuracy() has."""
+    """Ranges over the members of accuracy()."""
 
     def of(figures):
         ends = (min(figures), float(np.median(figures)), max(figures))
@@ -216,7 +216,7 @@ def test_single_members_that_vary_less_differ():
 
 
 def test_the_interval_is_this_runs_own_and_lies_in_that_of_a_repeat():
-    """Of a mean Student's t: 4.8 ± t(9) · 1 / √10. The paper's number may lie between the two intervals and agree."""
+    """Student's t for a mean: 4.8 ± t(9) · 1 / √10. The paper's number may lie between the two intervals and agree."""
     row = rows_of(like_the_paper())["Dry Land adapted at 9 m [m]"]
     half = stats.t.ppf(0.975, 9) / math.sqrt(10)
     assert (row.low, row.high) == pytest.approx((4.8 - half, 4.8 + half))

@@ -190,6 +190,6 @@ def test_members_without_a_regression_are_left_out_of_their_range():
     assert found.n == 1 and found.lowest == found.median == found.highest
     assert found.lowest.value == pytest.approx(stats.linregress(x, y).slope)
     none = members_ranges(predicted[1:], y, rng=rng())["r"]
-    assert (none.n, none.lowest.value, none.lowest.reason) == (0, None, "no member's could be computed")
+    assert (none.n, none.lowest.value, none.lowest.reason) == (0, None, "no member has a regression")
     flat = members_ranges(predicted, np.ones(30), rng=rng())
     assert flat["r"].median.value is None and flat["slope"].median.value == 0.0

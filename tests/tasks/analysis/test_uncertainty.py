@@ -93,7 +93,7 @@ def test_rows_are_drawn_whole():
 
 def test_long_samples_are_drawn_in_parts(monkeypatch):
     whole = of(rng(7).normal(size=50))
-    monkeypatch.setattr("tasks.analysis.uncertainty.NUMBERS_AT_ONCE", 50 * 7)
+    monkeypatch.setattr("tasks.analysis.uncertainty._MAX_MATRIX", 50 * 7)
     assert of(rng(7).normal(size=50)) == whole
 
 

@@ -155,7 +155,7 @@ def test_members_that_are_incomplete_or_differ_are_refused():
     small, large = (members(Architecture(hidden_layers=2, width=w), n_members=1)[1][0] for w in (4, 5))
     with pytest.raises(WeightsError, match="member 1 has layers"):
         Ensemble.from_members([small, large])
-    with pytest.raises(WeightsError, match="no members"):
+    with pytest.raises(WeightsError, match="ensemble of 0 members"):
         Ensemble.from_members([])
     lacking = {name: array for name, array in small.items() if name != "bias_1"}
     with pytest.raises(WeightsError, match=r"member 0: arrays are missing \['bias_1'\] and unknown \[\]"):
@@ -166,7 +166,7 @@ def test_damaged_ensembles_are_refused_by_name(ensemble):
     weights, biases = ensemble.weights, ensemble.biases
     with pytest.raises(WeightsError, match=r"bias_1 has shape \(2, 32\), expected \(3, 32\)"):
         Ensemble(weights, (biases[0], biases[1][:2], biases[2]))
-    with pytest.raises(WeightsError, match="no members"):
+    with pytest.raises(WeightsError, match="ensemble of 0 members"):
         Ensemble(tuple(weight[:0] for weight in weights), tuple(bias[:0] for bias in biases))
     with pytest.raises(WeightsError, match="weight_0 has shape"):
         Ensemble((weights[0][0], *weights[1:]), biases)
