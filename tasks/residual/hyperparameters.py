@@ -31,7 +31,7 @@ class Training(Parameters):
     batch_size: int = Field(default=262_144, ge=1, le=2**24)
     """Transitions in a minibatch, drawn with replacement. [P]"""
     learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
-    """Rate after warm-up. [P] Short runs need more: 10 s for 2 × 32 units on a core did best at 1e-2 with batches of 2,048."""
+    """Rate after warm-up. [P] Short runs need more: 2 × 32 units in 10 s did best at 1e-2 with batches of 2,048."""
     min_learning_rate: float = Field(default=1e-6, gt=0.0, le=1.0)
     """Rate at the last iteration, the end of the exponential decay. [P]"""
     warm_up: float = Field(default=0.01, ge=0.0, le=0.5)
