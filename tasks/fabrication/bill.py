@@ -1,4 +1,4 @@
-"""The bill of materials: what to print, what to buy, and what to cut to which length."""
+"""The bill of materials: what to print, to buy and to cut to length."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from tasks.fabrication.servo_joints import ServoJoint
 
 @dataclass(frozen=True)
 class BillLine:
-    """One line of the bill."""
+    """A line of the bill."""
 
     kind: str
     """print, servo, screw, rod, pin, electronics or supplies."""
     item: str
     count: int
-    length_mm: float | None
-    """To cut each to, of a rod or pin."""
-    mass_g: float | None
-    """Of all of them; only of prints, servos and steel."""
     note: str
+    length_mm: float | None = None
+    """Length of each rod or pin."""
+    mass_g: float | None = None
+    """Mass of all of them; None unless they are prints, servos or steel."""
 
 
 def bill_of(
     parts: Sequence[Part], servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitSettings
 ) -> list[BillLine]:
-    """List what a kit is made of."""
-    lines = [
-        BillLine(
-            "print",
-            part.name,
-            1,
-            None,
-            part.mass_g,
-            f"PLA, {settings.infill:.0%} infill, on its {'face' if part.face_down else 'back'}",
-        )
-        for part in parts
-    ]
+    """List the materials of a kit.
+
+    Args:
+        parts: Parts to print.
+        servo_joints: One per turning joint.
+        layers: Rods of every part.
+        settings: Settings of the kit.
+    """
+    lines = []
+    for part in parts:
+        note = f"PLA, {settings.infill:.0%} infill, printed on its {'face' if part.face_down else 'back'}"
+        lines.append(BillLine("print", part.name, 1, note, mass_g=part.mass_g))
     screws: Counter[tuple[str, str]] = Counter()
     n_servos = n_pins = 0
     for servo_joint in servo_joints:
@@ -52,20 +52,12 @@ def bill_of(
         screws[f"{servo.ear_screw_name} × {ear_screw_mm(servo_joint)}", "ears"] += n * len(servo_joint.ear_holes())
         screw = f"{servo_joint.horn.screw_name} × {horn_screw(servo_joint, settings).length_mm}"
         screws[screw, "horn"] += n * len(servo_joint.horn_holes())
-        screws[servo.centre_screw_name, "centre of the horn, comes with the servo"] += n
+        screws[servo.centre_screw_name, "centre of the horn, supplied with the servo"] += n
     if n_servos:
         servo = servo_joints[0].servo
-        lines.append(
-            BillLine(
-                "servo",
-                f"{servo.name} with a {settings.horn} horn",
-                n_servos,
-                None,
-                n_servos * servo.mass_g,
-                f"{servo.spline_teeth} teeth, {servo.voltage_v:g} V",
-            )
-        )
-    lines += [BillLine("screw", item, n, None, None, note) for (item, note), n in sorted(screws.items())]
+        item, note = f"{servo.name} with a {settings.horn} horn", f"{servo.spline_teeth} teeth, {servo.voltage_v:g} V"
+        lines.append(BillLine("servo", item, n_servos, note, mass_g=n_servos * servo.mass_g))
+    lines += [BillLine("screw", item, n, note) for (item, note), n in sorted(screws.items())]
     lengths: Counter[float] = Counter()
     for body, rods in enumerate(layers.rods):
         lengths[round(layers.rod_length_mm(body, settings), 1)] += len(rods)
@@ -73,32 +65,26 @@ def bill_of(
         if count:
             lines.append(_steel("rod", length, count, settings, "through both pontoons, glued"))
     if n_pins:
-        lines.append(_steel("pin", pin_length_mm(settings), n_pins, settings, "turns in the part with the wider bore"))
-    return lines + _what_pages_ask_for(servo_joints, n_servos)
+        note = "turns in the part with the wider bore"
+        lines.append(_steel("pin", pin_length_mm(settings), n_pins, settings, note))
+    return lines + _supplies(servo_joints, n_servos)
 
 
-def _what_pages_ask_for(servo_joints: Sequence[ServoJoint], n_servos: int) -> list[BillLine]:
-    """List what docs/assembly.md and docs/servo.md need beside the robot's own things."""
-    lines = [BillLine("supplies", "glue", 1, None, None, "rods, pins, pieces of split parts")]
+def _supplies(servo_joints: Sequence[ServoJoint], n_servos: int) -> list[BillLine]:
+    """List what docs/assembly.md and docs/servo.md ask for beside the robot itself."""
+    lines = [BillLine("supplies", "glue", 1, "for rods, pins and pieces of split parts")]
     if n_servos:
         servo = servo_joints[0].servo
         lines += [
-            BillLine("supplies", "silicone sealant", 1, None, None, "seams of the servos' cases, cables' entries"),
-            BillLine("supplies", "marine grease", 1, None, None, "in the servos' gearboxes, on the O-rings"),
-            BillLine("supplies", f"O-ring for a {servo.spline_mm:g} mm shaft", n_servos, None, None, "under the horn"),
-            BillLine("electronics", "Pololu Maestro", 1, None, None, f"of {n_servos} channels or more"),
-            BillLine(
-                "electronics",
-                f"{servo.voltage_v:g} V supply",
-                1,
-                None,
-                None,
-                "2.5 A for each standard servo, with a switch",
-            ),
+            BillLine("supplies", "silicone sealant", 1, "for seams of the servo cases and cable entries"),
+            BillLine("supplies", "marine grease", 1, "for the servo gearboxes and the O-rings"),
+            BillLine("supplies", f"O-ring for a {servo.spline_mm:g} mm shaft", n_servos, "under the horn"),
+            BillLine("electronics", "Pololu Maestro", 1, f"with at least {n_servos} channels"),
+            BillLine("electronics", f"{servo.voltage_v:g} V supply", 1, "2.5 A per standard servo, with a switch"),
         ]
     return lines
 
 
-def _steel(kind: str, length: float, n: int, settings: KitSettings, note: str) -> BillLine:
-    grams = settings.steel_density_g_cm3 * pi * settings.rod_mm**2 / 4 * length / 1000 * n
-    return BillLine(kind, f"stainless steel rod, {settings.rod_mm:g} mm", n, length, grams, note)
+def _steel(kind: str, length_mm: float, n: int, settings: KitSettings, note: str) -> BillLine:
+    grams = settings.steel_density_g_cm3 * pi * settings.rod_mm**2 / 4 * length_mm / 1000 * n
+    return BillLine(kind, f"stainless steel rod, {settings.rod_mm:g} mm", n, note, length_mm, grams)

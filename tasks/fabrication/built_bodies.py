@@ -1,7 +1,7 @@
-"""Rigid bodies: which links are one part, and how parts move against one another. Paper, "Manufacturing".
+"""The design as rigid parts and turning joints. Paper, "Manufacturing".
 
-A joint whose motor is on turns; every other joint is locked at rest, so its two links are one part. Millimetres, in the
-plane of the simulation (x forward, y up) with the root link upright at the origin, at rest.
+Joints whose motor is on turn. All others are locked at rest, so that their two links form one part. Lengths are in mm,
+in the plane of the simulation (x forward, y up), with the robot at rest and the root link upright at the origin.
 """
 
 from __future__ import annotations
@@ -10,62 +10,58 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 from shapely import Polygon, affinity, box, unary_union
 from shapely.geometry.base import BaseGeometry
 
+from tasks.arrays import Float64
 from tasks.design import N_LINKS, Designs, rest_pose
 from tasks.fabrication.kit_settings import KitSettings
 
 Point = tuple[float, float]
-Pose = npt.NDArray[np.float64]
-"""A rigid motion of the plane as (cos, -sin, sin, cos, x, y), the order in which shapely takes it."""
+Pose = Float64
+"""(6,) rigid motion of the plane in shapely's order: cos, -sin, sin, cos, x [mm], y [mm]."""
 
-SWEEP_STEP = np.radians(2.5)
-"""Between the poses in which a turning part is looked at; at 300 mm from the joint its corners miss 0.07 mm."""
-MOST_OF_TWO = 31
-"""Angles at most of each of two joints: 6 degrees apart over the widest range, which misses 0.4 mm at 300 mm."""
-N_GAIT = 96
-"""Instants of one period at which a gait is looked at."""
-RISING = np.linspace(1.0, 0.1, 10)
-"""Shares of the full amplitude, the full one first, at which it is looked at: it rises from rest, and falls again."""
+_SWEEP_STEP = np.radians(2.5)  # between sampled poses of a turning part; misses 0.07 mm at 300 mm from the joint
+_MAX_ANGLES_OF_TWO = 31  # per joint of a pair: 6° apart over the widest range, which misses 0.4 mm at 300 mm
+_N_GAIT = 96  # samples of one period
+_AMPLITUDES = np.linspace(1.0, 0.1, 10)  # shares of the full amplitude: the gait rises from rest and falls again
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Links that are one part."""
+    """Links that form one part."""
 
     index: int
     links: tuple[int, ...]
     depth: int
-    """Joints that turn between it and the root's part."""
+    """Number of turning joints between it and the part of the root."""
     outline: BaseGeometry
     """Union of its links."""
 
     @property
     def name(self) -> str:
-        """As people count."""
+        """Name of the part, counted from 1."""
         return f"part {self.index + 1}"
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint that turns."""
+    """A turning joint."""
 
     link: int
-    """Its child link; joints are numbered so."""
+    """Child link, which numbers the joint."""
     parent_link: int
     parent: int
-    """Index of the body that holds its parent link."""
+    """Index of the body with its parent link."""
     child: int
-    """Index of the body that holds its child link."""
+    """Index of the body with its child link."""
     at: Point
     rest_angle: float
-    """Of the child link from its parent's at rest, within ±π [rad]."""
+    """Angle of the child link relative to its parent at rest, within ±π [rad]."""
     motion_range: float
     """Amplitude [rad]."""
     phase: float
-    """[rad]"""
+    """Phase [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,18 +69,18 @@ class Mechanism:
     """A design as parts and joints."""
 
     links: tuple[Polygon, ...]
-    """Outline of every link."""
+    """(n_links) outlines of the links."""
     link_centre: tuple[Point, ...]
     link_angle: tuple[float, ...]
-    """Of every link's long axis from y [rad]."""
+    """(n_links) angles of the links' long axes from y [rad]."""
     link_size: tuple[Point, ...]
-    """Width and height of every link."""
+    """(n_links) widths and heights of the links [mm]."""
     parent_link: tuple[int, ...]
     bodies: tuple[Body, ...]
     joints: tuple[Joint, ...]
 
     def path(self, start: int, end: int) -> list[tuple[Joint, int]]:
-        """List the joints from one body to another; with each, 1 if it is passed from parent to child and -1 if not."""
+        """List the joints from one body to another, with 1 where the path leads to the child and -1 elsewhere."""
         above = {joint.child: joint for joint in self.joints}
 
         def to_root(body: int) -> list[Joint]:
@@ -101,31 +97,31 @@ class Mechanism:
         return [(joint, -1) for joint in up] + [(joint, 1) for joint in reversed(down)]
 
     def poses_in_gait(self, seen_from: int, body: int) -> list[Pose]:
-        """Give a body's poses, seen from another, at instants of one period of the gait and of its rise."""
-        turn = 2 * np.pi * np.arange(N_GAIT) / N_GAIT
+        """Sample a body's poses relative to another over one period of the gait, at full and at rising amplitude."""
+        turn = 2 * np.pi * np.arange(_N_GAIT) / _N_GAIT
         path = self.path(seen_from, body)
         full = np.array([sign * joint.motion_range * np.sin(turn + joint.phase) for joint, sign in path])
-        shares = RISING if len(path) > 1 else RISING[:1]  # one joint alone comes by the same angles
+        shares = _AMPLITUDES if len(path) > 1 else _AMPLITUDES[:1]  # one joint alone passes through the same angles
         return [_chained(path, share * angles) for share in shares for angles in full.T]
 
     def poses_in_range(self, seen_from: int, body: int) -> list[Pose]:
-        """Give a body's poses, seen from another, with every joint between them anywhere in its range.
+        """Sample a body's poses relative to another with the joints between them anywhere in their ranges.
 
-        Beyond two joints that would be too many; then the poses of the gait stand for them.
+        With more than two joints there are too many, and the poses of the gait replace them.
         """
         path = self.path(seen_from, body)
         if len(path) > 2:
             return self.poses_in_gait(seen_from, body)
         per_joint = []
         for joint, _ in path:
-            n = 2 * int(np.ceil(joint.motion_range / SWEEP_STEP)) + 1
-            most = n if len(path) == 1 else MOST_OF_TWO
+            n = 2 * int(np.ceil(joint.motion_range / _SWEEP_STEP)) + 1
+            most = n if len(path) == 1 else _MAX_ANGLES_OF_TWO
             per_joint.append(np.linspace(-joint.motion_range, joint.motion_range, min(n, most)))
         return [_chained(path, np.array(angles)) for angles in product(*per_joint)]
 
 
-def _chained(path: list[tuple[Joint, int]], angles: npt.NDArray[np.float64]) -> Pose:
-    """Compose the turns about each joint's place at rest, from the far end of the path to its start."""
+def _chained(path: list[tuple[Joint, int]], angles: Float64) -> Pose:
+    """Compose the turns about each joint's position at rest, from the far end of the path to its start."""
     rotation, shift = np.eye(2), np.zeros(2)
     for (joint, _), angle in zip(reversed(path), angles[::-1], strict=True):
         c, s = np.cos(angle), np.sin(angle)
@@ -140,17 +136,12 @@ def moved(shape: BaseGeometry, pose: Pose) -> BaseGeometry:
 
 
 def swept(shape: BaseGeometry, poses: list[Pose]) -> BaseGeometry:
-    """Give all that a shape covers in any of its poses."""
+    """Return the union of a shape in all poses."""
     return unary_union([moved(shape, pose) for pose in poses])
 
 
 def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
-    """Find the parts and the turning joints of one design, at the bench's scale.
-
-    Args:
-        design: one valid design.
-        settings: their scale is used.
-    """
+    """Find the parts and the turning joints of one valid design, at the scale of the kit."""
     scale = settings.scale_mm_per_m
     x, y, angle = (array[0] for array in rest_pose(design))
     length, parent, turns = design.length_scale[0], design.parent[0], design.motor_on[0]

@@ -1,4 +1,4 @@
-"""Whether the optional packages of CAD are there. They take seconds to import, so nothing else looks for them early."""
+"""A check for the optional CAD packages, which take seconds to import."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ _PACKAGES = ("build123d", "ezdxf", "shapely")
 
 
 class MissingCadError(RuntimeError):
-    """The packages that make parts are not installed: says which, and how to get them."""
+    """A CAD package is not installed. The message says how to install it."""
 
 
 def require_cad() -> None:
-    """Check that parts can be made, without importing anything; :mod:`tasks.fabrication.kit` may be imported then.
+    """Check, without importing them, that the packages that :mod:`tasks.fabrication.kit` needs are installed.
 
     Raises:
-        MissingCadError: a package is missing.
+        MissingCadError: A package is missing.
     """
     missing = [package for package in _PACKAGES if find_spec(package) is None]
     if missing:
         raise MissingCadError(
-            f"making parts needs {', '.join(missing)}, not installed here: pip install 'puddle[cad]' "
-            f"(from a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
+            f"{', '.join(missing)} not installed, but needed to make parts. Run: pip install 'puddle[cad]' "
+            f"(in a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
         )

@@ -1,8 +1,9 @@
-"""Calibration: which servo moves which joint, and what pulse puts it at which angle.
+"""Calibration: which servo moves which joint, and which pulse puts it at which angle.
 
-A hobby servo holds the angle that the width of its pulses tells, linear within its travel:
-pulse = centre + direction · us_per_rad · angle, where the angle is the joint's from its rest, in the simulation's
-sense. Horns sit on splines and servos differ, so a kit's file is a first guess: measure each once (docs/servo.md).
+A hobby servo turns to the angle that the width of its pulses encodes, linearly within its travel:
+pulse = centre + direction · us_per_rad · angle, where the angle is measured from the joint's rest angle, positive as in
+the simulation. Servos differ, and a horn fits its spline only tooth by tooth, so the calibration in a kit is a first
+guess: measure each servo once (docs/servo.md).
 """
 
 from __future__ import annotations
@@ -14,43 +15,41 @@ from pydantic import Field, field_validator, model_validator
 from tasks.design.genes import N_LINKS
 from tasks.parameters import Parameters
 
-SHORTEST_US, LONGEST_US = 400.0, 2600.0
-"""Pulses that hobby servos take for a position [µs]; what is far outside is a slip of the pen."""
+_MIN_PULSE_US, _MAX_PULSE_US = 400.0, 2600.0  # hobby servos; a value outside is a typing error
 
 
 class ServoCalibration(Parameters):
-    """One servo."""
+    """Calibration of one servo."""
 
     joint: int = Field(ge=1, lt=N_LINKS)
     """The joint that it moves, by the number of its child link."""
     channel: int = Field(ge=0, le=23)
-    """Of the controller."""
-    centre_us: float = Field(ge=SHORTEST_US, le=LONGEST_US)
-    """Pulse at which the joint rests [µs]; the neutral position."""
+    """Channel of the servo controller."""
+    centre_us: float = Field(ge=_MIN_PULSE_US, le=_MAX_PULSE_US)
+    """Neutral pulse, at which the joint is at rest [µs]."""
     direction: Literal[1, -1]
-    """1 if longer pulses turn the child link counter-clockwise, as positive angles do, seen with x to the right."""
+    """1 if longer pulses turn the child link counter-clockwise, seen with x to the right; else -1."""
     us_per_rad: float = Field(gt=0.0, le=10_000.0)
-    """Change of the pulse for a turn of one radian [µs/rad]."""
-    min_us: float = Field(ge=SHORTEST_US, le=LONGEST_US)
-    """Shortest pulse that it may be sent [µs]."""
-    max_us: float = Field(ge=SHORTEST_US, le=LONGEST_US)
-    """Longest pulse that it may be sent [µs]."""
+    """Change of the pulse per radian [µs/rad]."""
+    min_us: float = Field(ge=_MIN_PULSE_US, le=_MAX_PULSE_US)
+    """Shortest pulse that may be sent [µs]."""
+    max_us: float = Field(ge=_MIN_PULSE_US, le=_MAX_PULSE_US)
+    """Longest pulse that may be sent [µs]."""
     max_speed: float = Field(gt=0.0, le=100.0)
-    """Fastest that the joint may be told to turn [rad/s]."""
+    """Fastest speed that may be commanded [rad/s]."""
 
     @field_validator("direction", mode="before")
     @classmethod
-    def _a_number(cls, value: object) -> object:
+    def _check_number(cls, value: object) -> object:
         if isinstance(value, bool):  # which equals 1 or 0
             raise ValueError(f"expected 1 or -1, got {str(value).lower()}")
         return value
 
     @model_validator(mode="after")
-    def _in_order(self) -> Self:
+    def _check_order(self) -> Self:
         if self.min_us >= self.max_us:
             raise ValueError(
-                f"min_us is {self.min_us:g} and max_us is {self.max_us:g}: expected min_us below max_us. "
-                f"Are they swapped?"
+                f"min_us is {self.min_us:g} and max_us is {self.max_us:g}, expected min_us < max_us. Are they swapped?"
             )
         if not self.min_us <= self.centre_us <= self.max_us:
             raise ValueError(
@@ -64,20 +63,20 @@ class ServoCalibration(Parameters):
         return self.max_speed * self.us_per_rad
 
     def angle(self, pulse_us: float) -> float:
-        """Give the joint's angle from rest at a pulse [rad]."""
+        """Return the joint's angle from rest [rad] at a pulse."""
         return self.direction * (pulse_us - self.centre_us) / self.us_per_rad
 
 
 class Calibration(Parameters):
-    """All servos of a robot."""
+    """Calibration of all servos of a robot."""
 
     servos: tuple[ServoCalibration, ...] = Field(min_length=1)
-    """In any order. Two servos may share a joint, one in each pontoon."""
+    """Servos in any order; two may share a joint, one in each pontoon."""
 
     @model_validator(mode="after")
-    def _channels_once(self) -> Self:
+    def _check_channels(self) -> Self:
         channels = [servo.channel for servo in self.servos]
         for channel in channels:
             if channels.count(channel) > 1:
-                raise ValueError(f"servos: channel {channel} appears twice, expected one servo on each")
+                raise ValueError(f"servos: channel {channel} appears twice, expected one servo per channel")
         return self

@@ -1,6 +1,6 @@
-"""Findings: what is wrong with a kit, or worth knowing, said before anybody prints it.
+"""Checks of a kit before it is printed.
 
-A fault means that the robot can't be built or would break itself; a warning, that it can, but with a drawback.
+A fault means that the robot can't be built or would damage itself, a warning that it can be built but has a drawback.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import degrees, pi
+from math import degrees, hypot, pi
 from typing import Literal
 
 from shapely import Polygon
@@ -25,24 +25,19 @@ from tasks.fabrication.splits import Split, bed_mm
 
 Severity = Literal["fault", "warning", "note"]
 
-VARIANT_MOTORS = 2
-"""Actuated joints of the physical variant. Paper, "Manufacturing"."""
-OVERLAP_MM2 = 0.01
-"""Less is rounding."""
-_ROUNDING_MM = 1e-6
-YOUNG_PA = 193e9
-"""Of stainless steel 304."""
-TWIST_LIMIT = pi / 18
-"""By which one pontoon may lag behind the other at the servo's full torque before it is said [rad]."""
-NECK_STEP_MM = 0.25
+_VARIANT_MOTORS = 2  # actuated joints of the physical variant; paper, "Manufacturing"
+_ROUNDING_MM, _ROUNDING_MM2 = 1e-6, 0.01
+_YOUNG_PA = 193e9  # stainless steel 304
+_LAG_LIMIT = pi / 18  # lag of one pontoon behind the other that is worth a warning [rad]
+_NECK_STEP_MM = 0.25
 
 
 @dataclass(frozen=True)
 class KitFinding:
-    """One thing to know of a kit."""
+    """A fault, warning or note about a kit."""
 
     name: str
-    """What kind of thing."""
+    """Name of the check."""
     severity: Severity
     where: str
     message: str
@@ -60,23 +55,23 @@ def findings_of(
     """Check a kit.
 
     Args:
-        mechanism: n parts.
-        servo_joints: one for every joint that turns.
-        outlines: of the parts, bosses and fillets included.
-        layers: with every part's rods.
-        splits: every part's pieces.
-        features: of every part's copies, by its index and side.
-        settings: what the kit was made with.
+        mechanism: The design's n parts and its joints.
+        servo_joints: One per turning joint.
+        outlines: (n) outlines of the parts, including bosses and fillets.
+        layers: Layer and rods of every part.
+        splits: (n) pieces of the parts.
+        features: Features by index of the part and side.
+        settings: Settings of the kit.
 
     Returns:
         Faults first, then warnings, then notes.
     """
-    found = [
-        *_not_of_the_variant(mechanism),
+    findings = [
+        *_variant(mechanism),
         *_travel(servo_joints),
         *_cradles(mechanism, servo_joints),
-        *_shared_room(servo_joints),
-        *_screws(servo_joints, settings),
+        *_shared_space(servo_joints),
+        *_threads(servo_joints, settings),
         *_unmeasured(servo_joints),
         *_walls(mechanism, outlines, features, settings),
         *_necks(mechanism, outlines, settings),
@@ -84,118 +79,92 @@ def findings_of(
         *_rods(mechanism, servo_joints, layers, settings),
         *_bed(mechanism, splits, settings),
     ]
-    return tuple(sorted(found, key=lambda finding: ("fault", "warning", "note").index(finding.severity)))
+    return tuple(sorted(findings, key=lambda finding: ("fault", "warning", "note").index(finding.severity)))
 
 
-def _not_of_the_variant(mechanism: Mechanism) -> Iterator[KitFinding]:
-    n = len(mechanism.joints)
-    if n != VARIANT_MOTORS:
-        yield KitFinding(
-            "not of the variant",
-            "warning",
-            "design",
-            f"{n} motors are on, the physical variant has {VARIANT_MOTORS}; joints whose motor is off swing "
-            f"freely in the main experiments, but are locked here",
+def _variant(mechanism: Mechanism) -> Iterator[KitFinding]:
+    name, n = "not of the variant", len(mechanism.joints)
+    if n != _VARIANT_MOTORS:
+        message = (
+            f"{n} motors are on, the paper's physical variant has {_VARIANT_MOTORS}. The kit locks joints whose motor "
+            f"is off; in the main experiments they swing freely"
         )
+        yield KitFinding(name, "warning", "design", message)
     for first, second in combinations(range(N_LINKS), 2):
         if mechanism.parent_link[second] != first:
             area = mechanism.links[first].intersection(mechanism.links[second]).area
-            if area > OVERLAP_MM2:
-                yield KitFinding(
-                    "not of the variant",
-                    "warning",
-                    f"links {first} and {second}",
-                    f"overlap by {area:.0f} mm² at rest without being joined; the variant forbids that",
-                )
+            if area > _ROUNDING_MM2:
+                message = f"overlap by {area:.0f} mm² at rest without a joint, which the physical variant forbids"
+                yield KitFinding(name, "warning", f"links {first} and {second}", message)
 
 
 def _travel(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
     for servo_joint in servo_joints:
-        asked, half = servo_joint.joint.motion_range, servo_joint.servo.travel_rad / 2
-        if asked > half:
-            yield KitFinding(
-                "servo's travel",
-                "fault",
-                f"joint {servo_joint.joint.link}",
-                f"swings ±{degrees(asked):.0f}°, servo {servo_joint.servo.name} turns ±{degrees(half):.0f}°",
+        joint, servo = servo_joint.joint, servo_joint.servo
+        if joint.motion_range > servo.travel_rad / 2:
+            message = (
+                f"swings ±{degrees(joint.motion_range):.0f}°, but servo {servo.name} turns only "
+                f"±{degrees(servo.travel_rad / 2):.0f}°. Choose a servo with more travel (--set kit.servo=...)"
             )
+            yield KitFinding("servo's travel", "fault", f"joint {joint.link}", message)
 
 
 def _cradles(mechanism: Mechanism, servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
     for servo_joint in servo_joints:
+        where, body = f"joint {servo_joint.joint.link}", mechanism.bodies[servo_joint.carrier]
         width = mechanism.link_size[servo_joint.carrier_link][0]
-        out = servo_joint.cradle.difference(mechanism.bodies[servo_joint.carrier].outline).area
+        area = servo_joint.cradle.difference(body.outline).area
         if servo_joint.cradle_width_mm > width:
-            yield KitFinding(
-                "cradle wider than its link",
-                "warning",
-                f"joint {servo_joint.joint.link}",
-                f"the cradle is {servo_joint.cradle_width_mm:.1f} mm wide, link {servo_joint.carrier_link} "
-                f"{width:.1f}; a boss of {out:.0f} mm² stands out",
+            message = (
+                f"the cradle is {servo_joint.cradle_width_mm:.1f} mm wide, link {servo_joint.carrier_link} only "
+                f"{width:.1f} mm: a boss of {area:.0f} mm² stands out"
             )
-        elif out > OVERLAP_MM2:
-            yield KitFinding(
-                "cradle stands out",
-                "note",
-                f"joint {servo_joint.joint.link}",
-                f"a boss of {out:.0f} mm² stands out of {mechanism.bodies[servo_joint.carrier].name}",
-            )
+            yield KitFinding("cradle wider than its link", "warning", where, message)
+        elif area > _ROUNDING_MM2:
+            message = f"a boss of {area:.0f} mm² stands out of {body.name}"
+            yield KitFinding("cradle stands out", "note", where, message)
 
 
-def _shared_room(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
-    """Two drives in one part whose hollows meet."""
+def _shared_space(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
     for a, b in combinations(servo_joints, 2):
         for body in {a.carrier, a.driven} & {b.carrier, b.driven}:
-            rooms = [d.pocket if d.carrier == body else d.recess for d in (a, b)]
-            shared = rooms[0].intersection(rooms[1]).area
-            if shared > OVERLAP_MM2:
-                apart = ((a.joint.at[0] - b.joint.at[0]) ** 2 + (a.joint.at[1] - b.joint.at[1]) ** 2) ** 0.5
-                yield KitFinding(
-                    "servos in one place",
-                    "fault",
-                    f"joints {a.joint.link} and {b.joint.link}",
-                    f"are {apart:.1f} mm apart on part {body + 1}; their hollows share {shared:.0f} mm²",
-                )
+            first, second = (one.pocket if one.carrier == body else one.recess for one in (a, b))
+            shared = first.intersection(second).area
+            if shared > _ROUNDING_MM2:
+                apart = hypot(a.joint.at[0] - b.joint.at[0], a.joint.at[1] - b.joint.at[1])
+                message = f"are {apart:.1f} mm apart on part {body + 1}: their pockets overlap by {shared:.0f} mm²"
+                yield KitFinding("servos in one place", "fault", f"joints {a.joint.link} and {b.joint.link}", message)
 
 
-def _screws(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> Iterator[KitFinding]:
-    """Threads shorter than their diameter; the same at every joint."""
+def _threads(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> Iterator[KitFinding]:
+    """Compare the engaged length of threads, which is equal at all joints, with their diameter."""
     for servo_joint in servo_joints[:1]:
         servo, horn = servo_joint.servo, servo_joint.horn
-        for what, held, diameter in (
-            (
-                f"{horn.screw_name} screws hold in the {horn.kind} horn",
-                horn_screw(servo_joint, settings).engaged_mm,
-                horn.screw_mm,
-            ),
-            (
-                f"{servo.ear_screw_name} screws through the ears hold in the plate",
-                ear_screw_mm(servo_joint) - servo.ear_thickness_mm,
-                servo.ear_screw_mm,
-            ),
+        in_horn, in_plate = (
+            f"{horn.screw_name} screws in the {horn.kind} horn",
+            f"{servo.ear_screw_name} screws in the plate",
+        )
+        for what, engaged, diameter in (
+            (in_horn, horn_screw(servo_joint, settings).engaged_mm, horn.screw_mm),
+            (in_plate, ear_screw_mm(servo_joint) - servo.ear_thickness_mm, servo.ear_screw_mm),
         ):
-            if held < diameter:
-                yield KitFinding(
-                    "short thread",
-                    "warning",
-                    "every joint",
-                    f"{what} by {held:.1f} mm, expected their diameter, {diameter:g} mm, or more: glue the "
-                    f"threads, or take a thicker one (--set kit.measured...)",
+            if engaged < diameter:
+                message = (
+                    f"the {what} engage {engaged:.1f} mm of thread, expected at least their diameter, {diameter:g} mm. "
+                    f"Glue the threads, or use a thicker horn (--set kit.measured.thickness_mm=...)"
                 )
+                yield KitFinding("short thread", "warning", "every joint", message)
 
 
 def _unmeasured(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
     for servo_joint in servo_joints[:1]:
-        unknown = [name for name in MEASURES if name not in servo_joint.servo.sources]
-        if unknown:
-            yield KitFinding(
-                "not measured",
-                "warning",
-                "every joint",
-                f"{len(unknown)} of {len(MEASURES)} measures of a {servo_joint.servo.name} and its "
-                f"{servo_joint.horn.kind} horn are common ones that nobody has checked; the page lists them. "
-                f"Measure yours and print the gauges before the parts",
+        n = sum(name not in servo_joint.servo.sources for name in MEASURES)
+        if n:
+            message = (
+                f"{n} of {len(MEASURES)} dimensions of a {servo_joint.servo.name} and its {servo_joint.horn.kind} horn "
+                f"are typical values without a source. Measure yours and print the gauges first; the page lists them"
             )
+            yield KitFinding("not measured", "warning", "every joint", message)
 
 
 def _walls(
@@ -204,94 +173,79 @@ def _walls(
     features: Mapping[tuple[int, str], Sequence[Feature]],
     settings: KitSettings,
 ) -> Iterator[KitFinding]:
-    """Between two hollows, and between a hollow and the outside."""
+    """Find thin walls between two features, and between a feature and the outline."""
     for (body, side), cut in features.items():
-        thin: dict[tuple[str, str], float] = {}
+        thinnest: dict[tuple[str, str], float] = {}
 
-        def note(key: tuple[str, str], wall: float, thin: dict[tuple[str, str], float] = thin) -> None:
-            thin[key] = min(wall, thin.get(key, wall))
+        def record(key: tuple[str, str], wall: float, thinnest: dict[tuple[str, str], float] = thinnest) -> None:
+            thinnest[key] = min(wall, thinnest.get(key, wall))
 
         for a, b in combinations(cut, 2):
             overlap_in_z = min(a.high_mm, b.high_mm) - max(a.low_mm, b.low_mm)
             meet = a.group == b.group and a.outline.distance(b.outline) < _ROUNDING_MM
             if overlap_in_z > 0 and not meet:
-                note((f"{a.label} ({a.group})", f"{b.label} ({b.group})"), a.outline.distance(b.outline))
+                record((f"{a.label} ({a.group})", f"{b.label} ({b.group})"), a.outline.distance(b.outline))
         edge = outlines[body].boundary
         for feature in cut:
             if feature.label != "cable":
                 wall = feature.outline.distance(edge) if outlines[body].contains(feature.outline) else 0.0
-                note((f"{feature.label} ({feature.group})", "the outside"), wall)
-        for (first, second), wall in thin.items():
+                record((f"{feature.label} ({feature.group})", "the outside"), wall)
+        for (first, second), wall in thinnest.items():
             if wall < settings.min_wall_mm:
-                yield KitFinding(
-                    "wall too thin",
-                    "fault",
-                    f"{mechanism.bodies[body].name}, {side}",
-                    f"{wall:.2f} mm between {first} and {second}, expected {settings.min_wall_mm:g} or more",
-                )
+                message = f"{wall:.2f} mm between {first} and {second}, expected at least {settings.min_wall_mm:g} mm"
+                yield KitFinding("wall too thin", "fault", f"{mechanism.bodies[body].name}, {side}", message)
 
 
 def _necks(mechanism: Mechanism, outlines: Sequence[Polygon], settings: KitSettings) -> Iterator[KitFinding]:
-    """Places where a part would come apart if so much were taken from either side."""
+    """Find the width at which shrinking a part from all sides splits it."""
     for body, outline in zip(mechanism.bodies, outlines, strict=True):
         width = 0.0
         while width < settings.min_neck_mm:
-            width += NECK_STEP_MM
+            width += _NECK_STEP_MM
             left = outline.buffer(-width / 2)
             pieces = [piece for piece in getattr(left, "geoms", [left]) if piece.area > settings.min_neck_mm**2]
             if len(pieces) != 1:
                 severity: Severity = "fault" if width <= settings.min_wall_mm else "warning"
-                yield KitFinding(
-                    "narrow neck",
-                    severity,
-                    body.name,
-                    f"it is {width:.1f} mm wide at its narrowest, expected {settings.min_neck_mm:g} or more",
-                )
+                message = f"is {width:.1f} mm wide at its narrowest, expected at least {settings.min_neck_mm:g}"
+                yield KitFinding("narrow neck", severity, body.name, message)
                 break
 
 
 def _collisions(
     mechanism: Mechanism, outlines: Sequence[Polygon], layers: Layers, settings: KitSettings
 ) -> Iterator[KitFinding]:
-    """Parts that lie in one layer, in the gait and anywhere in their joints' ranges."""
+    """Check parts of one layer at rest, in the gait, and anywhere in the ranges of their joints."""
     for a, b in combinations(mechanism.bodies, 2):
         if layers.outer[a.index] != layers.outer[b.index]:
             continue
+        name, where, passing = "parts collide", f"{a.name} and {b.name}", outlines[b.index]
         still = outlines[a.index].buffer(settings.sweep_clearance_mm)
-        where, passing = f"{a.name} and {b.name}", outlines[b.index]
         joints = " and ".join(f"joint {joint.link}" for joint, _ in mechanism.path(a.index, b.index))
-        if outlines[a.index].intersection(passing).area > OVERLAP_MM2:
-            yield KitFinding(
-                "parts collide",
-                "fault",
-                where,
-                f"overlap by {outlines[a.index].intersection(passing).area:.0f} mm² at rest: take another "
-                f"design, or another rest_angle in the design file",
+        at_rest = outlines[a.index].intersection(passing).area
+        if at_rest > _ROUNDING_MM2:
+            message = (
+                f"overlap by {at_rest:.0f} mm² at rest. Change rest_angle in the design file, or choose another design"
             )
+            yield KitFinding(name, "fault", where, message)
             continue
-        in_gait = _deepest(still, passing, mechanism.poses_in_gait(a.index, b.index))
-        if in_gait > OVERLAP_MM2:
-            yield KitFinding(
-                "parts collide",
-                "fault",
-                where,
-                f"meet in the gait, through {joints}: by {in_gait:.0f} mm² with a clearance of "
-                f"{settings.sweep_clearance_mm:g} mm. In the design file, a smaller motion_range or another "
-                f"phase of one of these joints may keep them apart; or take another design",
+        in_gait = _largest_overlap(still, passing, mechanism.poses_in_gait(a.index, b.index))
+        if in_gait > _ROUNDING_MM2:
+            message = (
+                f"overlap by {in_gait:.0f} mm² in the gait, with a clearance of {settings.sweep_clearance_mm:g} mm. "
+                f"Reduce motion_range or change phase of {joints} in the design file, or choose another design"
             )
+            yield KitFinding(name, "fault", where, message)
             continue
-        in_range = _deepest(still, passing, mechanism.poses_in_range(a.index, b.index))
-        if in_range > OVERLAP_MM2:
-            yield KitFinding(
-                "parts collide",
-                "warning",
-                where,
-                f"miss one another in the gait but meet elsewhere in the ranges of {joints}, by "
-                f"{in_range:.0f} mm²: move one joint at a time only near rest",
+        in_range = _largest_overlap(still, passing, mechanism.poses_in_range(a.index, b.index))
+        if in_range > _ROUNDING_MM2:
+            message = (
+                f"clear one another in the gait, but overlap by {in_range:.0f} mm² elsewhere in the range of {joints}. "
+                f"Do not move these joints one at a time when away from rest"
             )
+            yield KitFinding(name, "warning", where, message)
 
 
-def _deepest(still: BaseGeometry, passing: BaseGeometry, poses: Sequence[Pose]) -> float:
+def _largest_overlap(still: BaseGeometry, passing: BaseGeometry, poses: Sequence[Pose]) -> float:
     return max((still.intersection(moved(passing, pose)).area for pose in poses), default=0.0)
 
 
@@ -300,49 +254,46 @@ def _rods(
 ) -> Iterator[KitFinding]:
     for body, rods in zip(mechanism.bodies, layers.rods, strict=True):
         if not rods:
-            swept = " that no other part sweeps" if layers.outer[body.index] else ""
-            yield KitFinding(
-                "no room for rods",
-                "fault",
-                body.name,
-                f"it has no place{swept} for a rod with a wall of {settings.wall_mm:g} mm",
-            )
+            swept = " and clear of the parts that sweep over it" if layers.outer[body.index] else ""
+            message = f"has no room for a rod with a wall of {settings.wall_mm:g} mm around it{swept}"
+            yield KitFinding("no room for rods", "fault", body.name, message)
         elif len(rods) < settings.rods_per_part:
-            yield KitFinding(
-                "few rods",
-                "warning",
-                body.name,
-                f"there is room for {len(rods)} of {settings.rods_per_part} rods; its copies twist more",
-            )
+            message = f"has room for {len(rods)} of {settings.rods_per_part} rods, so its copies twist more"
+            yield KitFinding("few rods", "warning", body.name, message)
     if settings.servos_per_joint == 1:
         for servo_joint in servo_joints:
-            twist = lag_rad(servo_joint, layers, settings)
-            if twist > TWIST_LIMIT:
-                said = f"{degrees(twist):.0f}°" if twist < pi / 2 else "more than 90°"
-                yield KitFinding(
-                    "rods give way",
-                    "warning",
-                    f"joint {servo_joint.joint.link}",
-                    f"at the servo's full torque, half of it at the other pontoon, that pontoon lags "
-                    f"by {said}; servos_per_joint: 2 or thicker rods help",
+            lag = lag_rad(servo_joint, layers, settings)
+            if lag > _LAG_LIMIT:
+                angle = f"{degrees(lag):.0f}°" if lag < pi / 2 else "more than 90°"
+                message = (
+                    f"the pontoon without a servo lags by {angle} when half of the full torque acts there. Use two "
+                    f"servos (--set kit.servos_per_joint=2) or thicker rods (--set kit.rod_mm=...)"
                 )
+                yield KitFinding("rods give way", "warning", f"joint {servo_joint.joint.link}", message)
 
 
 def lag_rad(servo_joint: ServoJoint, layers: Layers, settings: KitSettings) -> float:
-    """Give the angle at a joint by which the pontoon without a servo lags when half of the full torque is used there.
+    """Estimate how far the pontoon without a servo lags at a joint if half of the full torque acts there.
 
-    A rod clamped at both ends resists a sideways shift of its ends with 12 E I / L³ over its free length L; rods at
-    distances r from the joint's axis resist a turn about it with the sum of that times r². Both parts' rods give way.
+    A rod clamped at both ends resists a sideways shift of its ends with 12 E I / L³, where L is its free length. Rods
+    at distances r from the joint's axis resist a turn about it with the sum of that times r². The lags of both parts
+    add up.
+
+    Args:
+        servo_joint: The joint.
+        layers: Rods of all parts.
+        settings: Diameter of the rods and spacing of the pontoons.
+
+    Returns:
+        The lag [rad]; infinite if a part has no rod away from the axis.
     """
     inertia = pi * (settings.rod_mm / 1000) ** 4 / 64
     lag = 0.0
     for body in (servo_joint.carrier, servo_joint.driven):
         free = (layers.rod_length_mm(body, settings) - 2 * settings.thickness_mm) / 1000
-        sideways = 12 * YOUNG_PA * inertia / free**3
-        reach2 = (
-            sum((x - servo_joint.joint.at[0]) ** 2 + (y - servo_joint.joint.at[1]) ** 2 for x, y in layers.rods[body])
-            / 1e6
-        )
+        sideways = 12 * _YOUNG_PA * inertia / free**3
+        at = servo_joint.joint.at
+        reach2 = sum((x - at[0]) ** 2 + (y - at[1]) ** 2 for x, y in layers.rods[body]) / 1e6
         if reach2 == 0.0:
             return float("inf")
         lag += servo_joint.servo.stall_torque_nm / 2 / (sideways * reach2)
@@ -350,33 +301,18 @@ def lag_rad(servo_joint: ServoJoint, layers: Layers, settings: KitSettings) -> f
 
 
 def _bed(mechanism: Mechanism, splits: Sequence[Split], settings: KitSettings) -> Iterator[KitFinding]:
+    name = "larger than the bed"
     width, depth = bed_mm(settings)
     if settings.thickness_mm > settings.bed_mm[2]:
-        yield KitFinding(
-            "larger than the bed",
-            "fault",
-            "every part",
-            f"is {settings.thickness_mm:g} mm high, the printer {settings.bed_mm[2]:g}",
-        )
+        message = f"is {settings.thickness_mm:g} mm high, but the printer reaches only {settings.bed_mm[2]:g} mm"
+        yield KitFinding(name, "fault", "every part", message)
     for body, split in zip(mechanism.bodies, splits, strict=True):
         if len(split.pieces) > 1 or not split.fits:
-            whole = split.whole
-            low_x, low_y, high_x, high_y = whole.bounds
-            size = (
-                f"it is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, "
-                f"the bed {width:.0f} × {depth:.0f} inside its margin"
-            )
+            low_x, low_y, high_x, high_y = split.whole.bounds
+            size = f"is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, the usable bed {width:.0f} × {depth:.0f} mm"
             if split.fits:
-                yield KitFinding(
-                    "larger than the bed",
-                    "note",
-                    body.name,
-                    f"{size}: split into {len(split.pieces)} pieces that slide together along the extrusion; glue them",
-                )
+                message = f"{size}. It is split into {len(split.pieces)} pieces: slide them together and glue them"
+                yield KitFinding(name, "note", body.name, message)
             else:
-                yield KitFinding(
-                    "larger than the bed",
-                    "fault",
-                    body.name,
-                    f"{size}: no straight cut across a link that misses servos and rods makes its pieces fit",
-                )
+                message = f"{size}. No cut across a link that misses servos and rods makes its pieces fit"
+                yield KitFinding(name, "fault", body.name, message)

@@ -1,18 +1,17 @@
-"""Contacts: links that push one another in the simulation and pass one another on the bench.
+"""Contacts of the simulation that the robot on the bench does not have.
 
-In the simulation all links lie in one plane, and those that no joint ties collide. On the bench parts lie in two layers
-(tasks/fabrication/servo_joints.py): parts of one layer meet there as well, and what comes of that is checked in the plane
-(tasks/fabrication/checks.py). Parts of different layers pass one another whole. Where their links touched in the
-simulated run, the robot on the bench moves on and the simulated one was stopped: the run is no prediction then.
+In the simulation all links lie in one plane and collide unless a joint connects them. On the bench the parts lie in two
+layers (tasks/fabrication/servo_joints.py). Parts of one layer collide there too (tasks/fabrication/checks.py). Parts of
+different layers pass each other: if their links touched in the simulated run, the run does not predict the bench.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 
 from tasks.arrays import Floats
@@ -24,17 +23,17 @@ from tasks.simulation.box2d import TOTAL_RADIUS
 
 @dataclass(frozen=True)
 class Contact:
-    """Two links that touched in a run, of parts that pass one another on the bench."""
+    """Two links that touched in a run and belong to parts that pass each other on the bench."""
 
     links: tuple[int, int]
     parts: tuple[int, int]
-    """Indices of the parts that they belong to."""
+    """Indices of their parts."""
     joints: tuple[int, ...]
-    """Between those parts, by the numbers of their child links."""
+    """Joints between those parts, by the numbers of their child links."""
     share: float
-    """Of the run's steps in which they touched."""
+    """Share of the run's steps in which they touched."""
     first: float
-    """When they did for the first time [s of simulation]."""
+    """Time of the first contact [s of simulation]."""
 
 
 def passing_contacts(
@@ -43,14 +42,14 @@ def passing_contacts(
     """Find the contacts of a run that a kit does not have.
 
     Args:
-        design: one design.
-        mechanism: its parts.
-        layers: which parts are outer ones.
-        pose: (n_steps, n_links, 3) x and y of every link's centre [m] and its angle [rad], after each step.
-        time_step: [s of simulation].
+        design: One design.
+        mechanism: Its parts.
+        layers: Layers of the parts.
+        pose: (n_steps, n_links, 3) x, y [m] and angle [rad] of every link after each step.
+        time_step: Time step of the simulation [s].
 
     Returns:
-        Those that last longest first.
+        The contacts, longest first.
     """
     outlines = _outlines(design.length_scale[0], pose.astype(np.float64))
     found = []
@@ -63,24 +62,16 @@ def passing_contacts(
                 continue  # joined links never collide
             touching = shapely.distance(outlines[:, first], outlines[:, second]) <= TOTAL_RADIUS
             if touching.any():
-                found.append(
-                    Contact(
-                        (first, second),
-                        (a.index, b.index),
-                        joints,
-                        float(touching.mean()),
-                        float(touching.argmax() + 1) * time_step,
-                    )
-                )
+                share, start = float(touching.mean()), float(touching.argmax() + 1) * time_step
+                found.append(Contact((first, second), (a.index, b.index), joints, share, start))
     return sorted(found, key=lambda contact: -contact.share)
 
 
-def _outlines(length_scale: Floats, pose: Floats) -> npt.NDArray[np.object_]:
-    """Draw every link at every step. Gives (n_steps, n_links) polygons."""
+def _outlines(length_scale: Floats, pose: Floats) -> Any:
+    """Return (n_steps, n_links) polygons."""
     half = np.stack([0.5 / length_scale, 0.5 * length_scale], axis=-1)  # width is 1 over the height
     corners = half[:, None] * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])  # (n_links, 4, 2)
     c, s = np.cos(pose[..., 2, None]), np.sin(pose[..., 2, None])
     x = pose[..., 0, None] + c * corners[..., 0] - s * corners[..., 1]
     y = pose[..., 1, None] + s * corners[..., 0] + c * corners[..., 1]
-    polygons: npt.NDArray[np.object_] = shapely.polygons(np.stack([x, y], axis=-1))
-    return polygons
+    return shapely.polygons(np.stack([x, y], axis=-1))

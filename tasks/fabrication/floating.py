@@ -1,7 +1,7 @@
-"""Floating: the robot's mass against the water that it displaces, and how deep it lies.
+"""Floating: the robot's mass, the fluid that it displaces, and its draught.
 
-The draught is that of the rest pose, upright as drawn: in the simulation buoyancy acts at each link's centre, so that
-it never tips a robot over. On the bench it does, until the centre of buoyancy is below or above the centre of mass.
+The draught is that of the rest pose, upright as drawn. In the simulation buoyancy acts at each link's centre and never
+tips a robot over. On the bench it does, until the centre of buoyancy is in line with the centre of mass.
 """
 
 from __future__ import annotations
@@ -12,38 +12,34 @@ from shapely import box, unary_union
 
 from tasks.fabrication.kit import Kit
 
-HALVINGS = 60
-
 
 @dataclass(frozen=True)
 class Floating:
-    """How a kit lies in a fluid."""
+    """A kit in a fluid."""
 
     mass_kg: float
     sealed_m3: float
-    """Volume that displaces fluid while every pocket and pore keeps its air."""
+    """Displaced volume while all pockets hold air [m³]."""
     flooded_m3: float
-    """Volume of plastic and servos alone, once every pocket is full; infill stays dry."""
+    """Displaced volume once all pockets are full; the infill stays dry [m³]."""
     sealed_share: float
-    """Share of the sealed volume that lies under when it floats; above 1 it sinks."""
+    """Submerged share of the sealed volume; it sinks above 1."""
     flooded_share: float
-    """Share of the flooded volume; above 1 it sinks once its pockets are full."""
+    """Submerged share of the flooded volume; with full pockets it sinks above 1."""
     draught_mm: float | None
-    """From the lowest corner of the rest pose up to the waterline, sealed; None where it sinks."""
+    """Height of the waterline above the lowest corner of the rest pose, sealed; None if it sinks."""
     height_mm: float
-    """Of the rest pose."""
+    """Height of the rest pose."""
 
     def stands_in(self, depth_mm: float) -> bool:
-        """Say whether it touches the floor, in its rest pose, before it floats."""
+        """Return whether it touches the floor of a tank in its rest pose before it floats."""
         return self.draught_mm is not None and self.draught_mm > depth_mm
 
 
 def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
-    """Weigh a kit against what it displaces.
+    """Compare a kit's mass with the fluid of a density [kg/m³] that it displaces.
 
-    Args:
-        kit: the robot; rods, and the ends of servos that stand out, are left out of its volume.
-        fluid_density: [kg/m³]
+    The volume leaves out the rods and the ends of servos that stand out of the parts.
     """
     mass = kit.mass_g / 1000
     servos = 0.0
@@ -57,7 +53,7 @@ def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
     draught = None
     if needed <= sealed:
         low, high = 0.0, top - bottom
-        for _ in range(HALVINGS):
+        for _ in range(60):
             middle = (low + high) / 2
             under = box(left - 1, bottom - 1, right + 1, bottom + middle)
             area = sum(outline.intersection(under).area for outline in outlines)

@@ -1,9 +1,9 @@
-"""Gauges: two small prints that tell whether servo and horn fit, before hours go into parts.
+"""Gauges: two small prints that show whether servo and horn fit before the parts are printed.
 
-A servo's numbers may be another clone's (tasks/fabrication/servos.py). The gauges are slices of a kit's own parts: the
-plate that the ears are screwed to, with a rim of the pocket, and the horn's recess with the plastic under it. What fits
-them fits the parts; what does not goes into ``kit.measured``. With servo and horn between them they are as far
-apart as the layers.
+The dimensions of a servo may be those of another clone (tasks/fabrication/servos.py). The gauges are slices of the
+kit's own parts: the plate that the ears are screwed to with a rim of the pocket, and the horn's recess with the plastic
+under it. If they fit, the parts fit; if not, put your measurements into ``kit.measured``. With servo and horn in
+place, the gap between the two gauges equals the gap between the layers.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from tasks.fabrication.parts import cut_out, printed_mass_g
 from tasks.fabrication.profile import cradle_boss, horn_boss, polygon_of
 from tasks.fabrication.servo_joints import ServoJoint
 
-RIM_MM = 3.0
-"""Of the pocket behind the ears."""
+_RIM_MM = 3.0  # of the pocket behind the ears
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,32 +33,26 @@ class Gauge:
 
 
 def gauges_of(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> tuple[Gauge, ...]:
-    """Make the gauges of a kit's servo; none where no joint is driven.
+    """Make the gauges of a kit's servo; none if no joint has a servo.
 
     Raises:
-        KitError: the part is too thin for the servo or its horn.
-        SolidError: the kernel made something else than what the outlines say.
+        KitError: The part is too thin for the servo or its horn.
+        SolidError: The CAD kernel made a solid that does not match the outlines.
     """
     if not servo_joints:
         return ()
-    servo_joint = replace(servo_joints[0], joint=replace(servo_joints[0].joint, at=(0.0, 0.0)), angle=0.0)
-    behind_the_ears = settings.thickness_mm - plate_mm(servo_joint)
-    under_the_heads = horn_seat_mm(servo_joint, settings) - horn_screw(servo_joint, settings).web_mm
-    servo = _slice(
-        "gauge-servo",
-        cradle_boss(servo_joint),
-        cradle_features(servo_joint, settings),
-        behind_the_ears - RIM_MM,
-        settings,
-    )
+    at_origin = replace(servo_joints[0], joint=replace(servo_joints[0].joint, at=(0.0, 0.0)), angle=0.0)
+    bottom = settings.thickness_mm - plate_mm(at_origin) - _RIM_MM
+    servo = _slice("gauge-servo", cradle_boss(at_origin), cradle_features(at_origin, settings), bottom, settings)
     height = servo.solid.bounding_box().size.Z
-    over = servo.solid.rotate(Axis.X, 180.0).moved(Location((0.0, 0.0, height)))  # the pocket opens upward
-    horn = _slice("gauge-horn", horn_boss(servo_joint), horn_features(servo_joint, settings), under_the_heads, settings)
-    return (replace(servo, solid=over), horn)
+    flipped = servo.solid.rotate(Axis.X, 180.0).moved(Location((0.0, 0.0, height)))  # the pocket opens upward
+    bottom = horn_seat_mm(at_origin, settings) - horn_screw(at_origin, settings).web_mm
+    horn = _slice("gauge-horn", horn_boss(at_origin), horn_features(at_origin, settings), bottom, settings)
+    return (replace(servo, solid=flipped), horn)
 
 
 def _slice(name: str, boss: Sketch, features: Sequence[Feature], bottom_mm: float, settings: KitSettings) -> Gauge:
-    """Make what lies above a height of a part that is nothing but a boss."""
+    """Make the slice above a height of a part that consists of a boss only."""
     cut = [
         replace(feature, low_mm=max(feature.low_mm - bottom_mm, 0.0), high_mm=feature.high_mm - bottom_mm)
         for feature in features

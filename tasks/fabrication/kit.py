@@ -1,6 +1,6 @@
-"""A kit: everything that is known of the robot to be built from one design. Paper, "Manufacturing".
+"""The kit: everything needed to build one design as a robot. Paper, "Manufacturing".
 
-Needs the optional packages of CAD; see :mod:`tasks.fabrication.cad`.
+Needs the optional CAD packages; see :mod:`tasks.fabrication.cad`.
 """
 
 from __future__ import annotations
@@ -27,68 +27,61 @@ from tasks.fabrication.splits import Split, split_of
 
 @dataclass(frozen=True, eq=False)
 class Kit:
-    """A robot to be built."""
+    """A robot to build."""
 
     settings: KitSettings
     mechanism: Mechanism
-    """Rigid bodies and turning joints."""
     servo_joints: tuple[ServoJoint, ...]
-    """One for every turning joint, in order of their child links."""
+    """One per turning joint, in order of the child links."""
     profiles: tuple[Profile, ...]
-    """Of every body."""
+    """One per body."""
     layers: Layers
     splits: tuple[Split, ...]
     features: dict[tuple[int, str], tuple[Feature, ...]]
-    """What is cut out of every body's copy, by its index and side."""
+    """Features cut out of each copy of a body, by the body's index and the side."""
     parts: tuple[Part, ...]
     """Pieces to print."""
     bought: tuple[BoughtPart, ...]
-    """Servos, horns, rods and pins, in their places."""
+    """Servos, horns, rods and pins, in place."""
     gauges: tuple[Gauge, ...]
-    """To print before the parts: whether servo and horn fit."""
+    """Test prints for the fit of servo and horn."""
     findings: tuple[KitFinding, ...]
     """Faults first."""
     bill: tuple[BillLine, ...]
 
     @property
     def mass_g(self) -> float:
-        """Of the whole robot: prints, servos and steel; without screws and cables."""
+        """Mass of prints, servos and steel, without screws and cables."""
         return sum(line.mass_g for line in self.bill if line.mass_g is not None)
 
     @property
     def hull_mm3(self) -> float:
-        """Volume of both pontoons' outlines, hollows included [mm³]."""
+        """Volume inside the outlines of both pontoons, including hollows."""
         area: float = sum(profile.face.area for profile in self.profiles)
         return 2 * self.settings.thickness_mm * area
 
     @property
     def printed_mm3(self) -> float:
-        """Volume of the plastic's outside: what displaces water when every hollow is flooded, servos apart [mm³]."""
+        """Volume of the prints, which displaces water once all hollows are flooded."""
         return sum(part.volume_mm3 for part in self.parts)
 
     def direction(self, joint: int, side: str) -> Sense:
-        """Give 1 if longer pulses turn a joint's child link counter-clockwise, seen with x to the right; else -1.
+        """Return 1 if longer pulses turn a joint's child link counter-clockwise, seen with x to the right; else -1.
 
-        Args:
-            joint: number of its child link.
-            side: the pontoon of the servo, left or right.
+        The joint is given by the number of its child link, the servo by its pontoon, left or right.
         """
         servo_joint = next(servo_joint for servo_joint in self.servo_joints if servo_joint.joint.link == joint)
         return servo_joint.direction(carrier_is_outer=self.layers.outer[servo_joint.carrier], side=side)
 
 
 def build_kit(design: Designs, settings: KitSettings) -> Kit:
-    """Make a design's parts and check them.
-
-    Args:
-        design: one valid design; joints whose motor is off are locked at rest.
-        settings: scale, servo, clearances, printer.
+    """Make the parts of one design and check them. Joints whose motor is off are locked at rest.
 
     Raises:
-        DesignError: the design is not valid.
-        ServoError: the library has no such servo or horn.
-        KitError: no part can be made with these settings.
-        SolidError: the CAD kernel made something else than it was told.
+        DesignError: The design is invalid.
+        ServoError: The library has no such servo or horn, or the measurements contradict each other.
+        KitError: No part can be made with these settings.
+        SolidError: The CAD kernel made a solid that does not match the outlines.
     """
     check(design)
     mechanism = mechanism_of(design, settings)

@@ -1,6 +1,7 @@
-"""Parts: solids to print, and the things that are bought, where they are in the assembled robot.
+"""Parts to print and to buy, in place in the assembled robot.
 
-z is the extrusion, to the left pontoon's outside at 0; a robot that goes along +x with +y up has its left there.
+Parts are extruded along z. The left pontoon is on the left of a robot that moves along +x with +y up; its outside is at
+z = 0.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from dataclasses import dataclass
 from math import cos, degrees, radians, sin
 
 import numpy as np
-import numpy.typing as npt
 from build123d import Box, Cylinder, Face, Location, Plane, Shape, Solid, Wire, extrude, mirror
 from shapely import Point as ShapelyPoint
 from shapely import Polygon
 
+from tasks.arrays import Float64, Int64
 from tasks.fabrication.features import Feature, volume_mm3
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.profile import Profile, SolidError
@@ -23,36 +24,34 @@ from tasks.fabrication.servo_joints import ServoJoint
 from tasks.fabrication.splits import Split, bed_mm, turn_to_fit
 
 SIDES = ("left", "right")
-VOLUME_TOLERANCE = 5e-4
-"""Relative; the analytic volume has chords for arcs."""
-MESH_MM, MESH_RAD = 0.05, 0.2
-"""How far a mesh may miss a curved face, and how far neighbouring facets may turn."""
+_VOLUME_TOLERANCE = 5e-4  # relative; the analytic volume uses chords for arcs
+_MESH_MM, _MESH_RAD = 0.05, 0.2  # largest distance of a mesh from a curved face, and turn between its facets
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One piece to print."""
+    """A piece to print."""
 
     name: str
     body: int
     side: str
     solid: Solid
-    """In its place in the robot."""
+    """Solid, in place in the robot."""
     outline: Polygon
     volume_mm3: float
     mass_g: float
-    """Of PLA, at the infill that was asked."""
+    """Estimated mass at the chosen infill."""
     face_down: bool
-    """Whether it is printed on its face, with its pockets open upward; otherwise it lies on its back."""
+    """Whether it is printed on its face, with its pockets open upward, rather than on its back."""
     face_is_up: bool
-    """Whether its face looks along +z in the robot."""
+    """Whether its face points along +z in the robot."""
     turn_deg: float
-    """Turn on the bed by which it fits."""
+    """Turn that makes it fit the bed."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoughtPart:
-    """A servo with its horn, a rod or a pin, in its place in the robot."""
+    """A servo, horn, rod or pin, in place in the robot."""
 
     name: str
     kind: str
@@ -62,16 +61,26 @@ class BoughtPart:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A closed surface of triangles, wound so that normals look outward."""
+    """A closed surface of triangles whose normals point outward."""
 
-    vertices: npt.NDArray[np.float64]
-    """(n_vertices, 3) [mm]"""
-    triangles: npt.NDArray[np.int64]
-    """(n_triangles, 3)"""
+    vertices: Float64
+    """(n_vertices, 3) positions [mm]."""
+    triangles: Int64
+    """(n_triangles, 3) indices of vertices."""
 
 
 def placement(body: int, side: str, layers: Layers, settings: KitSettings) -> tuple[bool, float]:
-    """Say how a part made with its back at 0 and its face up comes to its place: whether mirrored, and how far up."""
+    """Return how a part made with its back at 0 and its face up is placed.
+
+    Args:
+        body: Index of the part.
+        side: Pontoon, left or right.
+        layers: Layers of the parts.
+        settings: Settings of the kit.
+
+    Returns:
+        Whether it is mirrored, and its shift along z [mm].
+    """
     outer, thickness = layers.outer[body], settings.thickness_mm
     inward = 0.0 if outer else thickness + settings.layer_gap_mm
     if side == "left":
@@ -79,8 +88,7 @@ def placement(body: int, side: str, layers: Layers, settings: KitSettings) -> tu
     return (outer, settings.pitch_mm - inward)
 
 
-def placed(shape: Shape, body: int, side: str, layers: Layers, settings: KitSettings) -> Shape:
-    """Bring a shape from a part's own frame to its place in the robot."""
+def _placed(shape: Shape, body: int, side: str, layers: Layers, settings: KitSettings) -> Shape:
     mirrored, up = placement(body, side, layers, settings)
     if mirrored:
         shape = mirror(shape, about=Plane.XY.offset(settings.thickness_mm / 2))
@@ -97,11 +105,20 @@ def parts_of(
     layers: Layers,
     settings: KitSettings,
 ) -> list[Part]:
-    """Make one copy of a part, in pieces if it was split.
+    """Make one copy of a part, in pieces if it is split.
+
+    Args:
+        name: Name of the copy.
+        body: Index of the part.
+        side: Pontoon, left or right.
+        profile: Outline of the part.
+        features: Features of this copy.
+        split: Pieces of the part.
+        layers: Layers of the parts.
+        settings: Settings of the kit.
 
     Raises:
-        SolidError: the kernel made something else than what the outlines say: an invalid solid, another number of
-            pieces or another volume.
+        SolidError: The CAD kernel made a solid that does not match the outlines.
     """
     cuts = [Feature("cut", "cut", cut, 0.0, settings.thickness_mm) for cut in split.cuts]
     everything = [*features, *cuts]
@@ -115,7 +132,7 @@ def parts_of(
     face_is_up = not placement(body, side, layers, settings)[0]
     for number, outline in enumerate(split.pieces):
         solid = min(solids, key=lambda s: _mismatch(s, outline))
-        piece = placed(solid, body, side, layers, settings).solids()[0]
+        piece = _placed(solid, body, side, layers, settings).solids()[0]
         parts.append(
             Part(
                 name=name if len(split.pieces) == 1 else f"{name}-{chr(ord('a') + number)}",
@@ -145,22 +162,33 @@ def cut_out(
 ) -> list[Solid]:
     """Cut features out of an extruded outline.
 
+    Args:
+        name: Name of the part, for messages.
+        whole: The extruded outline.
+        features: Features to cut.
+        area: Exact area of the outline [mm²].
+        outline: Outline as a polygon.
+        thickness: Thickness of the part [mm].
+        n_pieces: Number of solids expected.
+
     Raises:
-        SolidError: an invalid solid came, another number of pieces, or another volume than the outlines'.
+        SolidError: A solid is invalid, or the number of solids or their volume is wrong.
     """
     tools = [_tool(feature) for feature in features]
     solids: list[Solid] = (whole.cut(*tools) if tools else whole).solids()
     expected = volume_mm3(area, outline, features, thickness)
-    came = sum(solid.volume for solid in solids)
+    volume = sum(solid.volume for solid in solids)
     if len(solids) != n_pieces or not all(solid.is_valid for solid in solids):
-        raise SolidError(f"{name}: {len(solids)} solids, expected {n_pieces}, all of them valid")
-    if abs(came - expected) > VOLUME_TOLERANCE * expected:
-        raise SolidError(f"{name}: its volume is {came:.1f} mm³, expected {expected:.1f}")
+        raise SolidError(
+            f"{name}: expected {n_pieces} valid solids, got {len(solids)} ({sum(s.is_valid for s in solids)} valid)"
+        )
+    if abs(volume - expected) > _VOLUME_TOLERANCE * expected:
+        raise SolidError(f"{name}: volume is {volume:.1f} mm³, expected {expected:.1f}")
     return solids
 
 
 def _tool(feature: Feature) -> Solid:
-    """Give what is cut away. On a plane at its own height: sketching on a face would move its origin."""
+    """Make the solid to subtract, on a plane at its own height, because sketching on a face would move its origin."""
     height = feature.high_mm - feature.low_mm
     if feature.circle is not None:
         (x, y), radius = feature.circle
@@ -170,19 +198,19 @@ def _tool(feature: Feature) -> Solid:
 
 
 def _mismatch(solid: Solid, outline: Polygon) -> float:
-    """Say how far a solid's vertices lie outside an outline."""
+    """Sum the distances of a solid's vertices from an outline."""
     return float(sum(outline.distance(ShapelyPoint(v.X, v.Y)) for v in solid.vertices()))
 
 
 def printed_mass_g(solid: Solid, settings: KitSettings) -> float:
-    """Estimate the mass of a print: a solid shell along its surface, and infill."""
+    """Estimate the mass of a print from a solid shell along its surface and the infill."""
     volume: float = solid.volume
     shell = min(volume, settings.shell_mm * float(solid.area))
     return settings.pla_density_g_cm3 * (shell + settings.infill * (volume - shell)) / 1000.0
 
 
 def on_bed(part: Part, mesh: Mesh) -> Mesh:
-    """Lay a part's mesh as it is printed: on z = 0, turned to fit, with its corner at the origin."""
+    """Place a part's mesh as it is printed: on z = 0, turned to fit, with its corner at the origin."""
     over = part.face_down == part.face_is_up
     turn = radians(-part.turn_deg if over else part.turn_deg)
     x_up = np.diag([1.0, -1.0, -1.0]) if over else np.eye(3)
@@ -192,7 +220,13 @@ def on_bed(part: Part, mesh: Mesh) -> Mesh:
 
 
 def bought_of(servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitSettings) -> list[BoughtPart]:
-    """Give the servos, horns, pins and rods, as plain shapes."""
+    """Make simple solids of the servos, horns, pins and rods.
+
+    Args:
+        servo_joints: One per turning joint.
+        layers: Layers and rods of the parts.
+        settings: Settings of the kit.
+    """
     things = []
     thickness = settings.thickness_mm
     for servo_joint in servo_joints:
@@ -200,7 +234,7 @@ def bought_of(servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitS
             label = f"joint {servo_joint.joint.link}, {side}"
             if side in servo_joint.sides(settings.servos_per_joint):
                 for kind, shape in (("servo", _servo(servo_joint, thickness)), ("horn", _horn(servo_joint, thickness))):
-                    there = placed(shape, servo_joint.carrier, side, layers, settings)
+                    there = _placed(shape, servo_joint.carrier, side, layers, settings)
                     things.append(BoughtPart(f"{kind} of {label}", kind, there))
             else:
                 low = 0.0 if side == "left" else settings.pitch_mm - thickness - settings.layer_gap_mm
@@ -215,7 +249,7 @@ def bought_of(servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitS
 
 
 def pin_length_mm(settings: KitSettings) -> float:
-    """Give the length of a pin: both layers and the gap."""
+    """Return the length of a pin: both layers and the gap."""
     return 2 * settings.thickness_mm + settings.layer_gap_mm
 
 
@@ -224,7 +258,7 @@ def _rod(at: tuple[float, float], diameter: float, low: float, length: float) ->
 
 
 def _servo(servo_joint: ServoJoint, face: float) -> Shape:
-    """Give case, ears and spline in the frame of the part that carries it, the case's top flush with the face."""
+    """Make case, ears and spline in the frame of the part that carries them, the case's top flush with the face."""
     servo = servo_joint.servo
     middle = servo.length_mm / 2 - servo.shaft_offset_mm
     bottom = face - servo.height_mm
@@ -252,8 +286,8 @@ def _in_plane(shape: Shape, servo_joint: ServoJoint) -> Shape:
 
 
 def mesh_of(shape: Shape) -> Mesh:
-    """Turn a solid into triangles, with the vertices that neighbouring faces share made one."""
-    points, triangles = shape.tessellate(MESH_MM, MESH_RAD)
+    """Triangulate a solid and merge the vertices that neighbouring faces share."""
+    points, triangles = shape.tessellate(_MESH_MM, _MESH_RAD)
     corners = np.array([(p.X, p.Y, p.Z) for p in points])
     _, first, same = np.unique(np.round(corners, 5), axis=0, return_index=True, return_inverse=True)
     merged = same.reshape(-1)[np.array(triangles, dtype=np.int64)]

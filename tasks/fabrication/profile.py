@@ -1,6 +1,6 @@
-"""Profiles: the outline of a part as exact lines and arcs, rounded in its inner corners.
+"""Profiles: the outline of a part as exact lines and arcs, with fillets in its inner corners.
 
-The outline is also kept as a polygon, for whatever is decided and checked in the plane.
+A polygon of the same outline serves the decisions and checks in the plane.
 """
 
 from __future__ import annotations
@@ -18,41 +18,42 @@ from tasks.fabrication.built_bodies import Mechanism, Point
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.servo_joints import ServoJoint, outline_with_bosses
 
-ARC_STEP = np.radians(4.0)
-"""Of the polygon's chords along an arc; at a radius of 20 mm they miss it by 0.01 mm."""
-CORNER_PROBE_MM = 0.1
-"""How near to a corner it is asked how much of its surroundings is inside."""
-INNER = 0.55
-"""Share of a corner's surroundings above which it is an inner one: a half, as where an edge runs on into an arc, and
-some room for chords and rounding."""
-AREA_TOLERANCE = 2e-3
-"""Relative; between the kernel's area and that of polygons, whose arcs are chords."""
+_ARC_STEP = np.radians(4.0)  # of the polygon's chords; they miss an arc of 20 mm radius by 0.01 mm
+_PROBE_MM = 0.1  # radius around a corner in which the share of the inside is measured
+_INNER_SHARE = 0.55  # above it a corner is an inner one; a smooth transition into an arc has 0.5
+_AREA_TOLERANCE = 2e-3  # relative, between exact areas and those of polygons with chords for arcs
 
 
 class SolidError(ValueError):
-    """Geometry that the kernel got wrong: names the part, what was expected and what came."""
+    """The CAD kernel made the wrong geometry. The message names the part and the difference."""
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """A part's outline."""
+    """The outline of a part."""
 
     face: Face
     polygon: Polygon
-    """The same, with chords for arcs."""
+    """The same outline with chords for arcs."""
 
 
 def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int, settings: KitSettings) -> Profile:
-    """Unite a part's links and bosses and round the corners where they meet.
+    """Unite a part's links and bosses and fillet the corners where they meet.
+
+    Args:
+        mechanism: The design's parts and joints.
+        servo_joints: Servo joints of the whole robot.
+        body: Index of the part.
+        settings: Settings of the kit.
 
     Raises:
-        SolidError: the union is not in one piece, or has another area than polygons say.
+        SolidError: The union has several pieces, or its area differs from that of polygons.
     """
     name = mechanism.bodies[body].name
     expected = outline_with_bosses(mechanism, servo_joints, body)
     face = _united([*_links(mechanism, body), *_bosses(servo_joints, body)], name)
-    if abs(face.area - expected.area) > AREA_TOLERANCE * expected.area:
-        raise SolidError(f"{name}: its outline has {face.area:.1f} mm², expected {expected.area:.1f}")
+    if abs(face.area - expected.area) > _AREA_TOLERANCE * expected.area:
+        raise SolidError(f"{name}: the outline's area is {face.area:.1f} mm², expected {expected.area:.1f}")
     face = _rounded(face, settings.fillet_mm)
     return Profile(face, polygon_of(face))
 
@@ -75,7 +76,7 @@ def _bosses(servo_joints: Sequence[ServoJoint], body: int) -> list[Sketch]:
 
 
 def cradle_boss(servo_joint: ServoJoint) -> Sketch:
-    """Draw what a servo's cradle needs, in its place."""
+    """Draw the outline of a servo's cradle, in place."""
     servo, wall = servo_joint.servo, servo_joint.wall_mm
     middle = servo_joint.point(servo.length_mm / 2 - servo.shaft_offset_mm, 0.0)
     length = servo.ear_length_mm + 2 * (servo_joint.clearance_mm + wall)
@@ -83,7 +84,7 @@ def cradle_boss(servo_joint: ServoJoint) -> Sketch:
 
 
 def horn_boss(servo_joint: ServoJoint) -> Sketch:
-    """Draw what a horn's recess needs, in its place."""
+    """Draw the outline around a horn's recess, in place."""
     return _at(servo_joint.joint.at, 0.0) * Circle(servo_joint.recess_radius_mm + servo_joint.wall_mm)
 
 
@@ -97,12 +98,12 @@ def _united(sketches: list[Sketch], name: str) -> Face:
         united = united + sketch
     faces = united.faces()
     if len(faces) != 1:
-        raise SolidError(f"{name}: its links make {len(faces)} pieces, expected 1")
+        raise SolidError(f"{name}: the links form {len(faces)} pieces, expected 1")
     return faces[0] if faces[0].normal_at().Z > 0 else -faces[0]
 
 
 def _rounded(face: Face, radius: float) -> Face:
-    """Round the inner corners, with half or a quarter of the radius where the whole does not fit, or not at all."""
+    """Fillet the inner corners with the radius, with a half or a quarter of it if that does not fit, or not at all."""
     if radius == 0.0:
         return face
     room = _inner_corners(face)
@@ -115,38 +116,36 @@ def _rounded(face: Face, radius: float) -> Face:
         if together is not None:
             face = together
             continue
-        for corner in corners:  # the estimate of the room was wrong for one of them
+        for corner in corners:  # the estimated room was wrong for one of them
             face = next((f for r in sizes[number:] if (f := _filleted(face, [corner], r)) is not None), face)
     return face
 
 
 def _inner_corners(face: Face) -> dict[Point, float]:
-    """Find the inner corners, and for each the radius that its edges have about room for."""
+    """Find the inner corners, each with the approximate radius that its edges have room for."""
     polygon = polygon_of(face)
-    probe = np.pi * CORNER_PROBE_MM**2
+    probe = np.pi * _PROBE_MM**2
     corners = [
         (v.X, v.Y)
         for v in face.vertices()
-        if ShapelyPoint(v.X, v.Y).buffer(CORNER_PROBE_MM).intersection(polygon).area > INNER * probe
+        if ShapelyPoint(v.X, v.Y).buffer(_PROBE_MM).intersection(polygon).area > _INNER_SHARE * probe
     ]
     room = dict.fromkeys(corners, np.inf)
     for edge in face.edges():
         ends = [(p.X, p.Y) for p in (edge.position_at(0), edge.position_at(1))]
         near = [min(corners, key=lambda c: np.hypot(c[0] - x, c[1] - y), default=None) for x, y in ends]
-        touched = {
-            c for c, (x, y) in zip(near, ends, strict=True) if c and np.hypot(c[0] - x, c[1] - y) < CORNER_PROBE_MM
-        }
+        touched = {c for c, (x, y) in zip(near, ends, strict=True) if c and np.hypot(c[0] - x, c[1] - y) < _PROBE_MM}
         for corner in touched:
             room[corner] = min(room[corner], edge.length / len(touched))
     return room
 
 
 def _filleted(face: Face, corners: list[Point], radius: float) -> Face | None:
-    """Round corners, or give None if the kernel can't or makes something else of it."""
+    """Fillet corners; return None if the kernel fails or returns a wrong face."""
     vertices: list[Vertex] = [min(face.vertices(), key=lambda v: np.hypot(v.X - x, v.Y - y)) for x, y in corners]
     try:
         rounded = face.fillet_2d(radius, vertices)
-    except Exception:  # the kernel's many ways of saying that a radius does not fit have no common base
+    except Exception:  # the kernel's errors for a radius that does not fit have no common base class
         return None
     gained = rounded.area - face.area
     if not rounded.is_valid or not 0.0 <= gained <= len(corners) * 4 * radius**2:
@@ -155,7 +154,7 @@ def _filleted(face: Face, corners: list[Point], radius: float) -> Face | None:
 
 
 def polygon_of(face: Face) -> Polygon:
-    """Give a plane face as a polygon, with chords for arcs."""
+    """Convert a plane face to a polygon, with chords for arcs."""
     return Polygon(_ring(face.outer_wire()), [_ring(wire) for wire in face.inner_wires()])
 
 
@@ -163,7 +162,7 @@ def _ring(wire: Wire) -> list[Point]:
     points: list[Point] = []
     edges = list(wire.order_edges())
     for index, edge in enumerate(edges):
-        n = 1 if edge.geom_type == GeomType.LINE else max(2, int(np.ceil(edge.length / edge.radius / ARC_STEP)))
+        n = 1 if edge.geom_type == GeomType.LINE else max(2, int(np.ceil(edge.length / edge.radius / _ARC_STEP)))
         along = [edge.position_at(step / n) for step in range(n + 1)]
         following = edges[(index + 1) % len(edges)]
         ends = [following.position_at(0), following.position_at(1)]

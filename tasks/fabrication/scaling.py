@@ -1,16 +1,15 @@
-"""From the simulation's scale to the bench's: what a length, a second, a kilogram and a torque become.
+"""Scaling from the simulation to the bench: lengths, times, masses and torques.
 
-With the same gravity and a geometry smaller by λ (0.07), all forces of the simulation keep their proportions under
-Froude's law alone: gravity and buoyancy go as M g, a drag that is quadratic in speed as ρ v² L², inertia as M L/T²,
-and T = √λ makes all three go as M g. Times shrink by √λ = 0.26, frequencies rise by 3.8, torques go as M g L. It asks
-for the same ratio of the robot's density to the fluid's.
+With the same gravity and a geometry smaller by λ (0.07), only Froude's law keeps the proportions of all forces. Gravity
+and buoyancy scale as M g, quadratic drag as ρ v² L², inertia as M L/T², and T = √λ makes all three scale as M g. Times
+shrink by √λ = 0.26, frequencies rise by 3.8, torques scale as M g L. The ratio of the robot's density to the fluid's
+must stay the same.
 
-The other choice keeps the simulation's frequencies, one second for one second. Gravity and buoyancy keep their size,
-while inertia and drag are λ times weaker beside them than in the simulation: the robot moves as if through a thinner
-slush, slowly. What torque the simulation asked, scaled as M g L, is then an upper bound. The paper does not say which
-it chose: it gives the scale of lengths, and compares whether the robot crosses its tank, not how fast. Froude's law is
-the default, here and in the virtual tank (tasks/analysis/tank.py), because under it alone the simulated motion is a
-prediction. Kept frequencies are for servos too slow for it.
+The alternative keeps the simulation's frequencies. Gravity and buoyancy keep their size, while inertia and drag are λ
+times weaker relative to them: the robot moves slowly, as if through a thinner slush. The torque of the simulation,
+scaled as M g L, is then an upper bound. The paper does not say which law it used: it gives the scale of lengths and
+reports whether the robot crosses its tank, not how fast. Froude's law is the default, here and in the virtual tank
+(tasks/analysis/tank.py), because the simulation predicts the bench under no other. Kept frequencies suit slow servos.
 """
 
 from __future__ import annotations
@@ -28,52 +27,48 @@ from tasks.world import froude_time
 
 Law = Literal["froude", "kept_frequencies"]
 
-HOT = 1 / 3
-"""Share of its stall torque that a hobby servo bears on average without overheating: a rule of thumb of the trade."""
+CONTINUOUS_SHARE = 1 / 3
+"""Share of its stall torque that a hobby servo sustains without overheating, by a common rule of thumb."""
 
-SATURATED = 0.999
-"""Share of the simulated motor's greatest torque above which it counts as at its limit."""
+_SATURATED = 0.999  # share of the simulated motor's maximum torque above which it counts as at its limit
 
 
 class Scaling(Parameters):
-    """How the bench follows from the simulation."""
+    """Choice of the scaling law."""
 
     law: Law = "froude"
-    """"froude" keeps the proportions of all forces; "kept_frequencies" lets a second stay a second."""
+    """"froude" keeps the proportions of all forces, "kept_frequencies" the frequencies."""
     fluid_density: float = Field(default=1000.0, gt=100.0, le=5000.0)
-    """Of what fills the tank [kg/m³]; the paper's gel beads are nearly as dense as water. [P]"""
+    """Density of the fluid in the tank [kg/m³]; the paper's gel beads are nearly as dense as water. [P]"""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What the bench has for one of the simulation's units."""
+    """Bench units per unit of the simulation."""
 
     length: float
-    """[m]"""
     time: float
-    """[s]"""
     mass: float
-    """[kg], of the robot as it is built, everything included."""
 
     @property
     def torque(self) -> float:
-        """[N·m], under the same gravity: mass times length."""
+        """Scale of torques under the same gravity."""
         return self.mass * self.length
 
     @property
     def frequency(self) -> float:
-        """[Hz], and as much for an angular speed [rad/s]."""
+        """Scale of frequencies and angular speeds."""
         return 1.0 / self.time
 
 
 def scales_of(scaling: Scaling, *, length: float, mass_kg: float, simulated_mass_kg: float) -> Scales:
-    """Tie the bench to the simulation.
+    """Compute the scales from simulation to bench.
 
     Args:
-        scaling: which law.
-        length: bench metres for a metre of simulation.
-        mass_kg: of the robot that is built.
-        simulated_mass_kg: of the one that was simulated.
+        scaling: The scaling law.
+        length: Bench metres per metre of simulation.
+        mass_kg: Mass of the built robot, with everything on board.
+        simulated_mass_kg: Mass of the simulated robot.
     """
     time = froude_time(length) if scaling.law == "froude" else 1.0
     return Scales(length=length, time=time, mass=mass_kg / simulated_mass_kg)
@@ -81,39 +76,39 @@ def scales_of(scaling: Scaling, *, length: float, mass_kg: float, simulated_mass
 
 @dataclass(frozen=True)
 class JointLoad:
-    """What one joint asks of its servos over a whole simulated run, on the bench's scale."""
+    """Load of a joint on its servos over a simulated run, at bench scale."""
 
     joint: int
-    """By the number of its child link."""
+    """Number of the child link."""
     peak_torque: float
-    """Of each of its servos [N·m]."""
+    """Peak torque of each servo [N·m]."""
     rms_torque: float
-    """Of each of its servos, over the run [N·m]."""
+    """Root mean square torque of each servo [N·m]."""
     peak_speed: float
-    """The greater of what the simulated joint reached and what its controller commanded [rad/s]."""
+    """Highest speed that the simulated joint reached or its controller commanded [rad/s]."""
     use: float
-    """The largest share of the torque–speed line that was asked for at once: above 1 the servo can't follow."""
+    """Largest share of the torque–speed line in use at once; the servo can't follow above 1."""
     stall_share: float
-    """Of the stall torque, on average (root mean square)."""
+    """RMS torque as a share of the stall torque."""
     saturated: float
-    """Share of the steps in which the simulated motor was at the limit of its torque, and gave less than was asked."""
+    """Share of the steps in which the simulated motor was at its torque limit."""
 
     @property
     def margin(self) -> float:
-        """How many times stronger the servo is than it must be, at the worst instant; below 1 it can't follow."""
+        """Ratio of what the servo can give to what the run needs at the worst instant."""
         return 1.0 / self.use if self.use > 0 else float("inf")
 
 
 def line_use(torque: Floats, speed: Floats, servo: Servo) -> Floats:
-    """Give the share of a servo's straight torque–speed line that is used.
+    """Compute the share of a servo's straight torque–speed line in use.
 
-    A motor that drives loses torque with speed; one that is driven (torque against the motion) does not, so that
-    braking costs its torque alone. The speed itself must be within the no-load speed in either case.
+    A motor that drives loses torque with speed; one that brakes (torque against the motion) does not. The speed must be
+    within the no-load speed in either case.
 
     Args:
-        torque: (...) [N·m].
-        speed: (...) [rad/s], positive in the same sense.
-        servo: whose line it is.
+        torque: (...) torques [N·m].
+        speed: (...) speeds [rad/s], positive in the same sense.
+        servo: The servo.
     """
     driving = np.maximum(np.sign(torque) * speed, 0.0) / servo.no_load_speed_rad_s
     along: Floats = np.abs(torque) / servo.stall_torque_nm + driving
@@ -131,25 +126,25 @@ def joint_loads(
     max_motor_torque: float,
     commanded_speed: tuple[float, ...],
 ) -> list[JointLoad]:
-    """Put what the simulation's motors gave on the bench's scale, beside what the servos can give.
+    """Scale the torques and speeds of a simulated run to the bench and compare them with the servos.
 
     Args:
-        joints: numbers of the driven joints.
-        torque: (n_steps, n_joints) that the simulated motors gave [N·m of simulation].
-        speed: (n_steps, n_joints) of the joints [rad/s of simulation].
-        scales: bench for simulation.
-        servo: at every joint.
-        servos_per_joint: that share its torque.
-        max_motor_torque: of the simulated motors [N·m of simulation].
-        commanded_speed: greatest that each joint's controller asks for, amplitude · 2π f [rad/s of simulation]. The
-            servo follows its timeline; the simulated joint may lag behind its own.
+        joints: (n_joints) numbers of the driven joints.
+        torque: (n_steps, n_joints) torques of the simulated motors [N·m of simulation].
+        speed: (n_steps, n_joints) speeds of the joints [rad/s of simulation].
+        scales: Scales from simulation to bench.
+        servo: Servo of every joint.
+        servos_per_joint: Number of servos that share a joint's torque.
+        max_motor_torque: Torque limit of the simulated motors [N·m of simulation].
+        commanded_speed: (n_joints) highest speeds commanded, amplitude · 2π f [rad/s of simulation]. A servo follows
+            its timeline, while the simulated joint may lag behind.
     """
     commanded = np.asarray(commanded_speed) * scales.frequency
     asked = torque.astype(np.float64) * scales.torque / servos_per_joint
     turning = speed.astype(np.float64) * scales.frequency
     used = line_use(asked, turning, servo)
     rms = np.sqrt(np.mean(asked**2, axis=0))
-    at_limit = np.mean(np.abs(torque) >= SATURATED * max_motor_torque, axis=0)
+    at_limit = np.mean(np.abs(torque) >= _SATURATED * max_motor_torque, axis=0)
     return [
         JointLoad(
             joint=joint,

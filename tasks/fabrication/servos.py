@@ -1,15 +1,14 @@
-"""Servos: what can be bought to drive a joint, as data with their sources.
+"""The servo library: dimensions, torque, speed and pulses of servos on sale, with their sources.
 
-Millimetres, as everywhere in fabrication; torques and speeds are SI, at the voltage that stands beside them. A hobby
-servo's torque falls linearly from stall to no-load speed.
+Lengths are in mm; torques and speeds are SI, at the stated voltage. A hobby servo's torque falls linearly with speed
+from the stall torque to zero at the no-load speed.
 
-Every number of the tables carries the letter of its source, or a question mark: then it is what such servos commonly
-have, and nobody here has checked it. No source is better than second-hand, horns come in many shapes, and clones of a
-servo differ by some tenths of a millimetre. So a kit lists what to measure (``kit.measured`` takes what you found), and
-holds two small gauges to print first: the cradle's plate and the horn's recess.
+Every number of the tables has the letter of its source, or a question mark for a typical value without a source. All
+sources are second-hand, horns come in many shapes, and clones of a servo differ by tenths of a millimetre. A kit
+therefore lists what to measure (put it into ``kit.measured``) and holds two gauges to print first.
 
-The frame of a servo: u along the body's long side, v along its short side, w along the shaft towards the horn. The
-origin is on the shaft at the top of the case. The body reaches from u = -shaft_offset to u = length - shaft_offset.
+The frame of a servo has u along the case's long side, v along its short side, and w along the shaft towards the horn,
+with its origin on the shaft at the top of the case. The case reaches from u = -shaft_offset to length - shaft_offset.
 """
 
 from __future__ import annotations
@@ -20,77 +19,60 @@ from math import radians
 from typing import Any, Literal
 
 KG_CM = 9.80665 * 0.01
-"""One kilogram-force centimetre [N·m]."""
+"""A kilogram-force centimetre [N·m]."""
 
 Sense = Literal[1, -1]
 HornKind = Literal["disc", "cross"]
 
 
 class ServoError(ValueError):
-    """A servo that the library does not hold, or whose measures contradict one another: names it, what was expected."""
+    """The library has no such servo or horn, or measurements contradict each other."""
 
 
 @dataclass(frozen=True)
 class Horn:
-    """What sits on the spline and is screwed to the driven part."""
+    """The horn on the spline, to which the driven part is screwed. :data:`MEASURES` describes its dimensions."""
 
     kind: HornKind
     long_mm: float
-    """From the shaft to the tips of the arms along u; of a disc, its radius."""
     short_mm: float
-    """From the shaft to the tips of the arms along v; of a disc, its radius."""
     arm_width_mm: float
-    """Of a cross's arms; of a disc, its diameter."""
     hub_mm: float
-    """Diameter of the hub around the spline."""
     top_mm: float
-    """From the top of the case to the face that the driven part is screwed to."""
     thickness_mm: float
-    """Of the disc or the arms."""
     screw_radius_mm: float
-    """From the shaft to each of the four screws that hold the driven part."""
     screw_mm: float
-    """Diameter of those screws."""
+    """Diameter of the four screws that hold the driven part."""
     screw_name: str
     sources: Mapping[str, str] = field(default_factory=dict)
-    """By field, where its number is from; a field that is missing has no source."""
+    """Source of each field; a missing field has no source."""
 
 
 @dataclass(frozen=True)
 class Servo:
-    """One model of servo."""
+    """A model of servo. :data:`MEASURES` describes the dimensions of its case and ears."""
 
     name: str
     voltage_v: float
-    """At which torque and speed hold."""
+    """Voltage of the torque and the speed."""
     stall_torque_nm: float
-    """[N·m]"""
     no_load_speed_rad_s: float
-    """[rad/s]"""
     mass_g: float
     min_pulse_us: float
-    """Shortest pulse of its range."""
     max_pulse_us: float
-    """Longest pulse of its range."""
     travel_rad: float
-    """Turned between the shortest and the longest pulse."""
+    """Angle between the shortest and the longest pulse."""
     sense: Sense
     """1 if longer pulses turn the horn counter-clockwise, seen from above the horn."""
     length_mm: float
     width_mm: float
     height_mm: float
-    """From the bottom to the top of the case, any tower around the shaft included."""
     shaft_offset_mm: float
-    """From the body's near end to the shaft."""
     ear_length_mm: float
-    """Over both ears."""
     ear_bottom_mm: float
-    """From the bottom of the case to the underside of the ears."""
     ear_thickness_mm: float
     hole_span_mm: float
-    """Between the holes of the two ears, along u."""
     hole_pitch_mm: float
-    """Between the two holes of one ear, along v; 0 if it has one hole."""
     ear_screw_mm: float
     """Diameter of the screws through the ears."""
     ear_screw_name: str
@@ -101,36 +83,36 @@ class Servo:
     """Diameter of the screw that holds the horn on the spline."""
     centre_screw_name: str
     cable_width_mm: float
-    """Of the flat cable; it leaves at one end of the body, near the bottom. Clones differ in which end."""
+    """Width of the flat cable, which leaves near the bottom at one end; clones differ in which end."""
     horns: tuple[Horn, ...]
-    """Those that come with it or are sold for its spline, the one to prefer first."""
+    """Horns for its spline, the preferred one first."""
     sources: Mapping[str, str] = field(default_factory=dict)
-    """By field, where its number is from; a field that is missing has no source."""
+    """Source of each field; a missing field has no source."""
 
     @property
     def us_per_rad(self) -> float:
-        """Change of the pulse for a turn of one radian [µs/rad]."""
+        """Change of the pulse per radian [µs/rad]."""
         return (self.max_pulse_us - self.min_pulse_us) / self.travel_rad
 
     @property
     def neutral_us(self) -> float:
-        """The middle of its range [µs]."""
+        """Pulse in the middle of the range [µs]."""
         return (self.min_pulse_us + self.max_pulse_us) / 2
 
     def horn(self, kind: HornKind) -> Horn:
-        """Give its horn of a kind.
+        """Return the horn of a kind.
 
         Raises:
-            ServoError: it comes without one; names those that it has.
+            ServoError: There is none.
         """
         for horn in self.horns:
             if horn.kind == kind:
                 return horn
-        raise ServoError(f"servo {self.name}: has no {kind} horn, expected {' or '.join(h.kind for h in self.horns)}")
+        raise ServoError(f"servo {self.name}: no {kind} horn, expected {' or '.join(h.kind for h in self.horns)}")
 
 
 def _per_60(seconds: float) -> float:
-    """Turn a data sheet's s/60° into rad/s."""
+    """Convert a data sheet's s/60° to rad/s."""
     return radians(60.0) / seconds
 
 
@@ -168,25 +150,24 @@ _SOURCES = {
     "(github.com/lukas/weird_objects: hexapod_walker/prototype/hexapod_prototype.py)",
     "Y": "Shenzhen Sky Star's sheet of its MG90S, a clone (tinytronics.nl, 000263), as a hexapod's builder quotes it",
 }
-"""By letter. They were read in what others quote and publish; the makers' own pages were not at hand."""
+"""Sources by letter, all second-hand."""
 
 _NAMES = ("ds3225", "hs85mg", "mg90s", "pdi6221mg")
 _TAPS_3, _TAPS_2, _TAPS_1_5 = "M3 self-tapping", "2 mm self-tapping", "1.5 mm self-tapping"
 _TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
-    # DS3225: the one that is sold as turning 270°. Where sources differ, the maker's figure is taken, then the one that
-    # most agree on.
-    # Length: D, B and W have 40, drawings of its like up to 40.7. Height: D has 40.5, W 38 without the tower.
-    # Its shaft: A, B and W have 10 from the end, not the 10.2 of an MG996R. Ears: W and B have 54 over both, others up
-    # to 55. Underside of the ears: W has 27; what the case is higher than the ears, 10, is about 10.7 in A.
-    # The cable's moulded root is 7 mm wide and 6.5 long (W): it lies within the pocket, beside the case.
-    # HS-85MG: its ears' holes are 4.5 mm wide (J), for a grommet. Its spline: 24 or 25 teeth, sources differ.
-    # MG90S: 20 teeth or 21, 4.6 to 4.9 mm wide; sellers of clones differ.
-    # PDI-6221MG: the standard size, 40.5 × 20 × 38, and the torque of the paper's servo. It is sold as turning 120, 180
-    # or 360°; the one of 180° is meant, though a page that repeats N has 120°. Nobody says what the 38 reach to: they
-    # are read as the whole case, tower included. Of an MG996R, as long, E has 37.6 to the plate around the tower and
-    # 39.7 with the tower, so measure yours. N says nothing of ears: they are those of others of this size. Their holes
-    # are 4.4 to 4.5 mm wide (R, E), lie 47.4 (E) to 49.5 (A, G) apart along the case and 9 (R) to 10.5 (E) across.
-    # Its sense is what most such servos have: try it.
+    # Where sources differ, the maker's figure is taken, then the most common one.
+    # DS3225: the 270° version. Length: 40 in D, B and W, up to 40.7 in drawings of similar servos. Height: 40.5 in D,
+    # 38 without the tower in W. Shaft: 10 from the end in A, B and W, unlike the 10.2 of an MG996R. Ears: 54 over both
+    # in W and B, up to 55 elsewhere. Underside of the ears: 27 in W. Case above the ears: 10 here, about 10.7 in A. The
+    # cable's moulded root is 7 mm wide and 6.5 long (W): it fits the pocket beside the case.
+    # HS-85MG: the ears' holes are 4.5 mm wide (J), for a grommet. Sources differ on the spline: 24 or 25 teeth.
+    # MG90S: 20 or 21 teeth, 4.6 to 4.9 mm wide, depending on the clone.
+    # PDI-6221MG: the standard size, 40.5 × 20 × 38, and the torque of the paper's servo. Sold with 120, 180 or 360° of
+    # travel; this is the 180° version, although a page that repeats N gives 120°. The height of 38 is taken to include
+    # the tower, which no source states. For an MG996R of the same length E has 37.6 to the plate around the tower and
+    # 39.7 with it, so measure yours. N has no ears; these are those of other servos of this size. Their holes are 4.4
+    # to 4.5 mm wide (R, E), 47.4 (E) to 49.5 (A, G) apart along the case and 9 (R) to 10.5 (E) across. The sense is
+    # that of most such servos: try it.
     # field                 ds3225                 hs85mg                 mg90s                  pdi6221mg
     "voltage_v": ((5.0, "D"), (6.0, "H"), (6.0, "P"), (6.0, "N")),
     "stall_torque_nm": ((21.0 * KG_CM, "D"), (3.5 * KG_CM, "H"), (2.2 * KG_CM, "P"), (20.32 * KG_CM, "N")),
@@ -216,8 +197,8 @@ _TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
 
 _KINDS: tuple[HornKind, ...] = ("disc", "cross", "cross", "cross", "disc")
 _HORN_TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
-    # The HS-85MG's hub, top and thickness are those of its double arm, whose holes are 1.15 mm wide. M's arms taper,
-    # from the hub's 6.9 mm to 4; of the two holes in its short arms, 1.5 mm wide, the inner one is taken.
+    # The HS-85MG's hub, top and thickness are those of its double arm, whose holes are 1.15 mm wide. M's arms taper
+    # from the hub's 6.9 mm to 4; of the two holes in its short arms, 1.5 mm wide, this is the inner one.
     # field              disc, 25 teeth   cross, 25 teeth    hs85mg's cross      mg90s's cross      micro disc
     "long_mm": ((10.0, "V"), (18.0, "W"), (16.0, "?"), (18.5, "M"), (8.0, "?")),
     "short_mm": ((10.0, "V"), (18.0, "W"), (8.5, "?"), (8.3, "M"), (8.0, "?")),
@@ -232,7 +213,7 @@ _HORN_TABLE: dict[str, tuple[tuple[Any, str], ...]] = {
 
 
 def _numbers(table: Mapping[str, tuple[tuple[Any, str], ...]], column: int) -> dict[str, Any]:
-    """Give a column's numbers, and the sources of those that have one."""
+    """Return the numbers of a column, and the sources of those that have one."""
     rows = {key: row[column] for key, row in table.items()}
     sources = {key: _SOURCES[letter] for key, (_, letter) in rows.items() if letter != "?"}
     return {key: number for key, (number, _) in rows.items()} | {"sources": sources}
@@ -246,38 +227,37 @@ _HORNS = ((_DISC, _CROSS), (_HS85MG_CROSS, _MICRO_DISC), (_MG90S_CROSS, _MICRO_D
 SERVOS: dict[str, Servo] = {
     name: Servo(name=name, horns=_HORNS[column], **_numbers(_TABLE, column)) for column, name in enumerate(_NAMES)
 }
-"""The library, by name."""
+"""The library by name."""
 
 MEASURES: dict[str, str] = {
-    "length_mm": "case, along its long side, without ears",
-    "width_mm": "case, across",
-    "height_mm": "case, from its bottom to its top, the tower around the shaft included",
-    "shaft_offset_mm": "from the case's near end to the middle of the shaft",
-    "ear_length_mm": "over both ears",
-    "ear_bottom_mm": "from the case's bottom to the underside of the ears",
-    "ear_thickness_mm": "an ear",
-    "hole_span_mm": "between the holes of one ear and the other, along the case",
-    "hole_pitch_mm": "between the two holes of one ear; 0 if it has one",
-    "cable_width_mm": "the flat cable",
-    "long_mm": "horn: from the shaft to the tips of its long arms; of a disc, its radius",
-    "short_mm": "horn: from the shaft to the tips of its short arms; of a disc, its radius",
-    "arm_width_mm": "horn: width of an arm; of a disc, its diameter",
-    "hub_mm": "horn: diameter of its hub",
-    "top_mm": "horn: from the case's top to the face that the part is screwed to, when it is on",
-    "thickness_mm": "horn: the disc, or an arm",
-    "screw_radius_mm": "horn: from the shaft to the screws' holes",
+    "length_mm": "case: length without ears",
+    "width_mm": "case: width",
+    "height_mm": "case: from bottom to top, including the tower around the shaft",
+    "shaft_offset_mm": "case: from the near end to the middle of the shaft",
+    "ear_length_mm": "ears: length over both",
+    "ear_bottom_mm": "ears: from the bottom of the case to their underside",
+    "ear_thickness_mm": "ears: thickness",
+    "hole_span_mm": "ears: between the holes of one and the other, along the case",
+    "hole_pitch_mm": "ears: between the two holes of one; 0 if it has one hole",
+    "cable_width_mm": "flat cable: width",
+    "long_mm": "horn: from the shaft to the tips of the long arms; radius of a disc",
+    "short_mm": "horn: from the shaft to the tips of the short arms; radius of a disc",
+    "arm_width_mm": "horn: width of an arm; diameter of a disc",
+    "hub_mm": "horn: diameter of the hub",
+    "top_mm": "horn: from the top of the case to the face that the part is screwed to, when mounted",
+    "thickness_mm": "horn: thickness of the disc or the arms",
+    "screw_radius_mm": "horn: from the shaft to the screw holes",
 }
-"""What a part's fit hangs on and a caliper tells, in words. Names are a servo's fields and its horn's."""
+"""Dimensions that decide the fit and that a caliper can measure: fields of a servo and its horn, in words."""
 
-
-EARS = "ear_bottom_mm + ear_thickness_mm"
+_EARS = "ear_bottom_mm + ear_thickness_mm"
 _SMALL_AND_LARGE = (
     ("shaft_offset_mm", "length_mm"),
     ("length_mm", "hole_span_mm"),
     ("hole_span_mm", "ear_length_mm"),
     ("hole_pitch_mm", "width_mm"),
     ("cable_width_mm", "width_mm"),
-    (EARS, "height_mm"),
+    (_EARS, "height_mm"),
     ("thickness_mm", "top_mm"),
     ("screw_radius_mm", "short_mm"),
     ("screw_radius_mm", "long_mm"),
@@ -285,19 +265,19 @@ _SMALL_AND_LARGE = (
     ("hub_mm", "2 * short_mm"),
     ("hub_mm", "2 * long_mm"),
 )
-"""Of which the first is less than the second, or the measures contradict one another."""
+"""Pairs of which the first must be less than the second."""
 _EQUAL_OF_A_DISC = (("short_mm", "long_mm"), ("arm_width_mm", "2 * long_mm"))
 _SMALL_AND_LARGE_OF_A_CROSS = (("arm_width_mm", "2 * short_mm"), ("arm_width_mm", "2 * long_mm"))
 
 YOURS = "measured by you"
-"""Source of what a kit's settings say of its servo."""
+"""Source of the measurements in a kit's settings."""
 
 
 def servo_named(name: str) -> Servo:
-    """Find a servo in the library.
+    """Look up a servo in the library.
 
     Raises:
-        ServoError: there is none of that name; lists the names.
+        ServoError: There is none of that name.
     """
     if name not in SERVOS:
         raise ServoError(f"servo {name!r} is unknown, expected one of {', '.join(sorted(SERVOS))}")
@@ -305,16 +285,15 @@ def servo_named(name: str) -> Servo:
 
 
 def as_measured(servo: Servo, kind: HornKind, measured: Mapping[str, float]) -> Servo:
-    """Give a servo with one horn, as it lies on the table; its sources are those of both.
+    """Return a servo with one horn and the user's measurements; its sources are those of both.
 
     Args:
-        servo: of the library.
-        kind: of the horn.
-        measured: what a caliper says of both, by the names of :data:`MEASURES`.
+        servo: Servo of the library.
+        kind: Kind of the horn.
+        measured: Measurements [mm] by the names in :data:`MEASURES`.
 
     Raises:
-        ServoError: it comes without such a horn, a measure is 0 or less, or two contradict one another; says what was
-            expected.
+        ServoError: There is no such horn, a measurement is not positive, or two contradict each other.
     """
     of_horn = {field.name for field in fields(Horn)}
     horn_changes: dict[str, Any] = {name: value for name, value in measured.items() if name in of_horn}
@@ -327,11 +306,11 @@ def as_measured(servo: Servo, kind: HornKind, measured: Mapping[str, float]) -> 
 
 
 def _check(measures: dict[str, float], servo: str, kind: HornKind) -> None:
-    """Refuse measures that no servo and horn have together; see :func:`as_measured`."""
+    """Refuse dimensions that contradict each other."""
     for name, value in measures.items():
         if value <= 0.0 and name != "hole_pitch_mm":
             raise ServoError(f"servo {servo}: {name} is {value:g}, expected more than 0")
-    measures = measures | {EARS: measures["ear_bottom_mm"] + measures["ear_thickness_mm"]}
+    measures = measures | {_EARS: measures["ear_bottom_mm"] + measures["ear_thickness_mm"]}
     measures |= {f"2 * {name}": 2 * measures[name] for name in ("long_mm", "short_mm", "screw_radius_mm")}
     disc = kind == "disc"
     for small, large in (*_SMALL_AND_LARGE, *(() if disc else _SMALL_AND_LARGE_OF_A_CROSS)):

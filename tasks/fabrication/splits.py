@@ -1,7 +1,7 @@
-"""Splits: where a part larger than the print bed is cut, and the dovetail that joins it again.
+"""Splits: cuts through parts larger than the print bed, with a dovetail that joins the pieces.
 
-A cut goes across one link. It follows a dovetail like that of a jigsaw puzzle, so that the pieces slide together along
-the extrusion and hold in the plane; glue does the rest. What the cut removes is the clearance between the pieces.
+A cut crosses one link in the shape of a dovetail, as in a jigsaw puzzle: the pieces slide together along z, hold in the
+plane, and are glued. The cut removes the clearance between the pieces.
 """
 
 from __future__ import annotations
@@ -16,45 +16,38 @@ from shapely.geometry.base import BaseGeometry
 from tasks.fabrication.built_bodies import Mechanism
 from tasks.fabrication.kit_settings import KitSettings
 
-STEP_MM = 3.0
-"""Between the cuts that are tried along a link."""
-MAX_CUTS = 12
-"""More than any design of six links needs on a bed of 100 mm."""
-LONGEST = 1.3
-"""Of a cut, in the link's width; a longer one runs into another link."""
-OVERRUN_MM = 1.0
-"""By which a cut goes beyond the outline."""
+_STEP_MM = 3.0  # between the cuts tried along a link
+_MAX_CUTS = 12  # more than any design of six links needs on a bed of 100 mm
+_MAX_LENGTH = 1.3  # of a cut, in widths of the link; a longer one runs into another link
+_OVERRUN_MM = 1.0  # of a cut beyond the outline
 _ROUNDING_MM = 1e-6
-LEAST_HALF_MM2 = 1.0
-"""What a cut leaves that is smaller than this is a crumb and no piece."""
-LEAST_GAIN = 1e-9
-"""Of a size against the bed: by less no cut is better than one before it, so that rounding does not choose."""
-_NECK, _HEAD, _DEPTH = 0.32, 0.46, 0.28
-"""Of a dovetail: its narrowest and widest place and its depth, as shares of the cut's length."""
+_MIN_PIECE_MM2 = 1.0
+_MIN_GAIN = 1e-9  # in bed sizes, so that rounding errors do not choose between equal cuts
+_NECK, _HEAD, _DEPTH = 0.32, 0.46, 0.28  # narrowest and widest place and depth of a dovetail, in lengths of the cut
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """A part's pieces."""
+    """The pieces of a part."""
 
     whole: Polygon
-    """The part's outline."""
+    """Outline of the part."""
     cuts: tuple[BaseGeometry, ...]
-    """What is removed between pieces."""
+    """Areas removed between pieces."""
     pieces: tuple[Polygon, ...]
-    """Outlines, in order along x; one if the part is whole."""
+    """Outlines of the pieces along x; one if the part is whole."""
     fits: bool
-    """Whether every piece lies on the bed."""
+    """Whether every piece fits the bed."""
 
 
 def bed_mm(settings: KitSettings) -> tuple[float, float]:
-    """Give the width and depth of the bed without its margins."""
+    """Return the width and depth of the bed without its margins."""
     width, depth, _ = settings.bed_mm
     return (width - 2 * settings.bed_margin_mm, depth - 2 * settings.bed_margin_mm)
 
 
 def turn_to_fit(shape: BaseGeometry, width: float, depth: float) -> float | None:
-    """Give the least turn [°, 0 to 179] by which a shape fits a rectangle, or None if none does."""
+    """Return the smallest turn [°, 0 to 179] that makes a shape fit a width and depth [mm], or None."""
     hull = np.array(shape.convex_hull.exterior.coords)
     turn = np.radians(np.arange(180))
     across = hull @ np.array([np.cos(turn), -np.sin(turn)])
@@ -64,14 +57,14 @@ def turn_to_fit(shape: BaseGeometry, width: float, depth: float) -> float | None
 
 
 def split_of(mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGeometry, settings: KitSettings) -> Split:
-    """Cut a part until every piece fits the bed, or as far as that is possible.
+    """Cut a part until every piece fits the bed, or no further cut is possible.
 
     Args:
-        mechanism: the parts.
-        body: index of this part.
-        outline: its outline.
-        keep_off: pockets, recesses and bores, which no cut may touch.
-        settings: of the bed and the cut's clearance.
+        mechanism: The design's parts and joints.
+        body: Index of the part.
+        outline: Outline of the part.
+        keep_off: Pockets, recesses and bores that no cut may touch.
+        settings: Settings of the kit.
     """
     width, depth = bed_mm(settings)
     pieces, fits = [outline], True
@@ -80,7 +73,7 @@ def split_of(mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGe
         large = [piece for piece in pieces if turn_to_fit(piece, width, depth) is None]
         if not large:
             break
-        best = _best_cut(large[0], mechanism, body, keep_off, settings) if len(cuts) < MAX_CUTS else None
+        best = _best_cut(large[0], mechanism, body, keep_off, settings) if len(cuts) < _MAX_CUTS else None
         if best is None:
             fits = False
             break
@@ -93,7 +86,7 @@ def split_of(mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGe
 
 
 def _size(shape: BaseGeometry, settings: KitSettings) -> float:
-    """Say how large a shape is against the bed: 1 fills it."""
+    """Return the size of a shape relative to the bed, which 1 fills."""
     corners = np.array(shape.minimum_rotated_rectangle.exterior.coords)
     sides = sorted(np.hypot(*(corners[1:3] - corners[:2]).T))
     bed = sorted(bed_mm(settings))
@@ -103,14 +96,14 @@ def _size(shape: BaseGeometry, settings: KitSettings) -> float:
 def _best_cut(
     piece: Polygon, mechanism: Mechanism, body: int, keep_off: BaseGeometry, settings: KitSettings
 ) -> tuple[BaseGeometry, list[Polygon]] | None:
-    """Find the cut that leaves the smallest larger half."""
+    """Find the cut whose larger half is smallest."""
     best, least = None, np.inf
     clear = keep_off.buffer(settings.wall_mm)
     for link in mechanism.bodies[body].links:
         width, height = mechanism.link_size[link]
         x, y = mechanism.link_centre[link]
         angle = mechanism.link_angle[link]
-        for along in np.arange(-height / 2 + STEP_MM, height / 2, STEP_MM):
+        for along in np.arange(-height / 2 + _STEP_MM, height / 2, _STEP_MM):
             centre = (x - sin(angle) * along, y + cos(angle) * along)
             chord = _chord(piece, centre, angle, width)
             if chord is None:
@@ -118,30 +111,30 @@ def _best_cut(
             for flip in (1, -1):
                 line, half_gap = _dovetail(chord, flip), settings.split_clearance_mm / 2
                 cut = line.buffer(half_gap, join_style="mitre", cap_style="flat")
-                halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > LEAST_HALF_MM2]
+                halves = [half for half in getattr(piece.difference(cut), "geoms", []) if half.area > _MIN_PIECE_MM2]
                 if len(halves) != 2 or cut.intersects(clear):
                     continue
                 size = max(_size(half, settings) for half in halves)
-                if size < least - LEAST_GAIN:
+                if size < least - _MIN_GAIN:
                     best, least = (cut, halves), size
     return best
 
 
 def _chord(piece: Polygon, centre: tuple[float, float], angle: float, width: float) -> LineString | None:
-    """Give the straight cut across a piece at a link's place, if it ends in the open and near the link's sides."""
+    """Return the straight cut across a piece at a point of a link if it ends in the open near the link's sides."""
     reach = 2 * width
     across = LineString([(-reach, 0.0), (reach, 0.0)])
     line = affinity.translate(affinity.rotate(across, angle, origin=(0, 0), use_radians=True), *centre)
     inside = line.intersection(piece)
     for stretch in getattr(inside, "geoms", [inside]):
-        if 0.0 < stretch.length < LONGEST * width and stretch.distance(Point(centre)) < _ROUNDING_MM:
-            beyond = affinity.scale(stretch, *(2 * [1.0 + 2 * OVERRUN_MM / stretch.length]))
+        if 0.0 < stretch.length < _MAX_LENGTH * width and stretch.distance(Point(centre)) < _ROUNDING_MM:
+            beyond = affinity.scale(stretch, *(2 * [1.0 + 2 * _OVERRUN_MM / stretch.length]))
             return stretch if beyond.intersection(piece).length < stretch.length + _ROUNDING_MM else None
     return None
 
 
 def _dovetail(chord: LineString, flip: int) -> LineString:
-    """Give a cut's line: straight, with a dovetail in its middle on one side, and a little beyond the outline."""
+    """Return the line of a cut: straight, with a dovetail in the middle, and extended beyond the outline."""
     (x0, y0), (x1, y1) = chord.coords
     along = np.array([x1 - x0, y1 - y0])
     length = float(np.hypot(*along))
@@ -150,11 +143,11 @@ def _dovetail(chord: LineString, flip: int) -> LineString:
     middle = np.array([x0 + x1, y0 + y1]) / 2
     neck, head, depth = (share * length for share in (_NECK, _HEAD, _DEPTH))
     points = [
-        np.array([x0, y0]) - OVERRUN_MM * along,
+        np.array([x0, y0]) - _OVERRUN_MM * along,
         middle - along * neck / 2,
         middle - along * head / 2 + aside * depth,
         middle + along * head / 2 + aside * depth,
         middle + along * neck / 2,
-        np.array([x1, y1]) + OVERRUN_MM * along,
+        np.array([x1, y1]) + _OVERRUN_MM * along,
     ]
     return LineString(points)

@@ -1,4 +1,4 @@
-"""The kit of the crane, which several files look at."""
+"""The kit of the crane, shared by several files."""
 
 import pytest
 

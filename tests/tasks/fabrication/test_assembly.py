@@ -1,4 +1,4 @@
-"""docs/assembly.md, which every kit holds: a robot can be put together in its order."""
+"""The steps of docs/assembly.md are in an order in which a robot can be assembled."""
 
 import re
 from pathlib import Path
@@ -11,20 +11,20 @@ ASSEMBLY = Path(__file__).parents[3] / "docs/assembly.md"
 
 
 def steps() -> list[str]:
-    """The names of the steps, in their order."""
+    """Return the names of the steps in order."""
     assembly = ASSEMBLY.read_text("utf-8").split("## Assembly\n")[1]
     return re.findall(r"^\d+\. \*\*(.+?)\.\*\*", assembly, flags=re.MULTILINE)
 
 
 def blocked(kit: Kit, order: list[str]) -> set[str]:
-    """Put rods in from either side, past what the steps before put in their way. Gives those that can't go in."""
+    """Return the rods that can be inserted from neither side because of what earlier steps put in their way."""
     settings, outer = kit.settings, kit.layers.outer
 
     def step(body: int, of_outer: str, of_inner: str) -> int:
         return order.index(of_outer if outer[body] else of_inner)
 
     in_place = [(step(part.body, "Outer parts", "Short rods"), part.solid) for part in kit.parts]
-    for servo_joint in kit.servo_joints:  # servos and horns come with the parts that hold them
+    for servo_joint in kit.servo_joints:  # servos and horns move with the parts that hold them
         holder = {"servo": servo_joint.carrier, "horn": servo_joint.driven}
         in_place += [
             (step(holder[item.kind], "Outer parts", "Short rods"), item.solid)

@@ -1,4 +1,4 @@
-"""Contacts of a run that its kit does not have: links on known ways, and a robot that folds upon itself."""
+"""Contacts that a kit does not have: links on known paths, and a robot that folds onto itself."""
 
 from dataclasses import replace
 
@@ -28,8 +28,8 @@ def test_two_links_that_come_together(crane):
     mechanism = mechanism_of(crane, KitSettings())
     layers = Layers((True, False, False), ((), (), ()))
     pose = apart(30)
-    # Link 3 glides to link 0 at 0.5 m/s from 1.2 m between their middles: 0.7 m of air, of which 0.02 m is skin. The
-    # k-th step ends after k + 1 steps of time.
+    # Link 3 approaches link 0 at 0.5 m/s. Their centres start 1.2 m apart: a gap of 0.7 m, of which 0.02 m is skin.
+    # Step k ends after k + 1 time steps.
     pose[:, 3, 0] = 1.2 - 0.5 * DT * (np.arange(30) + 1)
     (found,) = passing_contacts(crane, mechanism, layers, pose, time_step=DT)
     assert (found.links, found.parts, found.joints) == ((0, 3), (0, 1), (2,))
@@ -37,21 +37,21 @@ def test_two_links_that_come_together(crane):
     assert found.first == pytest.approx(first * DT)
     assert found.share == pytest.approx((30 - first + 1) / 30)
     turned = pose.copy()
-    turned[:, 3, 2] = np.pi / 2  # lying, it is 2 m wide and meets link 0 from the first
+    turned[:, 3, 2] = np.pi / 2  # lying, it is 2 m wide and touches link 0 from the start
     (at_once,) = passing_contacts(crane, mechanism, layers, turned, time_step=DT)
     assert at_once.first == pytest.approx(DT) and at_once.share == 1.0
 
 
-def test_links_that_a_joint_ties_and_parts_of_one_layer_are_no_news(crane):
+def test_joined_links_and_parts_of_one_layer_are_not_reported(crane):
     mechanism = mechanism_of(crane, KitSettings())
     pose = apart(3)
-    pose[:, 2, 0] = pose[:, 0, 0]  # a joint ties link 2 to link 0
-    pose[:, 5, 0] = pose[:, 3, 0]  # parts 2 and 3 meet on the bench too
+    pose[:, 2, 0] = pose[:, 0, 0]  # joined to link 0
+    pose[:, 5, 0] = pose[:, 3, 0]  # parts 2 and 3 collide on the bench too
     assert passing_contacts(crane, mechanism, Layers((True, False, False), ((), (), ())), pose, time_step=DT) == []
 
 
-def test_a_simulated_robot_that_folds_upon_itself(crane):
-    # Link 3 leans back from the end of link 2, which swings it down until it knocks on link 1.
+def test_a_simulated_robot_that_folds_onto_itself(crane):
+    # Link 3 leans back from the end of link 2, which swings it down until it hits link 1.
     folded = replace(
         crane,
         motion_range=np.array([[0.2, 0.2, 1.5, 0.2, 0.2, 0.2]]),

@@ -1,4 +1,4 @@
-"""What speaks against a kit, from robots made to be wrong; and settings that no part can be made with."""
+"""Findings of the checks, for robots with deliberate faults, and settings that are refused."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -44,7 +44,7 @@ def test_not_of_the_variant(crane):
     # Link 2 folded down over link 0 covers the left or right of link 1's middle too: 35 × 35 mm.
     folded = build_kit(with_genes(crane, rest_angle=np.array([[0, -pi / 2, pi, -pi / 2, 0, -pi / 2]])), SETTINGS)
     said = {finding.where: finding.message for finding in found(folded, "not of the variant")}
-    assert "overlap by 1225 mm² at rest without being joined" in said["links 1 and 2"]
+    assert "overlap by 1225 mm² at rest without a joint" in said["links 1 and 2"]
 
 
 def test_every_number_of_motors(crane):
@@ -66,7 +66,7 @@ def test_a_servo_that_does_not_turn_far_enough(crane):
 def test_a_cradle_wider_than_its_link(crane):
     slim = build_kit(with_genes(crane, length_scale=np.full((1, N_LINKS), 3.0)), SETTINGS)
     (first, second) = found(slim, "cradle wider than its link")
-    assert "26.6 mm wide, link 0 23.3" in first.message and second.where == "joint 4"
+    assert "26.6 mm wide, link 0 only 23.3 mm" in first.message and second.where == "joint 4"
 
 
 def test_servos_in_one_place(crane):
@@ -99,14 +99,17 @@ def test_necks(crane):
 
 def test_parts_that_collide(crane):
     # Clockwise turns bring part 2 down and counter-clockwise ones bring part 3 up, towards one another.
-    for phase, severity, said in ((0.0, "warning", "miss one another in the gait"), (pi, "fault", "meet in the gait")):
+    for phase, severity, said in (
+        (0.0, "warning", "clear one another in the gait"),
+        (pi, "fault", "mm² in the gait, with"),
+    ):
         far = with_genes(
             crane, motion_range=np.array([[0, 0.2, 1.2, 0.2, 1.2, 0.2]]), phase=np.array([[0, 0, 0, 0, phase, 0]])
         )
         (finding,) = found(build_kit(far, SETTINGS), "parts collide")
         assert (finding.severity, finding.where) == (severity, "part 2 and part 3")
         assert said in finding.message and "joint 2 and joint 4" in finding.message
-        assert ("smaller motion_range" in finding.message) == (severity == "fault")
+        assert ("Reduce motion_range" in finding.message) == (severity == "fault")
     at_rest = with_genes(crane, rest_angle=np.array([[0, -pi / 2, -2.2, -pi / 2, 0.8, -pi / 2]]))
     (finding,) = found(build_kit(at_rest, SETTINGS), "parts collide")
     assert finding.severity == "fault" and "at rest" in finding.message and "rest_angle" in finding.message
@@ -158,7 +161,7 @@ def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane):
             assert all((on_bed(p, mesh_of(p.solid)).vertices.max(axis=0) <= [110, 110, 26]).all() for p in pieces)
         for a, b in pairwise(split.pieces):
             assert a.distance(b) >= small.split_clearance_mm - 1e-6
-        # A dovetail holds: drawn apart along the link, the pieces meet.
+        # The dovetail holds: the pieces collide when pulled apart along the link.
         assert any(
             moved(a, np.array([1, 0, 0, 1, dx, dy])).intersects(b)
             for a in split.pieces
@@ -168,14 +171,14 @@ def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane):
         )
 
 
-def test_a_part_that_no_cut_makes_fit_is_refused_with_the_reason(crane):
+def test_a_part_that_no_cut_makes_fit_is_a_fault(crane):
     tiny = build_kit(crane, SETTINGS.model_copy(update={"bed_mm": (40.0, 40.0, 20.0)}))
     said = found(tiny, "larger than the bed")
     assert [finding.severity for finding in said] == 4 * ["fault"]
-    assert "25 mm high, the printer 20" in said[0].message and "no straight cut" in said[1].message
-
-
-# What is refused
+    assert (
+        "25 mm high, but the printer reaches only 20 mm" in said[0].message
+        and "No cut across a link" in said[1].message
+    )
 
 
 def test_settings_that_no_part_can_be_made_with(crane):
@@ -189,7 +192,7 @@ def test_settings_that_no_part_can_be_made_with(crane):
             replace(servo_joint, horn=tall, servo=replace(SERVOS["ds3225"], name="wide")),
             KitSettings(thickness_mm=15.0),
         )
-    # Two layers of 100 mm and their gap of 1 on either side leave less than nothing of 300 + 100.
+    # Two layers of 100 mm and a gap of 1 mm on either side leave 300 + 100 - 402 mm.
     with pytest.raises(KitError, match=r"pitch_mm is 300: .* leave -2\.0 mm"):
         build_kit(crane, KitSettings(thickness_mm=100.0, servo="mg90s"))
     with pytest.raises(DesignError, match="length_scale of link 0 is 5"):

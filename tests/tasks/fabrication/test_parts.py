@@ -1,4 +1,4 @@
-"""Parts against closed forms: areas, volumes and the places of holes, for robots that one can work out by heart."""
+"""Parts against closed forms: areas, volumes and positions of holes of simple robots."""
 
 from dataclasses import replace
 from math import acos, atan2, hypot, pi, sin, sqrt
@@ -16,11 +16,11 @@ from tasks.fabrication.parts import mesh_of, on_bed
 SETTINGS = KitSettings()
 LINK = 140.0 * 35.0
 SEAT = 10.0 + 0.3 + 3.0
-"""Radius of the boss around a disc horn: horn, clearance, wall."""
+"""Radius of the boss around a disc horn: horn, clearance and wall."""
 CORNER = 1.0 - pi / 4
-"""Area that a fillet of radius 1 adds in a right angle, or a rounding takes from one."""
+"""Area that a fillet of radius 1 adds in a right angle, or removes from one."""
 EXACT = 1e-9
-"""Relative. The kernel's areas of lines and arcs are closed forms too."""
+"""Relative tolerance; the kernel's areas of lines and arcs are exact too."""
 IN_PLACE: Pose = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 
 
@@ -31,8 +31,8 @@ def part(kit: Kit, name: str):
 def fillet_between_line_and_disc(big: float, small: float) -> float:
     """Area of a fillet where a disc of radius ``big`` leaves a line through its middle at a right angle.
 
-    The fillet's centre is ``small`` from the line and ``big + small`` from the disc's middle. Of the right triangle of
-    the two centres and the foot on the line, the two sectors are taken away.
+    The fillet's centre is ``small`` from the line and ``big + small`` from the disc's middle. The two sectors are
+    subtracted from the right triangle of the two centres and the foot on the line.
     """
     foot = sqrt(big * big + 2 * big * small)
     angle = atan2(small, foot)
@@ -40,7 +40,7 @@ def fillet_between_line_and_disc(big: float, small: float) -> float:
 
 
 def lens(a: float, b: float, apart: float) -> float:
-    """Area that two circles share: both sectors less the kite of centres and crossings."""
+    """Area of the intersection of two circles: both sectors less the kite of centres and crossings."""
     at_a = acos((apart**2 + a**2 - b**2) / (2 * apart * a))
     at_b = acos((apart**2 + b**2 - a**2) / (2 * apart * b))
     return a**2 * at_a + b**2 * at_b - apart * a * sin(at_a)
@@ -89,7 +89,7 @@ def test_volumes(kit):
 
 
 def holes(solid, radius: float):
-    """Places in the plane of the round holes of a radius."""
+    """Return the positions in the plane of the round holes of a radius."""
     cylinders = [f for f in solid.faces() if f.geom_type == GeomType.CYLINDER]
     faces = [f for f in cylinders if f.radius is not None and abs(f.radius - radius) < 1e-9]  # None: not all around
     return sorted({(round(f.axis_of_rotation.position.X, 6), round(f.axis_of_rotation.position.Y, 6)) for f in faces})
@@ -108,7 +108,7 @@ def test_places_of_holes(kit):
             assert all(any(hypot(x - a, y - b) < 1e-5 for a, b in bores) for x, y in rods)
 
 
-def test_servos_go_left_and_right_by_turns_and_pins_stand_for_the_others(kit, crane):
+def test_servos_alternate_between_the_pontoons_and_pins_replace_the_others(kit, crane):
     kinds = sorted(item.name for item in kit.bought if item.kind in ("servo", "pin"))
     assert kinds == [
         "pin of joint 2, right",
@@ -125,13 +125,13 @@ def test_pontoons_mirror_one_another_at_the_pitch(kit):
     for body, outer in enumerate(kit.layers.outer):
         left, right = (part(kit, f"part-{body + 1}-{side}").solid.bounding_box() for side in ("left", "right"))
         bottom = 0.0 if outer else 26.0
-        came = [left.min.Z, left.max.Z, right.min.Z, right.max.Z]
-        assert came == pytest.approx([bottom, bottom + 25.0, 300.0 - bottom, 325.0 - bottom], abs=1e-6)
+        actual = [left.min.Z, left.max.Z, right.min.Z, right.max.Z]
+        assert actual == pytest.approx([bottom, bottom + 25.0, 300.0 - bottom, 325.0 - bottom], abs=1e-6)
     assert kit.layers.outer[0] != kit.layers.outer[1] == kit.layers.outer[2]
 
 
 def test_nothing_overlaps_in_the_assembled_robot(kit):
-    """Parts, servos, horns and rods: only a horn and its hub, and what is glued or screwed, may touch."""
+    """Parts, servos, horns and rods may touch but not overlap."""
     things = [(p.name, p.solid) for p in kit.parts] + [(b.name, b.solid) for b in kit.bought]
     for n, (name, solid) in enumerate(things):
         for other_name, other in things[n + 1 :]:
@@ -140,7 +140,7 @@ def test_nothing_overlaps_in_the_assembled_robot(kit):
             assert volume < 1e-3, f"{name} and {other_name} share {volume:.2f} mm³"
 
 
-def test_rods_reach_both_copies_and_miss_what_sweeps(kit):
+def test_rods_reach_both_copies_and_clear_the_sweeping_parts(kit):
     for body, rods in enumerate(kit.layers.rods):
         assert len(rods) == 2
         for rod in rods:
@@ -155,12 +155,12 @@ def test_rods_reach_both_copies_and_miss_what_sweeps(kit):
         if item.kind == "rod":
             box, body = item.solid.bounding_box(), int(item.name[-1]) - 1
             left, right = (part(kit, f"part-{body + 1}-{side}").solid.bounding_box() for side in ("left", "right"))
-            came = [box.min.Z, box.max.Z]
-            assert came == pytest.approx([left.min.Z, right.max.Z])
+            actual = [box.min.Z, box.max.Z]
+            assert actual == pytest.approx([left.min.Z, right.max.Z])
 
 
 def test_poses_are_those_of_the_design_with_its_joints_turned(crane):
-    """Independent of the chain of turns: the pose of the tree at rest with each turn added to its rest angle."""
+    """The reference is independent: the tree at rest, with each turn added to its rest angle."""
     mechanism = mechanism_of(crane, SETTINGS)
     instants = 2 * pi * np.arange(96) / 96
     for instant in (0, 7, 40):
@@ -178,8 +178,8 @@ def test_poses_are_those_of_the_design_with_its_joints_turned(crane):
     assert seen.symmetric_difference(moved(mechanism.bodies[2].outline, root[1])).area < 1e-6
 
 
-def test_a_gait_is_looked_at_while_it_rises(crane):
-    """Two joints that are out of phase come where they never are at full swing, nor at rest."""
+def test_poses_in_gait_include_rising_amplitudes(crane):
+    """Two joints out of phase reach poses that occur neither at full amplitude nor at rest."""
     one, other = crane.motor_on[0].nonzero()[0][:2]
     phase = crane.phase.copy()
     phase[0, one], phase[0, other] = 0.0, pi / 2
@@ -208,7 +208,7 @@ def test_the_bill(kit):
     assert kit.mass_g == pytest.approx(
         sum(p.mass_g for p in kit.parts) + 2 * 67 + sum(line.mass_g for line in kit.bill if line.kind in ("rod", "pin"))
     )
-    # What docs/assembly.md and docs/servo.md ask for; an O-ring for each servo's spline.
+    # The supplies in docs/assembly.md and docs/servo.md; an O-ring per servo.
     assert [(line.item, line.count) for line in kit.bill if line.kind in ("supplies", "electronics")] == [
         ("glue", 1),
         ("silicone sealant", 1),
@@ -227,7 +227,7 @@ def test_parts_lie_on_the_bed(kit):
         assert (lying.vertices.max(axis=0)[:2] <= 210.0).all()
         a, b, c = (lying.vertices[lying.triangles[:, corner]] for corner in range(3))
         assert (np.cross(a, b) * c).sum() / 6 == pytest.approx(piece.volume_mm3, rel=2e-3)  # turned, not mirrored
-    # The pocket of part 1 opens upward: at the height of the back, its rim is cut by 54.6 × 20.6.
+    # The pocket of part 1 opens upward: 54.6 × 20.6 is missing at the height of the back.
     lying = on_bed(part(kit, "part-1-left"), mesh_of(part(kit, "part-1-left").solid))
     a, b, c = (lying.vertices[lying.triangles[:, corner]] for corner in range(3))
     area = np.cross(b - a, c - a)[:, 2] / 2
@@ -239,7 +239,7 @@ def test_parts_lie_on_the_bed(kit):
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("outer", [True, False])
 def test_the_sense_of_a_servo(kit, side, outer):
-    """The horn turns by `sense` about the shaft, which is along +z or -z, and takes the child or the parent along."""
+    """The horn turns by `sense` about the shaft, along +z or -z, together with the child or the parent."""
     for servo_joint in kit.servo_joints:
         for carrier in (servo_joint.joint.parent, servo_joint.joint.child):
             one = replace(
@@ -249,7 +249,7 @@ def test_the_sense_of_a_servo(kit, side, outer):
             driven_turns = one.servo.sense * shaft_z
             child_turns = driven_turns if one.driven == one.joint.child else -driven_turns
             assert one.direction(carrier_is_outer=outer, side=side) == child_turns
-    for servo_joint in kit.servo_joints:  # the shaft points where the horn is: away from the carrier's back
+    for servo_joint in kit.servo_joints:  # the shaft points to the horn, away from the carrier's back
         for where in servo_joint.sides(1):
             horn = next(b for b in kit.bought if b.name == f"horn of joint {servo_joint.joint.link}, {where}").solid
             carrier = part(kit, f"part-{servo_joint.carrier + 1}-{where}").solid

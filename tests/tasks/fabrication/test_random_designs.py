@@ -1,4 +1,4 @@
-"""Random designs: whatever evolution may draw becomes valid, closed parts, or findings that say why not."""
+"""Any design that evolution may draw gives valid, closed parts."""
 
 from dataclasses import replace
 
@@ -12,11 +12,11 @@ from tasks.fabrication.servos import SERVOS
 
 SETTINGS = KitSettings()
 FEW, MANY = 3, 200
-"""Designs in `make test`, and with --torture."""
+"""Number of designs in `make test`, and with --torture."""
 
 
 def variant(rng: np.random.Generator) -> Designs:
-    """Draw a design of the physical variant: two motors, and no links that overlap at rest without being joined."""
+    """Draw a design of the physical variant: two motors, and no overlap at rest of links without a joint."""
     while True:
         drawn = random_designs(4096, rng)
         on = np.zeros((len(drawn), N_LINKS), dtype=bool)
@@ -27,7 +27,7 @@ def variant(rng: np.random.Generator) -> Designs:
 
 
 def test_random_designs_of_the_variant_make_valid_closed_parts(torture):
-    """What build_kit itself holds: valid solids of the analytic volume. Here, that their meshes are closed too."""
+    """``build_kit`` checks that solids are valid and have the analytic volume; this also checks their meshes."""
     for rng in torture.attempts(FEW, MANY):
         kit = build_kit(variant(rng), SETTINGS)
         assert len(kit.mechanism.bodies) == 3
@@ -35,7 +35,7 @@ def test_random_designs_of_the_variant_make_valid_closed_parts(torture):
         check_meshes(kit)
 
 
-def test_random_designs_of_any_kind_are_reported_on_not_crashed_on(torture):
+def test_random_designs_of_any_kind_do_not_crash(torture):
     for rng in torture.attempts(FEW, MANY):
         servo, horn = rng.choice(sorted(SERVOS)), rng.choice(["cross", "disc"])
         settings = KitSettings(servo=str(servo), horn=str(horn), servos_per_joint=int(rng.integers(1, 3)))
@@ -43,7 +43,7 @@ def test_random_designs_of_any_kind_are_reported_on_not_crashed_on(torture):
 
 
 def check_meshes(kit: Kit) -> None:
-    """Every edge is between two triangles that run along it in opposite directions."""
+    """Check that every edge joins two triangles that run along it in opposite directions."""
     for piece in kit.parts:
         mesh = mesh_of(piece.solid)
         edges = np.concatenate([mesh.triangles[:, [0, 1]], mesh.triangles[:, [1, 2]], mesh.triangles[:, [2, 0]]])

@@ -1,4 +1,4 @@
-"""Scales, torques and the servo's line against closed forms; the torque of a simulated motor against m g r."""
+"""Scales, loads and the torque–speed line against closed forms; a simulated motor's torque against m g r."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def test_scales_of_both_laws():
     assert (kept.time, kept.torque) == (1.0, froude.torque)
 
 
-def test_the_servos_line():
+def test_line_use():
     stall, fastest = SERVO.stall_torque_nm, SERVO.no_load_speed_rad_s
     torque = np.array([stall, 0.0, stall / 2, stall / 2, -stall / 2, 0.0])
     speed = np.array([0.0, fastest, fastest / 2, -fastest / 4, -fastest / 2, -2 * fastest])
@@ -53,7 +53,7 @@ def test_loads_of_a_known_run():
 
 
 def test_a_servo_must_keep_up_with_its_timeline():
-    # At rest throughout, though told to swing by 0.8 rad at 0.2 Hz: amplitude · 2π f, twice that on the bench.
+    # The joint stays at rest although commanded to swing by 0.8 rad at 0.2 Hz: amplitude · 2π f, doubled on the bench.
     commanded = 0.8 * 2 * np.pi * 0.2
     scales, still = Scales(length=0.1, time=0.5, mass=0.2), np.zeros((3, 1))
     (load,) = joint_loads(
@@ -71,7 +71,7 @@ def test_a_servo_must_keep_up_with_its_timeline():
 
 
 def arm(angle: float):
-    """A link held out level by a motor at the top of its parent; all other links are locked in a heap at the root."""
+    """Return a robot with one link held out by a motor at the top of its parent; all others are locked at the root."""
     one = random_designs(1, np.random.default_rng(0))
     zeros = np.zeros((1, 6))
     parent = np.array([[-1, 0, 0, 0, 0, 0]])
@@ -98,7 +98,7 @@ def arm(angle: float):
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, np.pi / 3])
-def test_a_pendulum_held_still_takes_m_g_r(angle: float):
+def test_holding_a_pendulum_takes_m_g_r(angle: float):
     physics = Physics(passive_joints="locked")
     rollouts = simulate(
         arm(angle), DryLand(depth=0.0), n_settle=600, n_measure=60, engine="reference", trace=True, physics=physics
@@ -106,14 +106,14 @@ def test_a_pendulum_held_still_takes_m_g_r(angle: float):
     torque, trace = rollouts.motor_torque[0], rollouts.trace[0]
     assert np.abs(trace[-60:, :, 5]).max() < 1e-3  # it stands still
     assert (torque[:, :5] == 0).all()
-    # The arm's centre is half a metre out from the joint, at x = -sin θ / 2: gravity turns it by m g sin θ / 2 and the
-    # motor holds against that. The link sags by less than 0.02 rad, the motor's gain being finite: cos' bound is 2 %.
+    # The arm's centre is half a metre from the joint, at x = -sin θ / 2, so gravity's torque is m g sin θ / 2 and the
+    # motor balances it. Because of its finite gain the link sags by less than 0.02 rad.
     held = trace[-1, 5, 2] - trace[-1, 0, 2]
     expected = -1.0 * 9.8 * 0.5 * np.sin(held + trace[-1, 0, 2])
     np.testing.assert_allclose(torque[-60:, 5], expected, rtol=0.01)
     assert abs(held - angle) < 0.02
 
 
-def test_the_batch_engine_says_nothing_of_torque():
+def test_the_batch_engine_reports_no_torque():
     rollouts = simulate(arm(0.5), DryLand(depth=0.0), n_settle=1, n_measure=1, trace=True)
     assert rollouts.motor_torque is None

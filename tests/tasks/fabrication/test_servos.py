@@ -1,4 +1,4 @@
-"""The library of servos: its sources, what a caliper says instead, screws that hold, gauges that tell."""
+"""The servo library, measurements that replace its dimensions, screw lengths and gauges."""
 
 import re
 from dataclasses import fields, replace
@@ -24,7 +24,7 @@ def test_unknown_servos_and_horns_are_refused_with_the_list():
     with pytest.raises(ServoError, match=r"'sg5010' is unknown, expected one of ds3225, hs85mg, mg90s, pdi6221mg"):
         servo_named("sg5010")
     disc = replace(SERVOS["ds3225"], horns=SERVOS["ds3225"].horns[:1])
-    with pytest.raises(ServoError, match="has no cross horn, expected disc"):
+    with pytest.raises(ServoError, match="no cross horn, expected disc"):
         disc.horn("cross")
 
 
@@ -39,17 +39,17 @@ def test_servos_are_what_their_sources_say():
     assert paper.us_per_rad == pytest.approx(636.6, abs=0.1)  # 2000 µs for 180°
     for servo in SERVOS.values():
         assert servo.min_pulse_us < servo.neutral_us < servo.max_pulse_us
-        # What a margin hangs on is never from memory.
+        # The margins depend on these.
         assert {"voltage_v", "stall_torque_nm", "no_load_speed_rad_s", "mass_g"} <= servo.sources.keys()
         assert servo.sources.keys() <= {field.name for field in fields(Servo)}
-        for horn in servo.horns:  # screws on the horn, clear of its hub's middle
+        for horn in servo.horns:  # the screws are on the horn, clear of the centre screw
             assert horn.sources.keys() <= {field.name for field in fields(Horn)}
             as_measured(servo, horn.kind, {})
             assert servo.centre_screw_mm / 2 < horn.screw_radius_mm - horn.screw_mm / 2
             assert horn.screw_radius_mm + horn.screw_mm / 2 < min(horn.long_mm, horn.short_mm)
 
 
-def test_what_has_no_source_is_known():
+def test_fields_without_a_source():
     def missing(item: Servo | Horn) -> set[str]:
         return {field.name for field in fields(item)} - item.sources.keys() - {"name", "kind", "horns", "sources"}
 
@@ -68,13 +68,13 @@ def test_every_measure_is_one_of_a_servo_or_its_horn():
     assert MEASURES.keys() <= of_horn ^ of_servo  # and never of both
 
 
-def test_what_a_caliper_says_takes_the_place_of_the_library():
+def test_measurements_replace_the_library():
     settings = KitSettings(measured={"length_mm": 40.1, "top_mm": 7.0})
     servo = servo_of(settings)
     assert (servo.length_mm, servo.width_mm, servo.horns[0].top_mm) == (40.1, 20.0, 7.0)
     assert servo.sources["length_mm"] == servo.sources["top_mm"] == YOURS != servo.sources["height_mm"]
     assert servo.sources["hub_mm"] == servo.horns[0].sources["hub_mm"] and "thickness_mm" not in servo.sources
-    with pytest.raises(ValidationError, match="came lenght_mm"):
+    with pytest.raises(ValidationError, match="got lenght_mm"):
         KitSettings(measured={"lenght_mm": 40.1})
     with pytest.raises(ServoError, match=r"ds3225: length_mm is 50, expected less than hole_span_mm, 49\.5"):
         servo_of(KitSettings(measured={"length_mm": 50.0}))
@@ -96,17 +96,17 @@ def test_what_a_caliper_says_takes_the_place_of_the_library():
         ("cross", {"arm_width_mm": 40.0, "short_mm": 21.0}, "arm_width_mm is 40, expected less than 2 * long_mm, 36"),
     ],
 )
-def test_measures_that_no_servo_has_are_refused(horn, measured, said):
+def test_impossible_measurements_are_refused(horn, measured, said):
     with pytest.raises(ServoError, match=re.escape(f"servo ds3225: {said}")):
         servo_of(KitSettings(horn=horn, measured=measured))
 
 
-def test_another_disc_is_taken():
+def test_a_disc_of_another_size_is_accepted():
     larger = {"long_mm": 10.2, "short_mm": 10.2, "arm_width_mm": 20.4, "hole_pitch_mm": 0.0}
     assert servo_of(KitSettings(measured=larger)).horns[0].long_mm == 10.2
 
 
-def test_a_kit_says_what_nobody_has_checked(crane):
+def test_dimensions_without_a_source_are_reported(crane):
     mechanism = mechanism_of(crane, KitSettings())
 
     def said(settings: KitSettings) -> list[str]:
@@ -116,7 +116,7 @@ def test_a_kit_says_what_nobody_has_checked(crane):
     (servo_joint, _) = servo_joints_of(mechanism, KitSettings())
     unknown = [name for name in MEASURES if name not in servo_joint.servo.sources]
     (message,) = said(KitSettings())
-    assert message.startswith(f"{len(unknown)} of {len(MEASURES)} measures of a ds3225 and its disc horn")
+    assert message.startswith(f"{len(unknown)} of {len(MEASURES)} dimensions of a ds3225 and its disc horn")
     values = {
         name: getattr(servo_joint.horn if hasattr(servo_joint.horn, name) else servo_joint.servo, name)
         for name in unknown
@@ -133,7 +133,7 @@ def test_screws_reach_and_hold(crane, servo, horn):
         beyond = screw.length_mm - screw.web_mm
         assert screw.length_mm in SCREW_LENGTHS_MM and screw.web_mm >= 5.0
         assert screw.web_mm <= horn_seat_mm(servo_joint, settings)
-        # It comes out of the horn, which holds it with all its thickness, and stays off the case.
+        # It protrudes from the horn, whose whole thickness holds it, and stays clear of the case.
         assert servo_joint.horn.thickness_mm < beyond < servo_joint.horn.top_mm
         assert screw.engaged_mm == servo_joint.horn.thickness_mm
         ear = ear_screw_mm(servo_joint)
@@ -146,7 +146,7 @@ def test_parts_and_gauges_of_every_servo_are_solids(crane, servo, horn):
     assert {part.body for part in kit.parts} == set(range(len(kit.mechanism.bodies)))
     for printed in (*kit.parts, *kit.gauges):
         assert printed.solid.is_valid and printed.solid.volume == pytest.approx(printed.volume_mm3, rel=1e-6)
-    # A case goes into its gauge, and its ears lie on the plate.
+    # The case fits its gauge, and its ears lie on the plate.
     case, rim = kit.servo_joints[0].servo, kit.gauges[0].solid.bounding_box()
     assert max(rim.size.X, rim.size.Y) > case.ear_length_mm and min(rim.size.X, rim.size.Y) > case.width_mm
     plate = case.height_mm - case.ear_bottom_mm - case.ear_thickness_mm
@@ -154,10 +154,12 @@ def test_parts_and_gauges_of_every_servo_are_solids(crane, servo, horn):
     assert height_mm == pytest.approx(plate + 3.0)  # and 3 mm of the pocket's rim
 
 
-def test_threads_too_short_and_screws_that_do_not_exist(crane):
+def test_short_threads_and_missing_screw_lengths(crane):
     (said,) = (f for f in build_kit(crane, KitSettings()).findings if f.name == "short thread")
     assert said.severity == "warning"
-    assert "M3 screws hold in the disc horn by 2.5 mm, expected their diameter, 3 mm" in said.message
+    assert (
+        "the M3 screws in the disc horn engage 2.5 mm of thread, expected at least their diameter, 3 mm" in said.message
+    )
     thick = KitSettings(measured={"thickness_mm": 3.0})
     assert not any(finding.name == "short thread" for finding in build_kit(crane, thick).findings)
     settings = KitSettings(measured={"thickness_mm": 7.2})  # 0.3 mm to the case
@@ -191,13 +193,13 @@ def test_gauges_are_slices_of_the_parts(crane):
 
 
 @pytest.mark.parametrize(("servo", "horn"), EVERY_HORN)
-def test_the_gap_between_the_gauges_tells_where_a_horn_s_top_is(crane, servo, horn):
-    """The servo's ears on one gauge's plate, its horn on the floor of the other: docs/assembly.md, "Measure first"."""
+def test_the_gap_between_the_gauges_is_the_layer_gap(crane, servo, horn):
+    """The ears lie on one gauge's plate, the horn on the floor of the other: docs/assembly.md, "Measure first"."""
     settings = KitSettings(servo=servo, horn=horn)
     (servo_joint, *_) = servo_joints_of(mechanism_of(crane, settings), settings)
 
     def floors(gauge: Gauge) -> list[float]:
-        """Heights of its faces that lie flat, from the lowest to its rim."""
+        """Return the heights of the horizontal faces, from the lowest to the rim."""
         planes = [face for face in gauge.solid.faces() if face.geom_type == GeomType.PLANE]
         return sorted({round(face.center().Z, 6) for face in planes if abs(face.normal_at().Z) > 0.5})
 

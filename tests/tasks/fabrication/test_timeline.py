@@ -1,4 +1,4 @@
-"""Timelines against closed forms, and the limits that they must not pass."""
+"""Timelines against closed forms, and their limits."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def design(**genes):
     return replace(one, motor_on=on, **{name: np.asarray(value, dtype=float) for name, value in genes.items()})
 
 
-def test_the_controller_of_the_simulation_in_the_time_of_the_bench():
+def test_the_timeline_is_the_simulated_controller_in_bench_time():
     phase = [[0.0, 0.5, 0.0, 2.0, 0.0, 0.0]]
     amplitude = [[0.0, 0.4, 0.2, 1.2, 0.2, 0.2]]
     one = design(frequency=[0.25], phase=phase, motion_range=amplitude)
@@ -63,7 +63,7 @@ def test_an_envelope_rises_and_falls_without_a_jump(duration: float, ramp: float
 
 def test_a_design_without_motors_has_no_timeline():
     still = replace(design(), motor_on=np.zeros((1, 6), dtype=bool))
-    with pytest.raises(TimelineError, match="no joint is driven"):
+    with pytest.raises(TimelineError, match="no motor is on"):
         timeline_of(still, Playback(), time_scale=1.0)
 
 
@@ -85,15 +85,15 @@ def test_pulses_are_linear_in_the_angle():
         assert one.angle(sent[7, column]) == pytest.approx(angle[7, 0])
 
 
-def test_a_timeline_past_a_limit_is_refused_with_joint_instant_and_limit():
+def test_a_timeline_beyond_a_limit_is_refused_with_joint_time_and_limit():
     rising = Timeline(joints=(1,), angle=np.linspace(0.0, 1.2, 101)[:, None])
-    with pytest.raises(TimelineError, match=r"joint 1 \(channel 0\) at 1\.68 s: .* 2105 µs.*900 to 2100\. .*68\.8°"):
+    with pytest.raises(TimelineError, match=r"joint 1 \(channel 0\) at 1\.68 s: .* 2105 µs.*900 to 2100 µs; .*68\.8°"):
         pulses(rising, Calibration(servos=(servo(),)))  # 600 · 0.012 · 84 is the first above 600
     with pytest.raises(TimelineError, match=r"2\.50 rad/s, expected at most 2"):
         pulses(Timeline((1,), np.array([[0.0], [0.05]])), Calibration(servos=(servo(max_speed=2.0),)))
-    with pytest.raises(TimelineError, match="joint 3"):
+    with pytest.raises(TimelineError, match="for joints 1, 3, the calibration has them for 1"):
         pulses(Timeline((1, 3), np.zeros((5, 2))), Calibration(servos=(servo(),)))
-    with pytest.raises(TimelineError, match=r"joint 1 at 0\.02 s: expected an angle, came nan"):
+    with pytest.raises(TimelineError, match=r"joint 1 at 0\.02 s: expected a finite angle, got nan"):
         Timeline((1,), np.array([[0.0], [np.nan]]))
 
 
@@ -110,7 +110,7 @@ def test_a_timeline_past_a_limit_is_refused_with_joint_instant_and_limit():
         ({"max_speed": 0.0}, "max_speed"),
     ],
 )
-def test_calibrations_that_are_none(changes, said):
+def test_invalid_calibrations_are_refused(changes, said):
     with pytest.raises(ValidationError, match=said):
         servo(**changes)
 
