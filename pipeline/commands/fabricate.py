@@ -61,5 +61,5 @@ def fabricate(
         made = make(design, of_study, of_kit, out, store=opened, tracker=tracker)
     for line in made.lines:
         typer.echo(line)
-    if made.faults:
+    if made.n_faults:
         raise typer.Exit(INCOMPLETE)

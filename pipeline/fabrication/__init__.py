@@ -1,1 +1,1 @@
-"""Fabrication's files: what a kit's folder holds."""
+"""Kits as files: everything in a kit's folder."""

@@ -1,6 +1,6 @@
-"""The assembly drawing, on a sheet of A3: the robot from its side and from above, its joints, parts and rods.
+"""The assembly drawing on an A3 sheet: side view, top view, and tables of joints, parts and items to buy.
 
-Lengths on the sheet are to scale when it is printed at its own size. The same kit gives the same bytes.
+The views are to scale when printed at full size. The same kit gives the same bytes.
 """
 
 from __future__ import annotations
@@ -22,19 +22,18 @@ from shapely import box as shapely_box
 from shapely.geometry.base import BaseGeometry
 
 from pipeline.fabrication.labels import Labels, around
+from pipeline.report.drawing import INK
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.parts import SIDES, placement
 from tasks.fabrication.servo_joints import ServoJoint
 
-SHEET_MM = (420.0, 297.0)
-MARGIN_MM = 8.0
-SIDE_VIEW = (20.0, 26.0, 232.0, 236.0)
-"""Room on the sheet for the view from the side, without its dimensions: left, bottom, width, height [mm]."""
-COLUMN_X, COLUMN_WIDTH = 284.0, 122.0
-"""Of the tables and the view from above."""
-TITLE_HEIGHT = 30.0
+_SHEET_MM = (420.0, 297.0)
+_MARGIN_MM = 8.0
+_SIDE_VIEW_MM = (20.0, 26.0, 232.0, 236.0)  # left, bottom, width and height, without dimensions
+_COLUMN_X_MM, _COLUMN_WIDTH_MM = 284.0, 122.0  # of the tables and the top view
+_TITLE_HEIGHT_MM = 30.0
 _DRAWING_SCALES = (2.0, 1.0, 0.5, 0.4, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01)
-INK, FAINT = "#1d2129", "#8a919c"
+_GREY, _DARK_GREY, _RED = "#8a919c", "#3c3c42", "#b0123c"
 PART_COLOURS = ("#d67a48", "#5c8ebe", "#78aa60", "#aa78b4", "#c9a43c", "#6f7f8f")
 _SHEET_STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
@@ -48,51 +47,33 @@ _SHEET_STYLE: dict[str, Any] = {
     "patch.linewidth": 0.6,
     "hatch.linewidth": 0.3,
 }
-SMALL, LARGE = 6.0, 13.0
-GRID_MM = 4.0
-"""Between the places that are tried for a part's name."""
-ASIDE_MM = 5.0
-"""From one dimension to the next beside it."""
-SHORT_MM = 12.0
-"""A dimension in which its own text has no room."""
-_LABEL_SHARES = (0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6, 0.05, 0.95)
-"""Of a part's length in the view from above: places for its number."""
-DIMENSION: dict[str, Any] = {
-    "arrowstyle": "<|-|>",
-    "color": INK,
-    "lw": 0.5,
-    "shrinkA": 0,
-    "shrinkB": 0,
-    "mutation_scale": 5,
-}
+_SMALL, _LARGE = 6.0, 13.0
+_GRID_MM = 4.0  # of the candidate positions of a part's name
+_DIMENSION_STEP_MM = 5.0  # between parallel dimensions
+_SHORT_MM = 12.0  # a dimension too short for its text
+_LABEL_SHARES = (0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6, 0.05, 0.95)  # of a part's length in the top view
+_ARROWS = {"arrowstyle": "<|-|>", "color": INK, "lw": 0.5, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 5}
 
 
 def assembly_drawing(kit: Kit, title: str, n_faults: int) -> dict[str, bytes]:
     """Draw a kit.
 
     Args:
-        kit: what to draw.
-        title: of the sheet.
-        n_faults: that speak against building it, of its parts and of the bench.
+        kit: The kit.
+        title: Title of the sheet.
+        n_faults: Number of faults of the parts and of the bench.
 
     Returns:
-        The same sheet as ``svg``, ``pdf`` and ``png``.
+        The sheet as ``svg``, ``pdf`` and ``png``.
     """
     with mpl.rc_context(_SHEET_STYLE):
-        figure = Figure(figsize=(SHEET_MM[0] / 25.4, SHEET_MM[1] / 25.4), facecolor="white")
+        width, height = _SHEET_MM
+        figure = Figure(figsize=(width / 25.4, height / 25.4), facecolor="white")
         sheet = figure.add_axes((0, 0, 1, 1))
-        sheet.set(xlim=(0, SHEET_MM[0]), ylim=(0, SHEET_MM[1]))
+        sheet.set(xlim=(0, width), ylim=(0, height))
         sheet.axis("off")
-        sheet.add_patch(
-            Rectangle(
-                (MARGIN_MM, MARGIN_MM),
-                SHEET_MM[0] - 2 * MARGIN_MM,
-                SHEET_MM[1] - 2 * MARGIN_MM,
-                fill=False,
-                ec=INK,
-                lw=0.9,
-            )
-        )
+        inner = (width - 2 * _MARGIN_MM, height - 2 * _MARGIN_MM)
+        sheet.add_patch(Rectangle((_MARGIN_MM, _MARGIN_MM), *inner, fill=False, ec=INK, lw=0.9))
         low, high = _bounds([profile.polygon for profile in kit.profiles])
         scale = _side_view(sheet, kit, low, high)
         end = _tables(sheet, kit, n_faults)
@@ -117,38 +98,32 @@ def _bounds(outlines: Sequence[Polygon]) -> tuple[Any, Any]:
 
 
 def _scale(size: Any, room: Any) -> float:
-    """Give the largest of the usual scales at which something fits."""
+    """Return the largest standard scale at which a size fits."""
     return next(
         (scale for scale in _DRAWING_SCALES if (scale * np.array(size) <= np.array(room)).all()), _DRAWING_SCALES[-1]
     )
 
 
 def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
-    """Draw a pontoon's parts in their plane, seen from the right: x forward, y up. Give the scale."""
-    left, bottom, *room = SIDE_VIEW
+    """Draw a pontoon's parts from the right, x forward and y up. Returns the scale."""
+    left, bottom, *room = _SIDE_VIEW_MM
     scale = _scale(high - low, room)
     corner = np.array([left, bottom]) + (np.array(room) - scale * (high - low)) / 2
 
     def put(points: Iterable[Sequence[float]]) -> Any:
         return (np.array(list(points), dtype=float) - low) * scale + corner
 
-    sheet.text(left - 4, SHEET_MM[1] - 18, "From the right, at rest; both pontoons alike", fontsize=9, weight="bold")
+    sheet.text(
+        left - 4, _SHEET_MM[1] - 18, "Side view from the right, at rest (both pontoons)", fontsize=9, weight="bold"
+    )
     order = sorted(range(len(kit.profiles)), key=lambda body: kit.layers.outer[body])
     for body in order:
         outer = kit.layers.outer[body]
         for piece in kit.splits[body].pieces:
-            sheet.add_patch(
-                _patch(
-                    piece,
-                    put,
-                    fc=PART_COLOURS[body % 6],
-                    ec=INK,
-                    alpha=0.45 if outer else 0.8,
-                    zorder=3 if outer else 2,
-                )
-            )
+            style = {"alpha": 0.45, "zorder": 3} if outer else {"alpha": 0.8, "zorder": 2}
+            sheet.add_patch(_patch(piece, put, fc=PART_COLOURS[body % 6], ec=INK, **style))
         for link in kit.mechanism.bodies[body].links:
-            dashed = _patch(kit.mechanism.links[link], put, fill=False, ec=FAINT, lw=0.25, ls=(0, (12, 8)), zorder=4)
+            dashed = _patch(kit.mechanism.links[link], put, fill=False, ec=_GREY, lw=0.25, ls=(0, (12, 8)), zorder=4)
             sheet.add_patch(dashed)
     for servo_joint in kit.servo_joints:
         for hollow in (servo_joint.pocket, servo_joint.recess):
@@ -161,7 +136,7 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
 
 
 def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
-    """Mark joints and rods, and name them, the parts and the ways between joints, so that nothing hides another."""
+    """Mark joints and rods, and label them, the parts and the distances between joints without overlaps."""
     labels = Labels(sheet)
     joints = [tuple(put([servo_joint.joint.at])[0]) for servo_joint in kit.servo_joints]
     rods = {
@@ -178,17 +153,12 @@ def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
         labels.put(name, around(rod, (3.6, 5.0, 8.0, 12.0)), of=rod, fontsize=5.5)
     for servo_joint, joint in zip(kit.servo_joints, joints, strict=True):
         reach = max(servo_joint.recess_radius_mm * scale, 3.0) + 6.0
-        labels.put(
-            f"joint {servo_joint.joint.link}",
-            around(joint, (reach, reach + 4, reach + 9, reach + 15)),
-            of=joint,
-            color="#b0123c",
-            weight="bold",
-            fontsize=7.0,
-        )
+        places = around(joint, (reach, reach + 4, reach + 9, reach + 15))
+        name = f"joint {servo_joint.joint.link}"
+        labels.put(name, places, of=joint, color=_RED, weight="bold", fontsize=7.0)
     for body in range(len(kit.profiles)):
-        places = [tuple(place) for place in put(_inside(kit, body))]
-        labels.put(f"part {body + 1}", places, weight="bold", fontsize=7.0)
+        inside = [tuple(place) for place in put(_inside(kit, body))]
+        labels.put(f"part {body + 1}", inside, weight="bold", fontsize=7.0)
     ways = [
         (put([a.joint.at])[0], put([b.joint.at])[0], float(np.hypot(*np.subtract(a.joint.at, b.joint.at))))
         for a, b in combinations(kit.servo_joints, 2)
@@ -200,11 +170,13 @@ def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
 
 
 def _inside(kit: Kit, body: int) -> list[tuple[float, float]]:
-    """Give places for a part's name: in it, those that no other part covers and that are deepest in it first."""
+    """Return positions for a part's name inside it, uncovered and deep ones first."""
     own = kit.profiles[body].polygon
     others = unary_union([profile.polygon for index, profile in enumerate(kit.profiles) if index != body])
     low_x, low_y, high_x, high_y = own.bounds
-    grid = [(float(x), float(y)) for x in np.arange(low_x, high_x, GRID_MM) for y in np.arange(low_y, high_y, GRID_MM)]
+    grid = [
+        (float(x), float(y)) for x in np.arange(low_x, high_x, _GRID_MM) for y in np.arange(low_y, high_y, _GRID_MM)
+    ]
     inside = [place for place in grid if own.contains(Point(place))]
     if not inside:
         point = own.representative_point()
@@ -214,13 +186,13 @@ def _inside(kit: Kit, body: int) -> list[tuple[float, float]]:
 
 
 def _aside(sheet: Axes, labels: Labels, start: Any, end: Any, text: str, number: int) -> None:
-    """Draw a distance beside the line that it measures, with lines that lead there; each further out than the last."""
+    """Draw a distance parallel to the line that it measures, each further out than the last."""
     along = np.subtract(end, start)
     length = float(np.hypot(*along))
     across = np.array([-along[1], along[0]]) / max(length, 1e-9)
     if across[0] > 0:
         across = -across
-    out = ASIDE_MM * (number + 2) * across
+    out = _DIMENSION_STEP_MM * (number + 2) * across
     for point in (start, end):
         tip = point + out * (1 + 1.5 / np.hypot(*out))
         sheet.plot([point[0], tip[0]], [point[1], tip[1]], color=INK, lw=0.3, zorder=7)
@@ -229,64 +201,42 @@ def _aside(sheet: Axes, labels: Labels, start: Any, end: Any, text: str, number:
 
 
 def _joint(sheet: Axes, servo_joint: ServoJoint, child: Sequence[float], put: Any, scale: float) -> LineString:
-    """Mark a joint's axis, and the sector that its child link's middle sweeps about rest. Give the sector's arc."""
+    """Mark a joint's axis and the arc that the middle of its child link sweeps. Returns the arc."""
     (x, y), (child_x, child_y) = put([servo_joint.joint.at, child])
     reach = max(servo_joint.recess_radius_mm * scale, 3.0) + 4.0
     direction = atan2(child_y - y, child_x - x)
     swing = servo_joint.joint.motion_range
     ends = (direction - swing, direction + swing)
-    sheet.add_patch(
-        Arc(
-            (x, y),
-            2 * reach,
-            2 * reach,
-            theta1=degrees(ends[0]),
-            theta2=degrees(ends[1]),
-            ec="#b0123c",
-            lw=0.8,
-            zorder=7,
-        )
-    )
+    angles = {"theta1": degrees(ends[0]), "theta2": degrees(ends[1])}
+    sheet.add_patch(Arc((x, y), 2 * reach, 2 * reach, **angles, ec=_RED, lw=0.8, zorder=7))
     for at in ends:
-        sheet.plot(
-            [x + 0.55 * reach * cos(at), x + reach * cos(at)],
-            [y + 0.55 * reach * sin(at), y + reach * sin(at)],
-            color="#b0123c",
-            lw=0.5,
-            zorder=7,
-        )
+        xs, ys = ([c + share * reach * f(at) for share in (0.55, 1.0)] for c, f in ((x, cos), (y, sin)))
+        sheet.plot(xs, ys, color=_RED, lw=0.5, zorder=7)
     for dx, dy in ((2.2, 0.0), (0.0, 2.2)):
         sheet.plot([x - dx, x + dx], [y - dy, y + dy], color=INK, lw=0.5, zorder=7)
     return LineString([(x + reach * cos(at), y + reach * sin(at)) for at in np.linspace(*ends, 24)])
 
 
 def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
-    """Draw both pontoons from above: x forward, the right pontoon at the bottom; parts by their extent."""
+    """Draw the extents of all parts from above, x forward, with the right pontoon at the bottom."""
     settings = kit.settings
     deep = settings.pitch_mm + settings.thickness_mm
-    out = max(
-        (servo_joint.servo.height_mm - settings.thickness_mm for servo_joint in kit.servo_joints), default=0.0
-    )  # behind a part
-    room = (COLUMN_WIDTH - 40.0, top - MARGIN_MM - TITLE_HEIGHT - 12.0)
+    behind = [servo_joint.servo.height_mm - settings.thickness_mm for servo_joint in kit.servo_joints]
+    out = max(behind, default=0.0)
+    room = (_COLUMN_WIDTH_MM - 40.0, top - _MARGIN_MM - _TITLE_HEIGHT_MM - 12.0)
     scale = _scale((high[0] - low[0], deep + 2 * out), room)
-    corner = np.array([COLUMN_X + 12.0, top - 6.0 - (deep + out) * scale])
+    corner = np.array([_COLUMN_X_MM + 12.0, top - 6.0 - (deep + out) * scale])
 
     def put(x: float, z: float) -> Any:
         return np.array([(x - low[0]) * scale + corner[0], (deep - z) * scale + corner[1]])
 
-    sheet.text(COLUMN_X, top, f"From above, 1 : {1 / scale:g}", fontsize=9, weight="bold")
+    sheet.text(_COLUMN_X_MM, top, f"Top view, 1 : {1 / scale:g}", fontsize=9, weight="bold")
     for body, rods in enumerate(kit.layers.rods):
         start, length = kit.layers.low_mm(body, settings), kit.layers.rod_length_mm(body, settings)
         for rod in rods:
             a, b = put(rod[0], start), put(rod[0], start + length)
-            sheet.plot(
-                [a[0], b[0]],
-                [a[1], b[1]],
-                color=FAINT,
-                lw=max(1.0, settings.rod_mm * scale * 2.83),
-                zorder=2,
-                solid_capstyle="butt",
-            )
+            lw = max(1.0, settings.rod_mm * scale * 2.83)
+            sheet.plot([a[0], b[0]], [a[1], b[1]], color=_GREY, lw=lw, zorder=2, solid_capstyle="butt")
     labels, names = Labels(sheet), {}
     for body, profile in enumerate(kit.profiles):
         x0, _, x1, _ = profile.polygon.bounds
@@ -299,38 +249,35 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
         if item.kind == "servo":
             box = item.solid.bounding_box()
             a, b = put(box.min.X, box.max.Z), put(box.max.X, box.min.Z)
-            sheet.add_patch(Rectangle(a, *(b - a), fc="#3c3c42", ec=INK, alpha=0.8, zorder=5))
+            sheet.add_patch(Rectangle(a, *(b - a), fc=_DARK_GREY, ec=INK, alpha=0.8, zorder=5))
             labels.keep_off(shapely_box(*np.minimum(a, b), *np.maximum(a, b)))
-    for (name, y), (start, end) in names.items():  # parts of one layer may lie over one another
-        labels.put(name, [(start + share * (end - start), y) for share in _LABEL_SHARES], fontsize=SMALL)
+    for (name, y), (start, end) in names.items():  # parts of one layer may overlap in this view
+        labels.put(name, [(start + share * (end - start), y) for share in _LABEL_SHARES], fontsize=_SMALL)
     x_end = put(high[0], 0.0)[0]
     left, right = put(low[0], 0.0)[1], put(low[0], settings.pitch_mm)[1]
     _dimension(sheet, labels, (x_end + 7, right), (x_end + 7, left), f"{settings.pitch_mm:g}")
     left_middle = put(low[0], settings.thickness_mm / 2)[1]
-    sheet.text(corner[0] - 3, left_middle, "left", ha="right", va="center", fontsize=SMALL)
+    sheet.text(corner[0] - 3, left_middle, "left", ha="right", va="center", fontsize=_SMALL)
     right_middle = put(low[0], deep - settings.thickness_mm / 2)[1]
-    sheet.text(corner[0] - 3, right_middle, "right", ha="right", va="center", fontsize=SMALL)
+    sheet.text(corner[0] - 3, right_middle, "right", ha="right", va="center", fontsize=_SMALL)
     thick = f"{settings.thickness_mm:g} thick,\nlayers {settings.layer_gap_mm:g} apart"
-    sheet.text(x_end + 11, put(0.0, deep)[1], thick, va="bottom", fontsize=SMALL)
+    sheet.text(x_end + 11, put(0.0, deep)[1], thick, va="bottom", fontsize=_SMALL)
 
 
 def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
-    """List joints, parts and what to buy on the right; give where the tables end."""
-    x, y = COLUMN_X, SHEET_MM[1] - 18.0
+    """Draw the tables of joints, parts and items to buy. Returns the lower end [mm]."""
+    x, y = _COLUMN_X_MM, _SHEET_MM[1] - 18.0
     joints = [["joint", "turns", "rest", "range", "servo in", "longer pulse"]]
     for servo_joint in kit.servo_joints:
         for side in servo_joint.sides(kit.settings.servos_per_joint):
             sense = "+" if kit.direction(servo_joint.joint.link, side) > 0 else "−"
-            joints.append(
-                [
-                    f"{servo_joint.joint.link}",
-                    f"part {servo_joint.joint.child + 1} on {servo_joint.joint.parent + 1}",
-                    f"{degrees(servo_joint.joint.rest_angle):+.1f}°",
-                    f"±{degrees(servo_joint.joint.motion_range):.1f}°",
-                    f"part {servo_joint.carrier + 1}, {side}",
-                    f"{sense} angle",
-                ]
-            )
+            joint, carrier = servo_joint.joint, f"part {servo_joint.carrier + 1}, {side}"
+            row = [
+                f"{joint.link}",
+                f"part {joint.child + 1} on {joint.parent + 1}",
+                f"{degrees(joint.rest_angle):+.1f}°",
+            ]
+            joints.append([*row, f"±{degrees(joint.motion_range):.1f}°", carrier, f"{sense} angle"])
     y = _table(sheet, x, y, "Joints", joints, (10, 25, 19, 18, 25, 25))
     printed: dict[int, float] = {}
     for part in kit.parts:
@@ -338,18 +285,11 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
     rows = [["part", "links", "layer", "pieces", "size", "both copies"]]
     for body in kit.mechanism.bodies:
         x0, y0, x1, y1 = kit.profiles[body.index].polygon.bounds
-        rows.append(
-            [
-                f"{body.index + 1}",
-                ", ".join(map(str, body.links)),
-                "outer" if kit.layers.outer[body.index] else "inner",
-                f"2 × {len(kit.splits[body.index].pieces)}",
-                f"{x1 - x0:.0f} × {y1 - y0:.0f}",
-                f"{printed[body.index]:.0f} g",
-            ]
-        )
+        layer = "outer" if kit.layers.outer[body.index] else "inner"
+        row = [f"{body.index + 1}", ", ".join(map(str, body.links)), layer, f"2 × {len(kit.splits[body.index].pieces)}"]
+        rows.append([*row, f"{x1 - x0:.0f} × {y1 - y0:.0f}", f"{printed[body.index]:.0f} g"])
     y = _table(sheet, x, y - 6, "Parts", rows, (10, 25, 19, 18, 25, 25))
-    bought = [["count", "item", "each [mm]", "note"]]
+    bought = [["count", "item", "length", "note"]]
     bought += [
         [f"{line.count}", line.item, "" if line.length_mm is None else f"{line.length_mm:.1f}", line.note]
         for line in kit.bill
@@ -358,56 +298,51 @@ def _tables(sheet: Axes, kit: Kit, n_faults: int) -> float:
     y = _table(sheet, x, y - 6, "To buy", bought, (10, 43, 14, 55))
     if n_faults:
         y -= 8
-        said = f"{n_faults} fault{'s' * (n_faults > 1)} found: read the findings before you print."
-        sheet.text(x, y, said, color="#b0123c", weight="bold")
+        warning = f"{n_faults} fault{'s' * (n_faults > 1)} found. Read the findings before you print."
+        sheet.text(x, y, warning, color=_RED, weight="bold")
     return y
 
 
 def _table(sheet: Axes, x: float, y: float, title: str, rows: list[list[str]], widths: Sequence[float]) -> float:
-    """Write a table downward from y; give where it ends."""
+    """Draw a table downward from y. Returns its lower end [mm]."""
     sheet.text(x, y, title, fontsize=9, weight="bold")
     for number, row in enumerate(rows):
         y -= 4.6
         at = x
         for cell, width in zip(row, widths, strict=True):
             fits = int(width / 1.24)
-            sheet.text(
-                at,
-                y,
-                cell if len(cell) <= fits else cell[: fits - 1] + "…",
-                fontsize=SMALL,
-                color=FAINT if number == 0 else INK,
-            )
+            text = cell if len(cell) <= fits else cell[: fits - 1] + "…"
+            sheet.text(at, y, text, fontsize=_SMALL, color=_GREY if number == 0 else INK)
             at += width
         if number == 0:
-            sheet.plot([x, x + sum(widths)], [y - 1.2, y - 1.2], color=FAINT, lw=0.4)
+            sheet.plot([x, x + sum(widths)], [y - 1.2, y - 1.2], color=_GREY, lw=0.4)
     return y
 
 
 def _title_block(sheet: Axes, kit: Kit, title: str, scale: float) -> None:
-    width, height = SHEET_MM[0] - MARGIN_MM - COLUMN_X + 6.0, TITLE_HEIGHT
-    x, y = SHEET_MM[0] - MARGIN_MM - width, MARGIN_MM
+    width, height = _SHEET_MM[0] - _MARGIN_MM - _COLUMN_X_MM + 6.0, _TITLE_HEIGHT_MM
+    x, y = _SHEET_MM[0] - _MARGIN_MM - width, _MARGIN_MM
     sheet.add_patch(Rectangle((x, y), width, height, fc="white", ec=INK, lw=0.9))
     ratio = f"1 : {1 / scale:g}"
-    sheet.text(x + 4, y + height - 8, title, fontsize=LARGE, weight="bold")
+    sheet.text(x + 4, y + height - 8, title, fontsize=_LARGE, weight="bold")
     lines = (
-        f"Assembly. Millimetres. Scale {ratio} on A3. {kit.settings.scale_mm_per_m:g} mm per metre of simulation.",
+        f"Assembly. Dimensions in mm. Scale {ratio} on A3. {kit.settings.scale_mm_per_m:g} mm per metre of simulation.",
         f"PLA at {kit.settings.infill:.0%} infill; about {kit.mass_g:.0f} g with servos and steel.",
-        "Dashed: links, servo pockets and horn recesses. R: rods. Red: the range about rest.",
+        "Dashed: links, servo pockets, horn recesses. R: rods. Red: range of a joint about rest.",
     )
     for number, line in enumerate(lines):
-        sheet.text(x + 4, y + 13 - 5 * number, line, fontsize=SMALL)
+        sheet.text(x + 4, y + 13 - 5 * number, line, fontsize=_SMALL)
 
 
 def _dimension(sheet: Axes, labels: Labels, a: Sequence[float], b: Sequence[float], text: str) -> None:
-    """Draw a distance with arrows, and its length on it or, if it is short, at one of its ends."""
-    sheet.annotate("", (a[0], a[1]), (b[0], b[1]), arrowprops=DIMENSION, zorder=8)
+    """Draw a dimension with arrows and its length on it, or at one end if it is short."""
+    sheet.annotate("", (a[0], a[1]), (b[0], b[1]), arrowprops=_ARROWS, zorder=8)
     along = np.subtract(b, a)
     slope = degrees(atan2(along[1], along[0]))
     upright = slope - 180.0 if slope > 90.0 else slope + 180.0 if slope <= -90.0 else slope
     places = [tuple(a + share * along) for share in (0.5, 0.4, 0.6, 0.3, 0.7)]
-    if (length := float(np.hypot(*along))) < SHORT_MM:
-        places = [tuple(end + sign * SHORT_MM / 2 * along / max(length, 1e-9)) for end, sign in ((b, 1), (a, -1))]
+    if (length := float(np.hypot(*along))) < _SHORT_MM:
+        places = [tuple(end + sign * _SHORT_MM / 2 * along / max(length, 1e-9)) for end, sign in ((b, 1), (a, -1))]
     labels.put(text, places, rotation=upright, fontsize=7.0)
 
 

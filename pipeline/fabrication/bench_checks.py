@@ -27,9 +27,7 @@ _MAX_DEVIATIONS = 2.0  # of the ensemble between its mean and the truth
 _Shortfall = Literal["travel", "speed", "torque"]
 
 
-def check_timeline(
-    timeline: Timeline, calibration: Calibration, settings: FabricationSettings
-) -> list[KitFinding]:
+def check_timeline(timeline: Timeline, calibration: Calibration, settings: FabricationSettings) -> list[KitFinding]:
     """Check that the servos can play a timeline."""
     try:
         pulses(timeline, calibration)
@@ -71,9 +69,7 @@ def _advice(shortfalls: Sequence[_Shortfall], settings: FabricationSettings) -> 
     return "".join(advice[shortfall] for shortfall in shortfalls)
 
 
-def check_loads(
-    loads: Sequence[JointLoad] | None, servo: Servo, settings: FabricationSettings
-) -> list[KitFinding]:
+def check_loads(loads: Sequence[JointLoad] | None, servo: Servo, settings: FabricationSettings) -> list[KitFinding]:
     """Check the loads of a simulated run against a servo.
 
     Args:
@@ -95,8 +91,8 @@ def check_loads(
             findings.append(KitFinding("torque", "fault", where, message))
         elif load.margin < _MIN_MARGIN:
             message = (
-                f"at the worst instant a {servo.name} gives {load.margin:.2f} times what the run needs, expected at least "
-                f"{_MIN_MARGIN:g} because real servos give less than their data sheet.{advice}"
+                f"at the worst instant a {servo.name} gives {load.margin:.2f} times what the run needs, expected at "
+                f"least {_MIN_MARGIN:g} because real servos give less than their data sheet.{advice}"
             )
             findings.append(KitFinding("margin", "warning", where, message))
         if load.stall_share > CONTINUOUS_SHARE:
@@ -124,8 +120,8 @@ def check_contacts(contacts: Sequence[Contact]) -> list[KitFinding]:
         severity: Severity = "warning" if contact.share > _BRIEF_CONTACT else "note"
         message = (
             f"links {first} and {second} touch in {contact.share:.1%} of the simulated run, first after "
-            f"{contact.first:.1f} s. On the bench {parts} lie in different layers and pass each other, so the robot moves "
-            f"differently there"
+            f"{contact.first:.1f} s. On the bench {parts} lie in different layers and pass each other, so the robot "
+            f"moves differently there"
         )
         findings.append(KitFinding("passes on the bench", severity, where, message))
     return findings
@@ -142,8 +138,8 @@ def check_floating(floating: Floating, tank_mm: float) -> list[KitFinding]:
         findings.append(KitFinding("floating", "warning", "robot", message))
     elif floating.flooded_share > 1:
         message = (
-            f"floats while its pockets are dry, but sinks once they are full (mass {floating.flooded_share:.2f} times the "
-            f"displaced fluid). Seal the pockets"
+            f"floats while its pockets are dry, but sinks once they are full: it then weighs "
+            f"{floating.flooded_share:.2f} times the displaced fluid. Seal the pockets"
         )
         findings.append(KitFinding("floating", "warning", "robot", message))
     return findings

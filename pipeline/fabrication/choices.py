@@ -1,4 +1,4 @@
-"""What may be chosen of a kit: a settings file of its own, apart from a study's."""
+"""Settings of ``puddle fabricate``, separate from a study's."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from tasks.parameters import Parameters
 
 
 class FabricationSettings(Parameters):
-    """A kit's settings."""
+    """Settings of a kit."""
 
     kit: KitSettings = KitSettings()
-    """Parts, servo, printer."""
+    """Parts, servo and printer."""
     scaling: Scaling = Scaling()
-    """From simulated seconds to the bench's."""
+    """Scaling from simulation to bench."""
     playback: Playback = Playback()
     """The run on the bench."""

@@ -1,12 +1,10 @@
-"""Exports: a kit as files, for the printer, the shop, the bench and other CAD programs.
-
-The same kit gives the same bytes.
+"""A kit's files for printing, buying, assembly and other CAD programs. The same kit gives the same bytes.
 
 ::
 
     robot.png  drawing.svg  drawing.pdf  drawing.png  bill.csv  robot.step
-    print/PART.stl  print/PART.3mf      one piece each, lying on the bed as it is best printed; gauges too
-    cad/PART.step                       one piece each, in its place in the robot
+    print/PART.stl  print/PART.3mf      one piece or gauge each, oriented for printing
+    cad/PART.step                       one piece each, in place in the robot
     profiles/PART.dxf                   outline, bores and pockets of one copy of a part
 """
 
@@ -24,7 +22,7 @@ from tasks.fabrication.features import Feature
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.parts import Mesh, mesh_of, on_bed
 
-BOUGHT_COLOURS: dict[str, Colour] = {
+_BOUGHT_COLOURS: dict[str, Colour] = {
     "servo": (62, 62, 70),
     "horn": (214, 188, 96),
     "rod": (196, 200, 206),
@@ -36,12 +34,12 @@ def exports(kit: Kit, *, title: str, n_faults: int) -> dict[str, bytes]:
     """Make a kit's files, by name.
 
     Args:
-        kit: what to write.
-        title: of the drawing.
-        n_faults: that speak against building it, which the drawing tells.
+        kit: The kit.
+        title: Title of the drawing.
+        n_faults: Number of faults, for the drawing's warning.
     """
     meshes = [mesh_of(part.solid) for part in kit.parts]
-    files = {"robot.png": _picture(kit, meshes), "bill.csv": bill_csv(kit)}
+    files = {"robot.png": _picture(kit, meshes), "bill.csv": _bill_csv(kit)}
     files |= {f"drawing.{form}": content for form, content in assembly_drawing(kit, title, n_faults).items()}
     everything = [(part.name, part.solid) for part in kit.parts] + [(item.name, item.solid) for item in kit.bought]
     files["robot.step"] = step(everything, "robot")
@@ -61,8 +59,7 @@ def exports(kit: Kit, *, title: str, n_faults: int) -> dict[str, bytes]:
     return files
 
 
-def bill_csv(kit: Kit) -> bytes:
-    """Give the bill of materials as CSV."""
+def _bill_csv(kit: Kit) -> bytes:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["kind", "item", "count", "each_length_mm", "all_mass_g", "note"])
@@ -79,7 +76,7 @@ def _picture(kit: Kit, meshes: list[Mesh]) -> bytes:
         red, green, blue = (round(255 * c) for c in to_rgb(colour))
         parts.append((red, green, blue))
     shown = [ColouredMesh(mesh, parts[part.body % len(parts)]) for part, mesh in zip(kit.parts, meshes, strict=True)]
-    shown += [ColouredMesh(mesh_of(item.solid), BOUGHT_COLOURS[item.kind]) for item in kit.bought]
+    shown += [ColouredMesh(mesh_of(item.solid), _BOUGHT_COLOURS[item.kind]) for item in kit.bought]
     kinds = dict.fromkeys(item.kind for item in kit.bought if item.kind in ("servo", "rod"))
     legend = [(body.name, parts[body.index % len(parts)]) for body in kit.mechanism.bodies]
-    return picture(shown, [*legend, *((kind, BOUGHT_COLOURS[kind]) for kind in kinds)])
+    return picture(shown, [*legend, *((kind, _BOUGHT_COLOURS[kind]) for kind in kinds)])

@@ -1,4 +1,4 @@
-"""Formats: solids, meshes and outlines as bytes that other programs read. The same kit gives the same bytes."""
+"""STEP, STL, 3MF and DXF encodings. The same kit gives the same bytes."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ from tasks.fabrication.features import Feature
 from tasks.fabrication.parts import Mesh
 from tasks.fabrication.profile import Profile
 
-EPOCH = "1980-01-01T00:00:00"
-"""Stands for the time of writing wherever a format wants one."""
-OCCURRENCE = re.compile(rb"(NEXT_ASSEMBLY_USAGE_OCCURRENCE)\('\d+'([^;]*;)")
-ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+_EPOCH = "1980-01-01T00:00:00"  # instead of the time of writing
+_OCCURRENCE = re.compile(rb"(NEXT_ASSEMBLY_USAGE_OCCURRENCE)\('\d+'([^;]*;)")
+_ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
-CONTENT_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
+_CONTENT_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
 <Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>
 <Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>
 </Types>
 """
-RELATIONSHIPS = """<?xml version="1.0" encoding="UTF-8"?>
+_RELATIONSHIPS = """<?xml version="1.0" encoding="UTF-8"?>
 <Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">
 <Relationship Target="/3D/3dmodel.model" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 </Relationships>
@@ -38,9 +37,9 @@ RELATIONSHIPS = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def step(shapes: Sequence[tuple[str, Shape]], label: str) -> bytes:
-    """Give solids by name as STEP AP214, with a fixed time of writing.
+    """Encode named solids as STEP AP214 with a fixed time stamp.
 
-    The kernel numbers the occurrences of parts through the life of the process; here they count from 1.
+    The CAD kernel numbers the occurrences of parts throughout the process; here they count from 1.
     """
     children = []
     for name, shape in shapes:
@@ -49,17 +48,17 @@ def step(shapes: Sequence[tuple[str, Shape]], label: str) -> bytes:
         children.append(named)
     whole: Shape = children[0] if len(children) == 1 else Compound(label=label, children=children)
     buffer = io.BytesIO()
-    export_step(whole, buffer, timestamp=EPOCH)
+    export_step(whole, buffer, timestamp=_EPOCH)
     numbers = count(1)
 
     def renumbered(record: re.Match[bytes]) -> bytes:
-        return b"%s('%d'%s" % (record[1], next(numbers), re.sub(rb"\n *", b"", record[2]))  # on one line, however long
+        return b"%s('%d'%s" % (record[1], next(numbers), re.sub(rb"\n *", b"", record[2]))  # on one line of any length
 
-    return OCCURRENCE.sub(renumbered, buffer.getvalue())
+    return _OCCURRENCE.sub(renumbered, buffer.getvalue())
 
 
 def stl(mesh: Mesh) -> bytes:
-    """Give a mesh as binary STL [mm]."""
+    """Encode a mesh as binary STL [mm]."""
     corners = mesh.vertices[mesh.triangles].astype("<f4")
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
@@ -70,7 +69,7 @@ def stl(mesh: Mesh) -> bytes:
 
 
 def three_mf(meshes: Sequence[tuple[str, Mesh]]) -> bytes:
-    """Give meshes by name as 3MF [mm]: a zip archive of one model."""
+    """Encode named meshes as 3MF [mm], a zip archive with one model."""
     objects = "".join(_object(number, name, mesh) for number, (name, mesh) in enumerate(meshes, 1))
     items = "".join(f'<item objectid="{number}"/>\n' for number in range(1, len(meshes) + 1))
     model = (
@@ -81,11 +80,11 @@ def three_mf(meshes: Sequence[tuple[str, Mesh]]) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, text in (
-            ("[Content_Types].xml", CONTENT_TYPES),
-            ("_rels/.rels", RELATIONSHIPS),
+            ("[Content_Types].xml", _CONTENT_TYPES),
+            ("_rels/.rels", _RELATIONSHIPS),
             ("3D/3dmodel.model", model),
         ):
-            entry = zipfile.ZipInfo(name, ZIP_EPOCH)
+            entry = zipfile.ZipInfo(name, _ZIP_EPOCH)
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, text)
     return buffer.getvalue()
@@ -101,8 +100,14 @@ def _object(number: int, name: str, mesh: Mesh) -> str:
 
 
 def dxf(profile: Profile, features: Iterable[Feature], cuts: Iterable[Feature]) -> bytes:
-    """Give a part's outline and what is cut out of it as DXF R2010 [mm], each kind on a layer of its own."""
-    ezdxf.options.write_fixed_meta_data_for_testing = True  # otherwise times and identities of writing
+    """Encode a part as DXF R2010 [mm].
+
+    Args:
+        profile: Outline, on layer OUTLINE.
+        features: Bores and pockets, on layers BORES and POCKETS.
+        cuts: Cuts between the pieces of the part, on layer SPLITS.
+    """
+    ezdxf.options.write_fixed_meta_data_for_testing = True  # else time stamps and random identifiers
     document = ezdxf.new("R2010", units=ezdxf.units.MM)
     for layer, colour in (("OUTLINE", 7), ("BORES", 1), ("POCKETS", 5), ("SPLITS", 3)):
         document.layers.add(layer, color=colour)
@@ -117,7 +122,9 @@ def dxf(profile: Profile, features: Iterable[Feature], cuts: Iterable[Feature]) 
             space.add_lwpolyline(feature.outline.exterior.coords[:-1], close=True, dxfattribs={"layer": "POCKETS"})
     for cut in cuts:
         space.add_lwpolyline(cut.outline.exterior.coords[:-1], close=True, dxfattribs={"layer": "SPLITS"})
-    for kind in sorted(document.entitydb.dxf_types_in_use()):  # otherwise in a set's order, which the hash seed chooses
+    for kind in sorted(
+        document.entitydb.dxf_types_in_use()
+    ):  # else in the order of a set, which depends on the hash seed
         document.classes.add_class(kind)
     text = io.StringIO()
     document.write(text)
@@ -135,6 +142,6 @@ def _draw_edge(document: Drawing, edge: Edge) -> None:
         space.add_circle((centre.X, centre.Y), edge.radius, dxfattribs=layer)
         return
     angles = [float(np.degrees(np.arctan2(p.Y - centre.Y, p.X - centre.X))) for p in (start, middle, end)]
-    if (angles[1] - angles[0]) % 360.0 > (angles[2] - angles[0]) % 360.0:  # DXF's arcs run counter-clockwise
+    if (angles[1] - angles[0]) % 360.0 > (angles[2] - angles[0]) % 360.0:  # DXF arcs run counter-clockwise
         angles.reverse()
     space.add_arc((centre.X, centre.Y), edge.radius, angles[0], angles[2], dxfattribs=layer)

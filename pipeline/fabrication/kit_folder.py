@@ -1,4 +1,4 @@
-"""A kit's folder: written whole under its name, or not at all; and never over anything but another kit."""
+"""A kit's folder: written completely or not at all, and never over anything but another kit."""
 
 from __future__ import annotations
 
@@ -14,64 +14,69 @@ from pipeline.store.encoding import Json, check_format, decode_json, encode_json
 
 _SCHEMA, _VERSION = "puddle.kit", 1
 KIT_MANIFEST = "kit.json"
-"""What makes a folder a kit: its schema, what it is of, and the SHA-256 of every other file."""
+"""File that makes a folder a kit: schema, source, findings and the SHA-256 of every other file."""
 
 
 def check_place(folder: Path) -> Path:
-    """Refuse a place that holds anything but a kit.
+    """Check that a folder is new, empty or a kit.
 
     Returns:
-        The place as an absolute path, without links and dots.
+        The resolved absolute path.
 
     Raises:
-        PuddleError: says what is there.
+        PuddleError: The folder can't be used.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise PuddleError(f"{folder}: expected a new folder or a kit, came a file or a link. Choose another: --out")
+        raise PuddleError(
+            f"{folder}: expected a new folder or a kit, found a file or a link. Choose another one with --out."
+        )
     place = folder.resolve()
     if not folder.exists():
         if not folder.parent.is_dir():
-            raise PuddleError(f"{folder}: expected a place in a folder that exists; {folder.parent} does not")
+            raise PuddleError(
+                f"{folder}: {folder.parent} does not exist. Create it, or choose another folder with --out."
+            )
         return place
-    if Path.cwd().is_relative_to(place):  # it is replaced as a whole, and a shell would stay behind in the old one
-        raise PuddleError(f"{folder}: expected a folder other than the one that you are in. Choose another: --out")
+    if Path.cwd().is_relative_to(place):  # the folder is replaced, and the shell would stay in the old one
+        raise PuddleError(f"{folder}: can't replace the current directory. Choose another folder with --out.")
     names = sorted(path.name for path in folder.iterdir())
     if not names:
         return place
     if KIT_MANIFEST not in names:
         raise PuddleError(
             f"{folder}: expected a new folder or a kit, found {', '.join(names[:3])} and no {KIT_MANIFEST}. "
-            f"Choose another: --out"
+            f"Choose another one with --out."
         )
-    check_format(
-        decode_json(disk.read(folder / KIT_MANIFEST), str(folder / KIT_MANIFEST)),
-        schema=_SCHEMA,
-        version=_VERSION,
-        source=str(folder / KIT_MANIFEST),
-    )
+    source = str(folder / KIT_MANIFEST)
+    check_format(decode_json(disk.read(folder / KIT_MANIFEST), source), schema=_SCHEMA, version=_VERSION, source=source)
     return place
 
 
-def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]) -> list[str]:
-    """Write a kit's files and its mark beside the place, and then put them there at once.
+def write_kit(folder: Path, files: Mapping[str, bytes], manifest: Mapping[str, Json]) -> list[str]:
+    """Write a kit beside its folder, then rename it into place.
 
-    Of the kit that it replaces, what the user put there (logs of drives) or changed (the calibration) is kept.
+    Files of the replaced kit that the user added (logs) or changed (the calibration) are preserved.
+
+    Args:
+        folder: Folder of the kit.
+        files: Contents by name.
+        manifest: Content of the manifest, without the digests of the files.
 
     Returns:
-        What was kept, a line each.
+        A line per preserved file.
 
     Raises:
-        PuddleError: the place holds something else, or the disk fails; what was there before is still there.
+        PuddleError: The folder can't be used, or the disk fails; the previous kit is still there.
     """
     folder = check_place(folder)
     digests = {name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())}
-    mark = encode_json({**said, "schema": _SCHEMA, "version": _VERSION, "files": digests})
+    encoded = encode_json({**manifest, "schema": _SCHEMA, "version": _VERSION, "files": digests})
     new = folder.with_name(f".{folder.name}.{os.getpid()}.new")
     old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
     with disk.explained("writing the kit", folder, advice="give the same command again"):
-        yours, lines = _yours(folder, files)
+        preserved, lines = _user_files(folder, files)
         try:
-            for name, content in {**yours, **files, KIT_MANIFEST: mark}.items():
+            for name, content in {**preserved, **files, KIT_MANIFEST: encoded}.items():
                 path = new / name
                 path.parent.mkdir(parents=True, exist_ok=True)
                 disk.write(path, content)
@@ -80,7 +85,7 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
                 disk.rename(folder, old)
             disk.rename(new, folder)
             disk.fsync(folder.parent)
-        except BaseException:  # Ctrl-C too: what the user put there is in no other place
+        except BaseException:  # also on Ctrl-C: the user's files have no other copy
             if old.exists():
                 if folder.exists():
                     disk.rename(folder, new)
@@ -92,25 +97,25 @@ def write_kit(folder: Path, files: Mapping[str, bytes], said: Mapping[str, Json]
     return lines
 
 
-def _yours(folder: Path, files: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
-    """Read what a kit's folder holds beside the kit as it was made, under the names that it will have."""
+def _user_files(folder: Path, files: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
+    """Read the files that the user added or changed, under the names that they will have in the new kit."""
     if not (folder / KIT_MANIFEST).is_file():
         return {}, []
-    mark = decode_json(disk.read(folder / KIT_MANIFEST), str(folder / KIT_MANIFEST))
-    made = mark["files"] if isinstance(mark.get("files"), dict) else {}
-    yours: dict[str, bytes] = {}
+    manifest = decode_json(disk.read(folder / KIT_MANIFEST), str(folder / KIT_MANIFEST))
+    digests = manifest["files"] if isinstance(manifest.get("files"), dict) else {}
+    preserved: dict[str, bytes] = {}
     lines = []
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if name == KIT_MANIFEST or path.is_symlink() or not path.is_file():
             continue
         content = path.read_bytes()
-        if made.get(name) == hashlib.sha256(content).hexdigest() or files.get(name) == content:
+        if digests.get(name) == hashlib.sha256(content).hexdigest() or files.get(name) == content:
             continue
-        kept, number = name, 0
-        while kept in files or kept in yours:
+        new_name, number = name, 0
+        while new_name in files or new_name in preserved:
             number += 1
-            kept = path.with_stem(f"{path.stem}-yours-{number}").relative_to(folder).as_posix()
-        yours[kept] = content
-        lines.append(f"Kept {name}{'' if kept == name else f', which you had changed, as {kept}'}.")
-    return yours, lines
+            new_name = path.with_stem(f"{path.stem}-yours-{number}").relative_to(folder).as_posix()
+        preserved[new_name] = content
+        lines.append(f"Preserved {name}{'' if new_name == name else f', which you had changed, as {new_name}'}.")
+    return preserved, lines

@@ -1,4 +1,4 @@
-"""index.html of a kit: what it is, what speaks against it, what to download, and the physics of its scale."""
+"""index.html of a kit: the robot, the findings, the files to download, and the physics of the scale."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from html import escape
 from importlib.resources import files
 from math import degrees
 from string import Template
+
+import numpy as np
 
 from pipeline.fabrication.bench import Bench
 from pipeline.report.drawing import Drawing, Missing
@@ -18,15 +20,14 @@ from tasks.fabrication.kit import Kit
 from tasks.fabrication.servos import MEASURES, Servo
 from tasks.world import Physics
 
-_POLICY = "img-src 'self' data: file:"
-"""The kit's pictures lie beside its page."""
+_POLICY = "img-src 'self' data: file:"  # the kit's pictures lie beside its page
 
-LAWS = {
-    "froude": "Froude's law: gravity, buoyancy, drag and inertia keep their proportions, so the simulated motion is a "
-    "prediction of the bench's. Times shrink by the root of the scale. It asks the servos to be quick.",
-    "kept_frequencies": "Kept frequencies: a second stays a second. Gravity and buoyancy keep their size beside one "
-    "another; inertia and drag are weaker by the scale. The robot moves slowly, within more "
-    "servos' reach, but not as simulated: what is said below of its way and its speed is no prediction.",
+_LAWS = {
+    "froude": "Froude's law: gravity, buoyancy, drag and inertia keep their proportions, so the simulation predicts "
+    "the motion on the bench. Times shrink by the square root of the scale, which takes fast servos.",
+    "kept_frequencies": "Kept frequencies: a second stays a second. Gravity and buoyancy keep their proportion, but "
+    "inertia and drag are weaker by the scale. The robot moves slowly, within reach of more servos, but not as "
+    "simulated: the distance and speed below are no prediction.",
 }
 
 
@@ -46,29 +47,29 @@ def render_kit(
     frequency: float,
     settings_yaml: str,
 ) -> str:
-    """Write the page.
+    """Render the page.
 
     Args:
-        kit: the parts.
-        bench: how they will do.
-        findings: of both, faults first.
-        drawings: of :mod:`pipeline.fabrication.kit_figures`.
-        name: of the design.
-        title: of the page.
-        origin: where the design comes from, in words.
-        folder: what the kit is called on a command line.
-        law: of scaling.
-        physics: of the simulation.
-        slush_density: of the simulated slush [kg/m²].
-        frequency: of the design's gait [Hz of simulation].
-        settings_yaml: what was chosen.
+        kit: The kit.
+        bench: Loads, floating and timeline.
+        findings: Findings of both, faults first.
+        drawings: Figures of :mod:`pipeline.fabrication.kit_figures`.
+        name: Name of the design.
+        title: Title of the page.
+        origin: Where the design comes from, in words.
+        folder: Name of the kit on a command line.
+        law: Scaling law.
+        physics: Physics of the simulation.
+        slush_density: Density of the simulated slush [kg/m²].
+        frequency: Frequency of the gait [Hz of simulation].
+        settings_yaml: Settings of the kit.
     """
-    faults = [finding for finding in findings if finding.severity == "fault"]
+    n = sum(finding.severity == "fault" for finding in findings)
     verdict = (
-        f'<div class="notice"><b>Not to be built as it is.</b> {len(faults)} '
-        f"{'fault' if len(faults) == 1 else 'faults'}: see what was found.</div>"
-        if faults
-        else '<p class="finding">Nothing found speaks against building it.</p>'
+        f'<div class="notice"><b>Do not build this kit.</b> It has {n} {"fault" if n == 1 else "faults"}: see the '
+        f"findings.</div>"
+        if n
+        else '<p class="finding">No fault found.</p>'
     )
     pieces = {
         "title": escape(title),
@@ -81,7 +82,7 @@ def render_kit(
         "bill": _bill(kit),
         "scale": _scale(bench, drawings["torque"], law, physics, slush_density, frequency),
         "timeline": _timeline(bench, drawings["timeline"]),
-        "last": _last(bench, folder),
+        "last": _last_steps(bench, folder),
         "chosen": f"<details><summary>Settings</summary><pre><code>{escape(settings_yaml)}</code></pre></details>",
     }
     body, css = (files("pipeline.fabrication").joinpath(f"kit.{kind}").read_text("utf-8") for kind in ("html", "css"))
@@ -89,7 +90,7 @@ def render_kit(
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") -> str:
-    """Lay out cells that are HTML already; on a narrow screen a row becomes a list, each cell named by its column."""
+    """Lay out cells of HTML; on a narrow screen a row becomes a list whose items name their column."""
     top = "".join(f"<th>{cell}</th>" for cell in head)
     lines = (
         "".join(f'<td data-column="{name}">{cell}</td>' for name, cell in zip(head, row, strict=True)) for row in rows
@@ -110,10 +111,10 @@ def _figure(drawing: Drawing | Missing) -> str:
 
 def _findings(findings: Sequence[KitFinding]) -> str:
     if not findings:
-        return "<p>Nothing.</p>"
+        return "<p>None.</p>"
     items = "".join(
-        f'<li class="{found.severity}"><b>{found.severity}</b> · {escape(found.where)}: {escape(found.message)}</li>'
-        for found in findings
+        f'<li class="{one.severity}"><b>{one.severity}</b> · {escape(one.where)}: {escape(one.message)}</li>'
+        for one in findings
     )
     return f'<ul class="found">{items}</ul>'
 
@@ -124,192 +125,159 @@ def _parts(kit: Kit) -> str:
         links = [f'<a href="print/{part.name}.{form}">{form.upper()}</a>' for form in ("stl", "3mf")]
         links += [f'<a href="cad/{part.name}.step">STEP</a>']
         left, bottom, right, top = part.outline.bounds
-        rows.append(
-            [escape(part.name), f"{right - left:.0f} × {top - bottom:.0f}", f"{part.mass_g:.0f}", " ".join(links)]
-        )
-    profiles = " ".join(
-        f'<a href="profiles/part-{body + 1}-{side}.dxf">part-{body + 1}-{side}</a>' for body, side in kit.features
-    )
+        size = f"{right - left:.0f} × {top - bottom:.0f}"
+        rows.append([escape(part.name), size, f"{part.mass_g:.0f}", " ".join(links)])
+    names = [f"part-{body + 1}-{side}" for body, side in kit.features]
+    profiles = " ".join(f'<a href="profiles/{name}.dxf">{name}</a>' for name in names)
     return _table(["part", "size [mm]", "mass [g]", "files"], rows) + f"<p>Profiles (DXF): {profiles}</p>"
 
 
 def _measures(kit: Kit, servo: Servo) -> str:
     if not kit.gauges:
-        return "<p>No joint is driven: there is no servo to measure.</p>"
+        return "<p>No joint has a servo to measure.</p>"
     (horn,) = servo.horns
-    rows = [
-        [
-            f"<code>{name}</code>",
-            words,
-            f"{getattr(horn if hasattr(horn, name) else servo, name):g}",
-            escape(servo.sources.get(name, "nobody: a common measure")),
-        ]
-        for name, words in MEASURES.items()
-    ]
+    rows = []
+    for name, words in MEASURES.items():
+        value = getattr(horn if hasattr(horn, name) else servo, name)
+        source = escape(servo.sources.get(name, "none (a typical value)"))
+        rows.append([f"<code>{name}</code>", words, f"{value:g}", source])
     prints = ", ".join(
         f'{gauge.name} ({gauge.mass_g:.0f} g: <a href="print/{gauge.name}.stl">STL</a> '
         f'<a href="print/{gauge.name}.3mf">3MF</a>)'
         for gauge in kit.gauges
     )
-    taken = _table(["name", "what", "mm", "from"], rows, "left")
     return (
-        f"<p>Clones of a {escape(servo.name)} differ, and horns more so. Before the parts, print the two gauges, "
-        f"slices of this kit's own parts: {prints}. The servo goes into the first from above, ears on the plate, and "
-        f"its screws meet their holes; the horn lies in the second with its face on the floor. With both on the servo, "
-        f"the gap between them must be {kit.settings.layer_gap_mm:g} mm. Where they don't fit, say what your caliper "
-        f"says, and make the kit again: <code>--set kit.measured.length_mm=40.1</code>.</p>"
-        f"<details><summary>What was taken, and from whom</summary>{taken}</details>"
+        f"<p>Clones of a {escape(servo.name)} differ, and so do their horns. Print the two gauges before the parts: "
+        f"{prints}. They are slices of the parts. The servo enters the first from above until its ears lie on the "
+        f"plate, and its screws meet the holes. The horn lies in the second with its face on the floor. With both "
+        f"gauges on the servo, the gap between them must be {kit.settings.layer_gap_mm:g} mm. If anything does not fit, "
+        f"measure it and make the kit again with your value, such as <code>--set kit.measured.length_mm=40.1</code>.</p>"
+        f"<details><summary>Dimensions of this kit and their sources</summary>"
+        f"{_table(['name', 'dimension', 'mm', 'source'], rows, 'left')}</details>"
     )
 
 
 def _bill(kit: Kit) -> str:
-    rows = [
-        [
-            escape(line.item),
-            str(line.count),
-            "" if line.length_mm is None else f"{line.length_mm:.1f}",
-            "" if line.mass_g is None else f"{line.mass_g:.0f}",
-            escape(line.note),
-        ]
-        for line in kit.bill
-    ]
-    rows.append(["<b>all of it</b>", "", "", f"<b>{kit.mass_g:.0f}</b>", "prints, servos and steel"])
-    return _table(["what", "count", "each [mm]", "all [g]", ""], rows, "noted")
+    rows = []
+    for line in kit.bill:
+        length = "" if line.length_mm is None else f"{line.length_mm:.1f}"
+        mass = "" if line.mass_g is None else f"{line.mass_g:.0f}"
+        rows.append([escape(line.item), str(line.count), length, mass, escape(line.note)])
+    rows.append(["<b>total</b>", "", "", f"<b>{kit.mass_g:.0f}</b>", "prints, servos and steel"])
+    return _table(["item", "count", "length [mm]", "mass [g]", "note"], rows, "noted")
 
 
 def _scale(
     bench: Bench, figure: Drawing | Missing, law: str, physics: Physics, slush_density: float, frequency: float
 ) -> str:
-    scales, servo, floating = bench.scales, bench.servo, bench.floating
+    scales, servo, floating, run = bench.scales, bench.servo, bench.floating, bench.simulated
     limit = physics.max_motor_torque * scales.torque
     stall = servo.stall_torque_nm * bench.servos_per_joint
     units = [
         ["length", "1 m", f"{1000 * scales.length:.0f} mm"],
         ["time", "1 s", f"{scales.time:.3f} s"],
-        ["the robot's mass", f"{floating.mass_kg / scales.mass:.1f} kg", f"{1000 * floating.mass_kg:.0f} g"],
-        ["torque", f"{physics.max_motor_torque:g} N·m, its motors' limit", f"{limit:.3f} N·m"],
+        ["mass of the robot", f"{floating.mass_kg / scales.mass:.1f} kg", f"{1000 * floating.mass_kg:.0f} g"],
+        ["torque limit of a motor", f"{physics.max_motor_torque:g} N·m", f"{limit:.3f} N·m"],
         ["fastest gait", "0.3 Hz", f"{0.3 * scales.frequency:.2f} Hz"],
         ["this gait", f"{frequency:.3f} Hz", f"{frequency * scales.frequency:.2f} Hz"],
     ]
-    if bench.simulated is not None:
-        metres = bench.simulated.com_displacement
-        units.append(
-            [
-                f"its way in {escape(bench.simulated.world)} in {bench.simulated.duration:.0f} s, centre of mass",
-                f"{metres:+.2f} m",
-                f"{100 * metres * scales.length:+.0f} cm in {bench.simulated.duration * scales.time:.0f} s",
-            ]
-        )
+    if run is not None:
+        metres = run.com_displacement
+        distance = f"{100 * metres * scales.length:+.0f} cm in {run.duration * scales.time:.0f} s"
+        what = f"displacement of the centre of mass in {escape(run.environment)} in {run.duration:.0f} s"
+        units.append([what, f"{metres:+.2f} m", distance])
     loads = [
         [
             f"joint {load.joint}",
-            f"{load.peak_torque:.3f}",
-            f"{load.rms_torque:.3f}",
-            f"{load.peak_speed:.2f}",
-            f"{load.margin:.2f}×",
-            f"{load.saturated:.0%}",
+            *(f"{load.peak_torque:.3f}", f"{load.rms_torque:.3f}", f"{load.peak_speed:.2f}"),
+            *(f"{load.margin:.2f}×", f"{load.saturated:.0%}"),
         ]
         for load in bench.loads
     ]
-    ratio, weaker = max(stall, limit) / max(min(stall, limit), 1e-12), "stronger" if stall > limit else "weaker"
-    unlike = ": where the simulated robot was too weak, on dry land say, this one may not be" if stall > limit else ""
-    said = [
-        f"<p>{escape(LAWS[law])}</p>",
-        "<p>The paper gives the scale of lengths and not that of times; it compares whether the robot crosses the "
-        "tank, not how fast. The virtual tank of a study reckons by Froude's law, whichever is chosen here. The other "
-        "law is one setting away: <code>--set scaling.law=…</code>.</p>",
-        _table(["", "in simulation", "on the bench"], units, "left"),
-        f"<p>A {escape(servo.name)} has {servo.stall_torque_nm:.2f} N·m at rest and "
-        f"{servo.no_load_speed_rad_s:.1f} rad/s unloaded, at {servo.voltage_v:g} V; {bench.servos_per_joint} at each "
-        f"joint. That is {ratio:.1f} times {weaker} than the simulated "
-        f"motor's limit at this scale{unlike}.</p>",
-        _table(
-            [
-                "each servo of",
-                "most torque [N·m]",
-                "rms [N·m]",
-                "most speed [rad/s]",
-                "least margin",
-                "simulated motor at its limit",
-            ],
-            loads,
-        )
-        if loads
-        else "",
-        _figure(figure),
-        _floating(bench, physics, slush_density),
-        _members(bench),
-    ]
-    return "".join(said)
+    head = ["servo of", "peak torque [N·m]", "rms torque [N·m]", "peak speed [rad/s]", "least margin", "motor at limit"]
+    ratio, comparison = max(stall, limit) / max(min(stall, limit), 1e-12), "stronger" if stall > limit else "weaker"
+    unlike = (
+        ". Where the simulated robot was too weak, such as on dry land, this one may not be" if stall > limit else ""
+    )
+    return "".join(
+        [
+            f"<p>{escape(_LAWS[law])}</p>",
+            "<p>The paper gives the scale of lengths but not of times, and reports whether the robot crosses the tank, "
+            "not how fast. The virtual tank of a study always uses Froude's law. To choose the other law, use "
+            "<code>--set scaling.law=…</code>.</p>",
+            _table(["", "in simulation", "on the bench"], units, "left"),
+            f"<p>A {escape(servo.name)} has {servo.stall_torque_nm:.2f} N·m at stall and "
+            f"{servo.no_load_speed_rad_s:.1f} rad/s unloaded, at {servo.voltage_v:g} V. Each joint has "
+            f"{bench.servos_per_joint}, which is {ratio:.1f} times {comparison} than the simulated motor at this "
+            f"scale{unlike}. The last column is the share of the run in which the simulated motor was at its torque "
+            f"limit.</p>",
+            _table(head, loads) if loads else "",
+            _figure(figure),
+            _floating(bench, physics, slush_density),
+            _prediction(bench),
+        ]
+    )
 
 
 def _floating(bench: Bench, physics: Physics, slush_density: float) -> str:
     floating = bench.floating
     if floating.draught_mm is None:
-        lies = f"It sinks: it weighs {floating.sealed_share:.2f} times what it displaces at most."
+        state = f"It sinks: it weighs {floating.sealed_share:.2f} times the fluid that it can displace."
     else:
-        lies = (
-            f"It floats with {floating.sealed_share:.0%} of its volume under, {floating.draught_mm:.0f} mm deep of "
-            f"{floating.height_mm:.0f} mm, in its rest pose as drawn."
+        state = (
+            f"It floats with {floating.sealed_share:.0%} of its volume submerged. In its rest pose, as drawn, the "
+            f"draught is {floating.draught_mm:.0f} mm of {floating.height_mm:.0f} mm."
         )
     simulated = physics.link_density / slush_density if slush_density > 0 else float("inf")
-    flooded = (
-        f"with its pockets full it {'sinks' if floating.flooded_share > 1 else 'still floats'} "
-        f"({floating.flooded_share:.0%} of what is left)"
-    )
+    flooded = "sinks" if floating.flooded_share > 1 else "still floats"
     return (
-        f"<p>{1000 * floating.mass_kg:.0f} g against {1e6 * floating.sealed_m3:.0f} cm³. {lies} The simulated robot "
-        f"has {simulated:.0%} under; where the two differ, weights or foam bring them together. By itself, {flooded}. "
-        f"In the simulation buoyancy never tips a robot over; on the bench it may lie at another angle.</p>"
+        f"<p>The robot has a mass of {1000 * floating.mass_kg:.0f} g and a volume of {1e6 * floating.sealed_m3:.0f} "
+        f"cm³. {state} The simulated robot has {simulated:.0%} submerged; add weights or foam to match it. With "
+        f"flooded pockets it {flooded} ({floating.flooded_share:.0%} of the remaining volume). In the simulation buoyancy "
+        f"never tips a robot over; on the bench it may float at another angle.</p>"
     )
 
 
-def _members(bench: Bench) -> str:
-    if bench.members is None:
-        return "<p>No ensemble is at hand for this design, so what its members disagree by is not known.</p>"
-    found, scales = bench.members, bench.scales
-    each = ", ".join(f"{value:+.1f}" for value in found.displacement)
-    mean_cm, deviation_cm = 100 * found.mean * scales.length, 100 * found.deviation * scales.length
+def _prediction(bench: Bench) -> str:
+    if bench.predicted is None:
+        return "<p>No ensemble is available for this design, so the uncertainty of the prediction is unknown.</p>"
+    each = ", ".join(f"{value:+.1f}" for value in bench.predicted)
+    mean, deviation = float(np.mean(bench.predicted)), float(np.std(bench.predicted))
+    to_cm = 100 * bench.scales.length
     return (
-        f"<p>The study's {len(found.displacement)} networks promise {found.mean:+.2f} ± {found.deviation:.2f} m for "
-        f"this design ({each}), that is {mean_cm:+.0f} ± {deviation_cm:.0f} cm on the bench: σ is what they disagree "
-        f"by, and the least doubt to have.</p>"
+        f"<p>The study's {len(bench.predicted)} networks predict {mean:+.2f} ± {deviation:.2f} m for this design "
+        f"({each}), which is {to_cm * mean:+.0f} ± {to_cm * deviation:.0f} cm on the bench. σ is the disagreement of "
+        f"the networks, a lower bound on the uncertainty.</p>"
     )
 
 
-def _last(bench: Bench, folder: str) -> str:
-    """Say what is left once it is assembled: nothing where no joint is driven, no drive without a timeline."""
+def _last_steps(bench: Bench, folder: str) -> str:
+    """Return the steps after assembly that the kit has servos and a timeline for."""
     steps = []
     if bench.calibration is not None:
-        steps.append('Find each servo\'s pulses and correct <a href="calibration.yaml">calibration.yaml</a>.')
+        steps.append('Measure each servo\'s pulses and correct <a href="calibration.yaml">calibration.yaml</a>.')
     if bench.timeline is not None:
-        servo_joint = f"puddle drive {escape(folder)}"
-        steps.append(f"<code>{servo_joint} --dry-run</code>, then <code>{servo_joint} --port /dev/ttyACM0</code>.")
+        command = f"puddle drive {escape(folder)}"
+        steps.append(f"Run <code>{command} --dry-run</code>, then <code>{command} --port /dev/ttyACM0</code>.")
     return "".join(f"<li>{step}</li>\n" for step in steps)
 
 
 def _timeline(bench: Bench, figure: Drawing | Missing) -> str:
-    said = [_figure(figure)]
+    html = _figure(figure)
     if bench.calibration is not None:
-        rows = [
-            [
-                f"joint {s.joint}",
-                str(s.channel),
-                f"{s.centre_us:g}",
-                f"{s.direction:+d}",
-                f"{s.us_per_rad:g}",
-                f"{s.min_us:g} to {s.max_us:g}",
-                f"±{degrees(min(s.max_us - s.centre_us, s.centre_us - s.min_us) / s.us_per_rad):.0f}°",
-            ]
-            for s in bench.calibration.servos
-        ]
-        said.append(_table(["servo of", "channel", "centre [µs]", "direction", "µs/rad", "limits [µs]", "reach"], rows))
-        said.append(
-            "<p>From the data sheet, to be measured on yours: <a href='calibration.yaml'>calibration.yaml</a>.</p>"
+        rows = []
+        for servo in bench.calibration.servos:
+            reach = degrees(min(servo.max_us - servo.centre_us, servo.centre_us - servo.min_us) / servo.us_per_rad)
+            row = [f"joint {servo.joint}", str(servo.channel), f"{servo.centre_us:g}", f"{servo.direction:+d}"]
+            rows.append([*row, f"{servo.us_per_rad:g}", f"{servo.min_us:g} to {servo.max_us:g}", f"±{reach:.0f}°"])
+        head = ["servo of", "channel", "centre [µs]", "direction", "µs/rad", "limits [µs]", "reach"]
+        html += _table(head, rows) + (
+            "<p>These values are from the data sheet. Measure yours and correct "
+            "<a href='calibration.yaml'>calibration.yaml</a>.</p>"
         )
     if bench.timeline is not None:
-        said.append(
-            "<p>At 50 Hz, angles and pulses: <a href='timeline.json'>timeline.json</a>, "
+        html += (
+            "<p>Angles and pulses at 50 Hz: <a href='timeline.json'>timeline.json</a>, "
             "<a href='timeline.csv'>timeline.csv</a>.</p>"
         )
-    return "".join(said)
+    return html

@@ -1,4 +1,4 @@
-"""Labels of a drawing: each is put where it hides nothing, and least where everything is taken."""
+"""Labels of a drawing, each placed where it covers the least."""
 
 from __future__ import annotations
 
@@ -12,28 +12,27 @@ from matplotlib.textpath import TextPath
 from shapely import LineString, Polygon, affinity, box
 from shapely.geometry.base import BaseGeometry
 
-MM_PER_POINT = 25.4 / 72
-PAD_MM = 0.6
-"""Around a label's letters."""
-LEADER_MM = 6.0
-"""From a label to what it names, beyond which a line ties the two."""
-TEXT_COST, LINE_COST = 10.0, 1.0
-"""Of a square millimetre of another label that a label hides, and of a mark or a line."""
+from pipeline.report.drawing import INK
+
+_MM_PER_POINT = 25.4 / 72
+_PAD_MM = 0.6  # around the letters
+_LEADER_MM = 6.0  # distance from a label to its target beyond which a leader line joins them
+_TEXT_COST, _LINE_COST = 10.0, 1.0  # per mm² of another label covered, and of a mark or a line
 
 Place = tuple[float, float]
 
 
 class Labels:
-    """The labels of one sheet, whose units are millimetres."""
+    """The labels of one sheet, in mm."""
 
     def __init__(self, sheet: Axes) -> None:
         self._sheet = sheet
         self.boxes: list[Polygon] = []
-        """Of the labels so far."""
+        """Boxes of the labels so far."""
         self._marks: list[BaseGeometry] = []
 
     def keep_off(self, *shapes: BaseGeometry) -> None:
-        """Note what no label should hide."""
+        """Record shapes that labels should not cover."""
         self._marks += shapes
 
     def put(
@@ -42,11 +41,11 @@ class Labels:
         """Write a label at the best of some places.
 
         Args:
-            text: what it says.
-            places: of its middle; where two are as good, the first is taken.
-            of: what it names; a line leads there if it is far.
-            rotation: [°]
-            style: of matplotlib's text; with a fontsize.
+            text: The label.
+            places: Candidates for its middle [mm]; the first of equally good ones is taken.
+            of: Its target; a leader line joins a distant label to it.
+            rotation: Rotation [°].
+            style: Text properties of matplotlib, including fontsize.
         """
         letters = _box(text, style["fontsize"], style.get("weight", "normal"))
         lying = affinity.rotate(letters, rotation, origin=(0, 0))
@@ -61,11 +60,11 @@ class Labels:
         self.boxes.append(where)
         if of is not None:
             leader = LineString([of, where.boundary.interpolate(where.boundary.project(_point(of)))])
-            if leader.length > LEADER_MM:
-                self._sheet.plot(*leader.xy, color=style.get("color", "#1d2129"), lw=0.35, zorder=8)
+            if leader.length > _LEADER_MM:
+                self._sheet.plot(*leader.xy, color=style.get("color", INK), lw=0.35, zorder=8)
                 self._marks.append(leader.buffer(0.3))
         frame = {
-            "boxstyle": f"square,pad={PAD_MM / MM_PER_POINT / style['fontsize']:.3f}",
+            "boxstyle": f"square,pad={_PAD_MM / _MM_PER_POINT / style['fontsize']:.3f}",
             "fc": "white",
             "ec": "none",
             "alpha": 0.8,
@@ -74,7 +73,7 @@ class Labels:
 
     def _cost(self, where: Polygon) -> float:
         text = sum(float(where.intersection(other).area) for other in self.boxes)
-        return TEXT_COST * text + LINE_COST * sum(float(where.intersection(mark).area) for mark in self._marks)
+        return _TEXT_COST * text + _LINE_COST * sum(float(where.intersection(mark).area) for mark in self._marks)
 
 
 def _point(place: Place) -> BaseGeometry:
@@ -82,15 +81,22 @@ def _point(place: Place) -> BaseGeometry:
 
 
 def _box(text: str, fontsize: float, weight: str) -> Polygon:
-    """Give the room of a text around the origin [mm], as high as a line of it whatever its letters."""
+    """Return the box of a text around the origin [mm], with the height of a line."""
     font = FontProperties(family="DejaVu Sans", weight=weight)
-    width = TextPath((0, 0), text, size=fontsize, prop=font).get_extents().width * MM_PER_POINT
-    half_w, half_h = width / 2 + PAD_MM, fontsize * MM_PER_POINT / 2 + PAD_MM
+    width = TextPath((0, 0), text, size=fontsize, prop=font).get_extents().width * _MM_PER_POINT
+    half_w, half_h = width / 2 + _PAD_MM, fontsize * _MM_PER_POINT / 2 + _PAD_MM
     return box(-half_w, -half_h, half_w, half_h)
 
 
 def around(place: Place, distances: Sequence[float], *, first: float = pi / 4, n: int = 12) -> Iterator[Place]:
-    """Give places around one, near ones first, beginning in a direction [rad]."""
+    """Yield places around a place.
+
+    Args:
+        place: The centre [mm].
+        distances: Radii in order [mm].
+        first: Direction of the first place on each radius [rad].
+        n: Number of places per radius.
+    """
     for distance in distances:
         for step in range(n):
             angle = first + (-1) ** step * ((step + 1) // 2) * 2 * pi / n

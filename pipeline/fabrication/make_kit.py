@@ -1,4 +1,4 @@
-"""``puddle fabricate``: from a design to a kit's folder."""
+"""``puddle fabricate``: turn a design into a kit's folder."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import yaml
 
 from pipeline.config.settings import Settings
@@ -23,28 +24,23 @@ from pipeline.tracking.mirror import Run, Tracker
 from tasks.design import DesignError
 from tasks.fabrication.cad import MissingCadError, require_cad
 
-if TYPE_CHECKING:  # the CAD kernel, which takes ten seconds to import
+if TYPE_CHECKING:  # these import the CAD kernel, which takes ten seconds
     from tasks.fabrication.checks import KitFinding
     from tasks.fabrication.scaling import JointLoad
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
-"""Where the guides are, in a checkout; a kit takes a copy along."""
-
-GUIDES = ("assembly.md", "servo.md", "servo-wiring.svg")
-
-PHYSICAL_DEPTH = 2.0
-"""Of slush, where a design file is simulated [m]. [P]"""
-
-SEVERITIES = ("fault", "warning", "note")
+_DOCS = Path(__file__).resolve().parents[2] / "docs"  # of a checkout
+_GUIDES = ("assembly.md", "servo.md", "servo-wiring.svg")  # copied into every kit
+_PHYSICAL_DEPTH = 2.0  # of the slush in which a design file is simulated [m]; paper, "Physical Validation"
+_SEVERITIES = ("fault", "warning", "note")
 
 
 @dataclass(frozen=True)
 class KitResult:
-    """What came of it."""
+    """Result of ``puddle fabricate``."""
 
     lines: list[str]
-    """For the terminal."""
-    faults: int
+    """Lines for the terminal."""
+    n_faults: int
 
 
 def fabricate(
@@ -53,22 +49,22 @@ def fabricate(
     """Make a kit.
 
     Args:
-        design: a design file; None takes the proposed champion of the study that the settings are of.
-        settings: of the study, or those that a design file is simulated under.
-        choices: the kit's.
-        out: the kit's folder.
-        store: of the study.
-        tracker: MLflow.
+        design: Design file; None takes the proposed champion of the study.
+        settings: Settings of the study, or those for simulating a design file.
+        choices: Settings of the kit.
+        out: Folder of the kit.
+        store: Store of the study.
+        tracker: MLflow mirror.
 
     Raises:
-        PuddleError: nothing can be made; nothing was written.
+        PuddleError: The kit can't be made. Nothing was written.
     """
     try:
         require_cad()
     except MissingCadError as error:
         raise PuddleError(str(error)) from None
     place = check_place(out)
-    # Late, for the same reason: only once everything else is well.
+    # Imported late, because the CAD kernel takes ten seconds.
     from pipeline.fabrication.bench import bench_of, run
     from pipeline.fabrication.exports import exports
     from pipeline.fabrication.kit_figures import timeline_figure, torque_figure
@@ -82,8 +78,8 @@ def fabricate(
     if design is None:
         source = proposed(settings, store)
     else:
-        origin = f"From {design.name}. Simulated in True Slush of {PHYSICAL_DEPTH:g} m as in {settings.name}."
-        source = DesignSource(read_design(design), design.stem, origin, settings, PHYSICAL_DEPTH, None)
+        origin = f"Design file {design.name}, simulated in True Slush at {_PHYSICAL_DEPTH:g} m as in {settings.name}."
+        source = DesignSource(read_design(design), design.stem, origin, settings, _PHYSICAL_DEPTH, None)
     try:
         kit = build_kit(source.design, choices.kit)
     except (KitError, SolidError, ServoError, DesignError) as error:
@@ -92,7 +88,7 @@ def fabricate(
     simulated = run(
         source.design,
         environments.true_slush(environments.media_of(source.settings, "true_slush"), source.depth),
-        label=f"True Slush of {source.depth:g} m",
+        label=f"True Slush at {source.depth:g} m",
         physics=physics,
         **source.settings.rollout.model_dump(),
     )
@@ -101,21 +97,21 @@ def fabricate(
         kit,
         choices,
         simulated,
-        source.members,
+        source.predicted,
         physics,
         tank=source.settings.tank,
         depth=source.depth,
         true_slush=source.true_slush,
     )
-    found = sorted((*kit.findings, *bench.findings), key=lambda finding: SEVERITIES.index(finding.severity))
+    findings = sorted((*kit.findings, *bench.findings), key=lambda finding: _SEVERITIES.index(finding.severity))
     drawings = {"torque": torque_figure(source.design, bench), "timeline": timeline_figure(bench)}
     title = f"A robot to build: {source.name}"
-    faults = sum(finding.severity == "fault" for finding in found)
+    faults = sum(finding.severity == "fault" for finding in findings)
     files = exports(kit, title=source.name, n_faults=faults)
-    files |= {name: (DOCS / name).read_bytes() for name in GUIDES if (DOCS / name).is_file()}
+    files |= {name: (_DOCS / name).read_bytes() for name in _GUIDES if (_DOCS / name).is_file()}
     files["design.json"] = encode_json(design_document(source.design))
     if bench.calibration is not None:
-        heading = f"Servos of {source.name}: a {bench.servo.name}'s data sheet. Measure yours: servo.md."
+        heading = f"Servos of {source.name}, from the data sheet of a {bench.servo.name}. Measure yours (servo.md)."
         files["calibration.yaml"] = calibration_yaml(bench.calibration, heading)
         if bench.timeline is not None:
             files["timeline.json"] = timeline_json(bench.timeline, bench.calibration)
@@ -124,7 +120,7 @@ def fabricate(
     files["index.html"] = render_kit(
         kit,
         bench,
-        found,
+        findings,
         drawings,
         name=source.name,
         title=title,
@@ -138,25 +134,26 @@ def fabricate(
     ).encode()
     metrics = {"n_faults": float(faults), "mass_g": kit.mass_g, "submerged_share": bench.floating.sealed_share}
     metrics |= {f"margin.joint_{load.joint}": load.margin for load in bench.loads}
-    if source.members is not None:
-        metrics |= {"ensemble_mean": source.members.mean, "ensemble_deviation": source.members.deviation}
+    if source.predicted is not None:
+        mean, deviation = float(np.mean(source.predicted)), float(np.std(source.predicted))
+        metrics |= {"ensemble_mean": mean, "ensemble_deviation": deviation}
     metrics = {name: value for name, value in metrics.items() if isfinite(value)}
-    said: dict[str, Json] = {
+    manifest: dict[str, Json] = {
         "name": source.name,
         "origin": source.origin,
         "settings": chosen,
-        "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in found],
+        "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in findings],
         "metrics": metrics,
     }
-    kept = write_kit(place, files, said)
+    lines = write_kit(place, files, manifest)
     _mirror(tracker, source.name, design is None, source.settings, chosen, metrics, files)
-    return KitResult([*kept, *_lines(out, found, bench.loads, kit.mass_g)], faults)
+    return KitResult([*lines, *_lines(out, findings, bench.loads, kit.mass_g)], faults)
 
 
-def _lines(out: Path, found: Sequence[KitFinding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:
-    lines = [f"{finding.severity:<8} {finding.where}: {finding.message}" for finding in found]
-    lines += [f"joint {load.joint}: the servo has {load.margin:.2f} times what the run asks for" for load in loads]
-    return [*lines, f"The kit, {mass_g:.0f} g of robot: {out / 'index.html'}"]
+def _lines(out: Path, findings: Sequence[KitFinding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:
+    lines = [f"{finding.severity:<8} {finding.where}: {finding.message}" for finding in findings]
+    lines += [f"joint {load.joint}: the servo gives {load.margin:.2f} times what the run needs" for load in loads]
+    return [*lines, f"Kit of a robot of {mass_g:.0f} g: {out / 'index.html'}"]
 
 
 def _mirror(
@@ -168,7 +165,7 @@ def _mirror(
     metrics: dict[str, float],
     files: dict[str, bytes],
 ) -> None:
-    """Show the kit in MLflow: under its study, or by itself."""
+    """Mirror the kit to MLflow, under its study or on its own."""
     values = settings.model_dump(mode="json")
     key = digest(files["design.json"])
     study = Run(name=settings.name, key=digest(canonical_json(values)), params=values)

@@ -1,4 +1,4 @@
-"""Which design a kit is of: a file, or the champion of a study that the paper would have built."""
+"""The source of a kit's design: a file, or the champion of a study that the paper's rule selects."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.fabrication.bench import MemberPredictions
 from pipeline.stages import STAGES, environments
 from pipeline.stages.environments import WEIGHTS
 from pipeline.stages.transfer import CHAMPION, read_scores
@@ -26,42 +25,44 @@ from tasks.simulation import OK
 
 @dataclass(frozen=True, eq=False)
 class DesignSource:
-    """A design and where it comes from."""
+    """A design and its origin."""
 
     design: Designs
     name: str
     origin: str
-    """In words."""
+    """Where the design comes from, in words."""
     settings: Settings
-    """Of the study, or those that a design file is simulated under."""
+    """Settings of the study, or those for simulating a design file."""
     depth: float
-    """Where it is simulated [m]."""
-    members: MemberPredictions | None
+    """Depth of the slush in the simulation [m]."""
+    predicted: tuple[float, ...] | None
+    """(n_members) displacements that the study's ensemble predicts [m of simulation], if there is one."""
     true_slush: float | None = None
-    """What the study scored it in True Slush [m of simulation], if it did."""
+    """Its score in True Slush [m of simulation], if the study has one."""
 
 
 def proposed(settings: Settings, store: Store) -> DesignSource:
-    """Take the champion that :func:`_proposed` takes, of a store from which nothing is removed meanwhile."""
+    """Select the champion whose True Slush score is nearest the mean of its arm. Paper, "Physical Validation".
+
+    The arm is Residual Slush if the study has it, at its greatest depth.
+
+    Raises:
+        PuddleError: No champion has been scored or survived, or an item of the study is damaged.
+    """
     with store.lock_to_read():
         return _proposed(settings, store)
 
 
 def _proposed(settings: Settings, store: Store) -> DesignSource:
-    """Take the champion nearest the mean True Slush score of a study's trials. Paper, "Physical Validation".
-
-    Of the study's arms, Residual Slush comes first, and its deepest depth.
-
-    Raises:
-        PuddleError: no champion has been scored, or none survived, or something of the study is damaged.
-    """
     damage: list[str] = []
     upstream = survey(settings, STAGES, store, say=damage.append)
-    if damage:  # a trial would be missing from the mean, and another champion be the nearest
+    if damage:  # a missing trial would shift the mean and select another champion
         raise PuddleError(damage[0])
     rows = [row for row in read_scores(settings, upstream["transfer"], store) if row.get("zero_shot") is not None]
     if not rows:
-        raise PuddleError(f"study {settings.name!r}: no champion is scored in True Slush yet; `puddle study` does that")
+        raise PuddleError(
+            f"study {settings.name!r}: no champion has a score in True Slush yet. Run `puddle study` first."
+        )
     arms = sorted({(row["environment"], row["depth"]) for row in rows}, key=lambda a: (a[0] != "residual_slush", -a[1]))
     environment, depth = arms[0]
     arm = [row for row in rows if (row["environment"], row["depth"]) == (environment, depth)]
@@ -75,9 +76,9 @@ def _proposed(settings: Settings, store: Store) -> DesignSource:
         decode_json(store.read(upstream["transfer"].chain(trial)[-1], CHAMPION), trial.label), trial.label
     )
     origin = (
-        f"The champion of trial {row['trial']} of study {settings.name}, evolved in "
-        f"{environment.replace('_', ' ')} of {depth:g} m: it gets {row['zero_shot']:+.2f} m in True Slush, the "
-        f"nearest to the mean of {len(arm)} champions, {scores.mean():+.2f} m."
+        f"Champion of trial {row['trial']} of study {settings.name}, evolved in {environment.replace('_', ' ')} at "
+        f"{depth:g} m. It scores {row['zero_shot']:+.2f} m in True Slush, nearest to the mean of {len(arm)} champions, "
+        f"{scores.mean():+.2f} m."
     )
     return DesignSource(
         design,
@@ -85,15 +86,15 @@ def _proposed(settings: Settings, store: Store) -> DesignSource:
         origin,
         settings,
         depth,
-        _members(settings, upstream, store, design, depth),
+        _predictions(settings, upstream, store, design, depth),
         row["zero_shot"],
     )
 
 
-def _members(
+def _predictions(
     settings: Settings, upstream: Mapping[str, Results], store: Store, design: Designs, depth: float
-) -> MemberPredictions | None:
-    """Simulate a design under every member of the study's ensemble, where there is one."""
+) -> tuple[float, ...] | None:
+    """Simulate a design under every member of the study's ensemble, if there is one."""
     try:
         inputs = environments.member_inputs(settings, "residual_slush", 0, upstream)
     except (MissingInputs, KeyError):
@@ -104,4 +105,4 @@ def _members(
     rollouts = environments.roll_out(simulation, Execution(settings.work.engine), environment, design)
     if not (rollouts.status == OK).all():
         return None
-    return MemberPredictions(tuple(float(value) for value in rollouts.displacement[:, 0]))
+    return tuple(float(value) for value in rollouts.displacement[:, 0])

@@ -1,4 +1,4 @@
-"""timeline.json and timeline.csv: how a servo timeline travels, and calibration.yaml beside it."""
+"""File formats of servo timelines (timeline.json, timeline.csv) and calibrations (calibration.yaml)."""
 
 from __future__ import annotations
 
@@ -17,29 +17,28 @@ from tasks.fabrication.calibration import Calibration
 from tasks.fabrication.timeline import FRAME_RATE_HZ, Timeline, TimelineError, pulses
 
 _SCHEMA, _VERSION = "puddle.timeline", 1
-FIELDS = {"schema", "version", "frames_per_second", "joints", "angle", "channels", "pulse_us"}
+_FIELDS = {"schema", "version", "frames_per_second", "joints", "angle", "channels", "pulse_us"}
 
 MAX_TIMELINE_BYTES = 2**24
-"""A timeline file's greatest length: hours of five joints."""
+"""Largest timeline file, which holds hours of five joints."""
 
-RADIAN_DIGITS, PULSE_DIGITS = 6, 2
-"""Decimals that a timeline is written with: far finer than any servo."""
+_RADIAN_DIGITS, _PULSE_DIGITS = 6, 2  # decimals, far finer than any servo
 
 
 def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
-    """Write a timeline, with the pulses that a calibration makes of it.
+    """Encode a timeline, with its pulses under a calibration, as JSON.
 
     Raises:
-        TimelineError: it is past a limit of the calibration.
+        TimelineError: The timeline exceeds a limit of the calibration.
     """
-    sent = np.round(pulses(timeline, calibration), PULSE_DIGITS)
+    sent = np.round(pulses(timeline, calibration), _PULSE_DIGITS)
     return encode_json(
         {
             "schema": _SCHEMA,
             "version": _VERSION,
             "frames_per_second": FRAME_RATE_HZ,
             "joints": list(timeline.joints),
-            "angle": np.round(timeline.angle.T, RADIAN_DIGITS).tolist(),
+            "angle": np.round(timeline.angle.T, _RADIAN_DIGITS).tolist(),
             "channels": [servo.channel for servo in calibration.servos],
             "pulse_us": sent.T.tolist(),
         }
@@ -47,7 +46,7 @@ def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
 
 
 def timeline_csv(timeline: Timeline, calibration: Calibration) -> bytes:
-    """Write the same as a sheet: a row for each frame. Raises as timeline_json."""
+    """Encode the same as CSV, one row per frame. Raises as timeline_json."""
     sheet = io.StringIO()
     writer = csv.writer(sheet, lineterminator="\n")
     writer.writerow(
@@ -58,40 +57,39 @@ def timeline_csv(timeline: Timeline, calibration: Calibration) -> bytes:
         ]
     )
     for time, angle, sent in zip(timeline.time, timeline.angle, pulses(timeline, calibration), strict=True):
-        row = [f"{time:.2f}", *(f"{value:.{RADIAN_DIGITS}f}" for value in angle)]
-        writer.writerow([*row, *(f"{value:.{PULSE_DIGITS}f}" for value in sent)])
+        row = [f"{time:.2f}", *(f"{value:.{_RADIAN_DIGITS}f}" for value in angle)]
+        writer.writerow([*row, *(f"{value:.{_PULSE_DIGITS}f}" for value in sent)])
     return sheet.getvalue().encode()
 
 
 def read_timeline(path: Path) -> Timeline:
-    """Read a timeline's angles. Its pulses are left alone: they follow from the calibration at hand.
+    """Read a timeline's angles. The pulses follow from the current calibration, so those of the file are ignored.
 
     Raises:
-        PuddleError: the file can't be read or is no timeline; names the field.
+        PuddleError: The file can't be read or is invalid; the message names the field.
     """
     try:
         with path.open("rb") as file:
             data = file.read(MAX_TIMELINE_BYTES + 1)
     except OSError as error:
-        raise PuddleError(f"{path}: can't be read: {error.strerror}. Expected a timeline (timeline.json).") from None
+        raise PuddleError(f"{path}: can't read the timeline: {error.strerror}") from None
     if len(data) > MAX_TIMELINE_BYTES:
-        raise PuddleError(
-            f"{path}: expected at most {MAX_TIMELINE_BYTES} bytes of a timeline, came more. Is it the right file?"
-        )
+        raise PuddleError(f"{path}: expected a timeline of at most {MAX_TIMELINE_BYTES} bytes. Is it the right file?")
     document = decode_json(data, str(path))
     check_format(document, schema=_SCHEMA, version=_VERSION, source=str(path))
-    if strangers := sorted(document.keys() ^ FIELDS):
-        raise PuddleError(f"{path}: expected the fields {', '.join(sorted(FIELDS))}; {strangers[0]} is amiss")
+    if wrong := sorted(document.keys() ^ _FIELDS):
+        problem = "missing" if wrong[0] in _FIELDS else "unknown"
+        raise PuddleError(f"{path}: field {wrong[0]} is {problem}, expected {', '.join(sorted(_FIELDS))}")
     if document["frames_per_second"] != FRAME_RATE_HZ:
         raise PuddleError(
-            f"{path}: frames_per_second: expected {FRAME_RATE_HZ:g}, came {document['frames_per_second']!r}"
+            f"{path}: frames_per_second: expected {FRAME_RATE_HZ:g}, got {document['frames_per_second']!r}"
         )
     joints = document["joints"]
     if not _are_joints(joints):
-        raise PuddleError(f"{path}: joints: expected numbers from 1 to {N_LINKS - 1}, each once, came {joints!r}")
+        raise PuddleError(f"{path}: joints: expected distinct numbers from 1 to {N_LINKS - 1}, got {joints!r}")
     angle = document["angle"]
     if not _are_columns(angle, len(joints)):
-        raise PuddleError(f"{path}: angle: expected {len(joints)} lists of numbers, one a joint, equally long")
+        raise PuddleError(f"{path}: angle: expected {len(joints)} lists of numbers of equal length, one per joint")
     try:
         return Timeline(joints=tuple(joints), angle=np.array(angle, dtype=np.float64).T)
     except TimelineError as error:
@@ -116,16 +114,16 @@ def _are_columns(columns: Any, n_columns: int) -> bool:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration, YAML or JSON.
+    """Read a calibration from YAML or JSON.
 
     Raises:
-        PuddleError: one line for each mistake, with its line and field.
+        PuddleError: The file can't be read or is invalid; the message has a line per mistake.
     """
     return load(Calibration, path)
 
 
 def calibration_yaml(calibration: Calibration, heading: str) -> bytes:
-    """Write a calibration for a person to edit."""
+    """Encode a calibration as YAML with comments, for the user to edit."""
     lines = [*(f"# {line}" for line in heading.splitlines()), "servos:"]
     for servo in calibration.servos:
         values = servo.model_dump()
@@ -136,12 +134,12 @@ def calibration_yaml(calibration: Calibration, heading: str) -> bytes:
 
 
 _COMMENTS = {
-    "joint": "the joint that it moves, by the number of its child link",
-    "channel": "of the controller",
-    "centre_us": "pulse at which the joint rests",
-    "direction": "1 or -1: whether longer pulses turn the child counter-clockwise",
-    "us_per_rad": "pulse for a radian",
-    "min_us": "shortest pulse that it is ever sent",
-    "max_us": "longest",
-    "max_speed": "rad/s",
+    "joint": "joint that it moves, by the number of the child link",
+    "channel": "channel of the servo controller",
+    "centre_us": "neutral pulse: the joint is at rest",
+    "direction": "1 if longer pulses turn the child link counter-clockwise, else -1",
+    "us_per_rad": "change of the pulse per radian",
+    "min_us": "shortest pulse that may be sent",
+    "max_us": "longest pulse that may be sent",
+    "max_speed": "fastest speed that may be commanded [rad/s]",
 }

@@ -71,3 +71,21 @@ def browser(tmp_path_factory) -> Iterator[Browser]:
     started = Browser(tmp_path_factory.mktemp("profile"))
     yield started
     started.close()
+
+
+class SteppedClock:
+    """A clock that only ``sleep`` advances, so that a run is fast and never late on a busy machine."""
+
+    def __init__(self) -> None:
+        self.time = 100.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep(self, duration: float) -> None:
+        self.time += duration
+
+
+@pytest.fixture
+def clock() -> SteppedClock:
+    return SteppedClock()

@@ -1,4 +1,4 @@
-"""A kit's files, read back by other programs."""
+"""A kit's files, read back by other libraries."""
 
 import csv
 import hashlib
@@ -30,7 +30,7 @@ from tasks.fabrication.kit import build_kit
 from tasks.fabrication.kit_settings import KitSettings
 
 MESHED = 2e-3
-"""Relative: facets miss curved faces by up to 0.05 mm, of holes of 3 mm too."""
+"""Relative tolerance: facets miss curved faces by up to 0.05 mm, also in 3 mm holes."""
 
 MAKE = """
 import hashlib, json, sys
@@ -168,7 +168,7 @@ def test_the_bill_as_csv(kit, files):
     assert sum(float(row["all_mass_g"] or 0) for row in rows) == pytest.approx(kit.mass_g, abs=0.05 * len(rows))
 
 
-def test_the_drawing_says_joints_angles_and_dimensions(kit, files):
+def test_the_drawing_shows_joints_angles_and_dimensions(kit, files):
     elements = ElementTree.fromstring(files["drawing.svg"]).iter()
     text = " ".join("".join(element.itertext()) for element in elements if element.tag.endswith("text"))
     for said in ("Crane", "joint 2", "joint 4", "part 1", "part 3", "±28.6°", "±45.8°", "R1.1", "300", "325.0", "99.0"):
@@ -181,20 +181,20 @@ def test_the_drawing_says_joints_angles_and_dimensions(kit, files):
 
 
 def drawn(kit, monkeypatch, n_faults: int = 0) -> tuple[str, list[Labels]]:
-    """Draw a kit; give its words and the labels of each view."""
+    """Draw a kit; return its text and the labels of each view."""
     views = []
 
-    class Kept(Labels):
+    class Recorded(Labels):
         def __init__(self, sheet):
             super().__init__(sheet)
             views.append(self)
 
-    monkeypatch.setattr(assembly_drawing, "Labels", Kept)
+    monkeypatch.setattr(assembly_drawing, "Labels", Recorded)
     elements = ElementTree.fromstring(assembly_drawing.assembly_drawing(kit, "Drawn", n_faults)["svg"]).iter()
     return " ".join("".join(element.itertext()) for element in elements if element.tag.endswith("text")), views
 
 
-def test_the_drawing_tells_the_count_of_faults_that_it_is_given(kit, monkeypatch):
+def test_the_drawing_states_the_number_of_faults(kit, monkeypatch):
     assert "11 faults found" in drawn(kit, monkeypatch, 11)[0]
     assert "1 fault found" in drawn(kit, monkeypatch, 1)[0]
     assert "fault" not in drawn(kit, monkeypatch, 0)[0]
@@ -222,7 +222,7 @@ def test_the_picture_shows_every_part(kit, files):
 
 
 def said_elsewhere(code: str, seed: str, given: str = "") -> str:
-    """What Python says in a process of its own, under a hash seed of its own."""
+    """Run code in another process, under another hash seed, and return its output."""
     environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(Path(__file__).parents[3])}
     done = subprocess.run(
         [sys.executable, "-c", code], input=given, text=True, capture_output=True, env=environment, check=True
@@ -231,7 +231,7 @@ def said_elsewhere(code: str, seed: str, given: str = "") -> str:
 
 
 def test_the_same_design_gives_the_same_bytes_in_another_process(crane, files):
-    # Seeds order sets of strings differently; this process has whichever it has.
+    # Hash seeds order sets of strings differently.
     given = json.dumps(design_document(crane))
     one, five = (json.loads(said_elsewhere(MAKE, seed, given)) for seed in ("1", "5"))
     here = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
@@ -254,6 +254,6 @@ def test_cad_is_imported_late_and_its_absence_is_one_clear_message():
     done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].endswith(
-        "MissingCadError: making parts needs build123d, not installed here: pip install 'puddle[cad]' "
-        "(from a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
+        "MissingCadError: build123d not installed, but needed to make parts. Run: pip install 'puddle[cad]' "
+        "(in a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
     )

@@ -1,4 +1,4 @@
-"""``puddle fabricate``: a folder that is a whole kit or not there, its page, and what speaks against it."""
+"""``puddle fabricate``: the kit's folder, its page and its findings."""
 
 import hashlib
 import json
@@ -14,8 +14,9 @@ from command_line import call
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.kit_folder import KIT_MANIFEST, check_place, write_kit
-from pipeline.fabrication.kit_page import _last
+from pipeline.fabrication.kit_page import _last_steps
 from pipeline.fabrication.timeline_file import read_calibration, read_timeline
+from pipeline.servo.play import PlayOptions, play_timeline
 from pipeline.store import disk
 from pipeline.store.design_file import design_document, read_design
 from pipeline.store.store import Store
@@ -62,7 +63,7 @@ def test_a_kit_is_whole(made):
     assert sorted(path.name for path in made.iterdir()) == ["crane.json", "kit", "store"]
 
 
-def test_its_timeline_and_calibration_are_driven(made, capsys, tmp_path):
+def test_its_timeline_and_calibration_can_be_played(made, clock, tmp_path):
     line, servos = read_timeline(made / "kit/timeline.json"), read_calibration(made / "kit/calibration.yaml")
     assert line.joints == (2, 4) and line.time[-1] == 150.0
     assert {servo.joint for servo in servos.servos} == {2, 4}
@@ -71,8 +72,8 @@ def test_its_timeline_and_calibration_are_driven(made, capsys, tmp_path):
     crossings = np.flatnonzero((swing[:-1] < 0) & (swing[1:] >= 0))
     assert np.diff(crossings).mean() / 50 == pytest.approx(np.sqrt(0.07) / 0.2, rel=2e-3)
     assert np.abs(swing).max() == pytest.approx(0.8, abs=0.01)
-    log = str(tmp_path / "dry.parquet")
-    assert call("drive", str(made / "kit"), "--dry-run", "--duration", "0.2", "--log", log) == 0
+    options = PlayOptions(made / "kit", dry_run=True, log=tmp_path / "dry.parquet")
+    assert play_timeline(options, confirm=lambda question: True, say=lambda line: None, clock=clock)
 
 
 def test_every_link_of_the_page_leads_somewhere(made):
@@ -133,26 +134,27 @@ def test_a_servo_that_is_too_weak_is_flagged_and_the_kit_replaced(made, tmp_path
     arguments = [str(made / "crane.json"), "--out", str(tmp_path / "kit"), "--store", str(made / "store")]
     assert call("fabricate", *arguments, "--set", "kit.servo=mg90s", "--set", "kit.horn=cross") == 1
     said = capsys.readouterr().out
-    assert "fault    joint" in said and "the servo can't do it" in said and "mg90s" in said
+    assert "fault    joint" in said and "too weak or too slow" in said and "mg90s" in said
     page = (tmp_path / "kit/index.html").read_text()
-    assert "Not to be built as it is" in page and "mg90s" in page
+    assert "Do not build this kit" in page and "mg90s" in page
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kit"]
 
 
-def test_the_design_that_the_readme_builds_has_no_fault_and_drives(tmp_path, capsys):
+def test_the_design_in_the_readme_has_no_fault_and_a_timeline(tmp_path, clock, capsys):
     design = Path(__file__).parents[3] / "docs/design-buildable.json"
     arguments = [str(design), "--out", str(tmp_path / "kit"), "--store", str(tmp_path / "store")]
     assert call("fabricate", *arguments) == 0
     assert not any(line.startswith("fault") for line in capsys.readouterr().out.splitlines())
-    assert call("drive", str(tmp_path / "kit"), "--dry-run", "--duration", "0.2") == 0
+    options = PlayOptions(tmp_path / "kit", dry_run=True)
+    assert play_timeline(options, confirm=lambda question: True, say=lambda line: None, clock=clock)
 
 
-def test_a_kit_without_a_timeline_does_not_say_to_drive_it(made):
+def test_a_kit_without_a_timeline_does_not_suggest_to_play_it(made):
     page = (made / "kit/index.html").read_text()
-    assert "puddle drive kit --dry-run" in page and "Find each servo's pulses" in page
+    assert "puddle drive kit --dry-run" in page and "Measure each servo's pulses" in page
     lame = Bench(**{field.name: None for field in fields(Bench)} | {"calibration": object()})
-    assert "puddle drive" not in _last(lame, "kit") and "Find each servo's pulses" in _last(lame, "kit")
-    assert _last(replace(lame, calibration=None), "kit") == ""
+    assert "puddle drive" not in _last_steps(lame, "kit") and "Measure each servo's pulses" in _last_steps(lame, "kit")
+    assert _last_steps(replace(lame, calibration=None), "kit") == ""
 
 
 def test_mistakes(made, crane, tmp_path, capsys):
@@ -171,11 +173,11 @@ def test_mistakes(made, crane, tmp_path, capsys):
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("mine")
     assert "thesis.tex" in refused(design, "--out", str(tmp_path / "thesis"))
-    assert "does not" in refused(design, "--out", str(tmp_path / "none" / "kit"))
+    assert "does not exist" in refused(design, "--out", str(tmp_path / "none" / "kit"))
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["thesis", "thesis.tex"]
 
 
-def test_a_disk_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
+def test_a_failing_disk_leaves_the_previous_kit(tmp_path, monkeypatch):
     folder = tmp_path / "kit"
     write_kit(folder, {"a.txt": b"old", "print/b.txt": b"old"}, {"name": "old"})
     left = 0
@@ -204,7 +206,7 @@ def test_a_disk_that_fails_leaves_what_was_there(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("after", [False, True])
-def test_an_interrupt_leaves_what_was_there(tmp_path, monkeypatch, after):
+def test_an_interrupt_leaves_the_previous_kit(tmp_path, monkeypatch, after):
     folder = tmp_path / "kit"
     write_kit(folder, {"a.txt": b"old"}, {"name": "old"})
     (folder / "drive-1.parquet").write_bytes(b"log")
@@ -232,7 +234,7 @@ def test_an_interrupt_leaves_what_was_there(tmp_path, monkeypatch, after):
         assert [path.name for path in tmp_path.iterdir()] == ["kit"]
 
 
-def test_what_the_user_put_into_a_kit_outlives_it(tmp_path):
+def test_files_of_the_user_are_preserved(tmp_path):
     folder = tmp_path / "kit"
     made = {"calibration.yaml": b"a guess", "print/gone.stl": b"part", "design.json": b"{}"}
     assert write_kit(folder, made, {"name": "old"}) == []
@@ -241,9 +243,9 @@ def test_what_the_user_put_into_a_kit_outlives_it(tmp_path):
         (folder / "drive-1.parquet").write_bytes(b"log")
         lines = write_kit(folder, {"calibration.yaml": b"another guess", "design.json": b"{}"}, {"name": "new"})
     assert lines == [
-        "Kept calibration-yours-1.yaml.",
-        "Kept calibration.yaml, which you had changed, as calibration-yours-2.yaml.",
-        "Kept drive-1.parquet.",
+        "Preserved calibration-yours-1.yaml.",
+        "Preserved calibration.yaml, which you had changed, as calibration-yours-2.yaml.",
+        "Preserved drive-1.parquet.",
     ]
     held = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     held.pop(KIT_MANIFEST)
@@ -256,7 +258,7 @@ def test_what_the_user_put_into_a_kit_outlives_it(tmp_path):
     }
 
 
-def test_places_that_are_none(tmp_path, monkeypatch):
+def test_folders_that_are_refused(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "link").symlink_to(tmp_path)
     for name in ("file", "link"):
@@ -269,7 +271,7 @@ def test_places_that_are_none(tmp_path, monkeypatch):
     (tmp_path / "empty").mkdir()
     assert check_place(tmp_path / "empty") == check_place(tmp_path / "newer" / ".." / "empty") == tmp_path / "empty"
     monkeypatch.chdir(tmp_path / "empty")
-    with pytest.raises(PuddleError, match="the one that you are in"):
+    with pytest.raises(PuddleError, match="can't replace the current directory"):
         check_place(Path())
 
 
@@ -283,16 +285,16 @@ def test_the_proposed_champion_of_a_study(study, settings):
     scores = np.array([row["zero_shot"] for row in rows])
     nearest = rows[int(np.argmin(np.abs(scores - scores.mean())))]
     assert source.name == f"tiny-trial-{nearest['trial']}" and source.depth == 1.0
-    assert len(source.members.displacement) == 2
-    mean, deviation = source.members.mean, source.members.deviation
+    assert len(source.predicted) == 2
+    mean, deviation = np.mean(source.predicted), np.std(source.predicted)
     # The champion's fitness is μ - σ over the same members.
     assert mean - deviation == pytest.approx(nearest["predicted"], abs=1e-6)
 
 
 @pytest.mark.parametrize("file", ["score.json", "champion.json"])
 @pytest.mark.parametrize("spoil", [lambda good: good[:-2] + b"?\n", lambda good: good[:-1]])
-def test_no_other_champion_is_proposed_where_one_is_damaged(file, spoil, study, settings, tmp_path):
-    """A trial whose files are damaged would be missing from the mean."""
+def test_a_damaged_champion_is_reported_instead_of_proposing_another(file, spoil, study, settings, tmp_path):
+    """A damaged trial would be missing from the mean."""
     from pipeline.fabrication.source import proposed
 
     store = Store(shutil.copytree(study[0].root, tmp_path / "store"))

@@ -1,4 +1,4 @@
-"""Timelines and calibrations as files: there and back, and every mistake named with its file and field."""
+"""Files of timelines and calibrations: round trips, and messages that name file and field."""
 
 import csv
 import io
@@ -46,7 +46,7 @@ CALIBRATION = Calibration(
 TIMELINE = Timeline(joints=(2, 5), angle=np.stack([np.linspace(0, 0.9, 50), np.linspace(0.3, -0.8, 50)], axis=1))
 
 
-def test_a_timeline_comes_back(tmp_path):
+def test_a_timeline_round_trip(tmp_path):
     path = tmp_path / "timeline.json"
     path.write_bytes(timeline_json(TIMELINE, CALIBRATION))
     back = read_timeline(path)
@@ -57,7 +57,7 @@ def test_a_timeline_comes_back(tmp_path):
     assert said["channels"] == [0, 7]
 
 
-def test_the_sheet_says_the_same():
+def test_the_csv_equals_the_timeline():
     rows = list(csv.reader(io.StringIO(timeline_csv(TIMELINE, CALIBRATION).decode())))
     assert rows[0] == ["time_s", "joint_2_rad", "joint_5_rad", "channel_0_us", "channel_7_us"]
     table = np.array(rows[1:], dtype=float)
@@ -66,7 +66,7 @@ def test_the_sheet_says_the_same():
     np.testing.assert_allclose(table[:, 3:], pulses(TIMELINE, CALIBRATION), rtol=0, atol=0.005)
 
 
-def test_a_calibration_comes_back(tmp_path):
+def test_a_calibration_round_trip(tmp_path):
     path = tmp_path / "calibration.yaml"
     path.write_bytes(calibration_yaml(CALIBRATION, "Of the test robot.\nMeasure it."))
     assert read_calibration(path) == CALIBRATION
@@ -91,7 +91,7 @@ GOOD = calibration_yaml(CALIBRATION, "good").decode()
         ("max_speed: 6", "max_speed: -6", "max_speed: expected a number greater than 0"),
     ],
 )
-def test_calibrations_that_are_none(tmp_path, old, new, said):
+def test_invalid_calibrations_are_refused(tmp_path, old, new, said):
     path = tmp_path / "calibration.yaml"
     assert old in GOOD
     path.write_text(GOOD.replace(old, new))
@@ -104,7 +104,7 @@ def test_calibrations_that_are_none(tmp_path, old, new, said):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"joints": [2, 2]}, "joints: expected numbers from 1 to 5, each once"),
+        ({"joints": [2, 2]}, "joints: expected distinct numbers from 1 to 5"),
         ({"joints": [2, 9]}, "joints"),
         ({"angle": [[0.0], [0.0, 1.0]]}, "angle: expected 2 lists"),
         ({"angle": [[0.0], ["up"]]}, "angle"),
@@ -112,10 +112,10 @@ def test_calibrations_that_are_none(tmp_path, old, new, said):
         ({"frames_per_second": 60}, "frames_per_second: expected 50"),
         ({"version": 2}, "version 2"),
         ({"schema": "puddle.design"}, "puddle.design"),
-        ({"speed": 3}, "speed is amiss"),
+        ({"speed": 3}, "field speed is unknown"),
     ],
 )
-def test_timelines_that_are_none(tmp_path, change, said):
+def test_invalid_timelines_are_refused(tmp_path, change, said):
     path = tmp_path / "timeline.json"
     path.write_text(json.dumps({**json.loads(timeline_json(TIMELINE, CALIBRATION)), **change}))
     with pytest.raises(PuddleError) as refusal:
@@ -123,14 +123,14 @@ def test_timelines_that_are_none(tmp_path, change, said):
     assert str(path) in str(refusal.value) and said in str(refusal.value)
 
 
-def test_files_that_are_not_there_or_no_json(tmp_path):
-    with pytest.raises(PuddleError, match=r"none\.json: can't be read"):
+def test_missing_and_damaged_files_are_refused(tmp_path):
+    with pytest.raises(PuddleError, match=r"none\.json: can't read the timeline"):
         read_timeline(tmp_path / "none.json")
     (tmp_path / "bad.json").write_text('{"angle": [NaN]}')
     with pytest.raises(PuddleError, match=r"bad\.json"):
         read_timeline(tmp_path / "bad.json")
     (tmp_path / "long.json").write_bytes(b" " * (MAX_TIMELINE_BYTES + 1))
-    with pytest.raises(PuddleError, match=r"long\.json: expected at most"):
+    with pytest.raises(PuddleError, match=r"long\.json: expected a timeline of at most"):
         read_timeline(tmp_path / "long.json")
     with pytest.raises(PuddleError, match=r"none\.yaml"):
         read_calibration(tmp_path / "none.yaml")

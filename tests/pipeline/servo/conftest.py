@@ -134,24 +134,6 @@ def plug() -> Iterator[type[FakeMaestro]]:
         fake.close()
 
 
-class SteppedClock:
-    """A clock that only ``sleep`` advances, so that a run is fast and never late on a busy machine."""
-
-    def __init__(self) -> None:
-        self.time = 100.0
-
-    def now(self) -> float:
-        return self.time
-
-    def sleep(self, duration: float) -> None:
-        self.time += duration
-
-
-@pytest.fixture
-def clock() -> SteppedClock:
-    return SteppedClock()
-
-
 @pytest.fixture(scope="session")
 def calibration() -> Calibration:
     common = {"us_per_rad": 600.0, "min_us": 900.0, "max_us": 2100.0, "max_speed": 3.0}
