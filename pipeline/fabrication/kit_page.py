@@ -113,7 +113,7 @@ def _findings(findings: Sequence[KitFinding]) -> str:
     if not findings:
         return "<p>None.</p>"
     items = "".join(
-        f'<li class="{one.severity}"><b>{one.severity}</b> · {escape(one.where)}: {escape(one.message)}</li>'
+        f'<li class="{one.severity}"><b>{one.severity}</b> · {escape(one.where)}: {escape(one.message.rstrip("."))}.</li>'
         for one in findings
     )
     return f'<ul class="found">{items}</ul>'
@@ -233,8 +233,8 @@ def _floating(bench: Bench, physics: Physics, slush_density: float) -> str:
     return (
         f"<p>The robot has a mass of {1000 * floating.mass_kg:.0f} g and a volume of {1e6 * floating.sealed_m3:.0f} "
         f"cm³. {state} The simulated robot has {simulated:.0%} submerged; add weights or foam to match it. With "
-        f"flooded pockets it {flooded} ({floating.flooded_share:.0%} of the remaining volume). In the simulation buoyancy "
-        f"never tips a robot over; on the bench it may float at another angle.</p>"
+        f"flooded pockets it {flooded} ({floating.flooded_share:.0%} of the remaining volume). In the simulation "
+        f"buoyancy never tips a robot over; on the bench it may float at another angle.</p>"
     )
 
 

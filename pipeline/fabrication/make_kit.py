@@ -78,7 +78,8 @@ def fabricate(
     if design is None:
         source = proposed(settings, store)
     else:
-        origin = f"Design file {design.name}, simulated in True Slush at {_PHYSICAL_DEPTH:g} m as in {settings.name}."
+        where = f"True Slush at {_PHYSICAL_DEPTH:g} m"
+        origin = f"Design file {design.name}, simulated in {where} with the settings of {settings.name}."
         source = DesignSource(read_design(design), design.stem, origin, settings, _PHYSICAL_DEPTH, None)
     try:
         kit = build_kit(source.design, choices.kit)
@@ -151,7 +152,7 @@ def fabricate(
 
 
 def _lines(out: Path, findings: Sequence[KitFinding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:
-    lines = [f"{finding.severity:<8} {finding.where}: {finding.message}" for finding in findings]
+    lines = [f"{finding.severity:<8} {finding.where}: {finding.message.rstrip('.')}." for finding in findings]
     lines += [f"joint {load.joint}: the servo gives {load.margin:.2f} times what the run needs" for load in loads]
     return [*lines, f"Kit of a robot of {mass_g:.0f} g: {out / 'index.html'}"]
 

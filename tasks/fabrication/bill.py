@@ -76,7 +76,7 @@ def _supplies(servo_joints: Sequence[ServoJoint], n_servos: int) -> list[BillLin
     if n_servos:
         servo = servo_joints[0].servo
         lines += [
-            BillLine("supplies", "silicone sealant", 1, "for seams of the servo cases and cable entries"),
+            BillLine("supplies", "silicone sealant", 1, "for servo cases and cable entries"),
             BillLine("supplies", "marine grease", 1, "for the servo gearboxes and the O-rings"),
             BillLine("supplies", f"O-ring for a {servo.spline_mm:g} mm shaft", n_servos, "under the horn"),
             BillLine("electronics", "Pololu Maestro", 1, f"with at least {n_servos} channels"),
