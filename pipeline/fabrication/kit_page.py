@@ -113,7 +113,8 @@ def _findings(findings: Sequence[KitFinding]) -> str:
     if not findings:
         return "<p>None.</p>"
     items = "".join(
-        f'<li class="{one.severity}"><b>{one.severity}</b> · {escape(one.where)}: {escape(one.message.rstrip("."))}.</li>'
+        f'<li class="{one.severity}"><b>{one.severity}</b> · {escape(one.where)}: '
+        f"{escape(one.message.rstrip('.'))}.</li>"
         for one in findings
     )
     return f'<ul class="found">{items}</ul>'
@@ -150,8 +151,9 @@ def _measures(kit: Kit, servo: Servo) -> str:
         f"<p>Clones of a {escape(servo.name)} differ, and so do their horns. Print the two gauges before the parts: "
         f"{prints}. They are slices of the parts. The servo enters the first from above until its ears lie on the "
         f"plate, and its screws meet the holes. The horn lies in the second with its face on the floor. With both "
-        f"gauges on the servo, the gap between them must be {kit.settings.layer_gap_mm:g} mm. If anything does not fit, "
-        f"measure it and make the kit again with your value, such as <code>--set kit.measured.length_mm=40.1</code>.</p>"
+        f"gauges on the servo, the gap between them must be {kit.settings.layer_gap_mm:g} mm. If anything does not "
+        f"fit, measure it and make the kit again with your value: "
+        f"<code>--set kit.measured.length_mm=40.1</code>.</p>"
         f"<details><summary>Dimensions of this kit and their sources</summary>"
         f"{_table(['name', 'dimension', 'mm', 'source'], rows, 'left')}</details>"
     )

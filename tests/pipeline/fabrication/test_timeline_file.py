@@ -68,7 +68,7 @@ def test_the_csv_equals_the_timeline():
 
 def test_a_calibration_round_trip(tmp_path):
     path = tmp_path / "calibration.yaml"
-    path.write_bytes(calibration_yaml(CALIBRATION, "Of the test robot.\nMeasure it."))
+    path.write_bytes(calibration_yaml(CALIBRATION, "The test robot.\nMeasure it."))
     assert read_calibration(path) == CALIBRATION
     as_json = tmp_path / "calibration.json"
     as_json.write_text(CALIBRATION.model_dump_json(indent=2))
