@@ -1,7 +1,7 @@
-"""What is said of designs that diverged: how many of how many, and where. Decoded tables in, words out.
+"""Messages about designs that diverged: how many and where. Decoded tables in, text out.
 
-A rollout in a sound world stays finite. So a design that diverges tells of a medium, a physics or a network that is not
-sound. Evolution never lets it survive and figures leave it out; a person is to hear of it all the same.
+A rollout in a sound environment stays finite. So a design that diverges points to an unsound medium, physics or
+network. Evolution never lets it survive and figures leave it out, but the user must learn of it.
 """
 
 from __future__ import annotations
@@ -17,46 +17,38 @@ from tasks.arrays import Bools
 from tasks.evolution import OPERATORS
 
 NO_CHAMPION = "no champion: every design of the trial diverged"
-"""What is said of a trial that came to nothing."""
+"""Status of a trial without survivors."""
 
 
 def in_trial(curve: Columns) -> str | None:
-    """Say what diverged while a trial evolved; None where nothing did.
-
-    Args:
-        curve: the trial's, (n_generations,) each column.
-    """
+    """Describe what diverged while a trial evolved, from its curve; None if nothing did."""
     return _in_generations(curve, "designs") if np.isfinite(curve["best_fitness"][-1]) else NO_CHAMPION
 
 
 def in_transfer(scores: Mapping[str, Any], adaptation: Columns | None) -> str | None:
-    """Say what diverged in True Slush, of a trial's champions and its adaptation's designs; None where nothing did.
+    """Describe which of a trial's champions and its adaptation's designs diverged in True Slush; None if none did.
 
-    Nothing is said of a trial without a champion: its evolution says why.
+    A trial without a champion is left to :func:`in_trial`.
 
     Args:
-        scores: the trial's; a displacement is None where the champion's rollout diverged.
-        adaptation: the adaptation's curve, (n_generations,) each column; None where there was none.
+        scores: the trial's scores; a displacement is None where the champion's rollout diverged.
+        adaptation: curve of the adaptation; None where there was none.
     """
     if scores["status"] != "ok":
         return None
-    said = []
+    parts = []
     if adaptation is not None and np.isfinite(adaptation["best_fitness"][-1]):
-        said.append(_in_generations(adaptation, "designs of the adaptation"))
+        parts.append(_in_generations(adaptation, "designs of the adaptation"))
     elif adaptation is not None:
-        said.append("not adapted: every design of the adaptation diverged")
+        parts.append("not adapted: every design of the adaptation diverged")
     for name, whose in (("zero_shot", "the champion"), ("adapted", "the adapted champion")):
         if name in scores and scores[name] is None:
-            said.append(f"{whose} diverged in True Slush")
-    return "; ".join(part for part in said if part) or None
+            parts.append(f"{whose} diverged in True Slush")
+    return "; ".join(part for part in parts if part) or None
 
 
 def in_assessment(predictions: Columns) -> str | None:
-    """Say how many of a trial's assessed designs diverged; None where none did.
-
-    Args:
-        predictions: (n_designs,) each column, (n_designs, n_members) what members predict [m].
-    """
+    """Count which of a trial's assessed designs diverged; None if none did."""
     diverged = somewhere(predictions)
     if not diverged.any():
         return None
@@ -64,17 +56,17 @@ def in_assessment(predictions: Columns) -> str | None:
 
 
 def somewhere(predictions: Columns) -> Bools:
-    """Tell which assessed designs diverged, in True Slush or under any member: (n_designs,)."""
+    """Return which assessed designs diverged, in True Slush or under any member: (n_designs,)."""
     finite: Bools = np.isfinite(predictions["true"]) & np.isfinite(predictions["predicted"]).all(axis=1)
     return ~finite
 
 
 def _in_generations(curve: Columns, designs: str) -> str | None:
-    """Count what diverged of all designs of a curve, and say when it began."""
+    """Count the designs of a curve that diverged, and give the first generation."""
     n_diverged = int(curve["n_diverged"].sum())
     if n_diverged == 0:
         return None
     n_designs = sum(int((curve[drawn_column(name)] - curve[rejected_column(name)]).sum()) for name in OPERATORS)
     first = curve["generation"][np.flatnonzero(curve["n_diverged"])[0]]
     verb, when = ("was", "in") if n_diverged == 1 else ("were", "the first in")
-    return f"{n_diverged} of {n_designs:,} {designs} diverged and {verb} set aside; {when} generation {first}"
+    return f"{n_diverged} of {n_designs:,} {designs} diverged and {verb} discarded; {when} generation {first}"

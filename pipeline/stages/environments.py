@@ -71,7 +71,10 @@ def build_environment(media: Media, name: EnvironmentName, depth: float, inputs:
         media: settings, which include those of its medium.
         name: name of the environment.
         depth: of the ground below the surface [m].
-        inputs: hold the weights of its members, if it has any.
+        inputs: contain the weights of its members, if it has any.
+
+    Returns:
+        The environment.
     """
     ensemble = None if ENVIRONMENTS[name].networks == "none" else ensemble_of(inputs)
     return ENVIRONMENTS[name].environment(depth, media, ensemble)
@@ -168,6 +171,9 @@ def roll_out(
         environment: where they are simulated.
         designs: (n_designs,)
         trace: whether to record every step.
+
+    Returns:
+        Displacements, (n_designs,) or (n_members, n_designs) [m], and the trace if asked for.
     """
     return simulate(
         designs,
@@ -197,6 +203,9 @@ def score(
         environment: where they are simulated.
         penalty: weight of the members' disagreement in the fitness.
         designs: (n_designs,)
+
+    Returns:
+        Fitness (n_designs,) and displacements (n_designs, n_members) [m].
     """
     size = execution.designs_per_batch
     if size is None or size >= len(designs):

@@ -68,6 +68,9 @@ def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName)
         settings: the study's settings.
         trial: the trial.
         environment: where its designs are simulated.
+
+    Returns:
+        The specification that its segments share.
     """
     return TrialSpec(
         trial,
@@ -93,6 +96,9 @@ def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -
         settings: the study's settings.
         spec: what its items have in common.
         units: generations of each item.
+
+    Returns:
+        The chain; trials in one environment at one depth may be batched.
     """
     return Chain(
         spec.identity,

@@ -1,4 +1,4 @@
-"""Work that nothing else waits for, done beside what does: MLflow is told of a stage while the next one computes."""
+"""Background work on a thread: a stage is mirrored to MLflow while the next one computes."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ from types import TracebackType
 from typing import Self
 
 SECONDS_OF_SILENCE = 2.0
-"""How long this process may wait at its end before it says what for."""
+"""Time that the end may wait before it tells the user what for [s]."""
 
 
 class Background:
-    """Does one thing after another on a thread of its own; at the end of a ``with`` all of it has been done.
+    """Runs calls one after another on a thread of its own; the end of the ``with`` block waits for all of them.
 
-    Only what ends in an error does not wait: it is to be said at once. The thread goes on then until the process ends.
+    A block that ends in an error does not wait, so that the error is reported at once. The thread then continues until
+    the process ends.
     """
 
     def __init__(self, what: str, say: Callable[[str], None]) -> None:
-        """Begin.
+        """Prepare; the thread starts with the first call.
 
-        Args:
-            what: is said where one has to wait for it.
-            say: shows a line to the user.
+        ``say`` shows the line ``what`` to the user if the end has to wait.
         """
         self._what, self._say = what, say
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
@@ -31,17 +30,17 @@ class Background:
         self._error: BaseException | None = None
 
     def do(self, work: Callable[[], object]) -> None:
-        """Have something done after all that was asked for before. What it raises, the end of the ``with`` raises."""
+        """Run a call after those before it. If it raises an error, the end of the ``with`` block raises that error."""
         if self._thread is None:
-            self._thread = threading.Thread(target=self._go_on, name=self._what, daemon=True)
+            self._thread = threading.Thread(target=self._run, name=self._what, daemon=True)
             self._thread.start()
         self._work.put(work)
 
-    def _go_on(self) -> None:
+    def _run(self) -> None:
         while (work := self._work.get()) is not None:
             try:
                 work()
-            except BaseException as error:  # it is for the end to raise, and the rest of the work is none the worse
+            except BaseException as error:  # the end of the block raises it; the rest of the work continues
                 self._error = self._error or error
 
     def __enter__(self) -> Self:

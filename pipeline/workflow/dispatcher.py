@@ -53,9 +53,9 @@ class Limits:
     """What any item may take in that case: some units are whole analyses."""
 
     def seconds(self, cost: float, slowest: float) -> tuple[float, str]:
-        """Return the limit [s] for so many weighted units, and the reason for it.
+        """Return the limit [s] of a batch that costs ``cost`` weighted units, and the reason for it.
 
-        ``slowest`` is in seconds per weighted unit; 0 where no item has ended.
+        ``slowest`` is in seconds per weighted unit; 0 while no item has ended.
         """
         if not slowest:
             reason = ", the limit while no item of its stage has ended"

@@ -1,9 +1,9 @@
-"""How far a stage has got, at what rate, and how long it will take.
+"""Progress of a stage: the share done, the rate and the time left.
 
-On a terminal a bar; elsewhere (a log, a pipe, a batch job) a plain line now and then. Both go to standard error, so
-that results on standard output can be piped. What is counted is units, but the share done and the time left are those
-of their cost: where one unit costs ten times another, the one would mislead. What was found done in the store counts as
-done but not toward the rate.
+A terminal shows a bar; anything else (a log, a pipe, a batch job) gets a line now and then. Both go to standard error,
+so that results on standard output can be piped. The count is in units, but the share done and the time left follow
+their cost, because some units cost ten times as much as others. Work that the store already has counts as done, but
+not toward the rate.
 """
 
 from __future__ import annotations
@@ -20,15 +20,12 @@ from rich.live import Live
 from rich.text import Text
 
 SECONDS_BETWEEN_LINES = 10.0
-"""How often a line may be printed where there is no terminal."""
+"""Least time between two lines where there is no terminal [s]."""
 
-FRAMES_PER_SECOND = 4.0
-"""How often the bar is drawn where there is one: often enough for the eye, too seldom to matter."""
+_BAR_FPS, _BAR_WIDTH = 4.0, 30
 
-BAR_WIDTH = 30
-
-ROUNDING = 1e-9
-"""Share of the total by which a sum of costs may miss it."""
+_ROUNDING = 1e-9
+"""Relative error of a sum of costs."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +33,9 @@ class Work:
     """An amount of work."""
 
     units: float = 0.0
-    """As a person counts it, such as generations."""
+    """Number of units, such as generations."""
     cost: float = 0.0
-    """In units of average cost."""
+    """Cost, in units of average cost."""
 
     def __add__(self, other: Work) -> Work:
         return Work(self.units + other.units, self.cost + other.cost)
@@ -51,14 +48,14 @@ NOTHING = Work()
 
 
 class Bar(Protocol):
-    """A stage's progress, as the work sees it."""
+    """A stage's progress, as seen by the work."""
 
     def advance(self, work: Work) -> None:
         """Count work just done."""
 
 
 class Progress(Protocol):
-    """What shows progress."""
+    """Shows progress to the user."""
 
     def say(self, line: str) -> None:
         """Show a line that stays, above any bar."""
@@ -68,22 +65,25 @@ class Progress(Protocol):
         """Show a stage while it runs.
 
         Args:
-            name: of the stage.
-            unit: what its work is counted in, in the plural.
-            total: work of the whole stage, what is done already included.
-            done: work found done.
+            name: the stage's name.
+            unit: unit of work, in the plural.
+            total: work of the whole stage, including what is done.
+            done: work that the store already has.
+
+        Returns:
+            A context manager that gives the bar to advance.
         """
 
 
 @dataclass
 class Pace:
-    """Work done so far, and what follows from it."""
+    """Work done so far, and the rate and time that follow from it."""
 
     name: str
     unit: str
     total: Work
     found: Work
-    """Work found done when the stage began."""
+    """Work done before the stage started."""
     clock: Callable[[], float] = time.monotonic
     done: Work = field(init=False)
     start: float = field(init=False)
@@ -94,28 +94,28 @@ class Pace:
 
     @property
     def seconds(self) -> float:
-        """Since the stage began."""
+        """Time since the stage started [s]."""
         return self.clock() - self.start
 
     @property
     def rate(self) -> float:
-        """Units a second, of the work done since the stage began; 0 until some is."""
+        """Units per second since the stage started; 0 until some are done."""
         return (self.done - self.found).units / self.seconds if self.seconds > 0 else 0.0
 
     @property
     def seconds_left(self) -> float | None:
-        """None until there is a pace to tell from."""
+        """Time left [s]; None until some work is done."""
         since = (self.done - self.found).cost
         return max(0.0, (self.total - self.done).cost) / since * self.seconds if since > 0 else None
 
     @property
     def fraction(self) -> float:
-        """Of the cost, from 0 to 1."""
+        """Share of the cost that is done, from 0 to 1."""
         return min(1.0, self.done.cost / self.total.cost) if self.total.cost > 0 else 1.0
 
     def __str__(self) -> str:
         counts = f"{self.fraction:.0%}, {_count(self.done.units)}/{_count(self.total.units)} {self.unit}"
-        if self.fraction >= 1 - ROUNDING:
+        if self.fraction >= 1 - _ROUNDING:
             return f"{counts}, {_count(self.rate)}/s, took {_duration(self.seconds)}"
         if self.seconds_left is None:
             return f"{counts}, {_duration(self.seconds)} so far"
@@ -131,13 +131,15 @@ def _duration(seconds: float) -> str:
 
 
 @contextmanager
-def progress(console: Console | None = None) -> Iterator[Progress]:
+def progress(
+    console: Console | None = None, *, seconds_between_lines: float = SECONDS_BETWEEN_LINES
+) -> Iterator[Progress]:
     """Show progress on a console, standard error by default: bars if it is a terminal, else lines now and then."""
     console = console or Console(stderr=True, highlight=False)
     if not console.is_interactive:  # no terminal, or one that can't move its cursor
-        yield _Lines(console)
+        yield _Lines(console, seconds_between_lines)
         return
-    with Live(console=console, refresh_per_second=FRAMES_PER_SECOND, redirect_stdout=False) as live:
+    with Live(console=console, refresh_per_second=_BAR_FPS, redirect_stdout=False) as live:
         yield _Bars(live)
 
 
@@ -163,21 +165,21 @@ class _Bars:
 
 @dataclass(frozen=True)
 class _Drawing:
-    """A bar that says the time left as it is when it is drawn."""
+    """A bar that computes the time left whenever it is drawn."""
 
     pace: Pace
 
     def __rich__(self) -> Text:
-        n_full = round(BAR_WIDTH * self.pace.fraction)
-        full, empty = "━" * n_full, "─" * (BAR_WIDTH - n_full)
+        n_full = round(_BAR_WIDTH * self.pace.fraction)
+        full, empty = "━" * n_full, "─" * (_BAR_WIDTH - n_full)
         return Text.assemble(f"{self.pace.name:<9} ", (full, "cyan"), (empty, "dim"), f" {self.pace}")
 
 
 class _Lines:
     """Progress where there is no terminal."""
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
+    def __init__(self, console: Console, seconds_between_lines: float) -> None:
+        self._console, self._seconds_between_lines = console, seconds_between_lines
         self._last = -float("inf")
 
     def say(self, line: str) -> None:
@@ -188,7 +190,7 @@ class _Lines:
         pace = Pace(name, unit, total, done)
 
         def now_and_then() -> None:
-            if pace.fraction < 1 - ROUNDING and pace.clock() - self._last >= SECONDS_BETWEEN_LINES:
+            if pace.fraction < 1 - _ROUNDING and pace.clock() - self._last >= self._seconds_between_lines:
                 self._last = pace.clock()
                 self.say(f"{name}: {pace}")
 

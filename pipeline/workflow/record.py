@@ -123,7 +123,10 @@ def differences(old: Any, new: Any, name: str = "") -> list[str]:
     Args:
         old: settings before, as JSON values.
         new: settings now.
-        name: name of the group that they are, for nested groups.
+        name: name of the settings group, for nested groups.
+
+    Returns:
+        One line per setting.
     """
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         names = [*new, *(gone for gone in old if gone not in new)]

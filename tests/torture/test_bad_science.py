@@ -250,7 +250,7 @@ def some_of(store: Store, trial: Sequence[Manifest], designs: str) -> str:
     lost = np.isneginf(fitness)
     assert 2 <= lost.sum() < len(lost)
     when = generation[lost].min()
-    return f"{lost.sum()} of {len(lost)} {designs} diverged and were set aside; the first in generation {when}"
+    return f"{lost.sum()} of {len(lost)} {designs} diverged and were discarded; the first in generation {when}"
 
 
 class NoTracker:

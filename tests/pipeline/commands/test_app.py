@@ -284,8 +284,8 @@ def test_single_members_evolve_only_at_depths_of_the_grid():
 @pytest.mark.parametrize(
     ("grid", "said"),
     [
-        ("depths: [2.0, 1.0, 2.0]", "depths repeats a value, expected each once"),
-        ("depths: [2.0, 1.0, 3.0, 1.0000001]", "depths holds 1.0 and 1.0000001, and both are called 1 m"),
+        ("depths: [2.0, 1.0, 2.0]", "depths repeats a value: expected each value once"),
+        ("depths: [2.0, 1.0, 3.0, 1.0000001]", "depths has 1.0 and 1.0000001, and both are shown as 1 m"),
         ("single_member_depths: [123.4567, 123.4568]", "single_member_depths holds 123.4567 and 123.4568, and both"),
     ],
 )

@@ -1,4 +1,4 @@
-"""What is said of designs that diverged, from tables made by hand."""
+"""Messages about designs that diverged, from tables made by hand."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from tasks.evolution import OPERATORS
 
 
 def curve(n_diverged: list[int], *, best: float = 1.0) -> dict[str, np.ndarray]:
-    """A trial's, of 500 designs a generation from generation 7 on; 40 more were drawn, and rejected."""
+    """Make the curve of a trial with 500 designs a generation from generation 7 on, and 40 rejected draws each."""
     n = len(n_diverged)
     columns = {"generation": 7 + np.arange(n), "n_diverged": np.array(n_diverged), "best_fitness": np.full(n, best)}
     draws = {"random": (140, 40), "mutation": (300, 0), "crossover": (100, 0)}
@@ -22,9 +22,9 @@ def curve(n_diverged: list[int], *, best: float = 1.0) -> dict[str, np.ndarray]:
     ("n_diverged", "best", "said"),
     [
         ([0, 0, 0], 1.0, None),
-        ([0, 3, 9], 1.0, "12 of 1,500 designs diverged and were set aside; the first in generation 8"),
-        ([1, 0], 1.0, "1 of 1,000 designs diverged and was set aside; in generation 7"),
-        ([500, 499], -3.0, "999 of 1,000 designs diverged and were set aside; the first in generation 7"),
+        ([0, 3, 9], 1.0, "12 of 1,500 designs diverged and were discarded; the first in generation 8"),
+        ([1, 0], 1.0, "1 of 1,000 designs diverged and was discarded; in generation 7"),
+        ([500, 499], -3.0, "999 of 1,000 designs diverged and were discarded; the first in generation 7"),
         ([500, 500], -np.inf, NO_CHAMPION),
     ],
 )
@@ -41,7 +41,7 @@ def test_trials(n_diverged, best, said):
         (
             {"zero_shot": None, "adapted": 2.0},
             curve([0, 2]),
-            "2 of 1,000 designs of the adaptation diverged and were set aside; the first in generation 8; "
+            "2 of 1,000 designs of the adaptation diverged and were discarded; the first in generation 8; "
             "the champion diverged in True Slush",
         ),
         ({"zero_shot": 1.0, "adapted": None}, curve([0, 0]), "the adapted champion diverged in True Slush"),
@@ -52,7 +52,7 @@ def test_transfers(scores, adaptation, said):
     assert in_transfer({"status": "ok", **scores}, adaptation) == said
 
 
-def test_of_a_trial_without_a_champion_evolution_has_said_it():
+def test_a_trial_without_a_champion_is_left_to_evolution():
     assert in_transfer({"status": NO_CHAMPION}, None) is None
     assert in_transfer({"status": NO_CHAMPION}, curve([500], best=-np.inf)) is None
 

@@ -1,4 +1,4 @@
-"""The physical variant from throws to the robot that is proposed: the preset itself, made small enough for seconds."""
+"""The physical variant from throws to the proposed robot, with a preset small enough for seconds."""
 
 import json
 import re
@@ -42,8 +42,8 @@ SMALL = (
     "tank.seconds=0.5",
     "work.engine=reference",
 )
-"""As a user would vary the preset; the adaptation is there to see that it keeps the motors.
-The reference engine has nothing to compile."""
+"""Overrides as a user would write them. The adaptation shows that motors are kept; the reference engine compiles
+nothing."""
 ARM = "residual_slush/2m"
 
 
@@ -85,7 +85,7 @@ def test_locked_joints_need_a_number_of_motors():
 
 
 def test_a_tank_needs_a_step_of_settling():
-    with pytest.raises(PuddleError, match=r"rollout\.n_settle is 0.*tank.*expected 1 or more"):
+    with pytest.raises(PuddleError, match=r"rollout\.n_settle is 0.*tank.*expected at least 1"):
         parse(Settings, "rollout: {n_settle: 0}\ntank: {}", name="mine")
     assert parse(Settings, "rollout: {n_settle: 0}", name="mine").tank is None
 
@@ -114,7 +114,7 @@ def test_an_adapted_controller_keeps_the_body_and_its_motors(built):
         assert before["frequency"] != after["frequency"]
 
 
-def test_the_share_of_rejected_draws_is_told(pontoon, built):
+def test_the_share_of_rejected_draws_is_reported(pontoon, built):
     store, upstream = built
     summary = EVOLVE.summarise(pontoon, upstream["evolve"], store)
     told = "\n".join(summary.lines)
@@ -143,7 +143,7 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
     assert tank["proposed"].sum() == 1
     assert distance[tank["proposed"]][0] == distance.min()
     for where in ("wet", "dry"):
-        assert not tank[f"{where}_crossed"].any()  # no one goes 10 m in 0.5 s / √0.07
+        assert not tank[f"{where}_crossed"].any()  # no robot travels 10 m in 0.5 s / √0.07
         assert np.isfinite(tank[f"{where}_travelled"]).all()
         expected = 1.17 / 0.07 - tank[f"{where}_length"]
         np.testing.assert_allclose(tank[f"{where}_distance"], expected)
@@ -157,8 +157,10 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     told = "\n".join(ANALYSE.summarise(pontoon, upstream["analyse"], store).lines)
     assert f"to build: the champion of trial {trial}," in told
     (way,) = re.findall(r"in the tank of 16.7 m x 2.14 m of simulation it (.+) in 0.5 s \(.*\) as built;", told)
-    came, expected = (tank[f"wet_{name}"][tank["proposed"]][0] for name in ("travelled", "distance"))
-    assert way == f"comes {7 * came:z.1f} of {7 * expected:.1f} cm"  # as built, as its seconds are: 0.07 m for a metre
+    travelled, expected = (tank[f"wet_{name}"][tank["proposed"]][0] for name in ("travelled", "distance"))
+    assert (
+        way == f"comes {7 * travelled:z.1f} of {7 * expected:.1f} cm"
+    )  # as built, as its seconds are: 0.07 m for a metre
     summary = REPORT.summarise(pontoon, upstream["report"], store)
     (path,) = (line.removesuffix(": a robot to build") for line in summary.lines if line.endswith("a robot to build"))
     page = summary.artifacts[PAGE].decode()
@@ -168,7 +170,7 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     assert "To build: evolved in Residual Slush" in page  # its films
     assert re.search(r"did were drawn again: 100 % of [\d,]+ by random, \d+ % of [\d,]+ by mutation", text)
     assert "as far to the right as they can in 1 seconds" in text
-    # What is handed over is a design file like any other, of the champion itself.
+    # The exported file is a design file like any other, and describes the champion itself.
     (champion,) = (store.read(labelled(upstream["transfer"].done)[f"{ARM}/trial-{trial}"][-1], "champion.json"),)
     written = store.root / "studies" / "pontoon" / "report" / "proposed-residual_slush-2m.json"
     assert str(written) == path
@@ -183,7 +185,7 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     assert film.read_bytes().startswith(b"GIF89a")
 
 
-def test_a_study_without_a_tank_proposes_nobody(settings, study):
+def test_a_study_without_a_tank_proposes_no_design(settings, study):
     store, upstream = study
     assert not [label for label in labelled(upstream["analyse"].done) if label.startswith("tank/")]
     summary = REPORT.summarise(settings, upstream["report"], store)

@@ -21,7 +21,7 @@ from tasks.evolution import OPERATORS
 
 
 def items_of(stage, settings, upstream) -> list[Item]:
-    """Every item of a finished stage, specified anew."""
+    """Specify every item of a finished stage again."""
     items = []
     for chain in stage.plan(settings):
         manifests = upstream[stage.name].done[chain.identity]
@@ -59,8 +59,8 @@ def test_contract(stage, settings, study):
     assert all(np.isfinite(value) for value in summary.metrics.values())
 
 
-def test_trials_are_summed_up_by_their_sample_deviation():
-    """Of 1 and 3 that is √2, as on the page; one trial deviates from nothing."""
+def test_trials_are_summarised_by_their_sample_deviation():
+    """The deviation of 1 and 3 is √2, as on the page; one trial has none."""
     assert mean_and_deviation([1.0, 3.0]).split() == ["2.00", "±", "1.41"]
     assert mean_and_deviation([1.0]).split() == ["1.00"]
     assert mean_and_deviation([]) == "-"

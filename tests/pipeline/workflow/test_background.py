@@ -1,4 +1,4 @@
-"""Work beside the rest: in order, and waited for at the end unless that is an error."""
+"""Background work: in order, and awaited at the end unless the block fails."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ def test_everything_is_done_in_order_before_the_end():
     assert len(set(threads)) == 1 and threads[0] != threading.get_ident()
 
 
-def test_the_caller_goes_on_meanwhile():
+def test_the_caller_continues_meanwhile():
     gone_on = threading.Event()
     with Background("waiting", say=pytest.fail) as background:
         background.do(lambda: gone_on.wait(60) or pytest.fail("the caller was kept waiting"))
@@ -33,7 +33,7 @@ def test_a_long_wait_is_explained():
 
 
 @pytest.mark.parametrize("error", [ArithmeticError, SystemExit])
-def test_what_went_wrong_is_raised_at_the_end_and_the_rest_is_done(error):
+def test_an_error_is_raised_at_the_end_and_the_rest_is_done(error):
     def go_wrong():
         raise error
 
@@ -45,7 +45,7 @@ def test_what_went_wrong_is_raised_at_the_end_and_the_rest_is_done(error):
 
 
 @pytest.mark.parametrize("error", [KeyError, KeyboardInterrupt])
-def test_what_ends_in_an_error_does_not_wait(error):
+def test_a_block_that_fails_does_not_wait(error):
     never = threading.Event()
     with pytest.raises(error), Background("waiting", say=pytest.fail) as background:
         background.do(never.wait)
@@ -55,8 +55,11 @@ def test_what_ends_in_an_error_does_not_wait(error):
 
 
 def test_there_is_a_thread_only_while_there_is_work():
-    before = threading.active_count()
-    with Background("waiting", say=pytest.fail) as background:
-        assert threading.active_count() == before
+    def threads() -> list[str]:
+        return [thread.name for thread in threading.enumerate() if thread.name == "only this test"]
+
+    with Background("only this test", say=pytest.fail) as background:
+        assert not threads()
         background.do(lambda: None)
-    assert threading.active_count() == before
+        assert threads()
+    assert not threads()

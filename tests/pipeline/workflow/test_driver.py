@@ -1,4 +1,4 @@
-"""The driver: what it does about damage that it meets half-way, and about a name whose study had other settings."""
+"""The driver: damage during a run, a name that had other settings, and MLflow in the background."""
 
 import contextlib
 import os
@@ -33,7 +33,7 @@ TO_TRANSFER = STAGES[:4]
 
 
 class Terminal:
-    """A terminal and a tracker in one, which keep what was said."""
+    """A terminal and a tracker in one, which record the lines shown."""
 
     def __init__(self) -> None:
         self.said: list[str] = []
@@ -77,29 +77,29 @@ def flip_a_bit(path: Path) -> None:
     path.write_bytes(data)
 
 
-def test_mlflow_hears_of_a_stage_while_the_next_one_runs(store: Store) -> None:
+def test_a_stage_is_mirrored_while_the_next_one_runs(store: Store) -> None:
     class Slow(Terminal):
-        """Its MLflow has not heard of a stage before the next one has begun."""
+        """A mirror that finishes a stage only after the next one has started."""
 
         def __init__(self) -> None:
             super().__init__()
             self.started = {name: threading.Event() for name in ("evolve", "transfer")}
-            self.heard: list[tuple[str, bool]] = []
+            self.mirrored: list[tuple[str, bool]] = []
 
         def stage(self, name, **options):
             self.started[name].set()
             return super().stage(name, **options)
 
         def mirror(self, study, stage, trials) -> None:
-            self.heard.append((stage.name, stage.name != "evolve" or self.started["transfer"].wait(60)))
+            self.mirrored.append((stage.name, stage.name != "evolve" or self.started["transfer"].wait(60)))
 
     terminal = Slow()
     run(store, terminal=terminal)
-    assert terminal.heard[-2:] == [("evolve", True), ("transfer", True)]
+    assert terminal.mirrored[-2:] == [("evolve", True), ("transfer", True)]
 
 
 def test_a_signal_ends_the_wait_for_mlflow_through_every_finally(tmp_path: Path) -> None:
-    """The cluster is closed by then, whose own handlers unwind while there is one."""
+    """The cluster's own signal handlers are gone by then, because it is closed."""
     script = """
 import sys, time
 from pathlib import Path
@@ -127,8 +127,8 @@ finally:
     assert driver.returncode == 128 + signal.SIGTERM
 
 
-def test_damage_met_while_other_work_is_under_way_is_mended(store: Store) -> None:
-    """Trial 1's population is read when trial 0 has been submitted: nobody waits for that call's outcome any more."""
+def test_damage_found_during_other_work_is_mended(store: Store) -> None:
+    """Trial 1's population is read when trial 0 has been submitted: no one waits for that call's outcome any more."""
     evolved = labelled(run(store, TO_EVOLVE)["evolve"].done)["dry_land/1m/trial-1"][-1]
     folder = store.root / "items" / "evolve" / evolved.key[:2] / evolved.key
     flip_a_bit(folder / "population.safetensors")
@@ -141,11 +141,11 @@ def test_damage_met_while_other_work_is_under_way_is_mended(store: Store) -> Non
 
 
 @contextlib.contextmanager
-def stopped_after(n_pieces: int):
-    """Give this process as a cluster until so many pieces are done; then somebody presses Ctrl-C."""
+def stopped_after(n_items: int):
+    """Open a cluster that raises KeyboardInterrupt after some items."""
     with serial_cluster() as cluster:
         next_done = cluster.next_done
-        left = iter(range(n_pieces))
+        left = iter(range(n_items))
 
         def next_or_stop(timeout: float | None = None):
             if next(left, None) is None:
@@ -157,7 +157,7 @@ def stopped_after(n_pieces: int):
 
 
 def test_a_study_keeps_its_record_until_its_new_settings_have_a_result(store: Store) -> None:
-    """What stands there is what `puddle gc` keeps: who stops in time, as the message says, has lost nothing."""
+    """`puddle gc` keeps what the record lists, so stopping in time, as the message advises, loses nothing."""
     run(store)
     before = store.read_study("tiny")
     longer = "transfer.n_generations=4"  # evolution is done: that alone is no result of the new settings
@@ -173,7 +173,7 @@ def test_a_study_keeps_its_record_until_its_new_settings_have_a_result(store: St
     assert [item for item in after.items if item.stage == "evolve"] == [i for i in before.items if i.stage == "evolve"]
 
 
-def test_settings_that_have_nothing_left_to_compute_are_put_on_record_too(store: Store) -> None:
+def test_settings_with_nothing_to_compute_are_recorded_too(store: Store) -> None:
     run(store)
     before = store.read_study("tiny")
     run(store, TO_TRANSFER, "seed=2")

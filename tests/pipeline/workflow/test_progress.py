@@ -1,4 +1,4 @@
-"""The time left is honest, and both kinds of terminal are told of it."""
+"""The time left, and how it is shown with and without a terminal."""
 
 import io
 import os
@@ -10,7 +10,6 @@ import time
 import pytest
 from rich.console import Console
 
-import pipeline.workflow.progress
 from pipeline.workflow.progress import NOTHING, Pace, Work, progress
 
 
@@ -24,7 +23,7 @@ class Clock:
 
 
 def even(units: float) -> Work:
-    """Return work of which each unit costs as much."""
+    """Return work whose units all cost the same."""
     return Work(units, cost=units)
 
 
@@ -42,8 +41,8 @@ def test_rate_and_time_left_by_hand():
     assert str(evolve) == "20%, 200/1,000 generations, 10/s, 0:01:20 left"
 
 
-def test_units_are_counted_and_costs_tell_the_time():
-    """Of two worlds' generations, those of one cost four times those of the other, and the dear ones come first."""
+def test_the_time_left_follows_from_costs():
+    """Generations of one environment cost four times those of another, and the expensive ones are done first."""
     evolve, clock = pace(total=Work(200, cost=100 * 1.6 + 100 * 0.4), found=Work(50, cost=50 * 1.6))
     clock.now += 10
     evolve.done += Work(10, cost=10 * 1.6)
@@ -51,7 +50,7 @@ def test_units_are_counted_and_costs_tell_the_time():
     assert str(evolve) == "48%, 60/200 generations, 1/s, 0:01:05 left"
 
 
-def test_what_was_found_done_is_not_work_done_now():
+def test_work_done_before_does_not_count_toward_the_rate():
     evolve, clock = pace(total=even(1000), found=even(800))
     clock.now += 10
     assert (evolve.rate, evolve.seconds_left, evolve.fraction) == (0.0, None, 0.8)
@@ -61,7 +60,7 @@ def test_what_was_found_done_is_not_work_done_now():
     assert evolve.seconds_left == 30.0
 
 
-def test_a_finished_stage_says_how_long_it_took():
+def test_a_finished_stage_shows_how_long_it_took():
     evolve, clock = pace(total=even(50))
     clock.now += 100
     evolve.done = even(50)
@@ -75,17 +74,17 @@ def test_a_stage_without_work_is_done():
     assert "took" in str(empty)
 
 
-def test_lines_come_now_and_then(monkeypatch):
-    monkeypatch.setattr(pipeline.workflow.progress, "SECONDS_BETWEEN_LINES", 0.3)
+def test_lines_are_printed_now_and_then():
     out = io.StringIO()
-    with progress(Console(file=out)) as show, show.stage("evolve", unit="generations", total=even(100)) as bar:
+    shown = progress(Console(file=out), seconds_between_lines=0.3)
+    with shown as show, show.stage("evolve", unit="generations", total=even(100)) as bar:
         for _ in range(10):
             time.sleep(0.05)
             bar.advance(even(10))
         show.say("a word [in brackets] " + "that is long " * 20)
     lines = out.getvalue().splitlines()
     progressing = [line for line in lines if line.startswith("evolve: ")]
-    assert 3 <= len(progressing) <= 4  # at the start, once or twice in 0.5 s, at the end
+    assert len(progressing) >= 3  # at the start, at least once in 0.5 s, at the end
     assert progressing[0].startswith("evolve: 0%, 0/100 generations")
     assert " left" in progressing[1]
     assert progressing[-1].startswith("evolve: 100%, 100/100 generations")
@@ -93,7 +92,7 @@ def test_lines_come_now_and_then(monkeypatch):
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-def test_a_stage_that_stops_short_says_where_and_lets_the_error_pass(error):
+def test_a_stage_that_fails_shows_how_far_it_got(error):
     out = io.StringIO()
     with pytest.raises(error), progress(Console(file=out)) as show:  # noqa: SIM117
         with show.stage("evolve", unit="generations", total=even(100), done=even(20)) as bar:
@@ -141,12 +140,12 @@ def test_on_a_terminal_a_bar_that_is_redrawn():
     shown = b""
     while True:
         try:
-            piece = os.read(terminal, 4096)
+            data = os.read(terminal, 4096)
         except OSError:  # the other end is closed
             break
-        if not piece:
+        if not data:
             break
-        shown += piece
+        shown += data
     out, _ = process.communicate(timeout=60)
     os.close(terminal)
     text = shown.decode()
@@ -160,7 +159,7 @@ def test_on_a_terminal_a_bar_that_is_redrawn():
 
 
 def test_weighted_units_that_do_not_add_up_exactly_are_a_whole_stage():
-    """Ten tenths of a stage are a rounding error short of it: it is done all the same, at 100 %, with no time left."""
+    """Ten tenths of a stage are a rounding error short of it, and still shown as 100 % with no time left."""
     evolve, clock = pace(total=even(1.0))
     clock.now += 10
     for _ in range(10):
