@@ -51,7 +51,7 @@ def main() -> None:
         engines.bodies,
         engines.packing,
         evolution.own_work,
-        evolution.side_by_side,
+        evolution.batched_trials,
         engines.two_processes,
         networks.inference,
         networks.generation,

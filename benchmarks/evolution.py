@@ -1,4 +1,4 @@
-"""What evolution itself takes of a generation, the rest of which is simulation; and trials side by side."""
+"""Evolution's own share of a generation, the rest of which is simulation; and batched trials."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from tasks.simulation import batch, simulate
 from tasks.world import DryLand, Environment, TrueSlush
 
 N_GENERATIONS = 100
-N_OF_LAPTOP = 16
-"""Designs of a trial of the laptop's preset."""
+LAPTOP_POPULATION = 16
+"""Population size of the preset `laptop`."""
 
 
 def own_work() -> list[Figure]:
-    """Ask, tell, packing and the record of 64 designs, over whole generations in a world without networks.
+    """Measure ask, tell, packing and the record of 64 designs, without networks, and then with the record's tables.
 
-    And with the tables that the pipeline makes of the record, for a piece of so many generations.
+    All are shares of whole generations, over a segment of N_GENERATIONS.
     """
-    worlds = DryLand(9.0), TrueSlush(1.0), TrueSlush(9.0)
-    _shares(worlds[0], 0)  # compiles
+    environments = DryLand(9.0), TrueSlush(1.0), TrueSlush(9.0)
+    _shares(environments[0], 0)  # compiles
     figures = []
-    for world in worlds:
-        own, kept = zip(*(_shares(world, trial) for trial in range(N_ROUNDS)), strict=True)
-        where, unit = f"{type(world).__name__}, d = {world.depth:g}", "% of a generation"
-        figures.append(Figure(f"AFPO's own work, {where}", own, unit, 5.0))
-        figures.append(Figure(f"AFPO's own work and its tables, {where}", kept, unit))
+    for environment in environments:
+        own, with_tables = zip(*(_shares(environment, trial) for trial in range(N_ROUNDS)), strict=True)
+        where, unit = f"{type(environment).__name__}, d = {environment.depth:g}", "% of a generation"
+        figures.append(Figure(f"AFPO's own work, {where}", own, unit, 10.0))
+        figures.append(Figure(f"AFPO's own work and its tables, {where}", with_tables, unit))
     return figures
 
 
-def _shares(world: Environment, trial: int) -> tuple[float, float]:
-    """Of a trial's piece: what ask, tell, packing and the record take; and that with the tables that keep it."""
+def _shares(environment: Environment, trial: int) -> tuple[float, float]:
+    """Return the shares [%] of ask, tell, packing and the record in a segment, without and with the record's tables."""
     evaluating = packing = 0.0
 
     class TimedGroups(batch.Groups):
@@ -52,7 +52,7 @@ def _shares(world: Environment, trial: int) -> tuple[float, float]:
     def score(designs: Designs) -> Evaluation:
         nonlocal evaluating
         start = time.perf_counter()
-        evaluation = evaluate(simulate(designs, world), disagreement_penalty=0.0)
+        evaluation = evaluate(simulate(designs, environment), disagreement_penalty=0.0)
         evaluating += time.perf_counter() - start
         return evaluation
 
@@ -69,29 +69,29 @@ def _shares(world: Environment, trial: int) -> tuple[float, float]:
     start = time.perf_counter()
     encode_arrays(population.arrays(), schema="population", version=1, producer="bench")
     encode_table(history, schema="history", version=1, producer="bench")
-    keeping = time.perf_counter() - start
+    encoding = time.perf_counter() - start
     own = evolved - (evaluating - packing)
-    return 100 * own / evolved, 100 * (own + keeping) / (evolved + keeping)
+    return 100 * own / evolved, 100 * (own + encoding) / (evolved + encoding)
 
 
-def side_by_side() -> list[Figure]:
-    """Evolve four trials of 16 designs side by side, and one after the other."""
+def batched_trials() -> list[Figure]:
+    """Compare four batched trials of 16 designs with four trials one by one."""
     figures = []
-    for world in (TrueSlush(0.0), TrueSlush(1.0), TrueSlush(9.0)):
-        _seconds(world, range(4))  # compiles
+    for environment in (TrueSlush(0.0), TrueSlush(1.0), TrueSlush(9.0)):
+        _seconds(environment, range(4))  # compiles
         shares = []
         for trials in (range(first, first + 4) for first in range(0, 4 * N_ROUNDS, 4)):
-            apart = sum(_seconds(world, [trial]) for trial in trials)
-            shares.append(100 * _seconds(world, trials) / apart)
-        figures.append(Figure(f"four trials side by side over one by one, d = {world.depth:g}", shares, "%"))
+            one_by_one = sum(_seconds(environment, [trial]) for trial in trials)
+            shares.append(100 * _seconds(environment, trials) / one_by_one)
+        figures.append(Figure(f"four trials batched over one by one, d = {environment.depth:g}", shares, "%"))
     return figures
 
 
-def _seconds(world: Environment, trials: Sequence[int]) -> float:
-    """Evolve trials side by side for a few generations."""
+def _seconds(environment: Environment, trials: Sequence[int]) -> float:
+    """Time a few generations of batched trials."""
 
     def score(designs: Designs) -> Evaluation:
-        return evaluate(simulate(designs, world), disagreement_penalty=0.0)
+        return evaluate(simulate(designs, environment), disagreement_penalty=0.0)
 
     start = time.perf_counter()
     evolve(
@@ -99,6 +99,6 @@ def _seconds(world: Environment, trials: Sequence[int]) -> float:
         score,
         first_generation=0,
         n_generations=N_GENERATIONS // 4,
-        afpo=Afpo(population_size=N_OF_LAPTOP),
+        afpo=Afpo(population_size=LAPTOP_POPULATION),
     )
     return time.perf_counter() - start

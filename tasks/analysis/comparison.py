@@ -194,13 +194,13 @@ def holm(p: Sequence[float | None]) -> list[float | None]:
     return corrected
 
 
-Arm = tuple[EvolvedIn, Quantity]
+ScoredArm = tuple[EvolvedIn, Quantity]
 """Champions of one environment, zero-shot or adapted."""
 
-BEST: Arm = ("true_slush", "zero_shot")
+BEST: ScoredArm = ("true_slush", "zero_shot")
 """Designs that evolved in True Slush, E: the paper's upper bound."""
 
-CONTRASTS: tuple[tuple[Arm, Arm], ...] = (
+CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
     (("dry_land", "zero_shot"), BEST),
     (("dry_land", "adapted"), BEST),
     (("residual_slush", "zero_shot"), BEST),
@@ -220,8 +220,8 @@ CONTRASTS: tuple[tuple[Arm, Arm], ...] = (
 class Contrast:
     """One comparison of a sweep."""
 
-    a: Arm
-    b: Arm
+    a: ScoredArm
+    b: ScoredArm
     depth: float
     """[m]"""
     comparison: Comparison = field(metadata={"prefix": False})

@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 from numpy.random import Generator
 
-from tasks.analysis.comparison import BEST, Arm, difference, ratio, student
+from tasks.analysis.comparison import BEST, ScoredArm, difference, ratio, student
 from tasks.analysis.prediction import Figure, MembersRange, Regression, mean_less_deviations
 from tasks.analysis.scores import Scores
 from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
@@ -41,14 +41,14 @@ N_DESIGNS = 2376
 SIGNIFICANT, INSIGNIFICANT = 1e-4, 0.01
 """The paper's two thresholds: p below the first, p above the second."""
 
-MEANS: Mapping[Arm, tuple[float, str]] = {
+MEANS: Mapping[ScoredArm, tuple[float, str]] = {
     ("true_slush", "zero_shot"): (13.6, '"mean displacement 13.6 m", Evolution'),
     ("dry_land", "zero_shot"): (-0.8, '"mean -0.8 m", Evolution'),
     ("dry_land", "adapted"): (4.8, '"increases from -0.8 to 4.8 m", Evolution'),
 }
 """Mean displacement in True Slush at 9 m [m]."""
 
-RATIOS: Mapping[Arm, tuple[float, str]] = {
+RATIOS: Mapping[ScoredArm, tuple[float, str]] = {
     ("dry_land", "adapted"): (0.35, '"still only achieves 35% of mean fitness", Evolution'),
     ("residual_slush", "zero_shot"): (0.67, '"recover 67% … with their evolved controllers", Evolution'),
     ("residual_slush", "adapted"): (0.87, '"and 87% with controller adaptation", Evolution'),
@@ -74,8 +74,8 @@ RANGES: Mapping[Figure, tuple[float, float, str]] = {
 class Statement:
     """A statement of the paper about a t test."""
 
-    a: Arm
-    b: Arm
+    a: ScoredArm
+    b: ScoredArm
     claim: Claim
     """Whether a is less or greater than b."""
     depths: tuple[float, ...]
@@ -186,19 +186,19 @@ NAMES: Mapping[str, str] = {
 """Labels of the paper's arms and quantities."""
 
 
-def name_of(arm: Arm) -> str:
+def name_of(arm: ScoredArm) -> str:
     """Return an arm's label; zero-shot designs of True Slush are at home there, so 'zero-shot' is left out."""
     evolved_in, quantity = arm
     return NAMES[evolved_in] if arm == BEST else f"{NAMES[evolved_in]} {NAMES[quantity]}"
 
 
-def _mean_row(scores: Scores, arm: Arm, stated: float, source: str) -> Row:
+def _mean_row(scores: Scores, arm: ScoredArm, stated: float, source: str) -> Row:
     values = finite(scores.values(*arm, DEPTH))
     what = f"{name_of(arm)} at {DEPTH:g} m [m]"
     return _number_row(what, stated, "{:z.1f}", source, mean(values), len(values), N_TRIALS, "trials")
 
 
-def _ratio_row(scores: Scores, arm: Arm, stated: float, source: str, rng: Generator) -> Row:
+def _ratio_row(scores: Scores, arm: ScoredArm, stated: float, source: str, rng: Generator) -> Row:
     part, whole = finite(scores.values(*arm, DEPTH)), finite(scores.values(*BEST, DEPTH))
     what = f"{name_of(arm)} / {name_of(BEST)} at {DEPTH:g} m"
     n = min(len(part), len(whole))
