@@ -140,6 +140,9 @@ def bench_of(
         tank: The study's virtual tank, if it has one.
         depth: Depth of the slush in the run [m of simulation]; without a tank the kit floats in it, at its scale.
         true_slush: Displacement of the root in the study's True Slush [m of simulation], if known.
+
+    Returns:
+        Loads, floating, timeline and findings.
     """
     servo, joints = servo_of(settings.kit), driven(design)
     scales = scales_of(

@@ -28,7 +28,16 @@ _Shortfall = Literal["travel", "speed", "torque"]
 
 
 def check_timeline(timeline: Timeline, calibration: Calibration, settings: FabricationSettings) -> list[KitFinding]:
-    """Check that the servos can play a timeline."""
+    """Check that the servos can play a timeline.
+
+    Args:
+        timeline: The timeline.
+        calibration: Its servos.
+        settings: The user's settings, for the advice.
+
+    Returns:
+        A fault, or nothing.
+    """
     try:
         pulses(timeline, calibration)
     except TimelineError as error:
@@ -76,6 +85,9 @@ def check_loads(loads: Sequence[JointLoad] | None, servo: Servo, settings: Fabri
         loads: One per driven joint; None if the simulation diverged.
         servo: Servo of every joint.
         settings: The user's settings, for the advice.
+
+    Returns:
+        A finding per excess, in order of the joints.
     """
     if loads is None:
         return [KitFinding("torque", "fault", "joints", "loads are unknown because the simulation diverged")]

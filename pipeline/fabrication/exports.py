@@ -37,6 +37,9 @@ def exports(kit: Kit, *, title: str, n_faults: int) -> dict[str, bytes]:
         kit: The kit.
         title: Title of the drawing.
         n_faults: Number of faults, for the drawing's warning.
+
+    Returns:
+        Contents by path inside the kit's folder.
     """
     meshes = [mesh_of(part.solid) for part in kit.parts]
     files = {"robot.png": _picture(kit, meshes), "bill.csv": _bill_csv(kit)}

@@ -106,6 +106,9 @@ def dxf(profile: Profile, features: Iterable[Feature], cuts: Iterable[Feature]) 
         profile: Outline, on layer OUTLINE.
         features: Bores and pockets, on layers BORES and POCKETS.
         cuts: Cuts between the pieces of the part, on layer SPLITS.
+
+    Returns:
+        The DXF file.
     """
     ezdxf.options.write_fixed_meta_data_for_testing = True  # else time stamps and random identifiers
     document = ezdxf.new("R2010", units=ezdxf.units.MM)

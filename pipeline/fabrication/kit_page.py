@@ -63,6 +63,9 @@ def render_kit(
         slush_density: Density of the simulated slush [kg/m²].
         frequency: Frequency of the gait [Hz of simulation].
         settings_yaml: Settings of the kit.
+
+    Returns:
+        The HTML document.
     """
     n = sum(finding.severity == "fault" for finding in findings)
     verdict = (

@@ -56,6 +56,9 @@ def fabricate(
         store: Store of the study.
         tracker: MLflow mirror.
 
+    Returns:
+        The lines to show and the number of faults.
+
     Raises:
         PuddleError: The kit can't be made. Nothing was written.
     """

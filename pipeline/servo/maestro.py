@@ -171,6 +171,9 @@ def open_maestro(path: str, *, baud: int, baud_detection: bool, timeout: float =
         baud_detection: Whether the controller detects the baud rate from a first byte 0xAA.
         timeout: Longest wait for an answer, or for bytes to be accepted [s].
 
+    Returns:
+        The controller, not yet prepared.
+
     Raises:
         PuddleError: The port is missing, busy, forbidden or not a serial port.
     """

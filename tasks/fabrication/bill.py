@@ -39,6 +39,9 @@ def bill_of(
         servo_joints: One per turning joint.
         layers: Rods of every part.
         settings: Settings of the kit.
+
+    Returns:
+        Prints first, then items to buy.
     """
     lines = []
     for part in parts:

@@ -206,6 +206,9 @@ def features_of(
         servo_joints: Servo joints of the whole robot.
         rods: Positions of this part's rods.
         settings: Settings of the kit.
+
+    Returns:
+        The pockets and bores.
     """
     features: list[Feature] = []
     for servo_joint in servo_joints:
@@ -230,6 +233,9 @@ def volume_mm3(area: float, outline: BaseGeometry, features: Sequence[Feature], 
         outline: Outline as a polygon.
         features: Features cut out of it.
         thickness: Thickness of the part [mm].
+
+    Returns:
+        The volume [mm³].
     """
     heights = sorted({0.0, thickness, *(f.low_mm for f in features), *(f.high_mm for f in features)})
     volume = area * thickness

@@ -117,6 +117,9 @@ def parts_of(
         layers: Layers of the parts.
         settings: Settings of the kit.
 
+    Returns:
+        One part per piece.
+
     Raises:
         SolidError: The CAD kernel made a solid that does not match the outlines.
     """
@@ -144,7 +147,7 @@ def parts_of(
                 mass_g=printed_mass_g(piece, settings),
                 face_down=face_down,
                 face_is_up=face_is_up,
-                turn_deg=turn_to_fit(outline, *bed) or 0.0,
+                turn_deg=turn_to_fit(outline, bed) or 0.0,
             )
         )
     return parts
@@ -170,6 +173,9 @@ def cut_out(
         outline: Outline as a polygon.
         thickness: Thickness of the part [mm].
         n_pieces: Number of solids expected.
+
+    Returns:
+        The (n_pieces) solids.
 
     Raises:
         SolidError: A solid is invalid, or the number of solids or their volume is wrong.
@@ -226,6 +232,9 @@ def bought_of(servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitS
         servo_joints: One per turning joint.
         layers: Layers and rods of the parts.
         settings: Settings of the kit.
+
+    Returns:
+        The items, in place in the robot.
     """
     things = []
     thickness = settings.thickness_mm

@@ -46,6 +46,9 @@ def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: i
         body: Index of the part.
         settings: Settings of the kit.
 
+    Returns:
+        The outline as a face and as a polygon.
+
     Raises:
         SolidError: The union has several pieces, or its area differs from that of polygons.
     """

@@ -54,6 +54,9 @@ def layers_of(
         servo_joints: One per turning joint.
         outlines: (n) outlines of the parts, including bosses and fillets.
         settings: Settings of the kit.
+
+    Returns:
+        The layer and the rods of every part.
     """
     choices = []
     for parity in (0, 1) if mechanism.joints else (0,):

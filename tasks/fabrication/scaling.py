@@ -69,6 +69,9 @@ def scales_of(scaling: Scaling, *, length: float, mass_kg: float, simulated_mass
         length: Bench metres per metre of simulation.
         mass_kg: Mass of the built robot, with everything on board.
         simulated_mass_kg: Mass of the simulated robot.
+
+    Returns:
+        Bench units per unit of the simulation.
     """
     time = froude_time(length) if scaling.law == "froude" else 1.0
     return Scales(length=length, time=time, mass=mass_kg / simulated_mass_kg)
@@ -109,6 +112,9 @@ def line_use(torque: Floats, speed: Floats, servo: Servo) -> Floats:
         torque: (...) torques [N·m].
         speed: (...) speeds [rad/s], positive in the same sense.
         servo: The servo.
+
+    Returns:
+        (...) shares; the servo can't follow above 1.
     """
     driving = np.maximum(np.sign(torque) * speed, 0.0) / servo.no_load_speed_rad_s
     along: Floats = np.abs(torque) / servo.stall_torque_nm + driving
@@ -138,6 +144,9 @@ def joint_loads(
         max_motor_torque: Torque limit of the simulated motors [N·m of simulation].
         commanded_speed: (n_joints) highest speeds commanded, amplitude · 2π f [rad/s of simulation]. A servo follows
             its timeline, while the simulated joint may lag behind.
+
+    Returns:
+        (n_joints) loads.
     """
     commanded = np.asarray(commanded_speed) * scales.frequency
     asked = torque.astype(np.float64) * scales.torque / servos_per_joint

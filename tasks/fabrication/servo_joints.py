@@ -115,6 +115,9 @@ class ServoJoint:
             u_from: Near end along the servo [mm].
             u_to: Far end along the servo [mm].
             half_v: Half the width across the servo [mm].
+
+        Returns:
+            The rectangle, in place.
         """
         lying = affinity.rotate(box(u_from, -half_v, u_to, half_v), self.angle, origin=(0, 0), use_radians=True)
         return affinity.translate(lying, *self.joint.at)
@@ -222,6 +225,15 @@ def least_seat(servo_joint: ServoJoint, at: Point) -> BaseGeometry:
 
 
 def outline_with_bosses(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int) -> BaseGeometry:
-    """Unite a part's links and the bosses of its servos and horns."""
+    """Unite a part's links and the bosses of its servos and horns.
+
+    Args:
+        mechanism: The design's parts and joints.
+        servo_joints: Servo joints of the whole robot.
+        body: Index of the part.
+
+    Returns:
+        The outline without fillets.
+    """
     bosses = [d.cradle for d in servo_joints if d.carrier == body] + [d.seat for d in servo_joints if d.driven == body]
     return unary_union([mechanism.bodies[body].outline, *bosses])

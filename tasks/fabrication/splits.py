@@ -46,13 +46,13 @@ def bed_mm(settings: KitSettings) -> tuple[float, float]:
     return (width - 2 * settings.bed_margin_mm, depth - 2 * settings.bed_margin_mm)
 
 
-def turn_to_fit(shape: BaseGeometry, width: float, depth: float) -> float | None:
-    """Return the smallest turn [°, 0 to 179] that makes a shape fit a width and depth [mm], or None."""
+def turn_to_fit(shape: BaseGeometry, bed: tuple[float, float]) -> float | None:
+    """Return the smallest turn [°, 0 to 179] that makes a shape fit a bed [mm], or None."""
     hull = np.array(shape.convex_hull.exterior.coords)
     turn = np.radians(np.arange(180))
     across = hull @ np.array([np.cos(turn), -np.sin(turn)])
     along = hull @ np.array([np.sin(turn), np.cos(turn)])
-    fits = np.flatnonzero((np.ptp(across, axis=0) <= width) & (np.ptp(along, axis=0) <= depth))
+    fits = np.flatnonzero((np.ptp(across, axis=0) <= bed[0]) & (np.ptp(along, axis=0) <= bed[1]))
     return float(fits[0]) if fits.size else None
 
 
@@ -65,12 +65,15 @@ def split_of(mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGe
         outline: Outline of the part.
         keep_off: Pockets, recesses and bores that no cut may touch.
         settings: Settings of the kit.
+
+    Returns:
+        The cuts and pieces.
     """
-    width, depth = bed_mm(settings)
+    bed = bed_mm(settings)
     pieces, fits = [outline], True
     cuts: list[BaseGeometry] = []
     while True:
-        large = [piece for piece in pieces if turn_to_fit(piece, width, depth) is None]
+        large = [piece for piece in pieces if turn_to_fit(piece, bed) is None]
         if not large:
             break
         best = _best_cut(large[0], mechanism, body, keep_off, settings) if len(cuts) < _MAX_CUTS else None

@@ -91,6 +91,9 @@ def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Ti
         playback: Duration and ramps.
         time_scale: Bench seconds per second of simulation.
 
+    Returns:
+        The angles, from rest to rest.
+
     Raises:
         TimelineError: No motor is on.
     """
