@@ -1,4 +1,4 @@
-"""What the README says under "To change something", done to the letter in a copy of the sources, and run."""
+"""The recipes of docs/extending.md for a medium and for genes, performed in a copy of the sources, and run."""
 
 import base64
 import json
@@ -54,64 +54,10 @@ for stage, results in upstream.items():
 print(json.dumps([f"{stage} {of.label}: {why}" for stage in upstream for of, why in upstream[stage].failed.items()]))
 """
 
-TAR = '''"""Tar: a current that carries along whatever is below y = 0."""
-
-from dataclasses import dataclass, field
-
-import numpy as np
-from pydantic import Field
-
-from tasks.parameters import Parameters
-from tasks.world.environment import Environment
-from tasks.world.medium import LinkStates, Medium, VelocityChange
-from tasks.world.physics import Physics
-from tasks.world.registry import EnvironmentKind, register
-
-
-class Tar(Parameters):
-    """Tar, as far as a test needs it."""
-
-    pull: float = Field(default=3.0, ge=0.0, le=10.0)
-    """[m/s²]"""
-
-    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        """Pull to the right."""
-        zero = np.zeros_like(links.y)
-        return VelocityChange(np.where(links.y < 0, self.pull * physics.time_step, zero), zero, zero)
-
-
-@dataclass(frozen=True)
-class TarPit(Environment):
-    """Dry Land filled with tar below y = 0."""
-
-    tar: Tar = field(default_factory=Tar)
-
-    @property
-    def medium(self) -> Medium:
-        """Tar."""
-        return self.tar
-
-
-register(
-    EnvironmentKind(
-        name="tar_pit",
-        build=TarPit,
-        settings_group="tar",
-        settings=Tar,
-        label="Tar Pit",
-        symbol="T",
-        evolved="in the Tar Pit",
-        marker="v",
-        color="#333333",
-        adapted_color="#999999",
-        dark_color="#cccccc",
-        dark_adapted_color="#666666",
-    )
-)
-'''
+(TAR,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S)
 PULL, TIME_STEP = 3.0, 1 / 60
 
-LEARNT = {
+LEARN_TAR = {
     "tasks/world/slush.py": [
         (
             "from tasks.world.registry import",
@@ -152,10 +98,19 @@ def change(copy: Path, edits: dict[str, list[tuple[str, str]]]) -> None:
         (copy / name).write_text(text)
 
 
-def run(copy: Path, settings: str) -> list[str]:
-    """Run a study in a copy, whose files come to lie in out/; give what was set aside."""
-    # Its kernels would all be compiled anew, because they lie in another folder: longer than they work for.
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests" / "shared"), "NUMBA_DISABLE_JIT": "1"}
+def run(copy: Path, settings: str, *, compiled: bool = True) -> list[str]:
+    """Run a study in a copy, which puts its files into out/; return the chains that failed.
+
+    Args:
+        copy: the copy.
+        settings: settings of the study, as YAML.
+        compiled: whether kernels are compiled; it is quicker not to where all of them would be compiled anew.
+    """
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT / "tests" / "shared"),
+        "NUMBA_DISABLE_JIT": str(int(not compiled)),
+    }
     done = subprocess.run(
         [sys.executable, "-c", RUN], cwd=copy, env=environment, input=settings, capture_output=True, text=True
     )
@@ -172,7 +127,7 @@ def copy(tmp_path: Path) -> Path:
 
 
 def pushes(copy: Path) -> dict[tuple[str, str], np.ndarray]:
-    """Read from the page, by where a robot evolved and where it is seen, how the medium pushes its links [m/s²]."""
+    """Read the accelerations of links by the medium from the page [m/s²], by environment of evolution and of replay."""
     page = (copy / "out" / "report" / "index.html" / "index.html").read_text()
     replays = json.loads(re.search(r'id="replays">(.*?)</script>', page).group(1))
     assert all(replay["pushQuantum"] == MOST_ACCELERATION / 127 for replay in replays)
@@ -197,7 +152,7 @@ def test_a_medium_to_evolve_in(copy):
 @pytest.mark.timeout(600)
 def test_a_medium_to_learn_and_to_transfer_to(copy):
     (copy / "tasks/world/tar.py").write_text(TAR)
-    change(copy, LEARNT)
+    change(copy, LEARN_TAR)
     assert run(copy, STUDY) == []
     (throws,) = (copy / "out" / "collect").glob("*/transitions.parquet")
     residual = np.stack(polars.read_parquet(throws)["residual"].to_numpy())
@@ -214,13 +169,14 @@ def test_a_medium_to_learn_and_to_transfer_to(copy):
 def test_genes(copy):
     change(copy, GENE)
     settings = STUDY.replace("depths: [1.0],", "depths: [1.0], environments: [dry_land],", 1)
-    assert run(copy, settings.replace("afpo:", "morphology: {n_actuated: 2}, afpo:")) == []
+    settings = settings.replace("afpo:", "morphology: {n_actuated: 2}, afpo:")
+    assert run(copy, settings, compiled=False) == []  # every kernel reads the table of genes
     (history,) = (copy / "out" / "evolve" / "dry_land").glob("**/history.parquet")
     designs = polars.read_parquet(history)
     bend, hollow, motors = (np.stack(designs[name].to_numpy()) for name in ("bend", "hollow", "motor_on"))
     assert bend.dtype == np.float64 and (abs(bend) <= 1).all() and not bend[:, 0].any() and bend[:, 1:].all()
     assert hollow.dtype == np.bool_ and len(set(hollow.sum(axis=1))) > 1
-    assert (motors.sum(axis=1) == 2).all()  # a flag that is no motor has no part in how many there are
+    assert (motors.sum(axis=1) == 2).all()  # a flag that is not a motor does not count as one
     assert designs["girth"].is_between(0.5, 2.0).all() and designs["girth"].n_unique() > 1
     scored = copy / "out" / "transfer" / "dry_land" / "1m" / "trial-0"
     before, after = (json.loads((scored / name).read_text()) for name in ("champion.json", "adapted.json"))

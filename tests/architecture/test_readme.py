@@ -1,15 +1,19 @@
-"""The pages say what is: pictures and files are there, commands are taken as given, figures are measured."""
+"""The README and the pages of docs/ are true: links resolve, commands parse, snippets run, figures were measured."""
 
 import ast
 import json
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import typer
+import yaml
+from typer.testing import CliRunner
 
 from benchmarks.readme import PAGE, RESULTS, with_section
 from pipeline.commands.app import app
@@ -18,59 +22,120 @@ from pipeline.config.loading import parse
 from pipeline.fabrication.choices import FabricationSettings
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text()
-WITH_COMMANDS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
+MOST_LINES_OF_README = 200
+
+TO_BE_WRITTEN = r".*/(tar|mine)\.py"
+"""Files that a reader is asked to write."""
+
+by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
-def test_files_that_it_names_are_there():
-    pictures = re.findall(r"\]\((?!http)([^)]+)\)", README)
-    named = re.findall(r"`((?:tasks|pipeline|configs|docs|tests|benchmarks)/[\w./-]+)`", README)
-    assert pictures and named
-    example = "tasks/world/tar.py", "pipeline/stages/mine.py"  # what a reader is told to write
-    assert [path for path in [*pictures, *named] if path not in example and not (ROOT / path).exists()] == []
+def test_the_readme_is_short():
+    assert len(README.read_text().splitlines()) <= MOST_LINES_OF_README
+
+
+# -- links -----------------------------------------------------------------------------------------------------------
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors that GitHub makes of a page's headings."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(), flags=re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@by_page
+def test_links_resolve(page):
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
+        path, _, anchor = link.partition("#")
+        if not re.match(r"https?:|mailto:", link):
+            target = page.parent / path if path else page
+            assert target.exists(), link
+            assert not anchor or anchor in anchors(target), link
+
+
+@by_page
+def test_files_that_it_names_exist(page):
+    pattern = r"`((?:tasks|pipeline|puddle|configs|docs|tests|benchmarks|docker)/[\w./-]*)`"
+    named = set(re.findall(pattern, page.read_text()))
+    assert [path for path in named if not re.fullmatch(TO_BE_WRITTEN, path) and not (ROOT / path).exists()] == []
 
 
 # -- commands --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Given:
-    """A command line that a page gives."""
+class Block:
+    """A fenced block of a page."""
 
-    words: list[str]
-    """After the program's name."""
-    comment: str
-    """What it says beside it, of other options."""
+    page: str
+    language: str
+    text: str
 
-
-def given(page: Path) -> Iterator[Given]:
-    """Find the command lines of a page: those of its code blocks, and those in its sentences."""
-    fenced, text = r"^```\n(.*?)^```$", page.read_text()
-    blocks = re.findall(fenced, text, flags=re.M | re.S)
-    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
-    lines += [" ".join(code.split()) for code in re.findall(r"`([^`]+)`", re.sub(fenced, "", text, flags=re.M | re.S))]
-    for line in lines:
-        if found := re.fullmatch(r"(?:\.venv/bin/)?puddle (.+?)(?: > \S+)?(?:\s+# (.*))?", line):
-            yield Given(shlex.split(found[1]), found[2] or "")
+    @property
+    def lines(self) -> list[str]:
+        """Its lines, with continued lines joined."""
+        return [line for line in self.text.replace("\\\n", " ").splitlines() if line.strip()]
 
 
-COMMANDS = [
-    pytest.param(line, id=f"{page.name}: {' '.join(line.words)}") for page in WITH_COMMANDS for line in given(page)
+FENCED = r"^```(\w*)\n(.*?)^```$"
+BLOCKS = [
+    Block(page.name, language, text)
+    for page in PAGES
+    for language, text in re.findall(FENCED, page.read_text(), flags=re.M | re.S)
 ]
 
+COMMAND = r"(?:\.venv/bin/)?puddle ([^#]+?)(?: > \S+)?(?:\s+# (.*))?"
+OF_THE_SHELL = r"(\.venv/bin/python -m pip install|ray start|export|\(umask) .*"
+"""Commands of other programs, which the pages show as they are."""
 
-def test_commands_are_found_wherever_they_stand():
-    found = [" ".join(case.values[0].words) for case in COMMANDS]
+
+@dataclass(frozen=True)
+class CommandLine:
+    """A `puddle` command line that a page shows."""
+
+    page: str
+    words: list[str]
+    """Its words after the program's name."""
+    comment: str
+    """The comment beside it, which may name other options."""
+
+
+def inline_code(page: Path) -> Iterator[str]:
+    """Find the code in the sentences of a page."""
+    for code in re.findall(r"`([^`]+)`", re.sub(FENCED, "", page.read_text(), flags=re.M | re.S)):
+        yield " ".join(code.split())
+
+
+def command_lines() -> Iterator[CommandLine]:
+    """Find the `puddle` commands of all pages, in their blocks and in their sentences."""
+    lines = [(block.page, line) for block in BLOCKS for line in block.lines]
+    lines += [(page.name, code) for page in PAGES for code in inline_code(page)]
+    for page, line in lines:
+        if found := re.fullmatch(COMMAND, line.strip()):
+            yield CommandLine(page, shlex.split(found[1]), found[2] or "")
+
+
+COMMANDS = list(command_lines())
+KNOWN = typer.main.get_command(app).commands
+
+
+def test_commands_are_found_in_blocks_and_sentences():
+    found = [" ".join(line.words) for line in COMMANDS]
     assert len(found) > 30
-    assert "fabricate" in found  # of a sentence
+    assert "fabricate" in {line.words[0] for line in COMMANDS}
     assert any("--set grid.depths=[0.5,1,3] --set grid.single_member_depths=[0.5,1,3]" in line for line in found)
-    assert any(line.endswith("--set training.loss=mse") for line in found)  # after three lines of a block
+    assert any(line.endswith("--set training.loss=mse") for line in found)  # the last of four joined lines
 
 
-@pytest.mark.parametrize("line", COMMANDS)
-def test_a_command_is_taken_as_it_is_given(line):
-    name, *arguments = line.words
-    command = typer.main.get_command(app).commands[name]
+@pytest.mark.parametrize("line", COMMANDS, ids=lambda line: f"{line.page}: {' '.join(line.words)}")
+def test_a_command_parses(line):
+    name, *arguments = [word for word in line.words if word != "…"]
+    if name.startswith("--"):
+        assert CliRunner().invoke(app, line.words).exit_code == 0
+        return
+    command = KNOWN[name]
     options = command.make_context(name, arguments).params
     known = {option for parameter in command.params for option in parameter.opts}
     assert set(re.findall(r"--[a-z]+(?:-[a-z]+)*", line.comment)) <= known
@@ -78,51 +143,90 @@ def test_a_command_is_taken_as_it_is_given(line):
     if name == "fabricate":
         parse(FabricationSettings, "", name="the kit's settings", overrides=overrides)
         overrides = ()
-    if options.get("preset"):
+    if options.get("preset") and "tar_pit" not in " ".join(overrides):  # an environment to be written
         StudyOptions(options["preset"], None, overrides, ROOT).settings()
 
 
-def test_targets_of_make_that_it_gives_exist():
+def test_targets_of_make_exist():
     targets = set(re.findall(r"^([a-z]+):.*## ", (ROOT / "Makefile").read_text(), flags=re.M))
-    for command in re.findall(r"^make ([a-z]+)", README, flags=re.M):
-        assert command in targets
+    given = [line for block in BLOCKS for line in block.lines] + [code for page in PAGES for code in inline_code(page)]
+    named = {found[1] for line in given if (found := re.match(r"make ([a-z]+)\b", line))}
+    assert {"study", "test"} <= named <= targets
 
 
-# -- where things are ------------------------------------------------------------------------------------------------
+def test_a_block_without_a_language_is_made_of_commands_or_of_a_picture():
+    """So that no command escapes these tests."""
+    for block in BLOCKS:
+        is_command = [
+            bool(re.match(r"(\.venv/bin/)?(puddle|python|make|ray|pip|docker|kubectl) ", line)) for line in block.lines
+        ]
+        if not block.language and any(is_command):
+            others = [line for line, known in zip(block.lines, is_command, strict=True) if not known]
+            assert [line for line in others if not re.fullmatch(OF_THE_SHELL, line)] == [], block.page
+
+
+# -- snippets --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("block", [block for block in BLOCKS if block.language == "python"], ids=lambda one: one.page)
+def test_python_compiles(block):
+    compile(block.text, block.page, "exec")
+
+
+def test_the_python_of_the_readme_runs():
+    (block,) = (block for block in BLOCKS if (block.page, block.language) == ("README.md", "python"))
+    quick, n_changed = re.subn(r"range\(\d+\)", "range(1)", block.text)
+    assert n_changed == 1
+    ran = subprocess.run([sys.executable, "-c", quick], cwd=ROOT, capture_output=True, text=True)
+    assert ran.returncode == 0 and ran.stdout.startswith("in slush:"), ran.stderr
+
+
+@pytest.mark.parametrize(
+    "block", [block for block in BLOCKS if block.language in ("yaml", "json")], ids=lambda b: b.page
+)
+def test_yaml_and_json_load(block):
+    yaml.safe_load(block.text)
+
+
+def test_every_snippet_has_a_known_language():
+    assert {block.language for block in BLOCKS} <= {"", "bash", "console", "sh", "python", "yaml", "json", "text"}
+
+
+# -- the tree --------------------------------------------------------------------------------------------------------
 
 
 def shown_in_tree() -> dict[str, list[str]]:
-    """Give every folder that the README's tree shows, with the lines below it."""
-    (block,) = re.findall(r"^## Where things are\n\n```\n(.*?)^```$", README, flags=re.M | re.S)
+    """Return every folder that the README's tree shows, with the names of what it shows below it."""
+    (block,) = re.findall(r"^## Where things are\n.*?^```\n(.*?)^```$", README.read_text(), flags=re.M | re.S)
     shown: dict[str, list[str]] = {"": []}
     above = [""]
     for line in block.splitlines():
         above = above[: 1 + (len(line) - len(line.lstrip())) // 2]
-        shown[above[-1]].append(line.strip())
-        if (first := line.split()[0]).endswith("/"):
-            above.append(above[-1] + first)
+        names = re.match(r"[^\s,]+(?:, [^\s,]+)*", line.strip())[0].split(", ")
+        shown[above[-1]] += names
+        if names[0].endswith("/"):
+            above.append(above[-1] + names[0])
             shown[above[-1]] = []
     return shown
 
 
-def test_the_tree_names_every_module_or_the_folder_that_holds_it():
+def folders_in(folder: Path) -> set[str]:
+    """Return the folders of a folder that hold files of the repository."""
+    listed = subprocess.run(["git", "ls-files", folder], cwd=ROOT, capture_output=True, text=True).stdout.splitlines()
+    within = [Path(name).relative_to(folder.relative_to(ROOT)).parts for name in listed if (ROOT / name).exists()]
+    return {f"{parts[0]}/" for parts in within if len(parts) > 1 and not parts[0].startswith(".")}
+
+
+def test_the_tree_shows_exactly_the_folders_that_exist():
     shown = shown_in_tree()
-    missing = []
-    for path in [*ROOT.glob("tasks/**/*.py"), *ROOT.glob("pipeline/**/*.py")]:
-        folders = [f"{folder.relative_to(ROOT)}/" for folder in path.parents[: -len(ROOT.parts)]]
-        nearest = next(folder for folder in folders if folder in shown)
-        whole = not shown[nearest]  # nothing is shown of it, so its own line is about all that it holds
-        named = nearest == folders[0] and path.name in re.findall(r"\w+\.py", " ".join(shown[nearest]))
-        if not (whole or named or path.name == "__init__.py"):
-            missing.append(str(path.relative_to(ROOT)))
-    assert missing == []
+    for folder, names in shown.items():
+        folders = {name for name in names if name.endswith("/")}
+        if folders or folder in ("", "tasks/", "pipeline/"):
+            assert folders == folders_in(ROOT / folder), folder or "the root"
+        assert [name for name in names if not (ROOT / folder / name).exists()] == []
 
 
-def test_what_the_tree_names_is_there():
-    for folder, lines in shown_in_tree().items():
-        for line in lines:
-            names = re.match(r"[^\s,]+(?:, [^\s,]+)*", line)[0].split(", ")
-            assert [name for name in names if not (ROOT / folder / name).exists()] == []
+# -- figures ---------------------------------------------------------------------------------------------------------
 
 
 def test_performance_is_that_of_a_benchmark():
@@ -131,7 +235,7 @@ def test_performance_is_that_of_a_benchmark():
 
 
 def promised_names() -> Iterator[str]:
-    """Give the names of the figures that the benchmarks promise something of, as regular expressions."""
+    """Return the names of the figures with a promise in the benchmarks, as regular expressions."""
     for module in sorted((ROOT / "benchmarks").glob("*.py")):
         for call in ast.walk(ast.parse(module.read_text())):
             if isinstance(call, ast.Call) and ast.unparse(call.func) == "Figure" and len(call.args) == 4:
