@@ -163,8 +163,8 @@ def test_mistakes(made, crane, tmp_path, capsys):
         return capsys.readouterr().err
 
     design = str(made / "crane.json")
-    assert "one of them" in refused()
-    assert "one of them" in refused(design, "--study", "pontoon")
+    assert "either a design file or --study" in refused()
+    assert "either a design file or --study" in refused(design, "--study", "pontoon")
     assert "--preset" in refused("--study", "raft", "--preset", "laptop", "--out", str(tmp_path / "kit"))
     assert "no study of the name 'raft'" in refused("--study", "raft", "--out", str(tmp_path / "kit"))
     assert "ds3225" in refused(design, "--out", str(tmp_path / "kit"), "--set", "kit.servo=ds9999")
