@@ -11,7 +11,7 @@ from numpy import float32
 
 from tasks.compiled import inline
 from tasks.simulation.box2d import POLYGON_RADIUS
-from tasks.simulation.rigid_bodies.layout import Body, Fixture, Robot
+from tasks.simulation.rigid_bodies.layout import BodyRecord, FixtureRecord, RobotRecord
 from tasks.simulation.rigid_bodies.polygons import update
 from tasks.simulation.rigid_bodies.transform import rotate, transform
 
@@ -22,7 +22,7 @@ _AABB_MULTIPLIER = float32(2.0)
 
 
 @inline
-def orient(body: Body, box: Fixture) -> None:
+def orient(body: BodyRecord, box: FixtureRecord) -> None:
     """Compute a box's corners, normals and AABB in the world: b2Mul and b2PolygonShape::ComputeAABB."""
     box.centroid_x, box.centroid_y = transform(body, (box.local_centroid_x, box.local_centroid_y))
     for i in range(4):
@@ -39,14 +39,14 @@ def orient(body: Body, box: Fixture) -> None:
 
 
 @inline
-def create_proxy(box: Fixture) -> None:
+def create_proxy(box: FixtureRecord) -> None:
     """b2DynamicTree::CreateProxy: the fat AABB of a box at the spawn."""
     box.fat_lower_x, box.fat_lower_y = box.lower_x - _AABB_EXTENSION, box.lower_y - _AABB_EXTENSION
     box.fat_upper_x, box.fat_upper_y = box.upper_x + _AABB_EXTENSION, box.upper_y + _AABB_EXTENSION
 
 
 @inline
-def synchronize(body: Body, box: Fixture) -> bool:
+def synchronize(body: BodyRecord, box: FixtureRecord) -> bool:
     """b2Fixture::Synchronize and b2DynamicTree::MoveProxy.
 
     Returns:
@@ -73,14 +73,14 @@ def synchronize(body: Body, box: Fixture) -> bool:
 
 
 @inline
-def test_overlap(a: Fixture, b: Fixture) -> bool:
+def test_overlap(a: FixtureRecord, b: FixtureRecord) -> bool:
     """b2TestOverlap of fat AABBs (b2Collision.h)."""
     apart_x = b.fat_lower_x - a.fat_upper_x > 0.0 or a.fat_lower_x - b.fat_upper_x > 0.0
     return not (apart_x or b.fat_lower_y - a.fat_upper_y > 0.0 or a.fat_lower_y - b.fat_upper_y > 0.0)
 
 
 @inline
-def find_new_contacts(robot: Robot) -> None:
+def find_new_contacts(robot: RobotRecord) -> None:
     """b2ContactManager::FindNewContacts and AddPair."""
     for k in range(robot.n_pairs):
         contact = robot.contacts[k]
@@ -92,7 +92,7 @@ def find_new_contacts(robot: Robot) -> None:
 
 
 @inline
-def collide(robot: Robot) -> None:
+def collide(robot: RobotRecord) -> None:
     """b2ContactManager::Collide: update contacts, and destroy those whose fat AABBs no longer overlap."""
     n_left = 0
     for i in range(robot.n_contacts):

@@ -24,7 +24,7 @@ from tasks.simulation.box2d import (
     POLYGON_RADIUS,
     VELOCITY_THRESHOLD,
 )
-from tasks.simulation.rigid_bodies.layout import GROUND, Body, Contact, ContactPoint, Robot
+from tasks.simulation.rigid_bodies.layout import GROUND, BodyRecord, ContactPointRecord, ContactRecord, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, rotate, transform
 from tasks.simulation.trees.joint import clamp
 
@@ -32,7 +32,9 @@ _ZERO, _HALF, _ONE = float32(0), float32(0.5), float32(1)
 
 
 @inline
-def _effective_mass(body_a: Body, body_b: Body, a1: float32, b1: float32, a2: float32, b2: float32) -> float32:
+def _effective_mass(
+    body_a: BodyRecord, body_b: BodyRecord, a1: float32, b1: float32, a2: float32, b2: float32
+) -> float32:
     """Compute an element of K, given cross(rA, n) and cross(rB, n) of its two points."""
     mA, mB, iA, iB = body_a.inv_mass, body_b.inv_mass, body_a.inv_inertia, body_b.inv_inertia
     return mA + mB + iA * a1 * a2 + iB * b1 * b2
@@ -40,14 +42,14 @@ def _effective_mass(body_a: Body, body_b: Body, a1: float32, b1: float32, a2: fl
 
 @inline
 def _relative_velocity(
-    point: ContactPoint, vA_x: float32, vA_y: float32, wA: float32, vB_x: float32, vB_y: float32, wB: float32
+    point: ContactPointRecord, vA_x: float32, vA_y: float32, wA: float32, vB_x: float32, vB_y: float32, wB: float32
 ) -> tuple[float32, float32]:
     """VB + cross(wB, rB) - vA - cross(wA, rA)."""
     return vB_x - wB * point.rb_y - vA_x + wA * point.ra_y, vB_y + wB * point.rb_x - vA_y - wA * point.ra_x
 
 
 @inline
-def initialize_velocity_constraint(robot: Robot, contact: Contact, restitution: float32) -> None:
+def initialize_velocity_constraint(robot: RobotRecord, contact: ContactRecord, restitution: float32) -> None:
     """b2ContactSolver::InitializeVelocityConstraints and b2WorldManifold::Initialize (b2Collision.cpp).
 
     Args:
@@ -87,7 +89,7 @@ def initialize_velocity_constraint(robot: Robot, contact: Contact, restitution: 
 
 
 @inline
-def _initialize_block(contact: Contact, body_a: Body, body_b: Body) -> None:
+def _initialize_block(contact: ContactRecord, body_a: BodyRecord, body_b: BodyRecord) -> None:
     """K of both points and its inverse; an ill-conditioned K means that the points are redundant, and one is left."""
     normal_x, normal_y = contact.normal_x, contact.normal_y
     point_1, point_2 = contact.points[0], contact.points[1]
@@ -106,7 +108,7 @@ def _initialize_block(contact: Contact, body_a: Body, body_b: Body) -> None:
 
 
 @inline
-def warm_start(robot: Robot, contact: Contact, dt_ratio: float32) -> None:
+def warm_start(robot: RobotRecord, contact: ContactRecord, dt_ratio: float32) -> None:
     """b2ContactSolver::WarmStart. A redundant point keeps its impulses for the next step.
 
     Args:
@@ -131,7 +133,7 @@ def warm_start(robot: Robot, contact: Contact, dt_ratio: float32) -> None:
 
 
 @inline
-def solve_velocity_constraint(robot: Robot, contact: Contact, friction: float32) -> None:
+def solve_velocity_constraint(robot: RobotRecord, contact: ContactRecord, friction: float32) -> None:
     """b2ContactSolver::SolveVelocityConstraints: friction at each point, then the normal impulses, of two as a block.
 
     The impulses stay in the contact for the next step, so StoreImpulses has nothing to do.
@@ -149,7 +151,9 @@ def solve_velocity_constraint(robot: Robot, contact: Contact, friction: float32)
 
 
 @inline
-def _solve_velocity_constraint(contact: Contact, body_a: Body, body_b: Body, friction: float32) -> None:
+def _solve_velocity_constraint(
+    contact: ContactRecord, body_a: BodyRecord, body_b: BodyRecord, friction: float32
+) -> None:
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
     vA_x, vA_y, wA = body_a.v_x, body_a.v_y, body_a.w
     vB_x, vB_y, wB = body_b.v_x, body_b.v_y, body_b.w
@@ -185,7 +189,7 @@ def _solve_velocity_constraint(contact: Contact, body_a: Body, body_b: Body, fri
 
 
 @inline
-def _solve_velocity_constraint_on_ground(contact: Contact, body_b: Body, friction: float32) -> None:
+def _solve_velocity_constraint_on_ground(contact: ContactRecord, body_b: BodyRecord, friction: float32) -> None:
     # As above with n = (0, 1) and no motion of body A; factors of 0 and 1 are left out.
     mB, iB = body_b.inv_mass, body_b.inv_inertia
     v_x, v_y, w = body_b.v_x, body_b.v_y, body_b.w
@@ -207,7 +211,7 @@ def _solve_velocity_constraint_on_ground(contact: Contact, body_b: Body, frictio
 
 
 @inline
-def _friction_impulse(point: ContactPoint, Cdot: float32, friction: float32) -> float32:
+def _friction_impulse(point: ContactPointRecord, Cdot: float32, friction: float32) -> float32:
     """Accumulate the tangential impulse of a point within ± μ times its normal impulse; return the change."""
     max_friction = friction * point.normal_impulse
     old = point.tangent_impulse
@@ -216,7 +220,7 @@ def _friction_impulse(point: ContactPoint, Cdot: float32, friction: float32) -> 
 
 
 @inline
-def _normal_impulse(point: ContactPoint, Cdot: float32) -> float32:
+def _normal_impulse(point: ContactPointRecord, Cdot: float32) -> float32:
     """Accumulate the normal impulse of a single point, at least 0; return the change."""
     old = point.normal_impulse
     new = old - point.normal_mass * (Cdot - point.velocity_bias)
@@ -225,7 +229,7 @@ def _normal_impulse(point: ContactPoint, Cdot: float32) -> float32:
 
 
 @inline
-def _normal_impulses(contact: Contact, Cdot_1: float32, Cdot_2: float32) -> tuple[float32, float32]:
+def _normal_impulses(contact: ContactRecord, Cdot_1: float32, Cdot_2: float32) -> tuple[float32, float32]:
     """Accumulate the normal impulses of two points together; return the changes."""
     point_1, point_2 = contact.points[0], contact.points[1]
     a1, a2 = point_1.normal_impulse, point_2.normal_impulse
@@ -235,7 +239,7 @@ def _normal_impulses(contact: Contact, Cdot_1: float32, Cdot_2: float32) -> tupl
 
 
 @inline
-def _solve_block(contact: Contact, a1: float32, a2: float32, b1: float32, b2: float32) -> tuple[float32, float32]:
+def _solve_block(contact: ContactRecord, a1: float32, a2: float32, b1: float32, b2: float32) -> tuple[float32, float32]:
     """Solve the linear complementarity problem of two points for their accumulated impulses x.
 
         b = K x + b'      x ≥ 0      b ≥ 0      x · b = 0
@@ -260,7 +264,7 @@ def _solve_block(contact: Contact, a1: float32, a2: float32, b1: float32, b2: fl
 
 
 @inline
-def solve_position_constraint(robot: Robot, contact: Contact) -> float32:
+def solve_position_constraint(robot: RobotRecord, contact: ContactRecord) -> float32:
     """b2ContactSolver::SolvePositionConstraints and b2PositionSolverManifold.
 
     A fraction of the separation beyond the slop is corrected: P = -C / K with C = clamp(β (separation + slop)).

@@ -17,13 +17,13 @@ import numpy as np
 from tasks.compiled import inline
 from tasks.simulation.box2d import LEAST_SEPARATION, MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.simulation.rigid_bodies import contact_solver, revolute_joint
-from tasks.simulation.rigid_bodies.layout import GROUND, Robot
+from tasks.simulation.rigid_bodies.layout import GROUND, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, synchronize_transform
 from tasks.simulation.trees.step import Scene
 
 
 @inline
-def _push(robot: Robot, visited: int, n_stack: int, body: int) -> tuple[int, int]:
+def _push(robot: RobotRecord, visited: int, n_stack: int, body: int) -> tuple[int, int]:
     """Put a body on the stack unless it was visited; return the visited bodies and the stack's height."""
     if visited & (1 << body):
         return visited, n_stack
@@ -32,7 +32,7 @@ def _push(robot: Robot, visited: int, n_stack: int, body: int) -> tuple[int, int
 
 
 @inline
-def search(robot: Robot) -> None:
+def search(robot: RobotRecord) -> None:
     """b2World::Solve's depth-first search from the root's body; sets are the bits of whole numbers."""
     n_contacts, n_joints, n_stack = 0, 0, 1
     bodies, contacts, joints = 1, 0, 0
@@ -64,7 +64,7 @@ def search(robot: Robot) -> None:
 
 
 @inline
-def begin(robot: Robot, scene: Scene) -> None:
+def begin(robot: RobotRecord, scene: Scene) -> None:
     """Integrate velocities, initialize the constraints and warm-start them.
 
     Frames follow from the centres of mass, as Box2D has them after every step; at the spawn they still differ by a
@@ -87,7 +87,7 @@ def begin(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def _longest_lists(team: Sequence[Robot]) -> tuple[int, int]:
+def _longest_lists(team: Sequence[RobotRecord]) -> tuple[int, int]:
     """Count the island contacts and joints of the robots that have most of them."""
     n_contacts, n_joints = 0, 0
     for r in range(len(team)):
@@ -97,7 +97,7 @@ def _longest_lists(team: Sequence[Robot]) -> tuple[int, int]:
 
 
 @inline
-def sweep_velocities(team: Sequence[Robot], scene: Scene) -> None:
+def sweep_velocities(team: Sequence[RobotRecord], scene: Scene) -> None:
     """Run the velocity solver."""
     n_contacts, n_joints = _longest_lists(team)
     for _ in range(scene.velocity_iterations):
@@ -116,7 +116,7 @@ def sweep_velocities(team: Sequence[Robot], scene: Scene) -> None:
 
 
 @inline
-def integrate_positions(robot: Robot, dt: np.float32) -> None:
+def integrate_positions(robot: RobotRecord, dt: np.float32) -> None:
     """Limit the velocities, then move the bodies."""
     for b in range(robot.n_bodies):
         body = robot.bodies[b]
@@ -133,7 +133,7 @@ def integrate_positions(robot: Robot, dt: np.float32) -> None:
 
 
 @inline
-def sweep_positions(team: Sequence[Robot], scene: Scene) -> None:
+def sweep_positions(team: Sequence[RobotRecord], scene: Scene) -> None:
     """Run the position solver; a robot is finished once all its errors were small in one sweep."""
     n_contacts, n_joints = _longest_lists(team)
     unsolved = (1 << len(team)) - 1  # a set of robots: the bits of a whole number

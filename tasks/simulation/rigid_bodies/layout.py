@@ -25,7 +25,7 @@ OfCorners = Annotated[list[float32], 4]
 """A quantity of a box's four corners or edges; edge i goes from corner i to corner i + 1."""
 
 
-class Link:
+class LinkRecord:
     """A link: its state, what a medium reads, and its place in its body (local_…; see tasks.design.RigidBodies).
 
     The lever is the link's centre less the body's centre of mass; change_… is the velocity change by the medium.
@@ -61,7 +61,7 @@ class Link:
     mass_over_inertia: float32
 
 
-class Body:
+class BodyRecord:
     """b2Body: centre of mass c and angle a, their velocities v and w, origin p and rotation of the body's frame.
 
     start_p is p at the start of the step, local_center the centre of mass in the body's frame.
@@ -85,7 +85,7 @@ class Body:
     local_center_y: float32
 
 
-class Fixture:
+class FixtureRecord:
     """b2Fixture, b2PolygonShape and b2FixtureProxy: a box, its AABB (lower, upper), and its fat AABB."""
 
     body: int
@@ -113,7 +113,7 @@ class Fixture:
     normal_y: OfCorners
 
 
-class ContactPoint:
+class ContactPointRecord:
     """b2ManifoldPoint and b2VelocityConstraintPoint.
 
     local is the point in the frame of the body whose edge was clipped, ra and rb from the bodies' centres of mass.
@@ -133,7 +133,7 @@ class ContactPoint:
     velocity_bias: float32
 
 
-class Contact:
+class ContactRecord:
     """b2Contact, b2Manifold and b2ContactVelocityConstraint.
 
     It exists (0 or 1) while the fat AABBs overlap. local_normal and local_point are the reference edge's normal and
@@ -162,10 +162,10 @@ class Contact:
     m11: float32
     m12: float32
     m22: float32
-    points: Annotated[list[ContactPoint], 2]
+    points: Annotated[list[ContactPointRecord], 2]
 
 
-class Joint:
+class JointRecord:
     """b2RevoluteJoint between the links parent and child, and its controller (tasks/simulation/controller.py).
 
     ra and rb are the joint seen from the bodies' centres of mass; max_motor_impulse is 0 where there is no motor.
@@ -198,7 +198,7 @@ class Joint:
     motor_mass: float32
 
 
-class Robot:
+class RobotRecord:
     """A robot alone in its b2World.
 
     Bodies are ordered by their first links, fixtures as their links; the ground is the last of both. Contacts are all
@@ -207,11 +207,11 @@ class Robot:
     them. divergence is NaN from where the robot diverged, 0 before.
     """
 
-    links: Annotated[list[Link], N_LINKS]
-    bodies: Annotated[list[Body], N_BODIES]
-    fixtures: Annotated[list[Fixture], N_BODIES]
-    contacts: Annotated[list[Contact], MAX_CONTACTS]
-    joints: Annotated[list[Joint], N_JOINTS]
+    links: Annotated[list[LinkRecord], N_LINKS]
+    bodies: Annotated[list[BodyRecord], N_BODIES]
+    fixtures: Annotated[list[FixtureRecord], N_BODIES]
+    contacts: Annotated[list[ContactRecord], MAX_CONTACTS]
+    joints: Annotated[list[JointRecord], N_JOINTS]
     frequency: float32
     divergence: float32
     n_bodies: int
@@ -240,4 +240,4 @@ def record_dtype(record: type) -> np.dtype[Any]:
     return np.dtype((np.record, fields))
 
 
-ROBOT = record_dtype(Robot)
+ROBOT = record_dtype(RobotRecord)

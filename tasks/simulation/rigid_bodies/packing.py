@@ -108,19 +108,24 @@ def body_index(rigid: RigidBodies) -> Int64:
 
 
 def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tuple[Int64, Int64, Int64]:
-    """List the pairs of fixtures that may collide, in the order of their proxies' numbers.
+    """List the pairs of fixtures that may collide, ordered by their proxies.
 
-    Proxies are numbered as the fixtures were made: the ground's; then, from the body with the last first link to the
-    root's, those of each body's links. Of a pair A is the one with the lower number.
+    Proxies are numbered as the fixtures are created: the ground's, then those of each body's links, from the body with
+    the last first link to the root's. A is the fixture with the lower proxy.
+
+    Args:
+        designs: n_designs designs.
+        rigid: of these designs.
+        physics: whether links collide.
 
     Returns:
-        (n_designs, n) fixtures A, (n_designs, n) fixtures B, (n_designs,) how many of the n pairs there are.
+        (n_designs, MAX_CONTACTS) fixtures A, the same of fixtures B, (n_designs,) number of pairs that count.
     """
     n_designs = len(designs)
-    made = np.argsort((N_LINKS - rigid.first_link) * N_LINKS + np.arange(N_LINKS), axis=1)
-    made = np.concatenate([np.full((n_designs, 1), GROUND), made], axis=1)
+    created = np.argsort((N_LINKS - rigid.first_link) * N_LINKS + np.arange(N_LINKS), axis=1)
+    created = np.concatenate([np.full((n_designs, 1), GROUND), created], axis=1)
     first, second = np.triu_indices(N_LINKS + 1, 1)
-    a, b = made[:, first], made[:, second]
+    a, b = created[:, first], created[:, second]
     may = a == GROUND
     if physics.link_collisions:
         link_a, design = np.minimum(a, N_LINKS - 1), np.arange(n_designs)[:, None]

@@ -9,7 +9,7 @@ from numpy import float32
 
 from tasks.compiled import inline
 from tasks.simulation.box2d import TOTAL_RADIUS
-from tasks.simulation.rigid_bodies.layout import GROUND, Body, Contact, Fixture, Robot
+from tasks.simulation.rigid_bodies.layout import GROUND, BodyRecord, ContactRecord, FixtureRecord, RobotRecord
 from tasks.simulation.rigid_bodies.transform import rotate, rotate_back
 
 _RELATIVE_TOLERANCE, _ABSOLUTE_TOLERANCE = float32(0.98), float32(0.001)
@@ -23,7 +23,7 @@ INDEX_B, FACE_OF_A, FACE_OF_B = 4, 16, 32
 
 
 @inline
-def _edge_separation(box_1: Fixture, edge: int, body_2: Body, box_2: Fixture) -> float32:
+def _edge_separation(box_1: FixtureRecord, edge: int, body_2: BodyRecord, box_2: FixtureRecord) -> float32:
     """b2EdgeSeparation: the distance of box 2 from an edge of box 1, along its normal."""
     normal_x, normal_y = box_1.normal_x[edge], box_1.normal_y[edge]
     local_x, local_y = rotate_back(body_2, (normal_x, normal_y))
@@ -38,7 +38,9 @@ def _edge_separation(box_1: Fixture, edge: int, body_2: Body, box_2: Fixture) ->
 
 
 @inline
-def _find_max_separation(body_1: Body, box_1: Fixture, body_2: Body, box_2: Fixture) -> tuple[int, float32]:
+def _find_max_separation(
+    body_1: BodyRecord, box_1: FixtureRecord, body_2: BodyRecord, box_2: FixtureRecord
+) -> tuple[int, float32]:
     """b2FindMaxSeparation: the edge of box 1 that separates most, and its separation.
 
     Box2D climbs from the edge that faces box 2, from neighbour to neighbour. The separation only grows on the way, so
@@ -75,7 +77,7 @@ def _find_max_separation(body_1: Body, box_1: Fixture, body_2: Body, box_2: Fixt
 
 
 @inline
-def _find_incident_edge(box_1: Fixture, edge: int, body_2: Body, box_2: Fixture) -> int:
+def _find_incident_edge(box_1: FixtureRecord, edge: int, body_2: BodyRecord, box_2: FixtureRecord) -> int:
     """b2FindIncidentEdge: the edge of box 2 that faces an edge of box 1."""
     local_x, local_y = rotate_back(body_2, (box_1.normal_x[edge], box_1.normal_y[edge]))
     least = local_x * box_2.local_normal_x[0] + local_y * box_2.local_normal_y[0]
@@ -125,7 +127,7 @@ def _flip_id(feature: int) -> int:
 
 
 @inline
-def collide_polygons(robot: Robot, contact: Contact) -> None:
+def collide_polygons(robot: RobotRecord, contact: ContactRecord) -> None:
     """b2CollidePolygons: find where two boxes touch, and write it to the contact's manifold.
 
     The ground is so wide and thick that its top is always the edge that separates most.
@@ -155,7 +157,13 @@ def collide_polygons(robot: Robot, contact: Contact) -> None:
 
 @inline
 def _clip_to_manifold(
-    contact: Contact, body_1: Body, box_1: Fixture, edge_1: int, body_2: Body, box_2: Fixture, flip: bool
+    contact: ContactRecord,
+    body_1: BodyRecord,
+    box_1: FixtureRecord,
+    edge_1: int,
+    body_2: BodyRecord,
+    box_2: FixtureRecord,
+    flip: bool,
 ) -> None:
     """Clip the edge of box 2 that faces the reference edge of box 1 to the sides of that edge."""
     first = _find_incident_edge(box_1, edge_1, body_2, box_2)
@@ -195,7 +203,7 @@ def _clip_to_manifold(
 
 
 @inline
-def update(robot: Robot, contact: Contact) -> None:
+def update(robot: RobotRecord, contact: ContactRecord) -> None:
     """b2Contact::Update: collide, and give a point the impulses of the old point with its id."""
     point_1, point_2 = contact.points[0], contact.points[1]
     old_count, old_id_1, old_id_2 = contact.point_count, point_1.id, point_2.id

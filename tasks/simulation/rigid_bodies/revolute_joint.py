@@ -26,7 +26,7 @@ from numpy import float32
 
 from tasks.compiled import inline
 from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
-from tasks.simulation.rigid_bodies.layout import Joint, Robot
+from tasks.simulation.rigid_bodies.layout import JointRecord, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, rotate
 from tasks.simulation.trees.joint import clamp
 
@@ -34,7 +34,7 @@ _ONE = float32(1)
 
 
 @inline
-def init_velocity_constraints(robot: Robot, joint: Joint, dt_ratio: float32) -> None:
+def init_velocity_constraints(robot: RobotRecord, joint: JointRecord, dt_ratio: float32) -> None:
     """b2RevoluteJoint::InitVelocityConstraints: levers, K, and the warm start with the last step's impulses.
 
     Args:
@@ -65,7 +65,7 @@ def init_velocity_constraints(robot: Robot, joint: Joint, dt_ratio: float32) -> 
 
 
 @inline
-def solve_velocity_constraints(robot: Robot, joint: Joint) -> None:
+def solve_velocity_constraints(robot: RobotRecord, joint: JointRecord) -> None:
     """b2RevoluteJoint::SolveVelocityConstraints: the motor, then the point."""
     body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
@@ -95,7 +95,7 @@ def solve_velocity_constraints(robot: Robot, joint: Joint) -> None:
 
 
 @inline
-def solve_position_constraints(robot: Robot, joint: Joint) -> bool:
+def solve_position_constraints(robot: RobotRecord, joint: JointRecord) -> bool:
     """b2RevoluteJoint::SolvePositionConstraints; return whether the error was small before the correction."""
     body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia

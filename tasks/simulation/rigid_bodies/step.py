@@ -12,7 +12,7 @@ from numpy import float32
 from tasks.arrays import Float32
 from tasks.compiled import inline
 from tasks.simulation.rigid_bodies import broad_phase, island
-from tasks.simulation.rigid_bodies.layout import Robot
+from tasks.simulation.rigid_bodies.layout import RobotRecord
 from tasks.simulation.rigid_bodies.transform import rotate, transform
 from tasks.simulation.simd.rotation import scalar_sincos
 from tasks.simulation.trees.step import Scene, immersion, motor_speed, slush_change
@@ -24,7 +24,7 @@ _ZERO = float32(0)
 
 
 @inline
-def _place_link(robot: Robot, index: int) -> None:
+def _place_link(robot: RobotRecord, index: int) -> None:
     """Place a link by its body, as fused_links.place_links does."""
     link = robot.links[index]
     body = robot.bodies[link.body]
@@ -37,7 +37,7 @@ def _place_link(robot: Robot, index: int) -> None:
 
 
 @inline
-def _push(robot: Robot, scene: Scene) -> None:
+def _push(robot: RobotRecord, scene: Scene) -> None:
     """Change the velocities of the bodies by those of their links, as fused_links.body_change does."""
     for b in range(robot.n_bodies):
         vx, vy, omega = _ZERO, _ZERO, _ZERO
@@ -53,7 +53,7 @@ def _push(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def _submerge(robot: Robot, scene: Scene) -> None:
+def _submerge(robot: RobotRecord, scene: Scene) -> None:
     """Compute the velocity changes of the links by the slush."""
     for index in range(scene.n_links):
         link = robot.links[index]
@@ -66,7 +66,7 @@ def _submerge(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def _command_motors(robot: Robot, time: float32, gain: float32) -> None:
+def _command_motors(robot: RobotRecord, time: float32, gain: float32) -> None:
     """Set the motors' speeds by the controller."""
     for j in range(robot.n_joints):
         joint = robot.joints[j]
@@ -76,7 +76,7 @@ def _command_motors(robot: Robot, time: float32, gain: float32) -> None:
 
 
 @inline
-def _orient_fixtures(robot: Robot, scene: Scene) -> None:
+def _orient_fixtures(robot: RobotRecord, scene: Scene) -> None:
     """Compute the corners, normals and AABBs of all fixtures."""
     for i in range(scene.n_links + 1):
         box = robot.fixtures[i]
@@ -84,7 +84,7 @@ def _orient_fixtures(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def _synchronize_fixtures(robot: Robot, scene: Scene) -> None:
+def _synchronize_fixtures(robot: RobotRecord, scene: Scene) -> None:
     """Finish b2World::Solve: update the AABBs, and look for new contacts where one has left its fat AABB."""
     moved = False
     for i in range(scene.n_links):
@@ -95,7 +95,7 @@ def _synchronize_fixtures(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def _begin_step(robot: Robot, scene: Scene, step: int) -> None:
+def _begin_step(robot: RobotRecord, scene: Scene, step: int) -> None:
     """Run the motors and the slush, collide, and prepare the island."""
     _command_motors(robot, float32(step) * scene.dt, scene.motor_gain)
     if scene.slush:
@@ -109,7 +109,7 @@ def _begin_step(robot: Robot, scene: Scene, step: int) -> None:
 
 
 @inline
-def _finish_step(robot: Robot, scene: Scene) -> None:
+def _finish_step(robot: RobotRecord, scene: Scene) -> None:
     """Look for new contacts, place the links, and notice a divergence."""
     _synchronize_fixtures(robot, scene)
     for index in range(scene.n_links):
@@ -121,7 +121,7 @@ def _finish_step(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def _take_step(team: Sequence[Robot], scene: Scene, step: int) -> None:
+def _take_step(team: Sequence[RobotRecord], scene: Scene, step: int) -> None:
     """Run the motors, the slush, and b2World::Step for a team; a robot that has diverged only drifts."""
     for r in range(len(team)):
         robot = team[r]
@@ -138,7 +138,7 @@ def _take_step(team: Sequence[Robot], scene: Scene, step: int) -> None:
 
 
 @inline
-def _spawn(robot: Robot, scene: Scene) -> None:
+def _spawn(robot: RobotRecord, scene: Scene) -> None:
     """Orient the bodies, place the links, and look for the first contacts."""
     for b in range(robot.n_bodies):
         body = robot.bodies[b]
@@ -153,7 +153,7 @@ def _spawn(robot: Robot, scene: Scene) -> None:
 
 
 @inline
-def _record_states(robot: Robot, states: Float32) -> None:
+def _record_states(robot: RobotRecord, states: Float32) -> None:
     """Write (n_links, 6) states, NaN where the robot has diverged."""
     for index in range(len(states)):
         link, state, divergence = robot.links[index], states[index], robot.divergence
@@ -161,7 +161,7 @@ def _record_states(robot: Robot, states: Float32) -> None:
         state[3], state[4], state[5] = link.vx + divergence, link.vy + divergence, link.omega + divergence
 
 
-def advance_robots(robots: Sequence[Robot], scene: Scene, first_step: int, end_step: int, trace: Float32) -> None:
+def advance_robots(robots: Sequence[RobotRecord], scene: Scene, first_step: int, end_step: int, trace: Float32) -> None:
     """Take steps with robots, team after team.
 
     Args:
