@@ -22,6 +22,7 @@ from tasks.simulation import batch, reference, simulate
 from tasks.simulation.controller import Controllers
 from tasks.simulation.rigid_bodies.engine import Robots
 from tasks.simulation.simd.lanes import widest
+from tasks.simulation.trees.groups import Groups
 from tasks.world import DryLand, Environment, Physics, Slush, TrueSlush
 
 N_LANES = widest()
@@ -74,7 +75,7 @@ def _batch(designs: Designs, environment: Environment) -> float:
     world = batch.scene_of(environment, PHYSICS)
     taken = 0.0
     for _ in range(N_GENERATIONS):
-        groups = batch.Groups(designs, PHYSICS, n_members=1, n_lanes=N_LANES)
+        groups = Groups(designs, PHYSICS, n_members=1, n_lanes=N_LANES)
         taken += seconds(partial(groups.advance, world, 0, N_STEPS, None))
     return taken / N_GENERATIONS / N_DESIGNS / N_STEPS * 1e6
 
@@ -174,7 +175,7 @@ def packing() -> list[Figure]:
     """Pack 64 designs into lanes, again and again, and once after rollouts as a study does; over those rollouts."""
     population, environment = designs(), TrueSlush(9.0)
     world = batch.scene_of(environment, PHYSICS)
-    pack = partial(batch.Groups, population, PHYSICS, n_members=1, n_lanes=N_LANES)
+    pack = partial(Groups, population, PHYSICS, n_members=1, n_lanes=N_LANES)
     again, once = [], []
     for _ in range(N_ROUNDS):
         groups = pack()

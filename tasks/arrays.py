@@ -1,4 +1,4 @@
-"""Names for the NumPy arrays that the science passes around."""
+"""Type aliases of NumPy arrays."""
 
 from __future__ import annotations
 

@@ -1,13 +1,10 @@
-"""Kernels compiled once per machine, and again when their source changes.
+"""Kernels that are compiled once per machine, and again when their source changes.
 
-numba keys its cache on disk by the file of the function itself: where that lies, and what it holds. It does not see an
-edit of another module that the function calls, and a copy elsewhere, such as Ray makes for each session on a cluster,
-would be compiled anew. So the folder of the cache is named by a digest of all the modules that go into a kernel, not
-by their place. It lies in the user's cache, which all processes of a machine share, or in NUMBA_CACHE_DIR if that is
-set, and needs no write access to the package.
+numba's disk cache depends on path and content of the file that defines a function. It misses edits of other modules
+that the function calls, and compiles copies of the file again, such as those that Ray makes for each session. So the
+cache folder is named by a digest of all modules that a kernel is compiled from. It is in the user's cache, which all
+processes of a machine share, or in NUMBA_CACHE_DIR if that is set. The package itself may be read-only.
 """
-
-# (no pathlib in tasks, and this is the one place that keeps a file)
 
 # ruff: noqa: PTH100, PTH103, PTH111, PTH116, PTH118, PTH119, PTH120, PTH207 (tasks import no pathlib)
 
@@ -33,18 +30,18 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class _Cached:
-    """Where a kernel is kept, and about how long it takes to make."""
+    """Cache folder of a kernel, and about how long it takes to compile."""
 
     folder: str
     seconds: int
 
 
 _KERNELS: dict[Callable[..., Any], _Cached] = {}
-"""By their functions in Python."""
+"""Kernels by their Python functions."""
 
 
-class _Word(Listener):  # type: ignore[misc]  # numba has no types
-    """Tells whoever waits that a kernel is being compiled: for these arguments it was not in the cache."""
+class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
+    """Prints a line when a kernel is compiled because it was not in the cache."""
 
     def on_start(self, event: Any) -> None:
         function = event.data["dispatcher"].py_func
@@ -56,25 +53,28 @@ class _Word(Listener):  # type: ignore[misc]  # numba has no types
         pass
 
 
-register("numba:compile", _Word())
+register("numba:compile", _Announcement())
 
 
 class ByContent(UserProvidedCacheLocator):  # type: ignore[misc]
-    """Where numba keeps a kernel within its folder: the same wherever its module lies."""
+    """Path of a kernel within its cache folder, independent of the path of its module."""
 
     @classmethod
     def get_suitable_cache_subpath(cls, py_file: str) -> str:
-        """Give the name of the module's package."""
+        """Return the name of the module's package."""
         return os.path.basename(os.path.dirname(os.path.abspath(py_file)))
 
 
 def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:
-    """Compile a kernel on its first call, or take it from the cache.
+    """Compile a kernel on its first call, or load it from the cache.
 
     Args:
-        function: the kernel. A closure has another key in numba's cache in every process, and would never be found.
-        sources: the modules whose code or constants go into it.
-        seconds: about how long compilation takes, for a word to whoever waits.
+        function: kernel; no closure, because numba's cache never finds a closure again.
+        sources: modules whose code or constants the kernel is compiled from.
+        seconds: about how long compilation takes, for the announcement.
+
+    Returns:
+        Compiled kernel.
 
     Raises:
         ValueError: the kernel is a closure.
@@ -83,11 +83,11 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
         raise ValueError(f"{function.__qualname__} is a closure, expected a function of a module")
     if numba.config.DISABLE_JIT:
         return function
-    read = [sys.modules[__name__], *sources]  # how pieces are inlined counts too
+    read = [sys.modules[__name__], *sources]  # this module decides on inlining
     digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in read).encode()).hexdigest()
     folder = os.path.join(_cache_folder(), digest[:16])
     before = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
-    numba.config.CACHE_DIR = folder  # numba reads both here, where the function is decorated
+    numba.config.CACHE_DIR = folder  # numba reads both when it decorates
     numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.{ByContent.__name__}"
     try:
         kernel = numba.njit(error_model="numpy", cache=True)(function)
@@ -99,7 +99,7 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
 
 
 def is_cached(kernel: Callable[..., Any]) -> bool:
-    """Tell whether a compiled kernel has been made before on this machine, for some arguments."""
+    """Return whether a kernel has been compiled on this machine before, for some types of arguments."""
     function = getattr(kernel, "py_func", None)
     if function not in _KERNELS:
         return True  # there is no compiler
@@ -108,18 +108,18 @@ def is_cached(kernel: Callable[..., Any]) -> bool:
 
 
 def inline(function: F) -> F:
-    """Mark a piece of a kernel: compiled into whatever calls it."""
+    """Mark a function that is compiled into its callers."""
     return cast(F, numba.njit(forceinline=True, error_model="numpy")(function))
 
 
 def _cache_folder() -> str:
-    """Find a folder for compiled kernels that can be written to."""
+    """Find a writable folder for compiled kernels."""
     chosen = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     for folder in (chosen, tempfile.gettempdir()):
         own = os.path.join(folder, f"puddle-{os.getuid()}")
         try:
             os.makedirs(own, mode=0o700, exist_ok=True)
-            if os.stat(own).st_uid == os.getuid() and os.access(own, os.W_OK):  # compiled code is trusted: ours alone
+            if os.stat(own).st_uid == os.getuid() and os.access(own, os.W_OK):  # code is run: the user's own only
                 return own
         except OSError:
             continue

@@ -1,8 +1,7 @@
-"""Parameters: what a settings file may choose, stated next to the equation that uses it.
+"""Groups of parameters that a settings file may choose, declared next to the equations that use them.
 
-Each group of parameters is a frozen model that refuses unknown names and non-finite numbers, and whose fields carry
-their unit and their reason. The pipeline nests these groups into its settings, so that a value has one default and one
-bound.
+Each group is a frozen model that rejects unknown names and non-finite numbers. Its fields document their unit and
+reason. The pipeline nests the groups in its settings, so each parameter has one default and one range.
 """
 
 from pydantic import BaseModel, ConfigDict

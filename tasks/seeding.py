@@ -1,4 +1,4 @@
-"""Randomness from identity: what a piece of work is decides its random numbers, never the order in which it ran."""
+"""Random numbers of a work item, seeded from its identity and never from the order in which work items run."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ _encode = json.JSONEncoder(allow_nan=False).encode
 
 
 def generator(seed: int, *identity: str | int | float) -> Generator:
-    """Make the generator of one piece of work.
+    """Create the generator of one work item.
 
     Args:
-        seed: of the whole study, 0 or more.
-        identity: what tells this piece of work from every other, such as stage, depth, environment, trial, generation.
-            Each part keeps its type: 1 and 1.0 are different identities.
+        seed: seed of the study, at least 0.
+        identity: parts that distinguish the work item from all others, such as stage, depth, environment, trial,
+            generation. Types matter: 1 and 1.0 are different identities.
+
+    Returns:
+        Generator.
 
     Raises:
         ValueError: the seed is negative.
     """
     seed = operator.index(seed)
     if seed < 0:
-        raise ValueError(f"seed is {seed}, expected 0 or more")
+        raise ValueError(f"seed is {seed}, expected at least 0")
     digest = hashlib.sha256(_encode(identity).encode()).digest()
     n_words = max(1, -(-seed.bit_length() // 32))
     words = np.frombuffer(seed.to_bytes(4 * n_words, "little") + digest, dtype="<u4")

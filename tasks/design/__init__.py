@@ -1,4 +1,4 @@
-"""What is evolved: designs, their variation, and the bodies that they describe."""
+"""Designs of robots: genes, variation, and the bodies that they describe."""
 
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rest_pose, rigid_bodies
 from tasks.design.genes import GENES, N_LINKS, DesignError, Designs, check, concatenate

@@ -1,8 +1,8 @@
-"""The genes: what is evolved, their bounds and units, and designs as arrays of them.
+"""Genes: their bounds and units, and designs as arrays of them. Paper, "Evolutionary Design".
 
-Paper, "Evolutionary Design". A design is a kinematic tree of six rectangular links stored in topological order
-(parent < child), one global frequency, and one actuator per joint. Link 0 is the root. Joint i ties link i to its
-parent, so a root has no joint: its joint genes are ignored, and kept at zero so that equal designs have equal arrays.
+A design is a kinematic tree of six rectangular links in topological order (parent < child), one frequency, and one
+motor per joint. Link 0 is the root. Joint i connects link i to its parent, so the root has no joint: its joint genes
+are ignored, and always zero, so that equal designs have equal arrays.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import numpy.typing as npt
 from tasks.compiled import compiled
 
 N_LINKS = 6
-"""Links in a design, the root included. The sweeps of the batch engine name their joints: see kernels.py."""
+"""Links of a design, including the root. The sweeps in tasks/simulation/trees/step.py list its joints."""
 N_JOINTS = N_LINKS - 1
 
 ROOT_PARENT = -1
-"""The parent of a root."""
+"""Parent of the root."""
 
 DesignTable = npt.NDArray[np.float64]
-"""(n_designs, N_COLUMNS) designs as a table: what variation and selection work on."""
+"""(n_designs, N_COLUMNS) table of designs, which variation and selection operate on."""
 
 GenePart = Literal["body", "control"]
 Kind = Literal["interval", "angle", "flag"]
@@ -47,23 +47,22 @@ class Gene:
     high: float
     unit: str
     of_root: bool
-    """Whether the root has this gene too (otherwise only the links that hang from a joint)."""
+    """Whether the root has this gene too."""
     per_link: bool = True
-    """Whether there is one per link; the frequency is one per design."""
+    """Whether each link has one; otherwise the design has one."""
 
     def __post_init__(self) -> None:
-        """Refuse a gene of the whole design that its root has not."""
         if not self.per_link and not self.of_root:
-            raise ValueError(f"gene {self.name}: it is of the whole design, expected of_root=True")
+            raise ValueError(f"gene {self.name}: per_link is False, expected of_root=True")
 
     @property
     def first_link(self) -> int:
-        """The first link that has this gene."""
+        """First link that has this gene."""
         return 0 if self.of_root else 1
 
     @property
     def n_numbers(self) -> int:
-        """How many numbers of a design this gene is."""
+        """Numbers of a design that are this gene."""
         return N_LINKS - self.first_link if self.per_link else 1
 
 
@@ -78,17 +77,17 @@ GENES: tuple[Gene, ...] = (
     Gene("motor_on", "control", "flag", 0.0, 1.0, "", False),
     Gene("frequency", "control", "interval", 0.0, 0.3, "Hz", True, per_link=False),
 )
-"""Every gene but the tree itself (``parent``), which :func:`tasks.design.variation.mutate` rewires."""
+"""All genes except the tree (``parent``), which :func:`tasks.design.variation.mutate` rewires."""
 
 N_GENES = sum(gene.n_numbers for gene in GENES)
-"""Numbers that describe a design, the tree apart: 37."""
+"""Numbers of a design without its tree: 37."""
 
 PER_DESIGN = tuple(gene.name for gene in GENES if not gene.per_link)
-"""Fields of Designs that have one number for each design; the others have one for each link."""
+"""Fields of Designs with one number per design; the others have one per link."""
 
 
 class DesignError(ValueError):
-    """A design that is not one: names the design, the gene, what was expected and what came."""
+    """An invalid design; the message names design and gene, the expected and the received value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +95,18 @@ class Designs:
     """Designs as a struct of arrays; axis 0 is the design.
 
     Attributes:
-        length_scale: (n_designs, n_links) link's long axis, its height [m]; its width is the reciprocal.
+        length_scale: (n_designs, n_links) long axis of a link, its height [m]; the width is the reciprocal.
         parent: (n_designs, n_links) index of the parent link, less than the link's own; -1 for the root.
-        parent_attachment: (n_designs, n_links) joint's place on the parent's long axis [half heights].
-        child_attachment: (n_designs, n_links) joint's place on the link's own long axis [half heights].
+        parent_attachment: (n_designs, n_links) position of the joint on the parent's long axis [half heights].
+        child_attachment: (n_designs, n_links) position of the joint on the link's own long axis [half heights].
         rest_angle: (n_designs, n_links) angle relative to the parent at rest [rad].
-        phase: (n_designs, n_links) of the joint's oscillation [rad].
+        phase: (n_designs, n_links) phase of the joint's oscillation [rad].
         motion_range: (n_designs, n_links) amplitude of the joint's oscillation [rad].
-        motor_on: (n_designs, n_links) whether the joint is driven; it swings freely otherwise.
-        frequency: (n_designs,) of every joint's oscillation [Hz].
+        motor_on: (n_designs, n_links) whether the joint's motor is on; otherwise the joint is passive.
+        frequency: (n_designs,) frequency of all joints' oscillations [Hz].
 
     Raises:
-        DesignError: if the shapes do not agree. Values are checked by :func:`check`, not here.
+        DesignError: the shapes do not agree. :func:`check` checks values.
     """
 
     length_scale: npt.NDArray[np.float64]
@@ -127,7 +126,7 @@ class Designs:
                 object.__setattr__(self, name, _converted(name, array, dtype))
         n_designs = self.frequency.size
         shapes = (n_designs, N_LINKS), (n_designs,)
-        for name in ("frequency", *DTYPES):  # the one that says how many, first
+        for name in ("frequency", *DTYPES):  # frequency first: it defines n_designs
             shape = getattr(self, name).shape
             if shape != shapes[name in PER_DESIGN]:
                 raise DesignError(
@@ -139,28 +138,28 @@ class Designs:
         return int(self.frequency.shape[0])
 
     def __getitem__(self, index: npt.ArrayLike | slice) -> Designs:
-        """Choose designs by a slice, an array of indices or a mask; a single index gives one design."""
+        """Select designs by a slice, indices or a mask; a single index selects one design."""
         if isinstance(index, slice):
             return Designs(**{name: array[index] for name, array in self.arrays()})
         chosen = np.atleast_1d(np.asarray(index))
         if chosen.dtype == np.bool_:
-            chosen = np.arange(len(self))[chosen]  # which also refuses a mask of another length
-        # numpy takes rows several times faster by take than by an array of indices in brackets.
+            chosen = np.arange(len(self))[chosen]  # also rejects a mask of another length
+        # take is several times faster than indexing with an array.
         return Designs(**{name: array.take(chosen, axis=0) for name, array in self.arrays()})
 
     def arrays(self) -> Iterator[tuple[str, npt.NDArray[Any]]]:
-        """Iterate over each field's name and array, in the order of declaration."""
+        """Iterate over the fields' names and arrays, in the order of declaration."""
         for name in DTYPES:
             yield name, getattr(self, name)
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, npt.NDArray[Any]]) -> Designs:
-        """Gather the fields of designs from a mapping that may hold other arrays too."""
+        """Create designs from their fields; other arrays in the mapping are ignored."""
         return Designs(**{name: arrays[name] for name in DTYPES})
 
     @cached_property
     def table(self) -> DesignTable:
-        """(n_designs, N_COLUMNS) all numbers of a design in a row, at COLUMNS: exact, and can't be changed."""
+        """(n_designs, N_COLUMNS) exact, read-only table of all numbers, at COLUMNS."""
         several = [array[:, None] if name in PER_DESIGN else array for name, array in self.arrays()]
         table = np.ascontiguousarray(np.concatenate(several, axis=1, dtype=np.float64))
         table.flags.writeable = False
@@ -168,14 +167,14 @@ class Designs:
 
     @staticmethod
     def from_table(table: DesignTable) -> Designs:
-        """Restore designs from their table, which is theirs from then on and is not to be changed.
+        """Create designs that share the memory of a table, which must not be changed any more.
 
         Raises:
-            DesignError: it is no (n_designs, N_COLUMNS) table of float64.
+            DesignError: the table is not (n_designs, N_COLUMNS) of float64.
         """
         if table.shape[1:] != (N_COLUMNS,) or table.dtype != np.float64:
             raise DesignError(
-                f"designs: their table is {table.shape} {table.dtype}, expected (n_designs, {N_COLUMNS}) float64"
+                f"designs: expected a table (n_designs, {N_COLUMNS}) float64, got {table.shape} {table.dtype}"
             )
         view = table.view()
         view.flags.writeable = False
@@ -183,10 +182,10 @@ class Designs:
         designs.__dict__["table"] = view
         return designs
 
-    if not TYPE_CHECKING:  # which would then take any name for an attribute
+    if not TYPE_CHECKING:  # a type checker would accept any attribute
 
         def __getattr__(self, name: str) -> npt.NDArray[Any]:
-            """Read a field off the table when it is first asked for: evolution makes many designs, and asks for few."""
+            """Read a field from the table when first used: evolution makes many designs and uses few fields."""
             if name not in COLUMNS or "table" not in self.__dict__:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
             columns = COLUMNS[name]
@@ -198,11 +197,11 @@ class Designs:
             return field
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the fields alone: a copy's table is made of them again."""
+        """Copy and pickle the fields alone."""
         return Designs, tuple(array for _, array in self.arrays())
 
     def equals(self, other: Designs) -> bool:
-        """Tell whether every gene of every design is the same."""
+        """Return whether all genes of all designs are the same."""
         return all(np.array_equal(array, getattr(other, name)) for name, array in self.arrays())
 
 
@@ -212,7 +211,7 @@ DTYPES: dict[str, type[np.generic]] = {
     )
     for field in fields(Designs)
 }
-"""Field of Designs -> what its values are, in order of declaration."""
+"""Dtype of each field of Designs, in the order of declaration."""
 
 
 def _columns() -> dict[str, slice]:
@@ -225,47 +224,47 @@ def _columns() -> dict[str, slice]:
 
 
 COLUMNS = _columns()
-"""Where each field of Designs is in a table of designs, a link after the other."""
+"""Columns of each field in a table of designs, link by link."""
 PARENT_COLUMN = COLUMNS["parent"].start
-"""Column of the root's parent; those of the other links follow."""
+"""Column of the root's parent, followed by those of the other links."""
 LINK_OF_COLUMN = np.concatenate([[N_LINKS] if name in PER_DESIGN else np.arange(N_LINKS) for name in COLUMNS])
-"""(N_COLUMNS,) whose each column is; N_LINKS where it is the whole design's."""
+"""(N_COLUMNS,) link of each column; N_LINKS for columns of the whole design."""
 N_COLUMNS = max(columns.stop for columns in COLUMNS.values())
-"""Columns of a table of designs: 49, what roots have no use for included."""
+"""Columns of a table of designs: 49, including the ignored genes of roots."""
 
 
 def _converted(name: str, values: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:
-    """Make an array of a field's dtype, unless that would change what it says."""
-    came = np.asarray(values)
-    array = came.astype(dtype)
-    if dtype is not np.float64 and not np.array_equal(array, came):
-        raise DesignError(f"designs: {name} has values that are no {np.dtype(dtype).name}: {came.tolist()}")
+    """Convert to a field's dtype, unless that would change values."""
+    given = np.asarray(values)
+    array = given.astype(dtype)
+    if dtype is not np.float64 and not np.array_equal(array, given):
+        raise DesignError(f"designs: {name}: expected values of type {np.dtype(dtype).name}, got {given.tolist()}")
     return array
 
 
 def concatenate(several: list[Designs]) -> Designs:
-    """Join designs along their first axis, in the order given."""
+    """Concatenate designs in the given order."""
     return Designs(**{name: np.concatenate([getattr(part, name) for part in several]) for name in DTYPES})
 
 
 FIRST = np.array([COLUMNS[gene.name].start for gene in GENES])
-"""(n_genes,) column of each gene's first number in a table of designs, the root's included."""
+"""(n_genes,) column of each gene's first number in a table of designs, including the root's."""
 END = np.array([COLUMNS[gene.name].stop for gene in GENES])
-"""(n_genes,) the column after its last."""
+"""(n_genes,) column after each gene's last number."""
 LOW = np.array([gene.low for gene in GENES])
-"""(n_genes,) in the gene's unit, as HIGH."""
+"""(n_genes,) lower bounds in the genes' units; HIGH are the upper bounds."""
 HIGH = np.array([gene.high for gene in GENES])
 OF_ROOT = np.array([gene.of_root for gene in GENES])
-"""(n_genes,) whether the root has it."""
+"""(n_genes,) whether the root has the gene."""
 IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])
-"""(n_genes,) whether it is 0 or 1, and nothing between."""
+"""(n_genes,) whether the gene is either 0 or 1."""
 
 
 def find_fault(table: DesignTable) -> tuple[int, int]:
-    """Find the first number that no design can have: in the trees, then gene by gene.
+    """Find the first invalid number: in the trees, then gene by gene.
 
     Returns:
-        Its row and its column; -1 and -1 if there is none.
+        Row and column; -1 and -1 if all numbers are valid.
     """
     for design in range(len(table)):
         for link in range(N_LINKS):
@@ -285,19 +284,19 @@ _find_fault = compiled(find_fault, [sys.modules[__name__]], seconds=1)
 
 
 def check(designs: Designs) -> None:
-    """Refuse designs whose tree is broken or whose genes are non-finite or out of bounds.
+    """Check that trees are valid and genes within their bounds.
 
     Raises:
-        DesignError: names the first fault: the design by its index, the gene and the link, what was expected and came.
+        DesignError: names the first invalid number by the design's index, gene and link.
     """
     design, column = _find_fault(designs.table)
     if design < 0:
         return
-    came, link = designs.table[design, column], LINK_OF_COLUMN[column]
+    value, link = designs.table[design, column], LINK_OF_COLUMN[column]
     if column in range(N_COLUMNS)[COLUMNS["parent"]]:
         expected = "-1 (it is the root)" if link == 0 else f"a link before it, 0 to {link - 1}"
-        raise DesignError(f"design {design}: parent of link {link} is {came:g}, expected {expected}")
+        raise DesignError(f"design {design}: parent of link {link} is {value:g}, expected {expected}")
     gene = next(gene for gene in GENES if column in range(N_COLUMNS)[COLUMNS[gene.name]])
     where = f" of link {link}" if gene.per_link else ""
     bounds = f"{gene.low:.6g} {'or' if gene.kind == 'flag' else 'to'} {gene.high:.6g} {gene.unit}".rstrip()
-    raise DesignError(f"design {design}: {gene.name}{where} is {came}, expected {bounds}")
+    raise DesignError(f"design {design}: {gene.name}{where} is {value}, expected {bounds}")

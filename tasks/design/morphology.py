@@ -1,9 +1,9 @@
-"""Morphology: what a body must keep to so that it can be built. Paper, "Manufacturing".
+"""Morphology: constraints on a body so that it can be built. Paper, "Manufacturing".
 
-The main experiments ask nothing of a body. The robot that was built had two actuated joints, and none of its links
-overlapped another at rest unless a joint tied the two. The number of motors is built into the operators of variation;
-overlap is met by drawing again (see :func:`until_apart`), so that what an operator gives is its own distribution among
-the designs that are allowed. Sparing draws by moving links apart would favour the places that links are moved to.
+The main experiments do not constrain bodies. The robot that was built had two motors, and none of its links overlapped
+another at rest unless a joint connected them. The operators of variation produce the right number of motors directly.
+Overlap is avoided by rejection sampling (:func:`until_apart`), which preserves an operator's distribution over the
+allowed designs; moving links apart would favour the positions that they are moved to.
 """
 
 from __future__ import annotations
@@ -13,71 +13,65 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
-from tasks.arrays import Float64, Int64
+from tasks.arrays import Bools, Float64, Int64
 from tasks.design.body import rest_pose
 from tasks.design.genes import N_LINKS, DesignError, Designs, DesignTable
 from tasks.parameters import Parameters
 
-TOUCHING = 1e-9
-"""Overlap up to which links merely touch [m]: the rounding of places within metres, and no more."""
+_TOLERANCE = 1e-9
+"""Overlap that counts as touching [m]: the rounding of positions within some metres."""
 
 MAX_DRAWS = 1 << 17
-"""Draws of one design before it is given up. A random design takes 1,100 on average; so many fail once in 10^50."""
-MOST_AT_ONCE = 4096
-"""Draws that are made together; more spill out of the cache."""
+"""Most samples for one design. About 1,100 are rejected for each accepted random design; all fail once in 10^50."""
+_MAX_BATCH = 4096
+"""Most samples that are drawn together; more overflow the cache."""
 
 
 class Morphology(Parameters):
-    """What every design of a trial keeps to; nothing by default."""
+    """Constraints on every design of a trial; none by default."""
 
     n_actuated: int | None = Field(default=None, ge=0, le=N_LINKS - 1)
-    """Joints whose motor is on, exactly; which they are then belongs to the body and not to the controller. null lets
-    every motor be on or off, as a part of the controller. [P]: 2 in the robot that was built."""
+    """Number of joints whose motor is on; which joints is then part of the body, not of the controller. null: each
+    motor is on or off, as part of the controller. [P]: 2 in the robot that was built."""
     unjoined_links: Literal["may_overlap", "apart"] = "may_overlap"
-    """Whether links that no joint ties to each other may overlap at rest. [P]: apart in the robot that was built."""
+    """Whether links that no joint connects may overlap at rest. [P]: apart in the robot that was built."""
 
 
 ANY_BODY = Morphology()
-"""Asks nothing."""
+"""No constraints."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Designs that a morphology allows, and what it took to find them."""
+    """Designs that a morphology allows, and the number of samples drawn for them."""
 
     table: DesignTable
-    """(n_designs, N_COLUMNS)"""
+    """(n_designs, N_COLUMNS) accepted designs."""
     n_draws: Int64
-    """(n_designs,) how many were drawn for each, itself among them: n_draws - 1 were rejected."""
+    """(n_designs,) samples drawn for each design: n_draws - 1 were rejected."""
 
     @property
     def designs(self) -> Designs:
-        """n_designs designs."""
+        """Accepted designs."""
         return Designs.from_table(self.table)
 
 
-def links_apart(designs: Designs) -> npt.NDArray[np.bool_]:
-    """Tell which designs have no two links that overlap at rest, except for links that a joint ties to each other.
+def links_apart(designs: Designs) -> Bools:
+    """Find the designs in which no two links overlap at rest, except links that a joint connects; (n_designs,).
 
-    Links that touch do not overlap. By separating axes: rectangles are apart if they are along an edge of one of them.
-
-    Args:
-        designs: n_designs valid designs.
-
-    Returns:
-        (n_designs,)
+    Links that touch do not overlap. By the separating axis theorem, two rectangles are apart if a gap separates them
+    along an edge of either.
     """
     x, y, angle = rest_pose(designs)
     half_height, half_width = designs.length_scale / 2, 0.5 / designs.length_scale
     links = np.stack([x, y, np.cos(angle), np.sin(angle), half_width, half_height], axis=1)
     parent = designs.parent
     left = np.arange(len(designs))
-    for link in range(2, N_LINKS):  # the root and link 1 are tied
+    for link in range(2, N_LINKS):  # a joint connects the root and link 1
         for other in range(link):
-            separate = separation(links[:, :, other], links[:, :, link]) >= -TOUCHING
+            separate = separation(links[:, :, other], links[:, :, link]) >= -_TOLERANCE
             passes = separate | (parent[:, link] == other)
             left, links, parent = left[passes], links[passes], parent[passes]
     apart = np.zeros(len(designs), dtype=bool)
@@ -86,14 +80,9 @@ def links_apart(designs: Designs) -> npt.NDArray[np.bool_]:
 
 
 def separation(one: Float64, other: Float64) -> Float64:
-    """Largest gap between two rectangles along an edge of either; negative where they overlap.
+    """Compute the largest gap between two rectangles along an edge of either; negative where they overlap; (n,) [m].
 
-    Args:
-        one: (n, 6) centre's x, y [m]; cosine, sine of the angle; half width, half height [m].
-        other: (n, 6) the same.
-
-    Returns:
-        (n,) [m]
+    Both are (n, 6): x, y of the centre [m]; cosine and sine of the angle; half width, half height [m].
     """
     x1, y1, c1, s1, w1, h1 = one.T
     x2, y2, c2, s2, w2, h2 = other.T
@@ -116,18 +105,21 @@ def until_apart(
     max_draws: int = MAX_DRAWS,
     otherwise: DesignTable | None = None,
 ) -> Drawn:
-    """Draw those designs again whose unjoined links overlap.
+    """Sample designs until none has unconnected links that overlap.
 
-    Each that is left gets twice as many draws as in the round before, and takes the first that is apart.
+    In each round every remaining design gets twice as many samples as before; the first that is apart is accepted.
 
     Args:
-        first: (n_designs, N_COLUMNS) the first draw of each.
-        draw: gives one design for each index that it is called with; an index may come several times.
-        max_draws: of each design.
-        otherwise: (n_designs, N_COLUMNS) what to take after so many.
+        first: (n_designs, N_COLUMNS) first sample of each design.
+        draw: returns a sample for each index that it is given; an index may be repeated.
+        max_draws: most samples per design.
+        otherwise: (n_designs, N_COLUMNS) designs to return after that many rejections.
+
+    Returns:
+        Accepted designs.
 
     Raises:
-        DesignError: none of max_draws draws of a design is apart, and there is nothing to take instead.
+        DesignError: all samples of a design were rejected, and ``otherwise`` is None.
     """
     n_designs = len(first)
     n_draws = np.ones(n_designs, dtype=np.int64)
@@ -135,7 +127,7 @@ def until_apart(
     waiting = np.flatnonzero(~links_apart(Designs.from_table(first)))
     n_found, n_drawn, each = n_designs, 1, 1
     while waiting.size and n_drawn < max_draws:
-        each = max(1, min(2 * each, MOST_AT_ONCE // waiting.size, max_draws - n_drawn))
+        each = max(1, min(2 * each, _MAX_BATCH // waiting.size, max_draws - n_drawn))
         drawn = draw(np.repeat(waiting, each))
         apart = links_apart(Designs.from_table(drawn)).reshape(waiting.size, each)
         lucky, chosen = apart.any(axis=1), apart.argmax(axis=1)
@@ -146,7 +138,7 @@ def until_apart(
     if waiting.size:
         if otherwise is None:
             raise DesignError(
-                f"design {waiting[0]}: links that no joint ties overlap at rest in each of {n_drawn} draws, "
+                f"design {waiting[0]}: links that no joint connects overlap at rest in all {n_drawn} samples, "
                 "expected one in which they are apart"
             )
         n_draws[waiting] += 1

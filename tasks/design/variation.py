@@ -1,10 +1,10 @@
-"""Variation: random designs, mutated copies and recombinations. Paper, "Evolutionary Design".
+"""Variation: random designs, mutation and crossover. Paper, "Evolutionary Design".
 
-Every operator takes valid designs and a generator and gives valid designs. With ``body`` given, the bodies stay as they
-are and the controllers alone vary: that is the paper's controller adaptation.
+Every operator maps valid designs to valid designs. With ``body`` given, only controllers vary: the paper's controller
+adaptation.
 
-A morphology that asks for something makes operators draw again what it refuses. The functions whose names begin with
-``draw`` tell how often, too. What is done to the numbers is compiled: operators.py.
+Designs that a morphology does not allow are rejected and drawn anew; functions named ``draw_...`` return the number of
+draws, too. variation_kernels.py has the compiled operators.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from tasks.parameters import Parameters
 
 
 class Mutation(Parameters):
-    """How far and how often a mutant departs from its parent."""
+    """Rates and step size of mutation."""
 
     genes_changed: float = Field(default=3.0, ge=0.0, le=N_GENES)
-    """Genes that change on average, of all the numbers that describe a design: 37 in the paper's table."""
+    """Mean number of changed genes, of all numbers that describe a design: 37 in the paper's table."""
     step: float = Field(default=0.1, ge=1e-6, le=1.0)
-    """Deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
+    """Standard deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
     rewiring: float = Field(default=0.05, ge=0.0, le=1.0)
-    """Probability that one link of a mutant is hung from another parent."""
+    """Probability that one link of a mutant gets another parent."""
 
 
 _MUTATION = Mutation()
 
 VARIATION_SOURCES = [genes, variation_kernels]
-"""Modules that go into the operators' kernels."""
+"""Modules that the operators' kernels are compiled from."""
 random_kernel = compiled(variation_kernels.random_table, VARIATION_SOURCES, seconds=3)
 mutate_kernel = compiled(variation_kernels.mutate_table, VARIATION_SOURCES, seconds=6)
 recombine_kernel = compiled(variation_kernels.recombine_tables, VARIATION_SOURCES, seconds=3)
@@ -54,13 +54,16 @@ def variation_of(
     parts: tuple[GenePart, ...] = ("body", "control"),
     body: Designs | None = None,
 ) -> Variation:
-    """Tell the kernels what may vary, and how.
+    """Describe variation for the kernels.
 
     Args:
-        morphology: what bodies keep to.
-        mutation: rates and steps.
-        parts: what mutation may change; ("control",) leaves bodies alone.
-        body: one design whose body all designs get that are drawn.
+        morphology: constraints on bodies.
+        mutation: rates and step size.
+        parts: parts that mutation may change; ("control",) preserves bodies.
+        body: one design whose body all random designs get.
+
+    Returns:
+        Argument of the kernels.
     """
     variation = _variation(morphology.n_actuated, mutation, parts)
     return variation if body is None else variation._replace(body=body.table)
@@ -80,9 +83,9 @@ def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart
 
 
 def _part_of(gene: Gene, n_actuated: int | None) -> GenePart:
-    """Tell what a gene is of: with a given number of actuated joints, which they are belongs to the body.
+    """Return the part that a gene belongs to: motors belong to the body if their number is given.
 
-    Motors are built in; and where passive joints are locked, another set of motors is another set of rigid bodies.
+    Motors are built in, and if passive joints are locked, another set of motors makes other rigid bodies.
     """
     return "body" if gene.name == MOTOR and n_actuated is not None else gene.part
 
@@ -108,13 +111,18 @@ def _numbers(parts: tuple[GenePart, ...], n_actuated: int | None) -> Numbers:
 def random_designs(
     n_designs: int, rng: Generator, *, body: Designs | None = None, morphology: Morphology = ANY_BODY
 ) -> Designs:
-    """Draw designs uniformly within the genes' bounds; a motor is on with probability 1/2 where their number is free.
+    """Draw designs uniformly within the genes' bounds and the morphology.
+
+    Unless the morphology gives the number of motors, each is on with probability 1/2.
 
     Args:
-        n_designs: how many.
+        n_designs: number of designs.
         rng: source of randomness.
-        body: one design whose body all get; only their controllers are drawn then.
-        morphology: what bodies keep to; they are uniform among those that do.
+        body: one design whose body all designs get; only controllers are drawn then.
+        morphology: constraints on bodies.
+
+    Returns:
+        n_designs designs.
 
     Raises:
         DesignError: the morphology can't be satisfied.
@@ -133,11 +141,14 @@ def draw_random(
     """Draw random designs as :func:`random_designs` does, and count the draws.
 
     Args:
-        n_designs: how many.
+        n_designs: number of designs.
         rng: source of randomness.
-        body: one design whose body all get.
-        morphology: what bodies keep to.
-        first: (n_designs, N_COLUMNS) their first draws, where those were made already.
+        body: one design whose body all designs get.
+        morphology: constraints on bodies.
+        first: (n_designs, N_COLUMNS) first draws, if they exist already.
+
+    Returns:
+        Designs and numbers of draws.
     """
     variation = variation_of(morphology, body=body)
 
@@ -170,21 +181,24 @@ def mutate(
     parts: tuple[GenePart, ...] = ("body", "control"),
     morphology: Morphology = ANY_BODY,
 ) -> Designs:
-    """Copy designs with some genes changed, at least one each.
+    """Copy designs and change some genes, at least one in each.
 
-    An interval's gene takes a Gaussian step and is clipped, an angle's wraps around, a flag flips. Rewiring hangs one
-    link from another parent and leaves its other genes as they are. With a given number of actuated joints, a flag that
-    would flip changes places with an opposite one instead: a motor moves to another joint.
+    Intervals and angles take a Gaussian step; an interval is clipped, an angle wraps around. A flag flips. Rewiring
+    gives one link another parent and keeps its other genes. If the number of motors is given, a motor's flag swaps with
+    an opposite one instead: the motor moves to another joint.
 
     Args:
-        designs: n_designs parents, which keep to the morphology.
+        designs: n_designs parents within the morphology.
         rng: source of randomness.
-        mutation: rates and steps.
-        parts: what may change; ("control",) leaves bodies alone.
-        morphology: what bodies keep to; a mutant that does not is drawn again.
+        mutation: rates and step size.
+        parts: parts that may change; ("control",) preserves bodies.
+        morphology: constraints on bodies.
+
+    Returns:
+        n_designs mutants.
 
     Raises:
-        DesignError: a parent has no mutant that keeps to the morphology.
+        DesignError: no mutant of a parent is within the morphology.
     """
     return draw_mutants(designs.table, rng, mutation=mutation, parts=parts, morphology=morphology).designs
 
@@ -198,7 +212,19 @@ def draw_mutants(
     morphology: Morphology = ANY_BODY,
     first: DesignTable | None = None,
 ) -> Drawn:
-    """Mutate designs, given as their table, as :func:`mutate` does, and count the draws; see :func:`draw_random`."""
+    """Mutate a table of designs as :func:`mutate` does, and count the draws.
+
+    Args:
+        table: (n_designs, N_COLUMNS) parents.
+        rng: source of randomness.
+        mutation: rates and step size.
+        parts: parts that may change.
+        morphology: constraints on bodies.
+        first: (n_designs, N_COLUMNS) first draws, if they exist already.
+
+    Returns:
+        Mutants and numbers of draws.
+    """
     variation = variation_of(morphology, mutation=mutation, parts=parts)
 
     def draw(which: Int64) -> DesignTable:
@@ -210,27 +236,29 @@ def draw_mutants(
 
 
 def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Designs:
-    """Recombine pairs of designs: each link's genes, its parent's index among them, come from one or the other.
+    """Recombine pairs of designs: each link's genes, including its parent's index, come from one of the two.
 
-    A link's parent always comes before it, so the result is a tree whatever the choice. The frequency is one more
-    choice. At least one link comes from each parent.
+    A link's parent has a lower index, so every choice makes a tree. The frequency is one more choice. At least one link
+    comes from each design.
 
-    With a given number of actuated joints, a joint that is actuated in both stays so; of the others that are in one of
-    them, those whose link came from that one are preferred, and chance decides among equals. So the flags of a
-    few links are not those of the parent that gave the rest.
+    If the number of motors is given, joints with a motor in both designs keep it. Then come joints whose link comes
+    from the design in which the motor is on, then those with a motor in the other design; ties are random.
 
     Args:
-        one: n_designs designs, which keep to the morphology.
-        other: as many.
+        one: n_designs designs within the morphology.
+        other: n_designs designs within the morphology.
         rng: source of randomness.
-        morphology: what bodies keep to; a child that does not is drawn again, MAX_RECOMBINATIONS times at most: then it
-            gets the body of one and the controller of the other, which is a recombination that always keeps to it.
+        morphology: constraints on bodies. After MAX_RECOMBINATIONS rejections a child gets the body of one and the
+            controller of the other, which the morphology always allows.
+
+    Returns:
+        n_designs children.
     """
     return draw_recombinations(one.table, other.table, rng, morphology=morphology).designs
 
 
 MAX_RECOMBINATIONS = 256
-"""Draws of a pair's child before the pair is taken to have none that is allowed: there are 62 choices of links."""
+"""Most draws of a child; there are 62 choices of links."""
 
 
 def draw_recombinations(
@@ -241,7 +269,18 @@ def draw_recombinations(
     morphology: Morphology = ANY_BODY,
     first: DesignTable | None = None,
 ) -> Drawn:
-    """Recombine designs, given as tables, as :func:`crossover` does, and count the draws; see :func:`draw_random`."""
+    """Recombine tables of designs as :func:`crossover` does, and count the draws.
+
+    Args:
+        one: (n_designs, N_COLUMNS) designs.
+        other: (n_designs, N_COLUMNS) designs.
+        rng: source of randomness.
+        morphology: constraints on bodies.
+        first: (n_designs, N_COLUMNS) first draws, if they exist already.
+
+    Returns:
+        Children and numbers of draws.
+    """
     variation = variation_of(morphology)
 
     def draw(which: Int64) -> DesignTable:

@@ -1,9 +1,10 @@
-"""The operators of variation, compiled: what they do to tables of designs, number by number.
+"""Compiled operators of variation on tables of designs.
 
-In NumPy a generation's operators are some hundred calls, each of which takes longer than its work on 64 designs; a few
-kernels cost little beside the simulation.
+In NumPy the operators of a generation would be a hundred calls, each slower than its work on 64 designs; the kernels
+cost little compared to the simulation.
 
-An operator draws as much for every design, whether a design needs it or not, and a gene of all designs before the next.
+An operator draws the same number of random numbers for every design, needed or not, and a gene of all designs before
+the next gene.
 """
 
 from __future__ import annotations
@@ -11,10 +12,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.arrays import Float64, Int64
+from tasks.arrays import Bools, Float64, Int64
 from tasks.compiled import inline
 from tasks.design.genes import (
     COLUMNS,
@@ -33,39 +33,37 @@ from tasks.design.genes import (
     DesignTable,
 )
 
-Flags = npt.NDArray[np.bool_]
-
 MOTOR = "motor_on"
 MOTORS = COLUMNS[MOTOR].start + 1
-"""Column of the first joint's motor; those of the other joints follow. A root has none."""
+"""Column of the first joint's motor, followed by those of the other joints."""
 
 ANY_NUMBER = -1
-"""Of actuated joints: however many there happen to be."""
+"""Number of motors that are on: unconstrained."""
 BODY_STAYS = -1.0
-"""In place of a probability that a link is hung from another parent."""
+"""Stands for a probability of rewiring if bodies must not change."""
 
 
 class Numbers(NamedTuple):
-    """The numbers that some genes are in a table of designs; every field is (n_numbers,)."""
+    """Numbers in a table of designs that may vary; every field is (n_numbers,)."""
 
     column: Int64
     low: Float64
-    """In the gene's unit, as ``high``."""
+    """Lower bound in the gene's unit."""
     high: Float64
-    is_angle: Flags
-    is_flag: Flags
-    is_motor: Flags
+    is_angle: Bools
+    is_flag: Bools
+    is_motor: Bools
 
 
 class Variation(NamedTuple):
-    """What may vary, and how."""
+    """Numbers that may vary, and the rates of variation."""
 
     body: DesignTable
-    """(1, N_COLUMNS) the design whose body all have; (0, N_COLUMNS) if bodies vary."""
+    """(1, N_COLUMNS) design whose body all designs get; (0, N_COLUMNS) if bodies vary."""
     body_columns: Int64
-    """Columns that are of the body."""
+    """Columns of the body."""
     n_actuated: int
-    """Joints whose motor is on; ANY_NUMBER for however many there happen to be."""
+    """Number of motors that are on, or ANY_NUMBER."""
     numbers: Numbers
     """Those that may change."""
     change: float
@@ -73,21 +71,21 @@ class Variation(NamedTuple):
     step: float
     """Deviation of the Gaussian step, as a share of the gene's range."""
     rewiring: float
-    """Probability that one link of a design is hung from another parent; BODY_STAYS if none may be."""
+    """Probability that one link of a design gets another parent, or BODY_STAYS."""
 
 
 def random_table(n_designs: int, rng: Generator, variation: Variation) -> DesignTable:
-    """Draw designs uniformly within the genes' bounds, with the given body if there is one.
+    """Draw designs uniformly within the genes' bounds.
 
-    A motor is on with probability 1/2; where their number is given, any joints are as likely to have them.
+    A motor is on with probability 1/2; if their number is given, all sets of joints are equally likely.
 
     Args:
-        n_designs: how many.
+        n_designs: number of designs.
         rng: source of randomness.
-        variation: what may vary.
+        variation: constraints, and the body if it is given.
 
     Returns:
-        (n_designs, N_COLUMNS)
+        (n_designs, N_COLUMNS) designs.
     """
     table = np.zeros((n_designs, N_COLUMNS))
     for gene in range(len(FIRST)):
@@ -99,7 +97,7 @@ def random_table(n_designs: int, rng: Generator, variation: Variation) -> Design
                 else:
                     table[design, column] = LOW[gene] + (HIGH[gene] - LOW[gene]) * drawn
             if not OF_ROOT[gene]:
-                table[design, FIRST[gene]] = 0.0  # so that designs that behave alike are equal
+                table[design, FIRST[gene]] = 0.0  # designs that behave alike are equal
     table[:, PARENT_COLUMN] = ROOT_PARENT
     for link in range(1, N_LINKS):
         for design in range(n_designs):
@@ -116,7 +114,7 @@ def random_table(n_designs: int, rng: Generator, variation: Variation) -> Design
 
 @inline
 def _switch_on_highest(flags: Float64, score: Float64, n: int) -> None:
-    """Switch on the n flags of the highest scores, the first of equals, and the others off."""
+    """Set the n flags with the highest scores, the first among equals, and clear the others."""
     for this in range(len(flags)):
         n_before = 0
         for other in range(len(flags)):
@@ -126,12 +124,12 @@ def _switch_on_highest(flags: Float64, score: Float64, n: int) -> None:
 
 
 def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> None:
-    """Change some numbers of designs, at least one each, and hang some links from another parent, in place.
+    """Change at least one number of each design, and rewire some designs, in place.
 
     Args:
-        table: (n_designs, N_COLUMNS)
+        table: (n_designs, N_COLUMNS) designs.
         rng: source of randomness.
-        variation: what may vary, and how.
+        variation: numbers that may vary, and rates.
     """
     numbers = variation.numbers
     n_designs, n_numbers, before = len(table), len(numbers.column), table.copy()
@@ -154,7 +152,7 @@ def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> No
             n_same += is_same[design]
         if n_same == 0:
             break
-        # No gene was drawn, or a bound held those that were: draw one until it moves.
+        # Designs that are unchanged, because no gene was drawn or a bound held it: draw one gene until it changes.
         drawn = rng.integers(0, n_numbers, n_designs)
         changes[:] = False
         for design in range(n_designs):
@@ -165,20 +163,20 @@ def mutate_table(table: DesignTable, rng: Generator, variation: Variation) -> No
 
 @inline
 def _stepped(numbers: Numbers, number: int, old: float, by: float) -> float:
-    """Move a number by a share of its gene's range, and back within its bounds."""
+    """Move a number by a share of its gene's range, and return it to its bounds."""
     low, high = float(numbers.low[number]), float(numbers.high[number])
     if numbers.is_flag[number]:
         return 1.0 - old
     moved = old + by * (high - low)
     if numbers.is_angle[number]:
         moved = low + (moved - low) % (high - low)
-    # The bounds also catch the rounding of a remainder just below an angle's end.
+    # The remainder may round to the angle's end.
     return min(max(moved, low), high)
 
 
 @inline
-def _move_motors(table: DesignTable, changes: Flags, rng: Generator, numbers: Numbers) -> None:
-    """Let each motor that is to change change places with one that is its opposite, drawn uniformly; none then is."""
+def _move_motors(table: DesignTable, changes: Bools, rng: Generator, numbers: Numbers) -> None:
+    """Swap each motor that changes with a random motor in the opposite state, and clear its change."""
     for number in range(len(numbers.column)):
         if not numbers.is_motor[number]:
             continue
@@ -196,27 +194,27 @@ def _move_motors(table: DesignTable, changes: Flags, rng: Generator, numbers: Nu
 
 @inline
 def _rewire(table: DesignTable, rng: Generator, probability: float) -> None:
-    """Hang one link of some designs from another of the links before it. Link 1 has the root alone."""
+    """Give one link of some designs another parent. Link 1 can have no other than the root."""
     n_designs = len(table)
-    chosen, link, place = rng.random(n_designs), rng.integers(2, N_LINKS, n_designs), rng.random(n_designs)
+    chosen, link, share = rng.random(n_designs), rng.integers(2, N_LINKS, n_designs), rng.random(n_designs)
     for design in range(n_designs):
         if chosen[design] < probability:
-            other = np.floor(place[design] * (link[design] - 1))
+            other = np.floor(share[design] * (link[design] - 1))
             column = PARENT_COLUMN + link[design]
-            table[design, column] = other + (other >= table[design, column])  # skips the present parent
+            table[design, column] = other + (other >= table[design, column])  # skips its parent
 
 
 def recombine_tables(child: DesignTable, other: DesignTable, rng: Generator, variation: Variation) -> None:
-    """Give designs some links' genes of others, in place; at least one link comes from each, at least one stays.
+    """Replace the genes of some links, at least one and not all, by those of other designs, in place.
 
     Args:
-        child: (n_designs, N_COLUMNS)
-        other: as many.
+        child: (n_designs, N_COLUMNS) copies of one parent.
+        other: (n_designs, N_COLUMNS) other parent.
         rng: source of randomness.
-        variation: what may vary.
+        variation: constraints.
     """
     n_designs = len(child)
-    stays = np.empty((n_designs, N_LINKS + 1), dtype=np.bool_)  # each link's genes, and those of the whole design
+    stays = np.empty((n_designs, N_LINKS + 1), dtype=np.bool_)  # genes of each link, and of the whole design
     of_links = rng.random((n_designs, N_LINKS))
     flipped = rng.integers(0, N_LINKS, n_designs)
     of_whole = rng.random(n_designs)
@@ -236,7 +234,7 @@ def recombine_tables(child: DesignTable, other: DesignTable, rng: Generator, var
             if not stays[design, LINK_OF_COLUMN[column]]:
                 child[design, column] = other[design, column]
         if variation.n_actuated != ANY_NUMBER:
-            # 3 on in both, 2 inherited, 1 on in the other, 0 in none; chance decides among equals.
+            # 3: on in both parents, 2: inherited, 1: on in the other parent, 0: off in both; ties are random.
             preference = rng.random(N_JOINTS)
             for joint in range(N_JOINTS):
                 preference[joint] += min(on_in[joint], 1.0) + (on_in[joint] == 2.0) + motors[joint]

@@ -1,4 +1,4 @@
-"""What happens: designs in an environment, step by step."""
+"""Simulation of designs in an environment, step by step."""
 
 from tasks.simulation.rollout import DIVERGED, OK, Rollouts, simulate
 

@@ -1,4 +1,4 @@
-"""What the engines share: Box2D's constants (Common/b2Settings.h), the ground, and the motion that they report."""
+"""Box2D 2.3's constants (b2Settings.h), and what both engines share: the ground, a state's columns, the motion."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ GROUND_HALF_WIDTH = 10_000.0
 GROUND_HALF_HEIGHT = 10.0
 """[m]. Far thicker than any link moves in a step (Box2D allows 2 m), so nothing tunnels."""
 
-POLYGON_RADIUS = np.float32(0.01)
-"""b2_polygonRadius [m]: the skin of a polygon."""
-TOTAL_RADIUS = np.float32(0.02)
-"""Both skins [m]: the distance within which two polygons touch."""
 LINEAR_SLOP = np.float32(0.005)
-"""b2_linearSlop [m]: the error of a constraint that is left alone."""
-VELOCITY_THRESHOLD = np.float32(1.0)
-"""b2_velocityThreshold [m/s]: slower contacts do not bounce."""
-MAX_CONDITION_NUMBER = np.float32(1000.0)
-"""Of the matrix K of two contact points, in b2ContactSolver."""
-BAUMGARTE = np.float32(0.2)
-"""b2_baumgarte: the share of an overlap that is corrected at once."""
-MAX_LINEAR_CORRECTION = np.float32(0.2)
-"""b2_maxLinearCorrection [m]."""
+"""b2_linearSlop [m]: error of a position constraint that is tolerated."""
 LEAST_SEPARATION = np.float32(-3.0) * LINEAR_SLOP
-"""Separation of a contact that is left alone by the position solver [m]."""
+"""Least separation at which b2ContactSolver is done with positions [m]."""
+POLYGON_RADIUS = np.float32(0.01)
+"""b2_polygonRadius [m]: skin of a polygon."""
+TOTAL_RADIUS = np.float32(0.02)
+"""Skins of two polygons [m]: vertices nearer than this are contact points."""
+VELOCITY_THRESHOLD = np.float32(1.0)
+"""b2_velocityThreshold [m/s]: nothing slower bounces."""
+MAX_CONDITION_NUMBER = np.float32(1000.0)
+"""k_maxConditionNumber: worse conditioned pairs of contact points are not solved as a block."""
+BAUMGARTE = np.float32(0.2)
+"""b2_baumgarte: share of a position error that one sweep removes."""
+MAX_LINEAR_CORRECTION = np.float32(0.2)
+"""b2_maxLinearCorrection [m]: most that one sweep removes."""
 MAX_TRANSLATION = np.float32(2.0)
-"""b2_maxTranslation [m]: no body moves farther in a step."""
+"""b2_maxTranslation [m]: farthest that a body moves in a step."""
 MAX_ROTATION = np.float32(0.5) * np.float32(3.14159265359)
-"""b2_maxRotation [rad]."""
+"""b2_maxRotation [rad]: farthest that a body turns in a step."""
 MAX_ROTATION_SQUARED = MAX_ROTATION * MAX_ROTATION
 
 
 def largest_square(root: float) -> np.float32:
-    """Find the largest float32 whose root, rounded to float32, is at most the given one."""
+    """Return the largest float32 whose square root, in float32, is at most ``root``; it spares a kernel the root."""
     square = np.float32(root) * np.float32(root)
     while np.sqrt(np.nextafter(square, np.float32(np.inf))) <= np.float32(root):
         square = np.nextafter(square, np.float32(np.inf))
@@ -47,7 +47,7 @@ def largest_square(root: float) -> np.float32:
 
 
 LINEAR_SLOP_SQUARED = largest_square(float(LINEAR_SLOP))
-"""For comparisons of a length with the slop without a root [m²]."""
+"""[m²]"""
 
 
 class Column:
@@ -58,14 +58,14 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Where the links were, as an engine reports it; NaN from where a rollout diverged."""
+    """Motion of links as an engine reports it; NaN from the step in which a rollout diverged."""
 
     settled: Float32
     """(n_members, n_designs, n_links, 6) states at the end of settling."""
     final: Float32
     """(n_members, n_designs, n_links, 6) states at the end."""
     trace: Float32 | None
-    """(n_members, n_designs, n_steps, n_links, 6) states after each step, if asked for."""
+    """(n_members, n_designs, n_steps, n_links, 6) states after each step, if requested."""
     motor_torque: Float32 | None = None
-    """(n_members, n_designs, n_steps, n_links) what each joint's motor gave in each step, on the child link [N·m], 0
-    where there is no motor. Of the reference engine alone, with the trace."""
+    """(n_members, n_designs, n_steps, n_links) torque of each joint's motor on the child link [N·m], 0 without a motor.
+    Only the reference engine reports it, together with the trace."""

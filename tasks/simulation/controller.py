@@ -1,9 +1,9 @@
-"""The controller: what angle each joint's motor is told to hold, step by step. Paper, "Evolutionary Design".
+"""The controller: target angle of each joint's motor in each step. Paper, "Evolutionary Design".
 
 θ*(t) = rest + range · sin(2π f t + phase), with one frequency f per robot.
 
 Both engines must agree on θ* to the last bit, and platforms differ in the last bit of their sine. So the sine here is a
-polynomial, in single precision, of an angle counted in turns: taking whole turns off is then exact.
+polynomial in single precision. Its argument is in turns, so that whole turns are subtracted without rounding.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from tasks.arrays import Float32
+from tasks.arrays import Bools, Float32
 from tasks.design.genes import Designs
 
 TURN = 2 * np.pi
@@ -24,7 +23,7 @@ SINE_OF_TURNS = (6.283185, -41.341656, 81.601, -76.54965, 39.535793)
 
 
 def sine_of_turns(turns: Float32) -> Float32:
-    """Sine of an angle given in turns, in float32 arithmetic throughout; absolute error below 3e-7."""
+    """Compute the sine of an angle in turns, in float32 throughout; the absolute error is below 3e-7."""
     c1, c3, c5, c7, c9 = (np.float32(c) for c in SINE_OF_TURNS)
     half, quarter = np.float32(0.5), np.float32(0.25)
     r = turns - np.floor(turns + half)
@@ -47,12 +46,12 @@ class Controllers:
     """(n_designs, n_links) [rad]"""
     rest_angle: Float32
     """(n_designs, n_links) [rad]"""
-    motor_on: npt.NDArray[np.bool_]
-    """(n_designs, n_links); False for the root, which hangs from no joint."""
+    motor_on: Bools
+    """(n_designs, n_links); False for the root, which has no joint."""
 
     @staticmethod
     def of(designs: Designs) -> Controllers:
-        """Take the controllers out of designs."""
+        """Return the controllers of designs."""
         single = np.float32
         jointed = np.arange(designs.parent.shape[1]) > 0
         return Controllers(
@@ -64,7 +63,7 @@ class Controllers:
         )
 
     def target_angle(self, step: int, time_step: float) -> Float32:
-        """Angle between child and parent that each motor is to hold in a step [rad]; (n_designs, n_links)."""
+        """Compute the target angles between child and parent in a step; (n_designs, n_links) [rad]."""
         time = np.float32(step) * np.float32(time_step)
         turns = self.frequency * time + self.phase_turns
         return self.rest_angle + self.motion_range * sine_of_turns(turns)

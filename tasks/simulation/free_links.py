@@ -1,24 +1,21 @@
-"""Free links, with the bits of the reference engine's: Box2D's step of bodies that touch and tie nothing, in NumPy."""
+"""Free links: Box2D's step of bodies without contacts or joints, in NumPy, with the bits of the reference engine."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from tasks.arrays import Float32
+from tasks.arrays import Float32, Floats
 from tasks.compiled import compiled
 from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION, Column
 from tasks.simulation.simd import lanes, rotation, vectors
 from tasks.simulation.simd.lanes import Block
 from tasks.world import LinkStates, Medium, Physics
 
-N_LANES = 16
+_N_LANES = 16
 
 
-def _rotate(block: Any, n_rows: int) -> None:
-    """Write sines and cosines of the first n_rows rows to those that follow."""
+def _rotate(block: Block, n_rows: int) -> None:
+    """Write the sines of the first n_rows rows to the next n_rows, and the cosines to those after them."""
     for row in range(n_rows):
         block[n_rows + row], block[2 * n_rows + row] = rotation.sincos(block[row])
 
@@ -27,9 +24,9 @@ _run = compiled(_rotate, [lanes, vectors, rotation], seconds=2)
 
 
 def sines_and_cosines(angle: Float32) -> tuple[Float32, Float32]:
-    """Sines and cosines of (n,) angles as Box2D has them, each (n,)."""
-    n_rows = -(-len(angle) // N_LANES)
-    block = Block(3 * n_rows, N_LANES)
+    """Compute sines and cosines of (n,) angles [rad] with Box2D's bits, each (n,)."""
+    n_rows = -(-len(angle) // _N_LANES)
+    block = Block(3 * n_rows, _N_LANES)
     flat = block.rows.reshape(3, -1)
     flat[0, : len(angle)] = angle
     _run(block, n_rows)
@@ -37,10 +34,10 @@ def sines_and_cosines(angle: Float32) -> tuple[Float32, Float32]:
 
 
 class FreeLinks:
-    """Single links without ground or joints: what is thrown. Paper, "Dataset Collection"."""
+    """Single links without ground or joints, to be thrown. Paper, "Dataset Collection"."""
 
-    def __init__(self, length_scale: npt.NDArray[np.floating], physics: Physics) -> None:
-        """Make (n_links,) links of given long axes [m]."""
+    def __init__(self, length_scale: Floats, physics: Physics) -> None:
+        """Create (n_links,) links with the given long axes [m]."""
         width = 1.0 / length_scale
         mass = physics.link_density * width * length_scale
         self._physics = physics
@@ -49,14 +46,14 @@ class FreeLinks:
         self._inertia = (mass * (width**2 + length_scale**2) / 12).astype(np.float32)
 
     def step(self, state: Float32, medium: Medium | None) -> Float32:
-        """Take one step from given states; what was before them is forgotten.
+        """Take one step from the given states, independent of earlier calls.
 
         Args:
             state: (n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s].
-            medium: what surrounds the links; None is dry land.
+            medium: medium around the links, or None.
 
         Returns:
-            (n_links, 6) the next states.
+            (n_links, 6) states after the step.
         """
         velocity = state[:, Column.VX :]
         if medium is not None:

@@ -1,8 +1,8 @@
-"""Links and the rigid bodies that they make up: what a body's state says of its links, and their pushes of the body.
+"""Links fused to rigid bodies: states of links from the states of their bodies, and changes of bodies from their links.
 
-A body's state is that of Box2D: the place of its origin (its first link's centre), its angle, the velocity of its
-centre of mass, its angular velocity. Everything is float32, operation by operation as it is written here, so that the
-batch engine can repeat it; brackets are part of it. A link that is a body by itself keeps every bit of its state.
+A body's state is that of Box2D: position of its origin (its first link's centre), angle, velocity of its centre of
+mass, angular velocity. All arithmetic is float32, in the order that is written here, so that the batch engine can
+repeat it; parentheses matter. A link that is a body by itself keeps every bit of its state.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from tasks.arrays import Floats
+from tasks.arrays import Float32, Floats
 from tasks.design.body import RigidBodies
 from tasks.design.genes import N_LINKS
 from tasks.simulation.box2d import Column
@@ -21,32 +20,35 @@ from tasks.world import VelocityChange
 
 @dataclass(frozen=True, eq=False)
 class PlacedLinks:
-    """Links where their bodies put them; leading axes are (n_members, n_designs, n_links)."""
+    """States of links; leading axes are (n_members, n_designs, n_links)."""
 
-    state: npt.NDArray[np.float32]
+    state: Float32
     """(..., 6) x, y [m], angle [rad], vx, vy [m/s] of the link's own centre, omega [rad/s]."""
     cos: Floats
-    """(...) of the link's angle."""
+    """(...) cosine of the link's angle."""
     sin: Floats
-    """(...) of the link's angle."""
+    """(...) sine of the link's angle."""
     lever_x: Floats
-    """(...) the link's centre less its body's centre of mass, in the world's directions [m]."""
+    """(...) vector from the body's centre of mass to the link's centre, along x [m]."""
     lever_y: Floats
-    """(...) [m]"""
+    """(...) the same along y [m]."""
 
 
-def place_links(rigid: RigidBodies, body: npt.NDArray[np.float32], cos: Floats, sin: Floats) -> PlacedLinks:
-    """Place links by the states of their bodies.
+def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> PlacedLinks:
+    """Compute the states of links from those of their bodies.
 
     With (c, s) the rotation of the body, R = (c, -s; s, c), p the link's centre and d its lever in the body's frame:
 
-        place = origin + R p      angle = body's + own      r = R d      v = v_body + ω × r = (vx - ω r_y, vy + ω r_x)
+        centre = origin + R p      angle = body's + own      r = R d      v = v_body + ω × r = (vx - ω r_y, vy + ω r_x)
 
     Args:
-        rigid: of n_designs designs.
-        body: (n_members, n_designs, n_links, 6) the state of each link's body.
-        cos: (n_members, n_designs, n_links) of the body's angle, as Box2D has it.
-        sin: the same.
+        rigid: bodies of n_designs designs.
+        body: (n_members, n_designs, n_links, 6) state of each link's body.
+        cos: (n_members, n_designs, n_links) cosine of the body's angle, with Box2D's bits.
+        sin: (n_members, n_designs, n_links) sine of the body's angle.
+
+    Returns:
+        States of all links.
     """
     lever_x = cos * rigid.lever_x - sin * rigid.lever_y
     lever_y = sin * rigid.lever_x + cos * rigid.lever_y
@@ -67,7 +69,7 @@ def place_links(rigid: RigidBodies, body: npt.NDArray[np.float32], cos: Floats, 
 
 
 def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: VelocityChange) -> VelocityChange:
-    """Add up what a medium does to the links of each body, as momenta.
+    """Add the momentum changes of each body's links.
 
     A link i of mass m_i and inertia I_i whose velocities change by dv_i and dω_i, at r_i from the body's centre of
     mass, changes the body of mass M and inertia I by
@@ -77,10 +79,10 @@ def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: Ve
     summed from 0 over the body's links in the order of their indices.
 
     Args:
-        rigid: of n_designs designs.
-        lever_x: (n_members, n_designs, n_links) r_x, as :class:`PlacedLinks` has it [m].
+        rigid: bodies of n_designs designs.
+        lever_x: (n_members, n_designs, n_links) r_x of :class:`PlacedLinks` [m].
         lever_y: (n_members, n_designs, n_links) r_y [m].
-        change: of the links' velocities; arrays of that shape.
+        change: velocity changes of the links, of the same shape.
 
     Returns:
         Arrays of the links' shape: for a body's first link the body's change, 0 for all others.

@@ -1,12 +1,12 @@
-"""The reference engine: pybox2d, one world per robot. What the batch engine must equal, bit for bit.
+"""The reference engine: pybox2d, one world per robot. The batch engine equals it bit for bit.
 
-The state of all worlds is gathered into arrays, the motors and the medium are computed for all of them at once, and
-written back; a loop over Python polygons would cost ten times as much.
+The states of all worlds are gathered into arrays; motors and medium are computed for all of them at once and written
+back. A Python loop over links would take ten times as long.
 
-Box2D is deterministic but sensitive to the order in which things are made: first the ground; then the rigid bodies from
-the one with the last first link to the root's, so that the root heads Box2D's list of bodies and seeds its island, each
-with a fixture per link in the order of the links; then the joints in the order of their links. (Box2D's lists then run
-backwards: a body lists its last link's fixture first, and adds up its mass in that order.)
+Box2D is deterministic, but depends on the order of creation: first the ground; then the rigid bodies, from the one with
+the last first link to the root's, so that the root heads Box2D's list of bodies and seeds its island, each with its
+links' fixtures in the order of the links; then the joints in the order of their links. (Box2D's lists run backwards: a
+body lists its last link's fixture first, and adds masses in that order.)
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from typing import Any
 
 import Box2D
 import numpy as np
-import numpy.typing as npt
 
-from tasks.arrays import Float32
+from tasks.arrays import Float32, Floats, Int64
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column, Motion
@@ -25,18 +24,18 @@ from tasks.simulation.controller import Controllers
 from tasks.simulation.fused_links import PlacedLinks, body_change, place_links
 from tasks.world import Environment, LinkStates, Medium, Physics, VelocityChange
 
-MEETS_THE_GROUND_ALONE = {"groupIndex": -1}
-"""Filter of links that pass through one another: things of a negative group never collide; the ground is not of it."""
+_COLLIDES_WITH_GROUND_ONLY = {"groupIndex": -1}
+"""Filter of links that pass through each other: fixtures of one negative group never collide. The ground is in none."""
 GROUND_BIT = 1 << N_LINKS
-"""The ground's category where links collide; a link's is the bit of its number."""
+"""Collision category of the ground; a link's category is the bit of its number."""
 
 
 class _Bodies:
-    """Handles to many Box2D bodies, whose states go to arrays and back."""
+    """Many Box2D bodies, with their states as arrays."""
 
     def __init__(self, bodies: list[Any]) -> None:
         self._bodies = bodies
-        # These are views of Box2D's own memory: made once, they always read the present state.
+        # Views of Box2D's memory: they always read the present state.
         self._views = [(b, b.position, b.linearVelocity, b.transform.q) for b in bodies]
 
     def states(self) -> Float32:
@@ -80,23 +79,23 @@ def _body(world: Any, pose: tuple[float, float, float]) -> Any:
 
 
 def _add_link(body: Any, box: tuple[Any, ...], physics: Physics, collides: dict[str, int]) -> None:
-    """Add a link to a body: a box of half width and half height, and its centre and angle where they are not 0."""
+    """Add a link to a body; ``box`` is half width, half height and, unless they are 0, centre and angle."""
     body.CreatePolygonFixture(
         box=box, density=physics.link_density, friction=physics.friction, restitution=physics.restitution, **collides
     )
 
 
 def _link(world: Any, half_width: float, half_height: float, pose: tuple[float, float, float], physics: Physics) -> Any:
-    """Make a link that is a body by itself and passes through all others."""
+    """Create a link that is a body by itself and passes through all others."""
     body = _body(world, pose)
-    _add_link(body, (half_width, half_height), physics, MEETS_THE_GROUND_ALONE)
+    _add_link(body, (half_width, half_height), physics, _COLLIDES_WITH_GROUND_ONLY)
     return body
 
 
-def _collides(parents: npt.NDArray[np.int64], link: int, physics: Physics) -> dict[str, int]:
-    """Say what a link of a robot collides with: the ground, and its own unless they are its parent or children."""
+def _collides(parents: Int64, link: int, physics: Physics) -> dict[str, int]:
+    """Return the filter of a link: it collides with the ground and, if links do, with all that no joint ties to it."""
     if not physics.link_collisions:
-        return MEETS_THE_GROUND_ALONE
+        return _COLLIDES_WITH_GROUND_ONLY
     unjoined = (
         other for other in range(N_LINKS) if other != link and parents[other] != link and parents[link] != other
     )
@@ -135,7 +134,7 @@ class _Robot:
                     box = (*box, centre, float(rigid.angle[design, link]))
                 _add_link(body_of[first], box, physics, _collides(parents, link, physics))
         self.bodies = [body_of[first] for first in sorted(body_of)]
-        """In the order of their first links."""
+        """Bodies in the order of their first links."""
         self.joints = {
             link: self.world.CreateRevoluteJoint(
                 bodyA=body_of[first_link[parents[link]]],
@@ -145,16 +144,16 @@ class _Robot:
                 referenceAngle=0.0,
                 enableMotor=bool(controllers.motor_on[design, link]),
                 maxMotorTorque=physics.max_motor_torque,
-                collideConnected=physics.link_collisions,  # the filters above know which links a joint ties
+                collideConnected=physics.link_collisions,  # the filters except links that a joint ties
             )
             for link in sorted(body_of)
             if link > 0
         }
-        """By the link that hangs from each."""
+        """Joints by their child links."""
 
 
 class _Links:
-    """The links of many robots: arrays over links from the states of their bodies, and back."""
+    """Links of many robots, with their states as arrays."""
 
     def __init__(self, robots: list[_Robot], rigid: RigidBodies, n_members: int) -> None:
         self._rigid = rigid
@@ -173,7 +172,7 @@ class _Links:
             return place_links(self._rigid, self._state[self._body_of_link], rotation[..., 0], rotation[..., 1])
 
     def push(self, links: PlacedLinks, change: VelocityChange) -> None:
-        """Add to the velocities of all bodies what a medium does to their links."""
+        """Change the velocities of all bodies by the changes of their links."""
         with np.errstate(invalid="ignore", over="ignore"):  # of worlds that have diverged
             of_body = body_change(self._rigid, links.lever_x, links.lever_y, change)
             vx, vy, omega = (
@@ -186,7 +185,19 @@ class _Links:
 def roll_out(
     designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool
 ) -> Motion:
-    """Simulate designs in an environment; see :func:`tasks.simulation.simulate`."""
+    """Simulate designs in an environment.
+
+    Args:
+        designs: n_designs designs.
+        environment: depth and medium.
+        physics: constants of the simulator.
+        n_settle: steps before the displacement is measured.
+        n_measure: steps over which it is measured.
+        trace: whether to record states and motor torques of each step.
+
+    Returns:
+        Motion of the links.
+    """
     n_members = environment.n_members
     n_designs, n_steps = len(designs), n_settle + n_measure
     trees = kinematic_trees(designs, density=physics.link_density)
@@ -200,7 +211,7 @@ def roll_out(
     links = _Links(robots, rigid, n_members)
     alive = np.ones((n_members, n_designs), dtype=bool)
     placed = links.place()
-    kept = np.full((n_members, n_designs, n_steps, N_LINKS, 6), np.nan, np.float32) if trace else None
+    recorded = np.full((n_members, n_designs, n_steps, N_LINKS, 6), np.nan, np.float32) if trace else None
     torque = np.zeros((n_members, n_designs, n_steps, N_LINKS), np.float32) if trace else None
     settled = placed.state
     for step in range(n_steps):
@@ -211,22 +222,22 @@ def roll_out(
             if robot_alive:
                 robot.world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
                 robot.world.ClearForces()
-        # A world that turned non-finite is not stepped again: Box2D takes NaN in and gives NaN out, silently.
+        # A world that became non-finite is not stepped again: Box2D would silently go on with NaN.
         placed = links.place()
         alive &= np.isfinite(placed.state).all(axis=(2, 3))
         placed.state[~alive] = np.nan
-        if kept is not None:
-            kept[:, :, step] = placed.state
+        if recorded is not None:
+            recorded[:, :, step] = placed.state
         if torque is not None:
             torque[:, :, step] = _motor_torques(robots, physics).reshape(n_members, n_designs, N_LINKS)
             torque[~alive, step] = np.nan
         if step + 1 == n_settle:
             settled = placed.state
-    return Motion(settled=settled, final=placed.state, trace=kept, motor_torque=torque)
+    return Motion(settled=settled, final=placed.state, trace=recorded, motor_torque=torque)
 
 
 def _motor_torques(robots: list[_Robot], physics: Physics) -> Float32:
-    """Read what the motors gave in the last step; (n_robots, n_links) [N·m]."""
+    """Read the motor torques of the last step; (n_robots, n_links) [N·m]."""
     torque = np.zeros((len(robots), N_LINKS), np.float32)
     for row, robot in zip(torque, robots, strict=True):
         for link, joint in robot.joints.items():
@@ -237,7 +248,7 @@ def _motor_torques(robots: list[_Robot], physics: Physics) -> Float32:
 def _command_motors(
     robots: list[_Robot], controllers: Controllers, trees: KinematicTrees, state: Float32, step: int, physics: Physics
 ) -> None:
-    """Set each driven joint's motor speed to gain · (θ* - θ)."""
+    """Set the speed of each motor that is on to gain · (θ* - θ)."""
     angle = state[..., Column.ANGLE]
     parent = np.broadcast_to(np.maximum(trees.parent, 0), angle.shape)
     joint_angle = angle - np.take_along_axis(angle, parent, axis=2)
@@ -253,7 +264,7 @@ def _command_motors(
 def _push(
     links: _Links, medium: Medium, designs: Designs, trees: KinematicTrees, placed: PlacedLinks, physics: Physics
 ) -> None:
-    """Let the medium act on every link, and the links on their bodies."""
+    """Change the velocities of all bodies by the medium's push on their links."""
     state = placed.state
     shape = state.shape[:3]
     states = LinkStates(
@@ -270,18 +281,11 @@ def _push(
     links.push(placed, medium.velocity_change(states, physics))
 
 
-def _pushed(links: LinkStates, change: VelocityChange) -> tuple[Float32, Float32, Float32]:
-    """Velocities with a change added, flattened and in the engine's precision."""
-    velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
-    vx, vy, omega = (v.astype(np.float32).ravel() for v in velocities)
-    return vx, vy, omega
-
-
 class ReferenceFreeLinks:
-    """Single links without ground or joints: what is thrown. Paper, "Dataset Collection"."""
+    """Single links without ground or joints, to be thrown, in pybox2d. Paper, "Dataset Collection"."""
 
-    def __init__(self, length_scale: npt.NDArray[np.floating], physics: Physics) -> None:
-        """Make (n_links,) links of given long axes [m]."""
+    def __init__(self, length_scale: Floats, physics: Physics) -> None:
+        """Create (n_links,) links with the given long axes [m]."""
         self._physics = physics
         self._world = _empty_world(physics)
         width = 1.0 / length_scale
@@ -297,15 +301,7 @@ class ReferenceFreeLinks:
         )
 
     def step(self, state: Float32, medium: Medium | None) -> Float32:
-        """Take one step from given states; what was before them is forgotten.
-
-        Args:
-            state: (n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s].
-            medium: what surrounds the links; None is dry land.
-
-        Returns:
-            (n_links, 6) the next states.
-        """
+        """Take one step from the given states, as :meth:`tasks.simulation.free_links.FreeLinks.step` does."""
         self._bodies.set_states(state)
         if medium is not None:
             rotation = self._bodies.rotations()
@@ -320,7 +316,9 @@ class ReferenceFreeLinks:
                 vy=state[:, Column.VY],
                 omega=state[:, Column.OMEGA],
             )
-            self._bodies.set_velocities(*_pushed(links, medium.velocity_change(links, self._physics)))
+            change = medium.velocity_change(links, self._physics)
+            velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
+            self._bodies.set_velocities(*(velocity.astype(np.float32) for velocity in velocities))
         physics = self._physics
         self._world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
         self._world.ClearForces()

@@ -1,4 +1,4 @@
-"""A rollout: one design in one environment from its spawn to the end, and what came of it.
+"""A rollout: one design in one environment, from its spawn to the measured displacement.
 
 Paper, "Performance Evaluation": a robot settles for a while, then the displacement of its root is measured. Motors run
 from the first step.
@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Float32, Float64
 from tasks.design.genes import Designs, check
 from tasks.simulation import batch, reference
 from tasks.simulation.box2d import Column, Motion
@@ -25,20 +26,20 @@ OK, DIVERGED = "ok", "diverged"
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """What came of n_designs designs; in Residual Slush every array has a leading axis of n_members."""
+    """Results of n_designs designs; in Residual Slush every array has a leading axis of n_members."""
 
-    displacement: npt.NDArray[np.float64]
-    """(n_designs,) of the root along x, from the end of settling to the end [m]; NaN where diverged."""
-    com_displacement: npt.NDArray[np.float64]
+    displacement: Float64
+    """(n_designs,) displacement of the root along x, from the end of settling to the end [m]; NaN where diverged."""
+    com_displacement: Float64
     """(n_designs,) the same of the whole robot's centre of mass [m]; NaN where diverged."""
     status: npt.NDArray[np.str_]
     """(n_designs,) "ok", or "diverged" where a state became non-finite."""
-    trace: npt.NDArray[np.float32] | None
-    """(n_designs, n_steps, n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s] after each step; links in the
-    design's own order. NaN from where a rollout diverged; None unless asked for."""
-    motor_torque: npt.NDArray[np.float32] | None = None
-    """(n_designs, n_steps, n_links) what each joint's motor gave in each step, on the child link [N·m]; NaN from where
-    a rollout diverged. With the trace, of the reference engine alone; None otherwise."""
+    trace: Float32 | None
+    """(n_designs, n_steps, n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s] after each step, links in the
+    design's own order. NaN from the step in which a rollout diverged; None unless requested."""
+    motor_torque: Float32 | None = None
+    """(n_designs, n_steps, n_links) torque of each joint's motor on the child link [N·m]; NaN like the trace. Only the
+    reference engine reports it, together with the trace."""
 
 
 def simulate(
@@ -51,25 +52,28 @@ def simulate(
     trace: bool = False,
     physics: Physics | None = None,
 ) -> Rollouts:
-    """Simulate designs, each alone in its own world (in Residual Slush, one world per member of the ensemble).
+    """Simulate designs, each alone in its own environment (in Residual Slush, once for each ensemble member).
 
     Args:
         designs: n_designs designs.
-        environment: where they live.
+        environment: depth and medium.
         n_settle: steps before the displacement is measured.
         n_measure: steps over which it is measured.
-        engine: "reference" is pybox2d; "batch" gives the same bits sooner.
-        trace: whether to keep every state.
-        physics: the base simulator's constants; the paper's unless given.
+        engine: "reference" is pybox2d; "batch" computes the same bits faster.
+        trace: whether to record the state after every step.
+        physics: constants of the simulator; the paper's by default.
+
+    Returns:
+        Displacement, status and trace of each design.
 
     Raises:
-        tasks.design.DesignError: a design is out of bounds; names it.
-        ValueError: an argument is out of range; names it.
+        tasks.design.DesignError: a design is out of bounds.
+        ValueError: an argument is out of range.
     """
     check(designs)
     for name, value, least in (("n_settle", n_settle, 0), ("n_measure", n_measure, 1)):
         if value < least:
-            raise ValueError(f"{name} is {value}, expected {least} or more steps")
+            raise ValueError(f"{name} is {value}, expected at least {least}")
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
     physics = physics or Physics()

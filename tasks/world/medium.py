@@ -1,6 +1,6 @@
-"""A medium: what surrounds the links, as the velocity change that it gives each of them in one step.
+"""Media: the velocity change that a medium gives each link in one step.
 
-The change is computed from the state at the start of a step and added before the base simulator's own step. So the
+The change is computed from the state at the start of a step and added before the rigid-body simulator's step. So the
 residual of a step is an exact function of the state, and the joints are solved with the new velocities.
 """
 
@@ -15,10 +15,10 @@ from tasks.world.physics import Physics
 
 @dataclass(frozen=True, eq=False)
 class LinkStates:
-    """Links and their state at the start of a step; every array has the same shape.
+    """States of links at the start of a step; all arrays have the same shape.
 
-    In a rollout that shape is (n_members, n_designs, n_links), where worlds without an ensemble have one member.
-    The horizontal position is left out: a medium is the same everywhere along x.
+    In a rollout that shape is (n_members, n_designs, n_links), with one member for an environment without an ensemble.
+    There is no horizontal position: a medium is uniform along x.
     """
 
     length_scale: Floats
@@ -26,7 +26,7 @@ class LinkStates:
     mass: Floats
     """[kg]"""
     inertia: Floats
-    """About the centre of mass [kg·m²]."""
+    """Moment of inertia about the centre of mass [kg·m²]."""
     y: Floats
     """Height of the centre of mass over the medium's surface [m]."""
     cos: Floats
@@ -43,7 +43,7 @@ class LinkStates:
 
 @dataclass(frozen=True, eq=False)
 class VelocityChange:
-    """What a medium adds to a link's velocities in one step; arrays of the links' shape."""
+    """Change of links' velocities in one step; arrays of the links' shape."""
 
     vx: Floats
     """[m/s]"""
@@ -57,14 +57,14 @@ class Medium(Protocol):
     """Anything that changes the velocities of links."""
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        """Return the change over one step of ``physics.time_step``, in the arrays' own precision."""
+        """Return the change over one step of ``physics.time_step``, in the precision of the arrays."""
         ...
 
 
 class EnsembleMedium(Medium, Protocol):
-    """A medium with several versions of itself: entry k of the links' first axis lives in version k."""
+    """A medium with several members; entry k of the links' first axis is in member k."""
 
     @property
     def n_members(self) -> int:
-        """How many versions there are: the length of the links' first axis."""
+        """Number of members, the length of the links' first axis."""
         ...

@@ -103,6 +103,9 @@ class EnvironmentKind:
             settings: settings groups by name, as models or as dictionaries.
             ensemble: trained networks; required if ``networks`` is not "none".
 
+        Returns:
+            Environment.
+
         Raises:
             ValueError: the environment requires networks and there are none.
             KeyError: the medium's settings group is missing.

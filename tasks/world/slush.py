@@ -1,11 +1,11 @@
 """Slush: a dense fluid with high drag below y = 0. Paper, "The Fluid Model".
 
-The submerged part of a link is exact: a rectangle cut by a horizontal line. The drag is integrated exactly over a step,
-because explicit Euler diverges at the speeds at which links are thrown. Everything acts at the centre of mass; there is
-no buoyant torque, so that nothing depends on the sign of a link's angle.
+The submerged part of a link is exact: a rectangle cut by a horizontal line. Drag is integrated exactly over a step,
+because explicit Euler diverges at the speeds at which links are thrown. All forces act at the centre of mass; there is
+no buoyant torque, so nothing depends on the sign of a link's angle.
 
-The functions work in the precision of their arguments: float64 to be checked against a polygon clipper, float32 in the
-reference engine. The batch engine repeats the same operations in the same order on lanes
+The functions compute in the precision of their arguments: float64 for the comparison with a polygon clipper, float32 in
+the reference engine. The batch engine repeats the same operations in the same order on lanes
 (tasks/simulation/trees/step.py).
 """
 
@@ -24,21 +24,21 @@ from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
 
 TINY = 1e-30
-"""Stands in for the rise of a level edge, whose submerged share is then a step function of depth."""
+"""Replaces the rise of a level edge, whose submerged share is a step function of depth."""
 
 
 def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats]:
-    """Cut upright-at-zero rectangles at the water line y = 0 and measure what lies below.
+    """Compute the parts of rectangles, upright at angle 0, below the water line y = 0.
 
-    A rectangle of height a and width 1/a is the unit square in coordinates along its edges from the lowest corner. Of
-    these edges one rises by 2u, the other by 2v. With D the lowest corner's depth, the water line cuts the four edges
-    at shares t1 to t4, each clamped to [0, 1]:
+    A rectangle of height a and width 1/a is the unit square in coordinates along its edges from the lowest corner. One
+    of these edges rises by 2u, the other by 2v. With D the depth of the lowest corner, the water line cuts the four
+    edges at shares t1 to t4, each clamped to [0, 1]:
 
-        t1  from the lowest corner along the short edge        t3  along the long edge that goes on from t1's end
-        t2  from the lowest corner along the long edge         t4  along the short edge that goes on from t2's end
+        t1  from the lowest corner along the short edge        t3  along the long edge that follows t1's
+        t2  from the lowest corner along the long edge         t4  along the short edge that follows t2's
 
-    What is below the line is the polygon (0, 0), (t1, 0), (t1, t3), (t4, t2), (0, t2) in these coordinates, whatever
-    the case; its area is the shoelace formula, its second moments are Green's theorem.
+    In all cases the submerged part is the polygon (0, 0), (t1, 0), (t1, t3), (t4, t2), (0, t2) in these coordinates.
+    Its area follows from the shoelace formula, its second moment from Green's theorem.
 
     Args:
         length_scale: (...) long axis a [m].
@@ -47,7 +47,7 @@ def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) ->
         sin: (...) sine of the same angle.
 
     Returns:
-        (...) submerged area A_s [m²] and second moment I_s of that part about the rectangle's centre [m⁴].
+        (...) submerged area A_s [m²] and its second moment I_s about the rectangle's centre [m⁴].
     """
     width = 1 / length_scale
     half_rise_short = abs(sin) * width / 2  # u
@@ -81,7 +81,7 @@ class Slush(Parameters):
     """C_dr. [P]"""
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-        """Drag first, then buoyancy, over one step.
+        """Compute the change by drag and then buoyancy over one step.
 
         With k = ½ ρ C_dl A_s / m and k_r = ρ C_dr I_s / I, the solutions of dv/dt = -k |v| v and dω/dt = -k_r |ω| ω
         after a time dt are v / (1 + k |v| dt) and ω / (1 + k_r |ω| dt).

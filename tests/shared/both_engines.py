@@ -135,7 +135,7 @@ assert numba.config.DISABLE_JIT
 designs = random_designs({n_designs}, np.random.default_rng(0))
 physics = Physics.model_validate_json({physics!r})
 for environment, n_steps in zip((TrueSlush(0.02), DryLand(0.0)), {n_steps}, strict=True):
-    ours = batch.roll_out_on(designs, environment, physics, n_settle=1, n_measure=n_steps, trace=True, n_lanes=widest())
+    ours = batch.roll_out(designs, environment, physics, n_settle=1, n_measure=n_steps, trace=True, n_lanes=widest())
     theirs = reference.roll_out(designs, environment, physics, n_settle=1, n_measure=n_steps, trace=True)
     assert np.array_equal(ours.trace, theirs.trace)
 print("equal")

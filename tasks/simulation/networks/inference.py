@@ -1,10 +1,10 @@
-"""Networks on a CPU: many small multilayer perceptrons, a vector of rows at a time, near the peak of the core.
+"""Inference of many small multilayer perceptrons on a CPU, near the core's peak.
 
-Rows lie in lanes, N_LANES of them side by side, as robots do in the engine. A tile of the product of rows and weights
-is held in the vector registers: TILE_VECTORS vectors of rows by TILE_UNITS outputs, or half as many at the end of a
-layer, summed over the inputs in their order by fused multiply-adds. So a row's result is the same whatever rows are
-beside it, however many there are, and on any machine. A tile's rows go through all layers before the next, and stay in
-the cache.
+Samples are in lanes, N_LANES per vector, like the robots of the engine. A tile of the product of samples and weights
+stays in the vector registers: TILE_VECTORS vectors of samples by TILE_UNITS outputs, or half as many at the end of a
+layer. It is summed over the inputs in their order by fused multiply-adds. So the result of a sample depends neither on
+the other samples, nor on their number, nor on the machine. The samples of a tile pass through all layers before those
+of the next, and stay in the cache.
 """
 
 # mypy: disallow-untyped-decorators=False, warn-return-any=False
@@ -18,29 +18,31 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from tasks.arrays import Float32
+from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
 from tasks.simulation.simd import lanes
 from tasks.simulation.simd.lanes import aligned, widest
 
+Pointer = int
+"""Address of float32 numbers in memory."""
+
 N_LANES = widest() // 2
-"""Of a vector register."""
+"""Lanes of a vector register."""
 TILE_VECTORS = 2
 TILE_UNITS = 8 if N_LANES == 16 else 4
-"""As many as leave registers for rows and weights, of 32 and of 16. Layers are padded to half as many."""
+"""Outputs of a tile: the most that leave registers for samples and weights. Layers are padded to half as many."""
 TILE_ROWS = TILE_VECTORS * N_LANES
-NUMBER = 4
-"""Bytes of a float32."""
+_NUMBER = 4
+"""Size of a float32 [bytes]."""
 
 
 def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], relu: Any, n_units: int) -> None:
-    """Emit the instructions of out = relu(weightᵀ x + bias) for a tile of some outputs."""
+    """Emit the instructions of out = relu(weightᵀ x + bias) for a tile of n_units outputs."""
     x, weight, bias, out = pointers
     n_in, n_out = sizes
     vector, size = ir.VectorType(ir.FloatType(), N_LANES), n_in.type
@@ -86,31 +88,29 @@ def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], 
     again.set_metadata("llvm.loop", _not_unrolled(builder.module))
 
     builder.position_at_end(after)
-    # One bound for either case: a choice for each vector would become as many jumps.
+    # One bound for both cases: a choice per vector would become a jump per vector.
     least = builder.select(relu, *(ir.Constant(vector, [bound] * N_LANES) for bound in (0.0, -math.inf)))
     for v in vectors:
         for unit in units:
             total = totals[v][unit]
-            value = builder.select(builder.fcmp_ordered("<", total, least), least, total)  # so that NaN stays
+            value = builder.select(builder.fcmp_ordered("<", total, least), least, total)  # keeps NaN
             where = builder.add(builder.mul(number(v), n_out), number(unit))
             builder.store(value, lanes_at(out, where), align=4 * N_LANES)
 
 
 def _not_unrolled(module: ir.Module) -> ir.MDValue:
-    """Forbid LLVM to unroll a loop, for want of registers: it spills the sums, and takes three times as long."""
+    """Forbid LLVM to unroll a loop: it would run out of registers, spill the sums and take three times as long."""
     disable = module.add_metadata([ir.MetaDataString(module, "llvm.loop.unroll.disable")])
     loop = ir.MDValue(module, [disable], name=str(len(module.metadata)))
-    loop.operands = (loop, disable)  # a loop is named by metadata that begin with themselves
+    loop.operands = (loop, disable)  # metadata of a loop begin with themselves
     return loop
 
 
 def _tile_of(n_units: int) -> Any:
-    """Make a function that computes a tile of some outputs."""
+    """Make a function that computes a tile of n_units outputs."""
 
     @intrinsic
     def multiply_tile(typing: Any, x: Any, weight: Any, bias: Any, out: Any, n_in: Any, n_out: Any, relu: Any) -> Any:
-        """Compute a tile; x, weight, bias and out are addresses."""
-
         def emit(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
             pointer = ir.FloatType().as_pointer()
             addresses = [builder.inttoptr(address, pointer) for address in args[:4]]
@@ -125,21 +125,19 @@ def _tile_of(n_units: int) -> Any:
 _multiply_tile, _multiply_half_tile = _tile_of(TILE_UNITS), _tile_of(TILE_UNITS // 2)
 
 
-def _forward(
-    layers: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64], n_vectors: int, x: int, out: int, between: int
-) -> None:
-    """Send the rows of each member through its layers; arrays are given by their addresses.
+def _forward(layers: Int64, sizes: Int64, n_vectors: int, x: Pointer, out: Pointer, between: Pointer) -> None:
+    """Evaluate the networks of all members.
 
     Args:
         layers: (n_members, n_layers, 2) addresses of panels and biases.
         sizes: (n_layers + 1,) inputs of each layer and outputs of the last, padded.
-        n_vectors: of each member's rows, a multiple of TILE_VECTORS.
+        n_vectors: vectors of samples per member, a multiple of TILE_VECTORS.
         x: (n_members, n_vectors, sizes[0], N_LANES) inputs.
         out: (n_members, n_vectors, sizes[-1], N_LANES) outputs.
-        between: (2, TILE_VECTORS, widest layer, N_LANES) for what goes from one layer to the next.
+        between: (2, TILE_VECTORS, widest layer, N_LANES) scratch for the values between two layers.
     """
     n_members, n_layers, _ = layers.shape
-    vector = NUMBER * N_LANES
+    vector = _NUMBER * N_LANES
     widest = sizes[1:].max()
     for member in range(n_members):
         for first in range(member * n_vectors, (member + 1) * n_vectors, TILE_VECTORS):
@@ -150,8 +148,8 @@ def _forward(
                 inner = between + vector * (layer % 2) * TILE_VECTORS * widest
                 result = out + vector * first * n_out if last else inner
                 for unit in range(0, n_out, TILE_UNITS):
-                    weight = layers[member, layer, 0] + NUMBER * unit * n_in
-                    bias = layers[member, layer, 1] + NUMBER * unit
+                    weight = layers[member, layer, 0] + _NUMBER * unit * n_in
+                    bias = layers[member, layer, 1] + _NUMBER * unit
                     if n_out - unit >= TILE_UNITS:
                         _multiply_tile(rows, weight, bias, result + vector * unit, n_in, n_out, not last)
                     else:
@@ -163,21 +161,21 @@ run_networks = compiled(_forward, [lanes, sys.modules[__name__]], seconds=2)
 
 
 def _padded(n: int) -> int:
-    """Round a number of outputs up to whole tiles, the last of which may be a half."""
+    """Round a number of outputs up to whole tiles, the last of which may be half a tile."""
     half = TILE_UNITS // 2
     return -(-n // half) * half
 
 
 class PackedNetworks:
-    """Networks of one shape, their weights laid out as the kernel reads them."""
+    """Networks of one shape, with their weights in the kernel's memory layout."""
 
     def __init__(self, weights: Sequence[Float32], biases: Sequence[Float32], inputs: tuple[str, ...]) -> None:
-        """Pack the weights of networks whose layers, all but the last, end in ReLU.
+        """Pack the weights of networks with ReLU after every layer but the last.
 
         Args:
-            weights: of each layer, (n_members, n_in, n_out).
-            biases: of each layer, (n_members, n_out).
-            inputs: what the first layer reads, in order, by the names of :class:`tasks.world.LinkStates`.
+            weights: (n_members, n_in, n_out) of each layer.
+            biases: (n_members, n_out) of each layer.
+            inputs: fields of :class:`tasks.world.LinkStates` that the first layer reads, in order.
         """
         self._source = tuple(weights), tuple(biases), inputs
         self.inputs = inputs
@@ -204,24 +202,24 @@ class PackedNetworks:
         self.between = aligned((2, TILE_VECTORS, max(sizes[1:]), N_LANES))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pack anew in another process: addresses and alignment do not travel."""
+        """Pickle the weights alone: addresses and alignment hold in one process only."""
         return PackedNetworks, self._source
 
     def forward(self, rows: Float32) -> Float32:
-        """Map (n_members, n_rows, n_in) to (n_members, n_rows, n_out)."""
+        """Evaluate the networks: (n_members, n_rows, n_in) to (n_members, n_rows, n_out)."""
         n_rows = rows.shape[1]
-        x, out = self.room(n_rows)
+        x, out = self.allocate(n_rows)
         filled = np.zeros((self.n_members, x.shape[1] * N_LANES, self._n_in), np.float32)
         filled[:, :n_rows] = rows
         x[:] = filled.reshape(self.n_members, -1, N_LANES, self._n_in).swapaxes(2, 3)
         run_networks(self.layers, self.sizes, x.shape[1], x.ctypes.data, out.ctypes.data, self.between.ctypes.data)
         return out.swapaxes(2, 3).reshape(self.n_members, -1, out.shape[2])[:, :n_rows, : self._n_out]
 
-    def room(self, n_rows: int) -> tuple[Float32, Float32]:
-        """Make arrays for the inputs and the padded outputs of n_rows of each member, N_LANES rows to a vector.
+    def allocate(self, n_rows: int) -> tuple[Float32, Float32]:
+        """Allocate inputs and padded outputs for n_rows samples per member.
 
         Returns:
-            (n_members, n_vectors, inputs, N_LANES) and (n_members, n_vectors, padded outputs, N_LANES)
+            (n_members, n_vectors, inputs, N_LANES) and (n_members, n_vectors, padded outputs, N_LANES).
         """
         n_vectors = -(-n_rows // TILE_ROWS) * TILE_VECTORS
         shape = self.n_members, n_vectors
@@ -229,10 +227,10 @@ class PackedNetworks:
 
 
 def _panels(weight: Float32, n_in: int, n_out: int) -> Float32:
-    """Cut (n_members, n_in, n_out) weights, filled with zeros, into panels, one after the other in memory.
+    """Cut weights, padded with zeros, into panels that follow one another in memory.
 
     Returns:
-        (n_members, n_in · n_out): of each panel (n_in, TILE_UNITS) numbers, or half as many of the last.
+        (n_members, n_in · n_out): (n_in, TILE_UNITS) numbers per panel, or half as many for the last.
     """
     n_members = len(weight)
     filled = np.zeros((n_members, n_in, n_out), np.float32)

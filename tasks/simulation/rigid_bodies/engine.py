@@ -105,7 +105,7 @@ class Robots:
             if trace is not None:
                 trace[first : first + each] = states
 
-    def advance_among(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
+    def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
         """Take steps without a trace in a medium that is a network for each member, all in one kernel.
 
         Args:

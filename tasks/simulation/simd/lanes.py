@@ -1,18 +1,16 @@
 """Lanes: vectors of numbers inside numba, one robot per lane, in explicit SIMD instructions.
 
-A kernel written on lanes reads like the scalar code that it follows: ``block[row]`` loads the lanes of a row of float32
-and ``block[row] = lanes`` stores them; the operators work lane by lane; :func:`select` takes the place of a branch. A
-kernel is compiled for as many lanes as its block has, and gives the same bits for any number: every operation is
-rounded on its own, nothing is contracted or reassociated. A Python number that meets lanes takes their precision, as
-in NumPy. There are no in-place operators, which would change an array under every name that it has.
+A kernel on lanes reads like the scalar code that it follows. ``block[row]`` loads a row of float32, and
+``block[row] = lanes`` stores one. Operators work lane by lane; :func:`select` replaces a branch. A kernel is compiled
+for the number of lanes of its block, and its bits do not depend on that number: every operation is rounded separately,
+nothing is contracted or reassociated. A Python number takes the precision of the lanes that it is combined with, as in
+NumPy. There are no in-place operators: they would change an array under all its names.
 
-Functions that take lanes take numbers too, except those that count or pick lanes. So a formula that must be the same in
-the tree engine and in scalar code is written once; its constants are float32, because numba widens a number that meets
-a Python float.
+Functions of lanes accept numbers, too, except those that count or pick lanes. So a formula that the tree engine shares
+with scalar code is written once; its constants are float32, because numba widens a number that meets a Python float.
 
-Without the compiler (NUMBA_DISABLE_JIT=1) the same kernels run in plain Python, their lanes being NumPy arrays, and the
-functions below are what they call. Under the compiler each of these is a typing rule and a few instructions instead:
-see simd.py.
+Without the compiler (NUMBA_DISABLE_JIT=1) kernels run in plain Python on NumPy arrays and call the functions below.
+Under the compiler, each of these functions is a typing rule and a few instructions: see vectors.py.
 """
 
 from __future__ import annotations
@@ -26,15 +24,26 @@ import llvmlite.binding as llvm
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Bools, Float32
+
+Lanes = npt.NDArray[Any]
+"""A vector with one number per lane: a SIMD register under the compiler, a NumPy array without."""
+Uniform = float | np.floating
+"""A number that is the same in all lanes."""
+Numeric = Any
+"""Lanes, or one number in code that the rigid-body engine shares; mypy can't relate the two."""
+Mask = Bools
+"""A vector with one flag per lane."""
+
 ALIGNMENT = 64
-"""Bytes: a whole AVX-512 register, a whole cache line."""
+"""Size of an AVX-512 register and of a cache line [bytes]."""
 
 
 class Block:
-    """Rows of lanes in aligned memory: what kernels load from and store to."""
+    """Rows of lanes in aligned memory; kernels load from it and store to it."""
 
     def __init__(self, n_rows: int, n_lanes: int) -> None:
-        """Make n_rows rows of 0.
+        """Allocate n_rows rows of zeros.
 
         Raises:
             ValueError: the number of lanes is not a power of two.
@@ -45,70 +54,80 @@ class Block:
         self.address: int = self.rows.ctypes.data
         self.n_lanes = n_lanes
 
-    def __getitem__(self, row: int) -> npt.NDArray[np.float32]:
-        lanes: npt.NDArray[np.float32] = self.rows[row].copy()
+    def __getitem__(self, row: int) -> Lanes:
+        lanes: Lanes = self.rows[row].copy()
         return lanes
 
     def __setitem__(self, row: int, lanes: npt.ArrayLike) -> None:
         self.rows[row] = lanes
 
 
-def aligned(shape: tuple[int, ...]) -> npt.NDArray[np.float32]:
-    """Zeros in float32 that begin on a boundary of a cache line."""
+def aligned(shape: tuple[int, ...]) -> Float32:
+    """Allocate float32 zeros that begin on a cache line."""
     n_bytes = math.prod(shape) * 4
     memory = np.zeros(n_bytes + ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % ALIGNMENT
     return memory[start : start + n_bytes].view(np.float32).reshape(shape)
 
 
-def as_block(rows: npt.NDArray[np.float32]) -> Block:
-    """View (n_rows, n_lanes) numbers in aligned memory as a block."""
+def as_block(rows: Float32) -> Block:
+    """View an aligned (n_rows, n_lanes) array as a block."""
     view = Block.__new__(Block)
     view.rows, view.n_lanes = rows, rows.shape[1]
     view.address = rows.ctypes.data
     return view
 
 
-def from_row(block: Any, row: int) -> Any:
-    """View a block from a row on."""
+def from_row(block: Block, row: int) -> Block:
+    """View a block from the given row on."""
     return as_block(block.rows[row:])
 
 
-def count_parts(block: Any) -> int:
-    """Count the parts of a block: 2 halves of its lanes, or 1 if they fill no more than a vector register."""
-    return n_parts(int(block.n_lanes))
+def count_parts(block: Block) -> int:
+    """Return the number of parts of a block: 2 halves of its lanes, or 1 if a row fits one vector register."""
+    return n_parts(block.n_lanes)
 
 
 def n_parts(n_lanes: int) -> int:
-    """Count the parts of so many lanes."""
+    """Return the number of parts of a block with n_lanes lanes."""
     return 2 if n_lanes > widest() // 2 else 1
 
 
-def part(block: Any, index: int) -> Any:
-    """View some of a block's lanes in all its rows: one of its parts."""
+def part(block: Block, index: int) -> Block:
+    """View one part of a block: some of its lanes in all its rows."""
     n_lanes = block.n_lanes // count_parts(block)
     return as_block(block.rows[:, index * n_lanes : (index + 1) * n_lanes])
 
 
-def select(mask: Any, yes: Any, no: Any) -> Any:
-    """Take ``yes`` in the lanes where the mask holds, ``no`` in the others; two Python numbers make float32."""
+def select(mask: Numeric, yes: Numeric, no: Numeric) -> Numeric:
+    """Choose between two values in each lane; two Python numbers make float32.
+
+    Args:
+        mask: lanes that take ``yes``.
+        yes: values where the mask holds.
+        no: values elsewhere.
+
+    Returns:
+        Chosen values.
+    """
     if isinstance(yes, float) and isinstance(no, float):
         yes, no = np.float32(yes), np.float32(no)
-    return np.where(mask, yes, no)[()]  # of numbers a number
+    chosen: Any = np.where(mask, yes, no)
+    return chosen[()]  # a number if all are numbers
 
 
 def any_lane(mask: Any) -> bool:
-    """Tell whether the mask holds in any lane."""
+    """Return whether the mask holds in any lane."""
     return bool(np.any(mask))
 
 
-def sqrt(lanes: Any) -> Any:
-    """Take the square root, correctly rounded."""
+def sqrt(lanes: Numeric) -> Numeric:
+    """Compute the square root, correctly rounded."""
     return np.sqrt(lanes)
 
 
-def floor(lanes: Any) -> Any:
-    """Round down to a whole number."""
+def floor(lanes: Numeric) -> Numeric:
+    """Round down to an integer."""
     return np.floor(lanes)
 
 
@@ -123,12 +142,21 @@ def to_single(lanes: Any) -> Any:
 
 
 def truncate(lanes: Any) -> Any:
-    """Round float64 lanes towards zero, to int32; they must fit."""
+    """Round float64 lanes towards zero to int32, in whose range they must be."""
     return lanes.astype(np.int32)
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """Multiply and add float64 lanes, a · b + c, rounded once."""
+    """Compute a · b + c of float64 lanes, rounded once.
+
+    Args:
+        a: factors.
+        b: factors.
+        c: summands.
+
+    Returns:
+        Sums.
+    """
 
     def one(a: float, b: float, c: float) -> float:
         return float(Fraction(a) * Fraction(b) + Fraction(c)) if np.isfinite(a + b + c) else a * b + c
@@ -137,25 +165,34 @@ def fma(a: Any, b: Any, c: Any) -> Any:
 
 
 def lane(lanes: Any, index: int) -> Any:
-    """Take one lane's number."""
+    """Return the number in one lane."""
     return lanes[index]
 
 
 def with_lane(lanes: Any, index: int, number: Any) -> Any:
-    """Replace one lane's number."""
+    """Replace the number in one lane.
+
+    Args:
+        lanes: numbers.
+        index: lane.
+        number: its new number.
+
+    Returns:
+        Lanes with the number replaced.
+    """
     replaced = lanes.copy()
     replaced[index] = number
     return replaced
 
 
 def count_lanes(lanes: Any) -> int:
-    """Count the lanes."""
+    """Return the number of lanes."""
     return len(lanes)
 
 
-@functools.cache  # asking LLVM takes longer than packing designs
+@functools.cache  # the query of LLVM takes longer than packing designs
 def widest() -> int:
-    """Count the lanes that this machine favours, those of two vector registers; the bits do not depend on it."""
+    """Return the fastest number of lanes on this machine: those of two vector registers. Bits do not depend on it."""
     features = llvm.get_host_cpu_features()
     if features.get("avx512f"):
         return 32

@@ -1,9 +1,9 @@
-"""Sine and cosine on lanes: the very bits of the C library's sincosf, which Box2D calls.
+"""Sine and cosine on lanes: the exact bits of the C library's sincosf, which Box2D calls.
 
-Follows glibc 2.28 and later (sysdeps/ieee754/flt-32/s_sincosf.h, by Arm; the variant with fused multiply-adds that it
-picks on every processor of the last ten years): the angle is reduced and a polynomial evaluated in double precision.
-Without the fused operations one value in a million differs. Where the platform's own sincosf is another function, the
-two engines differ and the tests say so.
+Follows glibc 2.28 and later (sysdeps/ieee754/flt-32/s_sincosf.h, by Arm; the variant with fused multiply-adds, which it
+selects on every processor of the last ten years): the angle is reduced, and a polynomial is evaluated, in double
+precision. Without fused operations one value in a million differs. On a platform whose sincosf is another function the
+engines differ, and the tests fail.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from tasks.compiled import inline
 from tasks.simulation.simd.lanes import (
+    Lanes,
     any_lane,
     count_lanes,
     fma,
@@ -26,10 +27,10 @@ from tasks.simulation.simd.lanes import (
 )
 
 NEAR = 120.0
-"""Angles below this [rad] are reduced by one multiply-add, the others by integers."""
-TWO_OVER_PI_SCALED = float.fromhex("0x1.45F306DC9C883p+23")  # 2/π · 2^24
-HALF_PI = float.fromhex("0x1.921FB54442D18p0")
-PI_63 = float.fromhex("0x1.921FB54442D18p-62")  # 2π · 2^-64
+"""Angles below this [rad] are reduced by one multiply-add, others by integer arithmetic."""
+_TWO_OVER_PI_SCALED = float.fromhex("0x1.45F306DC9C883p+23")  # 2/π · 2^24
+_HALF_PI = float.fromhex("0x1.921FB54442D18p0")
+_PI_63 = float.fromhex("0x1.921FB54442D18p-62")  # 2π · 2^-64
 _C1 = float.fromhex("-0x1.ffffffd0c621cp-2")
 _C2 = float.fromhex("0x1.55553e1068f19p-5")
 _C3 = float.fromhex("-0x1.6c087e89a359dp-10")
@@ -37,62 +38,35 @@ _C4 = float.fromhex("0x1.99343027bf8c3p-16")
 _S1 = float.fromhex("-0x1.555545995a603p-3")
 _S2 = float.fromhex("0x1.1107605230bc4p-7")
 _S3 = float.fromhex("-0x1.994eb3774cf24p-13")
-FOUR_OVER_PI = np.array(
-    [
-        0xA2,
-        0xA2F9,
-        0xA2F983,
-        0xA2F9836E,
-        0xF9836E4E,
-        0x836E4E44,
-        0x6E4E4415,
-        0x4E441529,
-        0x441529FC,
-        0x1529FC27,
-        0x29FC2757,
-        0xFC2757D1,
-        0x2757D1F5,
-        0x57D1F534,
-        0xD1F534DD,
-        0xF534DDC0,
-        0x34DDC0DB,
-        0xDDC0DB62,
-        0xC0DB6295,
-        0xDB629599,
-        0x6295993C,
-        0x95993C43,
-        0x993C4390,
-        0x3C439041,
-    ],
-    np.uint64,
-)
-"""Bits of 4/π, 32 at a time, each 8 further on than the one before."""
+_BITS_OF_FOUR_OVER_PI = 0xA2F9836E4E441529FC2757D1F534DDC0DB6295993C439041
+_FOUR_OVER_PI = np.array([_BITS_OF_FOUR_OVER_PI >> 184 - 8 * i & 0xFFFFFFFF for i in range(24)], np.uint64)
+"""Bits of 4/π, 32 at a time, each starting 8 further on than the one before."""
 
 
 @inline
 def _reduce_large(angle: Any) -> Any:
-    """Reduce |angle| to quadrant n and the rest x in [-π/4, π/4], by fixed-point multiplication with 4/π."""
+    """Reduce |angle| to a rest in [-π/4, π/4] and a quadrant, by fixed-point multiplication with 4/π."""
     bits = np.int64(np.float32(angle).view(np.int32)) & 0xFFFFFFFF
     first = (bits >> 26) & 15
     mantissa = np.uint64(((bits & 0xFFFFFF) | 0x800000) << ((bits >> 23) & 7)) & np.uint64(0xFFFFFFFF)
-    high = (mantissa * FOUR_OVER_PI[first]) << np.uint64(32)
-    low = (mantissa * FOUR_OVER_PI[first + 8]) >> np.uint64(32)
-    turns = (high | low) + mantissa * FOUR_OVER_PI[first + 4]
+    high = (mantissa * _FOUR_OVER_PI[first]) << np.uint64(32)
+    low = (mantissa * _FOUR_OVER_PI[first + 8]) >> np.uint64(32)
+    turns = (high | low) + mantissa * _FOUR_OVER_PI[first + 4]
     n = (turns + np.uint64(1 << 61)) >> np.uint64(62)
     rest = turns - (n << np.uint64(62))
-    return np.float64(np.int64(rest)) * PI_63, np.int32(n)
+    return np.float64(np.int64(rest)) * _PI_63, np.int32(n)
 
 
 @inline
 def _reduce(angle: Any) -> Any:
-    """Reduce float64 angles below NEAR to quadrant n and the rest x in [-π/4, π/4]."""
-    n = (truncate(angle * TWO_OVER_PI_SCALED) + 0x800000) >> 24
-    return fma(to_double(n), -HALF_PI, angle), n
+    """Reduce float64 angles below NEAR to the rest in [-π/4, π/4] and the quadrant."""
+    n = (truncate(angle * _TWO_OVER_PI_SCALED) + 0x800000) >> 24
+    return fma(to_double(n), -_HALF_PI, angle), n
 
 
 @inline
 def _reduce_far(angle: Any) -> Any:
-    """Reduce one float32 angle that is large, infinite or not a number; return the rest, the quadrant and the signs."""
+    """Reduce one float32 angle that is large, infinite or NaN to the rest, the quadrant and the signs."""
     rest, n = _reduce_large(angle)
     return rest if abs(angle) < np.inf else np.nan, n, n + (1 if angle < np.float32(0.0) else 0)
 
@@ -112,8 +86,8 @@ def _evaluate(x: Any, n: Any, signs: Any) -> Any:
 
 
 @inline
-def sincos(angle: Any) -> Any:
-    """Sine and cosine of lanes of angles [rad]."""
+def sincos(angle: Lanes) -> tuple[Lanes, Lanes]:
+    """Compute sine and cosine of angles [rad]."""
     near = abs(angle) < NEAR
     x, n = _reduce(to_double(select(near, angle, 0.0)))
     signs = n
@@ -125,12 +99,13 @@ def sincos(angle: Any) -> Any:
                 x = with_lane(x, i, rest)
                 n = with_lane(n, i, quadrant)
                 signs = with_lane(signs, i, sign)
-    return _evaluate(x, n, signs)
+    sin, cos = _evaluate(x, n, signs)
+    return sin, cos
 
 
 @inline
 def scalar_sincos(angle: np.float32) -> tuple[np.float32, np.float32]:
-    """Sine and cosine of one angle [rad]."""
+    """Compute sine and cosine of one angle [rad]."""
     if abs(angle) < NEAR:
         x, n = _reduce(to_double(angle))
         signs = n

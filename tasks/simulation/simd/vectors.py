@@ -1,12 +1,11 @@
 """Lanes under the compiler: numba's types for them, and the instructions that their operators and functions become.
 
-Importing this module teaches numba what lanes.py defines. Each operator has a typing rule and a lowering to LLVM's own
-vectors, which it splits or widens to whatever registers the machine has.
+Importing this module teaches numba the functions of lanes.py. Each operator has a typing rule and a lowering to LLVM's
+vectors, which LLVM splits or widens to the registers of the machine.
 """
 
 # mypy: disallow-untyped-decorators=False, disallow-subclassing-any=False, warn-return-any=False
 # ruff: noqa: ARG001 (numba calls every rule and lowering with the same arguments)
-# (numba and llvmlite come without types)
 
 from __future__ import annotations
 
@@ -46,44 +45,44 @@ _ELEMENTS = {"float32": FLOAT, "float64": DOUBLE, "int32": INT, "bool": BIT}
 _SCALARS = {"float32": types.float32, "float64": types.float64, "int32": types.int32}
 
 
-class Lanes(types.Type):
+class LanesType(types.Type):
     """numba's type of a vector."""
 
     def __init__(self, element: str, count: int) -> None:
         self.element, self.count = element, count
         super().__init__(name=f"Lanes({element}, {count})")
 
-    def of(self, element: str) -> Lanes:
-        """Return as many lanes of another element."""
-        return Lanes(element, self.count)
+    def of(self, element: str) -> LanesType:
+        """Return the type of as many lanes of another element."""
+        return LanesType(element, self.count)
 
 
 class BlockType(types.Type):
     """numba's type of a :class:`Block` with a given number of lanes, or of some lanes of a wider one."""
 
     def __init__(self, count: int, apart: int = 1) -> None:
-        """Tell apart by the number of lanes, and by how many times as many lie between the starts of two rows."""
+        """Set the number of lanes, and the distance between the starts of two rows in multiples of it."""
         self.count, self.apart = count, apart
         super().__init__(name=f"Block({count}, {apart})")
 
     @property
     def n_parts(self) -> int:
-        """Parts of :func:`part`."""
+        """Number of parts."""
         return n_parts(self.count)
 
     @property
     def part(self) -> BlockType:
-        """What :func:`part` gives."""
+        """Type of a part."""
         return BlockType(self.count // self.n_parts, self.apart * self.n_parts)
 
 
-def _vector(lanes: Lanes) -> ir.VectorType:
+def _vector(lanes: LanesType) -> ir.VectorType:
     return ir.VectorType(_ELEMENTS[lanes.element], lanes.count)
 
 
-@register_model(Lanes)
+@register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Lanes) -> None:
+    def __init__(self, dmm: Any, fe_type: LanesType) -> None:
         super().__init__(dmm, fe_type, _vector(fe_type))
 
 
@@ -116,9 +115,9 @@ def _splat(builder: ir.IRBuilder, number: ir.Value, vector: ir.VectorType) -> ir
     )
 
 
-def _as_lanes(context: Any, builder: ir.IRBuilder, value: ir.Value, of: types.Type, lanes: Lanes) -> ir.Value:
-    """Bring a number, or lanes, to the type of some lanes."""
-    if isinstance(of, Lanes):
+def _as_lanes(context: Any, builder: ir.IRBuilder, value: ir.Value, of: types.Type, lanes: LanesType) -> ir.Value:
+    """Convert a number, or lanes, to the type of some lanes."""
+    if isinstance(of, LanesType):
         return value
     scalar = _SCALARS[lanes.element]
     return _splat(builder, context.cast(builder, value, of, scalar), _vector(lanes))
@@ -128,11 +127,11 @@ def _is_number(of: Any) -> bool:
     return isinstance(of, types.Number | types.Boolean)
 
 
-def _common(a: Any, b: Any) -> Lanes | None:
-    """Type of the lanes that two operands have in common; None if that is not for us."""
-    if isinstance(a, Lanes) and (a == b or _is_number(b)):
+def _common(a: Any, b: Any) -> LanesType | None:
+    """Return the type of lanes that two operands have in common, None if they are of other types."""
+    if isinstance(a, LanesType) and (a == b or _is_number(b)):
         return a
-    if isinstance(b, Lanes) and _is_number(a):
+    if isinstance(b, LanesType) and _is_number(a):
         return b
     return None
 
@@ -143,15 +142,11 @@ _Emit = Callable[[ir.IRBuilder, ir.Value, ir.Value], ir.Value]
 def _binary(function: Any, emit: dict[str, _Emit], *, compares: bool = False) -> None:
     """Teach numba an operator of two operands, for each kind of element."""
 
-    @type_callable(function)
-    def _type(context: Any) -> Any:
-        def typer(a: Any, b: Any) -> Any:
-            lanes = _common(a, b)
-            if lanes is None or lanes.element not in emit:
-                return None
-            return lanes.of("bool") if compares else lanes
-
-        return typer
+    def typer(a: Any, b: Any) -> Any:
+        lanes = _common(a, b)
+        if lanes is None or lanes.element not in emit:
+            return None
+        return lanes.of("bool") if compares else lanes
 
     def lower(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         lanes = _common(*signature.args)
@@ -159,7 +154,8 @@ def _binary(function: Any, emit: dict[str, _Emit], *, compares: bool = False) ->
         left, right = (_as_lanes(context, builder, x, of, lanes) for x, of in zip(args, signature.args, strict=True))
         return emit[lanes.element](builder, left, right)
 
-    for operands in ((Lanes, Lanes), (Lanes, types.Number), (types.Number, Lanes)):
+    type_callable(function)(lambda context: typer)
+    for operands in ((LanesType, LanesType), (LanesType, types.Number), (types.Number, LanesType)):
         lower_builtin(function, *operands)(lower)
 
 
@@ -176,7 +172,7 @@ def _integers(method: str, element: str = "int32") -> dict[str, _Emit]:
 
 def _comparison(sign: str) -> dict[str, _Emit]:
     def floats(builder: ir.IRBuilder, a: ir.Value, b: ir.Value) -> ir.Value:
-        # Against NaN all are false but "unlike", as in C.
+        # Comparisons with NaN are false, except !=, as in C.
         return builder.fcmp_unordered(sign, a, b) if sign == "!=" else builder.fcmp_ordered(sign, a, b)
 
     return {"float32": floats, "float64": floats, "int32": lambda builder, a, b: builder.icmp_signed(sign, a, b)}
@@ -200,29 +196,27 @@ for _function, _sign in (
     _binary(_function, _comparison(_sign), compares=True)
 
 
-def _unary(function: Any, emit: Callable[[ir.IRBuilder, ir.Value, Lanes], ir.Value], gives: dict[str, str]) -> None:
-    """Teach numba a function of one operand: the element it gives for each element that it takes."""
+def _unary(function: Any, emit: Callable[[ir.IRBuilder, ir.Value, LanesType], ir.Value], gives: dict[str, str]) -> None:
+    """Teach numba a function of one operand; ``gives`` maps elements of the operand to elements of the result."""
 
-    @type_callable(function)
-    def _type(context: Any) -> Any:
-        def typer(a: Any) -> Any:
-            return a.of(gives[a.element]) if isinstance(a, Lanes) and a.element in gives else None
+    def typer(a: Any) -> Any:
+        return a.of(gives[a.element]) if isinstance(a, LanesType) and a.element in gives else None
 
-        return typer
+    type_callable(function)(lambda context: typer)
 
-    @lower_builtin(function, Lanes)
+    @lower_builtin(function, LanesType)
     def _lower(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         return emit(builder, args[0], signature.return_type)
 
 
-def _call_intrinsic(builder: ir.IRBuilder, name: str, lanes: Lanes, values: list[ir.Value]) -> ir.Value:
+def _call_intrinsic(builder: ir.IRBuilder, name: str, lanes: LanesType, values: list[ir.Value]) -> ir.Value:
     vector = _vector(lanes)
     full_name = f"llvm.{name}.v{lanes.count}{_ELEMENTS[lanes.element].intrinsic_name}"
     function_type = ir.FunctionType(vector, [vector] * len(values))
     return builder.call(cgutils.get_or_insert_function(builder.module, function_type, full_name), values)
 
 
-def _intrinsic(name: str) -> Callable[[ir.IRBuilder, ir.Value, Lanes], ir.Value]:
+def _intrinsic(name: str) -> Callable[[ir.IRBuilder, ir.Value, LanesType], ir.Value]:
     return lambda builder, value, gives: _call_intrinsic(builder, name, gives, [value])
 
 
@@ -236,7 +230,7 @@ _unary(to_single, lambda builder, value, gives: builder.fptrunc(value, _vector(g
 _unary(truncate, lambda builder, value, gives: builder.fptosi(value, _vector(gives)), {"float64": "int32"})
 
 
-def _widen(builder: ir.IRBuilder, value: ir.Value, gives: Lanes) -> ir.Value:
+def _widen(builder: ir.IRBuilder, value: ir.Value, gives: LanesType) -> ir.Value:
     convert = builder.sitofp if value.type.element == INT else builder.fpext
     return convert(value, _vector(gives))
 
@@ -244,17 +238,33 @@ def _widen(builder: ir.IRBuilder, value: ir.Value, gives: Lanes) -> ir.Value:
 _unary(to_double, _widen, {"float32": "float64", "int32": "float64"})
 
 
-@type_callable(select)
-def _type_select(context: Any) -> Any:
-    def typer(mask: Any, yes: Any, no: Any) -> Any:
-        if not isinstance(mask, Lanes) or mask.element != "bool":
-            return None
-        return mask.of("float32") if _is_number(yes) and _is_number(no) else _common(yes, no)
+def _teaches(function: Any, *operands: Any, typer: Callable[..., Any]) -> Callable[[Any], Any]:
+    """Decorate the lowering of a function: teach numba the function for some types of operands.
 
-    return typer
+    Args:
+        function: function of lanes.py, or an operator.
+        operands: types of the operands.
+        typer: maps the operands' types to the type of the result, None if they do not fit.
+    """
+    type_callable(function)(lambda context: typer)
+    return lower_builtin(function, *operands)
 
 
-@lower_builtin(select, Lanes, types.Any, types.Any)
+def _is_mask(of: Any) -> bool:
+    return isinstance(of, LanesType) and of.element == "bool"
+
+
+def _is_row(block: Any, row: Any) -> bool:
+    return isinstance(block, BlockType) and isinstance(row, types.Integer)
+
+
+def _type_select(mask: Any, yes: Any, no: Any) -> Any:
+    if not _is_mask(mask):
+        return None
+    return mask.of("float32") if _is_number(yes) and _is_number(no) else _common(yes, no)
+
+
+@_teaches(select, LanesType, types.Any, types.Any, typer=_type_select)
 def _lower_select(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     yes, no = (
         _as_lanes(context, builder, value, of, signature.return_type)
@@ -263,74 +273,49 @@ def _lower_select(context: Any, builder: ir.IRBuilder, signature: Any, args: Any
     return builder.select(args[0], yes, no)
 
 
-@type_callable(any_lane)
-def _type_any(context: Any) -> Any:
-    return lambda mask: types.boolean if isinstance(mask, Lanes) and mask.element == "bool" else None
-
-
-@lower_builtin(any_lane, Lanes)
+@_teaches(any_lane, LanesType, typer=lambda mask: types.boolean if _is_mask(mask) else None)
 def _lower_any(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     bits = ir.IntType(signature.args[0].count)
     return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
 
 
-@type_callable(fma)
-def _type_fma(context: Any) -> Any:
-    def typer(a: Any, b: Any, c: Any) -> Any:
-        return a if isinstance(a, Lanes) and all(x == a or _is_number(x) for x in (b, c)) else None
-
-    return typer
+def _type_fma(a: Any, b: Any, c: Any) -> Any:
+    return a if isinstance(a, LanesType) and all(x == a or _is_number(x) for x in (b, c)) else None
 
 
-@lower_builtin(fma, Lanes, types.Any, types.Any)
+@_teaches(fma, LanesType, types.Any, types.Any, typer=_type_fma)
 def _lower_fma(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     lanes = signature.return_type
     values = [_as_lanes(context, builder, x, of, lanes) for x, of in zip(args, signature.args, strict=True)]
     return _call_intrinsic(builder, "fma", lanes, values)
 
 
-@type_callable(lane)
-def _type_lane(context: Any) -> Any:
-    return lambda lanes, index: _SCALARS[lanes.element] if isinstance(lanes, Lanes) else None
+def _type_lane(lanes: Any, index: Any) -> Any:
+    return _SCALARS[lanes.element] if isinstance(lanes, LanesType) else None
 
 
-@lower_builtin(lane, Lanes, types.Integer)
+@_teaches(lane, LanesType, types.Integer, typer=_type_lane)
 def _lower_lane(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     return builder.extract_element(args[0], args[1])
 
 
-@type_callable(with_lane)
-def _type_with_lane(context: Any) -> Any:
-    return lambda lanes, index, number: lanes if isinstance(lanes, Lanes) else None
+def _type_with_lane(lanes: Any, index: Any, number: Any) -> Any:
+    return lanes if isinstance(lanes, LanesType) else None
 
 
-@lower_builtin(with_lane, Lanes, types.Integer, types.Number)
+@_teaches(with_lane, LanesType, types.Integer, types.Number, typer=_type_with_lane)
 def _lower_with_lane(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     number = context.cast(builder, args[2], signature.args[2], _SCALARS[signature.args[0].element])
     return builder.insert_element(args[0], number, args[1])
 
 
-@type_callable(count_lanes)
-def _type_count(context: Any) -> Any:
-    return lambda lanes: types.intp if isinstance(lanes, Lanes) else None
-
-
-@lower_builtin(count_lanes, Lanes)
+@_teaches(count_lanes, LanesType, typer=lambda lanes: types.intp if isinstance(lanes, LanesType) else None)
 def _lower_count(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     return context.get_constant(types.intp, signature.args[0].count)
 
 
-@type_callable(operator.getitem)
-def _type_load(context: Any) -> Any:
-    def typer(block: Any, row: Any) -> Any:
-        ours = isinstance(block, BlockType) and isinstance(row, types.Integer)
-        return Lanes("float32", block.count) if ours else None
-
-    return typer
-
-
 def _align(n_lanes: int) -> int:
-    """Bytes at which every row of a block is sure to begin."""
+    """Return the alignment that every row of a block is sure to have [bytes]."""
     n_bytes = 4 * n_lanes
     return min(ALIGNMENT, n_bytes & -n_bytes)
 
@@ -340,61 +325,45 @@ def _row(builder: ir.IRBuilder, of: BlockType, block: ir.Value, row: ir.Value) -
     return builder.gep(block, [builder.mul(row, ir.Constant(row.type, of.apart))])
 
 
-@lower_builtin(operator.getitem, BlockType, types.Integer)
+def _type_load(block: Any, row: Any) -> Any:
+    return LanesType("float32", block.count) if _is_row(block, row) else None
+
+
+@_teaches(operator.getitem, BlockType, types.Integer, typer=_type_load)
 def _lower_load(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     of = signature.args[0]
     return builder.load(_row(builder, of, *args), align=_align(of.count))
 
 
-@type_callable(operator.setitem)
-def _type_store(context: Any) -> Any:
-    def typer(block: Any, row: Any, lanes: Any) -> Any:
-        ours = isinstance(block, BlockType) and isinstance(row, types.Integer)
-        return types.none if ours and _common(Lanes("float32", block.count), lanes) else None
-
-    return typer
+def _type_store(block: Any, row: Any, lanes: Any) -> Any:
+    return types.none if _is_row(block, row) and _common(LanesType("float32", block.count), lanes) else None
 
 
-@lower_builtin(operator.setitem, BlockType, types.Integer, types.Any)
+@_teaches(operator.setitem, BlockType, types.Integer, types.Any, typer=_type_store)
 def _lower_store(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     of = signature.args[0]
-    value = _as_lanes(context, builder, args[2], signature.args[2], Lanes("float32", of.count))
+    value = _as_lanes(context, builder, args[2], signature.args[2], LanesType("float32", of.count))
     builder.store(value, _row(builder, of, *args[:2]), align=_align(of.count))
     return context.get_dummy_value()
 
 
-@type_callable(from_row)
-def _type_from_row(context: Any) -> Any:
-    return lambda block, row: block if isinstance(block, BlockType) else None
-
-
-@lower_builtin(from_row, BlockType, types.Integer)
+@_teaches(from_row, BlockType, types.Integer, typer=lambda block, row: block if _is_row(block, row) else None)
 def _lower_from_row(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     return _row(builder, signature.args[0], *args)
 
 
-@type_callable(count_parts)
-def _type_count_parts(context: Any) -> Any:
-    return lambda block: types.intp if isinstance(block, BlockType) else None
-
-
-@lower_builtin(count_parts, BlockType)
+@_teaches(count_parts, BlockType, typer=lambda block: types.intp if isinstance(block, BlockType) else None)
 def _lower_count_parts(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     return context.get_constant(types.intp, signature.args[0].n_parts)
 
 
-@type_callable(part)
-def _type_part(context: Any) -> Any:
-    return lambda block, index: block.part if isinstance(block, BlockType) else None
-
-
-@lower_builtin(part, BlockType, types.Integer)
+@_teaches(part, BlockType, types.Integer, typer=lambda block, index: block.part if _is_row(block, index) else None)
 def _lower_part(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     halves = builder.bitcast(args[0], context.get_value_type(signature.return_type))
     return builder.gep(halves, [args[1]])
 
 
-@lower_cast(Lanes, Lanes)
+@lower_cast(LanesType, LanesType)
 def _cast_lanes(context: Any, builder: ir.IRBuilder, from_type: Any, to_type: Any, value: ir.Value) -> ir.Value:
     return value
 

@@ -2,12 +2,33 @@
 
 The ground is one static box, so wide and thick that its top is always the reference face. So the normal is (0, 1), the
 tangent (1, 0), a link has at most one contact of at most two points, and what Box2D multiplies by 0 or 1 is left out.
-Body A of a contact is the ground, B the link; points are its vertices. A lane without a point has a mass of zero there.
+Body A of a contact is the ground, body B the link; points are its vertices. m and i are the link's inverse mass and
+inertia, r the vector from its centre to a point, h the height of the ground. A lane without a point has a mass of 0.
+
+Normal constraint of a point (one equation, an inequality):
+
+    C    = p_y - h - both skins ≥ 0
+    Cdot = v_y + ω r_x                  J = (0, 1, r_x)        K = J M⁻¹ Jᵀ = m + i r_x²
+    λ    = -(Cdot - bias) / K           accumulated λ ≥ 0      bias = -restitution · Cdot at the start of the step
+
+Friction of a point:
+
+    Cdot = v_x - ω r_y                  J = (1, 0, -r_y)       K = m + i r_y²
+    λ    = -Cdot / K                    accumulated |λ| ≤ friction · λ of the normal
+
+Block of both points' normals, which solved one after the other would never agree. With a the accumulated impulses of
+points 1 and 2, x their new values and b the velocities that x leaves behind:
+
+    K_jk = m + i r_jx r_kx              b = K x + (Cdot - bias - K a)         x ≥ 0,  b ≥ 0,  x · b = 0
+
+    a linear complementarity problem of four cases (which points push); the first whose inequalities hold is taken.
+
+Position correction of a point, by β of the error and as a Newton step with the present angle:
+
+    C    = clamp(β (separation + slop), -most, 0)              λ = -C / K     y += m λ,  angle += i r_x λ
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 from tasks.compiled import inline
 from tasks.simulation.box2d import (
@@ -20,72 +41,40 @@ from tasks.simulation.box2d import (
     TOTAL_RADIUS,
     VELOCITY_THRESHOLD,
 )
-from tasks.simulation.simd.lanes import any_lane, select
+from tasks.simulation.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, any_lane, select
 from tasks.simulation.simd.rotation import sincos
+from tasks.simulation.trees import layout as at
 from tasks.simulation.trees.joint import clamp
-from tasks.simulation.trees.layout import (
-    ANGLE,
-    BIAS_1,
-    BIAS_2,
-    COS,
-    HALF_HEIGHT,
-    HALF_WIDTH,
-    INVERSE_INERTIA,
-    INVERSE_MASS,
-    K_11,
-    K_12,
-    K_22,
-    K_INVERSE_DETERMINANT,
-    LOCAL_X_1,
-    LOCAL_X_2,
-    LOCAL_Y_1,
-    LOCAL_Y_2,
-    NORMAL_1,
-    NORMAL_2,
-    NORMAL_MASS_1,
-    NORMAL_MASS_2,
-    OMEGA,
-    R_X_1,
-    R_X_2,
-    R_Y_1,
-    R_Y_2,
-    SIN,
-    TANGENT_1,
-    TANGENT_2,
-    TANGENT_MASS_1,
-    TANGENT_MASS_2,
-    VERTEX_1,
-    VERTEX_2,
-    VX,
-    VY,
-    X,
-    Y,
-)
 
 NO_VERTEX = -1.0
-CLEARLY_APART = 0.1
-"""[m]. Estimated, and far more than the error of the estimate: no contact, whatever the rounding."""
+_CLEARLY_APART = 0.1
+"""Estimated gap [m] beyond which there is no contact; far more than the estimate's rounding."""
 
 
 @inline
-def collide(block: Any, link: int, ground: Any) -> bool:
-    """b2CollidePolygons and b2Contact::Update: the points that touch, with the impulses of their last step.
+def collide(block: Block, link: int, ground: Uniform) -> bool:
+    """b2CollidePolygons and b2Contact::Update: find the points that touch, with their impulses of the last step.
+
+    Args:
+        block: group of robots.
+        link: number of the link.
+        ground: height of the ground [m].
 
     Returns:
         Whether the link touches the ground in any lane.
     """
-    x, y, c, s = block[X + link], block[Y + link], block[COS + link], block[SIN + link]
-    hx, hy = block[HALF_WIDTH + link], block[HALF_HEIGHT + link]
-    old_vertex_1, old_vertex_2 = block[VERTEX_1 + link], block[VERTEX_2 + link]
-    if not any_lane(y - abs(s) * hx - abs(c) * hy - ground < CLEARLY_APART):
+    x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
+    hx, hy = block[at.HALF_WIDTH + link], block[at.HALF_HEIGHT + link]
+    old_vertex_1, old_vertex_2 = block[at.VERTEX_1 + link], block[at.VERTEX_2 + link]
+    if not any_lane(y - abs(s) * hx - abs(c) * hy - ground < _CLEARLY_APART):
         if any_lane(old_vertex_1 != NO_VERTEX):
-            block[VERTEX_1 + link], block[VERTEX_2 + link] = NO_VERTEX, NO_VERTEX
-            block[NORMAL_1 + link], block[TANGENT_1 + link] = 0.0, 0.0
-            block[NORMAL_2 + link], block[TANGENT_2 + link] = 0.0, 0.0
+            block[at.VERTEX_1 + link], block[at.VERTEX_2 + link] = NO_VERTEX, NO_VERTEX
+            block[at.NORMAL_1 + link], block[at.TANGENT_1 + link] = 0.0, 0.0
+            block[at.NORMAL_2 + link], block[at.TANGENT_2 + link] = 0.0, 0.0
         return False
 
     # b2FindIncidentEdge: the first of the normals (0, -1), (1, 0), (0, 1), (-1, 0) that points down most.
-    least = -c
+    least: Lanes = -c
     right = s < least
     least = select(right, s, least)
     top = c < least
@@ -108,31 +97,31 @@ def collide(block: Any, link: int, ground: Any) -> bool:
     touches_2 = near & (p2_y - ground <= TOTAL_RADIUS)
     both = touches_1 & touches_2
 
-    # b2MulT(xf, p): back to the link's frame, with its rounding. A second point that is alone becomes the first.
+    # b2MulT(xf, p): back to the link's frame, with its rounding. A second point that touches alone becomes the first.
     p1_x, p1_y = select(touches_1, p1_x, p2_x) - x, select(touches_1, p1_y, p2_y) - y
     p2_x, p2_y = p2_x - x, p2_y - y
-    block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link] = c * p1_x + s * p1_y, -s * p1_x + c * p1_y
-    block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link] = c * p2_x + s * p2_y, -s * p2_x + c * p2_y
+    block[at.LOCAL_X_1 + link], block[at.LOCAL_Y_1 + link] = c * p1_x + s * p1_y, -s * p1_x + c * p1_y
+    block[at.LOCAL_X_2 + link], block[at.LOCAL_Y_2 + link] = c * p2_x + s * p2_y, -s * p2_x + c * p2_y
 
     # b2Contact::Update: a vertex that touched before keeps its impulses. Without a point they are zero.
     vertex_1 = select(touches_1, vertex_1, select(touches_2, vertex_2, NO_VERTEX))
     vertex_2 = select(both, vertex_2, NO_VERTEX)
-    normal_1, normal_2 = block[NORMAL_1 + link], block[NORMAL_2 + link]
-    tangent_1, tangent_2 = block[TANGENT_1 + link], block[TANGENT_2 + link]
+    normal_1, normal_2 = block[at.NORMAL_1 + link], block[at.NORMAL_2 + link]
+    tangent_1, tangent_2 = block[at.TANGENT_1 + link], block[at.TANGENT_2 + link]
     is_old_1, is_old_2 = vertex_1 == old_vertex_1, vertex_1 == old_vertex_2
-    block[NORMAL_1 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
-    block[TANGENT_1 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
+    block[at.NORMAL_1 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
+    block[at.TANGENT_1 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
     is_old_1, is_old_2 = vertex_2 == old_vertex_1, vertex_2 == old_vertex_2
-    block[NORMAL_2 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
-    block[TANGENT_2 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
-    block[VERTEX_1 + link], block[VERTEX_2 + link] = vertex_1, vertex_2
+    block[at.NORMAL_2 + link] = select(is_old_1, normal_1, select(is_old_2, normal_2, 0.0))
+    block[at.TANGENT_2 + link] = select(is_old_1, tangent_1, select(is_old_2, tangent_2, 0.0))
+    block[at.VERTEX_1 + link], block[at.VERTEX_2 + link] = vertex_1, vertex_2
     return any_lane(vertex_1 != NO_VERTEX)
 
 
 @inline
-def _lever(block: Any, link: int, local_x: Any, local_y: Any, ground: Any) -> Any:
-    """b2WorldManifold::Initialize: a point midway between the surfaces of both skins, from the link's centre."""
-    x, y, c, s = block[X + link], block[Y + link], block[COS + link], block[SIN + link]
+def _lever(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: Uniform) -> tuple[Lanes, Lanes]:
+    """b2WorldManifold::Initialize: r of a point midway between the surfaces of both skins."""
+    x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
     clip_x, clip_y = (c * local_x - s * local_y) + x, (s * local_x + c * local_y) + y
     on_ground = clip_y + (POLYGON_RADIUS - (clip_y - ground))
     on_link = clip_y - POLYGON_RADIUS
@@ -140,136 +129,154 @@ def _lever(block: Any, link: int, local_x: Any, local_y: Any, ground: Any) -> An
 
 
 @inline
-def _bounce(v_rel: Any, restitution: Any) -> Any:
+def _bounce(v_rel: Lanes, restitution: Uniform) -> Numeric:
     """b2VelocityConstraintPoint's velocityBias."""
     return select(v_rel < -VELOCITY_THRESHOLD, -(restitution * v_rel), 0.0)
 
 
 @inline
-def init_velocity_constraint(block: Any, link: int, ground: Any, restitution: Any, dt_ratio: Any) -> bool:
+def init_velocity_constraint(block: Block, link: int, ground: Uniform, restitution: Uniform, dt_ratio: Uniform) -> bool:
     """b2ContactSolver's InitializeVelocityConstraints and WarmStart.
 
     Most links that touch stand on one point: the second costs time only where a lane has it.
 
+    Args:
+        block: group of robots.
+        link: number of the link.
+        ground: height of the ground [m].
+        restitution: coefficient of restitution.
+        dt_ratio: this time step over the last.
+
     Returns:
         Whether any lane has a block of two points.
     """
-    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
-    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
-    touches = block[VERTEX_1 + link] != NO_VERTEX
-    r_x, r_y = _lever(block, link, block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link], ground)
+    mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
+    vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
+    touches = block[at.VERTEX_1 + link] != NO_VERTEX
+    r_x, r_y = _lever(block, link, block[at.LOCAL_X_1 + link], block[at.LOCAL_Y_1 + link], ground)
     k = mB + iB * r_x * r_x
-    block[R_X_1 + link], block[R_Y_1 + link] = r_x, r_y
-    block[NORMAL_MASS_1 + link] = select(touches, 1.0 / k, 0.0)
-    block[TANGENT_MASS_1 + link] = select(touches, 1.0 / (mB + iB * r_y * r_y), 0.0)
-    block[BIAS_1 + link] = _bounce(vy + w * r_x, restitution)
-    normal, tangent = dt_ratio * block[NORMAL_1 + link], dt_ratio * block[TANGENT_1 + link]
-    block[NORMAL_1 + link], block[TANGENT_1 + link] = normal, tangent
-    block[VX + link], block[VY + link] = vx + mB * tangent, vy + mB * normal
-    block[OMEGA + link] = w + iB * (r_x * normal - r_y * tangent)
+    block[at.R_X_1 + link], block[at.R_Y_1 + link] = r_x, r_y
+    block[at.NORMAL_MASS_1 + link] = select(touches, 1.0 / k, 0.0)
+    block[at.TANGENT_MASS_1 + link] = select(touches, 1.0 / (mB + iB * r_y * r_y), 0.0)
+    block[at.BIAS_1 + link] = _bounce(vy + w * r_x, restitution)
+    normal, tangent = dt_ratio * block[at.NORMAL_1 + link], dt_ratio * block[at.TANGENT_1 + link]
+    block[at.NORMAL_1 + link], block[at.TANGENT_1 + link] = normal, tangent
+    block[at.VX + link], block[at.VY + link] = vx + mB * tangent, vy + mB * normal
+    block[at.OMEGA + link] = w + iB * (r_x * normal - r_y * tangent)
 
-    if any_lane(block[VERTEX_2 + link] != NO_VERTEX):
+    if any_lane(block[at.VERTEX_2 + link] != NO_VERTEX):
         return _init_second_point(block, link, ground, restitution, dt_ratio, k, vy, w)
     return False
 
 
 @inline
 def _init_second_point(
-    block: Any, link: int, ground: Any, restitution: Any, dt_ratio: Any, k11: Any, vy: Any, w: Any
+    block: Block, link: int, ground: Uniform, restitution: Uniform, dt_ratio: Uniform, k11: Lanes, vy: Lanes, w: Lanes
 ) -> bool:
-    """Initialize and warm-start the second point and the block of both; vy and w were before the warm start."""
-    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
-    r1_x = block[R_X_1 + link]
-    r_x, r_y = _lever(block, link, block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link], ground)
+    """Initialize and warm-start point 2 and the block; vy and w are the velocities before any warm start."""
+    mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
+    r1_x = block[at.R_X_1 + link]
+    r_x, r_y = _lever(block, link, block[at.LOCAL_X_2 + link], block[at.LOCAL_Y_2 + link], ground)
     k22 = mB + iB * r_x * r_x
     k12 = mB + iB * r1_x * r_x
     det = k11 * k22 - k12 * k12
-    in_block = (block[VERTEX_2 + link] != NO_VERTEX) & (k11 * k11 < MAX_CONDITION_NUMBER * det)
-    block[K_11 + link], block[K_12 + link], block[K_22 + link] = k11, k12, k22
-    block[K_INVERSE_DETERMINANT + link] = select(det != 0.0, 1.0 / det, det)
-    block[R_X_2 + link], block[R_Y_2 + link] = r_x, r_y
-    block[NORMAL_MASS_2 + link] = select(in_block, 1.0 / k22, 0.0)
-    block[TANGENT_MASS_2 + link] = select(in_block, 1.0 / (mB + iB * r_y * r_y), 0.0)
-    block[BIAS_2 + link] = _bounce(vy + w * r_x, restitution)
+    in_block = (block[at.VERTEX_2 + link] != NO_VERTEX) & (k11 * k11 < MAX_CONDITION_NUMBER * det)
+    block[at.K_11 + link], block[at.K_12 + link], block[at.K_22 + link] = k11, k12, k22
+    block[at.K_INVERSE_DETERMINANT + link] = select(det != 0.0, 1.0 / det, det)
+    block[at.R_X_2 + link], block[at.R_Y_2 + link] = r_x, r_y
+    block[at.NORMAL_MASS_2 + link] = select(in_block, 1.0 / k22, 0.0)
+    block[at.TANGENT_MASS_2 + link] = select(in_block, 1.0 / (mB + iB * r_y * r_y), 0.0)
+    block[at.BIAS_2 + link] = _bounce(vy + w * r_x, restitution)
 
-    # Where the block is ill-conditioned the second point is left out, and keeps its impulses for the next step.
-    old_normal, old_tangent = block[NORMAL_2 + link], block[TANGENT_2 + link]
+    # An ill-conditioned block leaves out point 2, whose impulses stay for the next step.
+    old_normal, old_tangent = block[at.NORMAL_2 + link], block[at.TANGENT_2 + link]
     normal, tangent = dt_ratio * old_normal, dt_ratio * old_tangent
-    block[NORMAL_2 + link] = select(in_block, normal, old_normal)
-    block[TANGENT_2 + link] = select(in_block, tangent, old_tangent)
+    block[at.NORMAL_2 + link] = select(in_block, normal, old_normal)
+    block[at.TANGENT_2 + link] = select(in_block, tangent, old_tangent)
     normal, tangent = select(in_block, normal, 0.0), select(in_block, tangent, 0.0)
-    block[VX + link] = block[VX + link] + mB * tangent
-    block[VY + link] = block[VY + link] + mB * normal
-    block[OMEGA + link] = block[OMEGA + link] + iB * (r_x * normal - r_y * tangent)
+    block[at.VX + link] = block[at.VX + link] + mB * tangent
+    block[at.VY + link] = block[at.VY + link] + mB * normal
+    block[at.OMEGA + link] = block[at.OMEGA + link] + iB * (r_x * normal - r_y * tangent)
     return any_lane(in_block)
 
 
 @inline
-def solve_point(block: Any, link: int, friction: Any) -> None:
-    """b2ContactSolver::SolveVelocityConstraints of single points: friction, then the normal impulse.
+def solve_point(block: Block, link: int, friction: Uniform) -> None:
+    """b2ContactSolver::SolveVelocityConstraints of single points: friction, then the normal.
 
-    The impulses stay where they are for the next step, so there is nothing left for StoreImpulses.
+    The impulses stay in the block until the next step, which makes StoreImpulses superfluous.
+
+    Args:
+        block: group of robots.
+        link: number of the link.
+        friction: coefficient of friction.
     """
-    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
-    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
-    r_x, r_y = block[R_X_1 + link], block[R_Y_1 + link]
-    normal, tangent = block[NORMAL_1 + link], block[TANGENT_1 + link]
+    mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
+    vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
+    r_x, r_y = block[at.R_X_1 + link], block[at.R_Y_1 + link]
+    normal, tangent = block[at.NORMAL_1 + link], block[at.TANGENT_1 + link]
 
     max_friction = friction * normal
-    new = clamp(tangent - block[TANGENT_MASS_1 + link] * (vx - w * r_y), -max_friction, max_friction)
-    block[TANGENT_1 + link] = new
-    block[VX + link] = vx + mB * (new - tangent)
+    new = clamp(tangent - block[at.TANGENT_MASS_1 + link] * (vx - w * r_y), -max_friction, max_friction)
+    block[at.TANGENT_1 + link] = new
+    block[at.VX + link] = vx + mB * (new - tangent)
     w = w - iB * (r_y * (new - tangent))
 
-    new = normal - block[NORMAL_MASS_1 + link] * (vy + w * r_x - block[BIAS_1 + link])
+    new = normal - block[at.NORMAL_MASS_1 + link] * (vy + w * r_x - block[at.BIAS_1 + link])
     new = select(new > 0.0, new, 0.0)
-    block[NORMAL_1 + link] = new
-    block[VY + link] = vy + mB * (new - normal)
-    block[OMEGA + link] = w + iB * (r_x * (new - normal))
+    block[at.NORMAL_1 + link] = new
+    block[at.VY + link] = vy + mB * (new - normal)
+    block[at.OMEGA + link] = w + iB * (r_x * (new - normal))
 
 
 @inline
-def solve_both_points(block: Any, link: int, friction: Any) -> None:
-    """b2ContactSolver::SolveVelocityConstraints where some lane has two points, whose normal impulses go together."""
-    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
-    vx, vy, w = block[VX + link], block[VY + link], block[OMEGA + link]
-    r1_x, r1_y = block[R_X_1 + link], block[R_Y_1 + link]
-    r2_x, r2_y = block[R_X_2 + link], block[R_Y_2 + link]
-    a1, a2 = block[NORMAL_1 + link], block[NORMAL_2 + link]
-    in_block = block[NORMAL_MASS_2 + link] != 0.0
+def solve_both_points(block: Block, link: int, friction: Uniform) -> None:
+    """b2ContactSolver::SolveVelocityConstraints where some lane has two points: friction, then the block of normals.
+
+    Args:
+        block: group of robots.
+        link: number of the link.
+        friction: coefficient of friction.
+    """
+    mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
+    vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
+    r1_x, r1_y = block[at.R_X_1 + link], block[at.R_Y_1 + link]
+    r2_x, r2_y = block[at.R_X_2 + link], block[at.R_Y_2 + link]
+    a1, a2 = block[at.NORMAL_1 + link], block[at.NORMAL_2 + link]
+    in_block = block[at.NORMAL_MASS_2 + link] != 0.0
 
     max_friction = friction * a1
-    old = block[TANGENT_1 + link]
-    new = clamp(old - block[TANGENT_MASS_1 + link] * (vx - w * r1_y), -max_friction, max_friction)
-    block[TANGENT_1 + link] = new
+    old = block[at.TANGENT_1 + link]
+    new = clamp(old - block[at.TANGENT_MASS_1 + link] * (vx - w * r1_y), -max_friction, max_friction)
+    block[at.TANGENT_1 + link] = new
     vx = vx + mB * (new - old)
     w = w - iB * (r1_y * (new - old))
 
     max_friction = friction * a2
-    old = block[TANGENT_2 + link]
-    new = clamp(old - block[TANGENT_MASS_2 + link] * (vx - w * r2_y), -max_friction, max_friction)
+    old = block[at.TANGENT_2 + link]
+    new = clamp(old - block[at.TANGENT_MASS_2 + link] * (vx - w * r2_y), -max_friction, max_friction)
     new = select(in_block, new, old)
-    block[TANGENT_2 + link] = new
+    block[at.TANGENT_2 + link] = new
     vx = vx + mB * (new - old)
     w = w - iB * (r2_y * (new - old))
 
-    b1 = vy + w * r1_x - block[BIAS_1 + link]
-    b2 = vy + w * r2_x - block[BIAS_2 + link]
-    alone = a1 - block[NORMAL_MASS_1 + link] * b1
+    b1 = vy + w * r1_x - block[at.BIAS_1 + link]
+    b2 = vy + w * r2_x - block[at.BIAS_2 + link]
+    alone = a1 - block[at.NORMAL_MASS_1 + link] * b1
     alone = select(alone > 0.0, alone, 0.0)
 
-    # The linear complementarity problem b = K x + b', x ≥ 0, b ≥ 0, x · b = 0: the first of the cases that holds.
-    k11, k12, k22 = block[K_11 + link], block[K_12 + link], block[K_22 + link]
-    inverse_det = block[K_INVERSE_DETERMINANT + link]
+    # The cases: both points push (x1, x2), only one (case_2, case_3), none (case_4).
+    k11, k12, k22 = block[at.K_11 + link], block[at.K_12 + link], block[at.K_22 + link]
+    inverse_det = block[at.K_INVERSE_DETERMINANT + link]
     b1 = b1 - (k11 * a1 + k12 * a2)
     b2 = b2 - (k12 * a1 + k22 * a2)
     x1 = -(inverse_det * k22 * b1 - inverse_det * k12 * b2)
     x2 = -(inverse_det * k11 * b2 - inverse_det * k12 * b1)
     solved = (x1 >= 0.0) & (x2 >= 0.0)
     if any_lane(in_block & ~solved):
-        only_1 = -(block[NORMAL_MASS_1 + link] * b1)
+        only_1 = -(block[at.NORMAL_MASS_1 + link] * b1)
         case_2 = (only_1 >= 0.0) & (k12 * only_1 + b2 >= 0.0)
-        only_2 = -(block[NORMAL_MASS_2 + link] * b2)
+        only_2 = -(block[at.NORMAL_MASS_2 + link] * b2)
         case_3 = (only_2 >= 0.0) & (k12 * only_2 + b1 >= 0.0)
         case_4 = (b1 >= 0.0) & (b2 >= 0.0)
         x1 = select(solved, x1, select(case_2, only_1, select(case_3 | case_4, 0.0, a1)))
@@ -277,42 +284,52 @@ def solve_both_points(block: Any, link: int, friction: Any) -> None:
 
     x1 = select(in_block, x1, alone)
     x2 = select(in_block, x2, a2)
-    block[NORMAL_1 + link], block[NORMAL_2 + link] = x1, x2
+    block[at.NORMAL_1 + link], block[at.NORMAL_2 + link] = x1, x2
     d1, d2 = x1 - a1, x2 - a2
-    block[VX + link] = vx
-    block[VY + link] = vy + mB * (d1 + d2)
-    block[OMEGA + link] = w + iB * (r1_x * d1 + r2_x * d2)
+    block[at.VX + link] = vx
+    block[at.VY + link] = vy + mB * (d1 + d2)
+    block[at.OMEGA + link] = w + iB * (r1_x * d1 + r2_x * d2)
 
 
 @inline
-def _push_out(block: Any, link: int, local_x: Any, local_y: Any, ground: Any, pushed: Any) -> Any:
-    """One point of SolvePositionConstraints, in some lanes; return its separation."""
-    mB, iB = block[INVERSE_MASS + link], block[INVERSE_INERTIA + link]
-    x, y, c, s = block[X + link], block[Y + link], block[COS + link], block[SIN + link]
+def _push_out(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: Uniform, pushed: Mask) -> Lanes:
+    """Correct one point in the lanes ``pushed``; return its separation before."""
+    mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
+    x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
     clip_x, clip_y = (c * local_x - s * local_y) + x, (s * local_x + c * local_y) + y
-    separation = clip_y - ground - POLYGON_RADIUS - POLYGON_RADIUS
+    separation: Lanes = clip_y - ground - POLYGON_RADIUS - POLYGON_RADIUS
     C = clamp(BAUMGARTE * (separation + LINEAR_SLOP), -MAX_LINEAR_CORRECTION, 0.0)
     pushed = pushed & (C != 0.0)
     if any_lane(pushed):
         r_x = clip_x - x
         impulse = select(pushed, -C / (mB + iB * r_x * r_x), 0.0)
-        angle = block[ANGLE + link] + iB * (r_x * impulse)
-        block[Y + link] = y + mB * impulse
-        block[ANGLE + link] = angle
-        block[SIN + link], block[COS + link] = sincos(angle)
+        angle = block[at.ANGLE + link] + iB * (r_x * impulse)
+        block[at.Y + link] = y + mB * impulse
+        block[at.ANGLE + link] = angle
+        block[at.SIN + link], block[at.COS + link] = sincos(angle)
     return separation
 
 
 @inline
-def solve_position_constraint(block: Any, link: int, ground: Any, unsolved: Any) -> Any:
-    """b2ContactSolver::SolvePositionConstraints in the unsolved lanes; return where the link was not too deep."""
-    touches = block[VERTEX_1 + link] != NO_VERTEX
-    local_x, local_y = block[LOCAL_X_1 + link], block[LOCAL_Y_1 + link]
+def solve_position_constraint(block: Block, link: int, ground: Uniform, unsolved: Mask) -> Mask:
+    """b2ContactSolver::SolvePositionConstraints.
+
+    Args:
+        block: group of robots.
+        link: number of the link.
+        ground: height of the ground [m].
+        unsolved: lanes to correct; the others stay as they are.
+
+    Returns:
+        Lanes in which the link was not too deep.
+    """
+    touches = block[at.VERTEX_1 + link] != NO_VERTEX
+    local_x, local_y = block[at.LOCAL_X_1 + link], block[at.LOCAL_Y_1 + link]
     separation = _push_out(block, link, local_x, local_y, ground, unsolved & touches)
-    shallow = ~touches | (separation >= LEAST_SEPARATION)
-    both = block[VERTEX_2 + link] != NO_VERTEX
+    shallow: Mask = ~touches | (separation >= LEAST_SEPARATION)
+    both = block[at.VERTEX_2 + link] != NO_VERTEX
     if any_lane(both):
-        local_x, local_y = block[LOCAL_X_2 + link], block[LOCAL_Y_2 + link]
+        local_x, local_y = block[at.LOCAL_X_2 + link], block[at.LOCAL_Y_2 + link]
         separation = _push_out(block, link, local_x, local_y, ground, unsolved & both)
         shallow = shallow & (~both | (separation >= LEAST_SEPARATION))
     return shallow

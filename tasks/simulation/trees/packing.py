@@ -1,6 +1,7 @@
-"""Robots into lanes: what does not change of them, and their state at the spawn, written to the rows of blocks.
+"""Packing robots into lanes: constants and initial state of each robot, in the rows of its group's block.
 
-In NumPy this is some hundred calls, a twentieth of the rollouts of 64 designs; compiled it is less than a hundredth.
+In NumPy this would be a hundred calls and a twentieth of the rollouts of 64 designs; compiled it is less than a
+hundredth.
 """
 
 from __future__ import annotations
@@ -8,48 +9,56 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from tasks.arrays import Float32, Int64
 from tasks.compiled import inline
-from tasks.design.body import JOINT_ANGLE, LENGTH, spawn_kernel
+from tasks.design.body import spawn_kernel
 from tasks.design.genes import COLUMNS, N_LINKS, PARENT_COLUMN, DesignTable
 from tasks.simulation.controller import TURN
+from tasks.simulation.simd.lanes import Uniform
 from tasks.simulation.trees import layout
 from tasks.simulation.trees.contact import NO_VERTEX
 
-HALF, QUARTER, ZERO, ONE = np.float32(0.5), np.float32(0.25), np.float32(0.0), np.float32(1.0)
-THIRD = np.float32(1.0) / np.float32(3.0)
+_HALF, _QUARTER, _ZERO, _ONE = np.float32(0.5), np.float32(0.25), np.float32(0.0), np.float32(1.0)
+_THIRD = np.float32(1.0) / np.float32(3.0)
 
-FREQUENCY, PHASE, MOTION_RANGE, MOTOR_ON = (
-    COLUMNS[name].start for name in ("frequency", "phase", "motion_range", "motor_on")
+_LENGTH, _REST_ANGLE, _FREQUENCY, _PHASE, _MOTION_RANGE, _MOTOR_ON = (
+    COLUMNS[name].start for name in ("length_scale", "rest_angle", "frequency", "phase", "motion_range", "motor_on")
 )
-"""Columns of controllers in a table of designs: the frequency's; those of the root, which the other links' follow."""
+"""Columns in a table of designs: of the root, followed by the other links; ``frequency`` has one."""
 
 
 @inline
-def inverse_mass_and_inertia(half_width: Any, half_height: Any, density: Any) -> Any:
-    """b2PolygonShape::ComputeMass and b2Body::ResetMassData of a box, operation by operation in float32."""
+def inverse_mass_and_inertia(half_width: Uniform, half_height: Uniform, density: Uniform) -> tuple[Uniform, Uniform]:
+    """b2PolygonShape::ComputeMass and b2Body::ResetMassData of a box, operation by operation in float32.
+
+    Args:
+        half_width: half the short axis [m].
+        half_height: half the long axis [m].
+        density: density [kg/m²].
+
+    Returns:
+        Inverse mass [1/kg] and inverse moment of inertia [1/(kg·m²)].
+    """
     x, y = half_width, half_height
     corner_x, corner_y = (-x, x, x, -x), (-y, -y, y, y)
-    area = inertia = ZERO * x
+    area = inertia = _ZERO * x
     for i in range(4):
         ex1, ey1, ex2, ey2 = corner_x[i], corner_y[i], corner_x[(i + 1) % 4], corner_y[(i + 1) % 4]
         D = ex1 * ey2 - ey1 * ex2
-        area = area + HALF * D
+        area = area + _HALF * D
         intx2 = ex1 * ex1 + ex2 * ex1 + ex2 * ex2
         inty2 = ey1 * ey1 + ey2 * ey1 + ey2 * ey2
-        inertia = inertia + (QUARTER * THIRD * D) * (intx2 + inty2)
-    return ONE / (density * area), ONE / (density * inertia)
+        inertia = inertia + (_QUARTER * _THIRD * D) * (intx2 + inty2)
+    return _ONE / (density * area), _ONE / (density * inertia)
 
 
 def discovery_order(parents: Sequence[int]) -> list[int]:
-    """Order in which Box2D's island search meets a robot's links (b2World::Solve): the root, then joint by joint.
+    """Return the order in which Box2D's island search (b2World::Solve) finds a robot's links, the root first.
 
-    Args:
-        parents: of each link; the links were created from the last to the root, the joints from the first on.
+    The links were created from the last to the root, the joints from the first on.
     """
     order, stack = [0], [0]
     while stack:
@@ -62,11 +71,11 @@ def discovery_order(parents: Sequence[int]) -> list[int]:
 
 
 TREES = list(itertools.product((-1,), *(range(link) for link in range(1, N_LINKS))))
-"""Every tree that a robot can be: 120 of them, in lexical order of the parents."""
-ORDER_OF_TREE = np.array([discovery_order(parents) for parents in TREES])
-PLACE_OF_TREE = np.argsort(ORDER_OF_TREE, axis=1)
+"""All 120 trees that a robot can have, in lexical order of the parents."""
+_ORDER_OF_TREE = np.array([discovery_order(parents) for parents in TREES])
+_NUMBER_OF_TREE = np.argsort(_ORDER_OF_TREE, axis=1)
 TREE_WEIGHTS = np.array([0, *(len(TREES) // math.factorial(link) for link in range(1, N_LINKS))])
-"""parents · weights is a tree's place in that list."""
+"""parents · weights is the index of a tree in TREES."""
 
 
 def pack_robots(
@@ -76,20 +85,21 @@ def pack_robots(
     density: float,
     max_motor_impulse: np.float32,
     blocks: Float32,
-    place: Int64,
+    number: Int64,
 ) -> None:
-    """Spawn n_members robots of each of n_designs designs, and fill the lanes of blocks with them.
+    """Spawn n_members robots of each of n_designs designs in the lanes of blocks.
+
+    Robot member · n_designs + design is in lane i mod n_lanes of group i // n_lanes. Lanes left over at the end get
+    copies of the last robot.
 
     Args:
-        table: (n_designs, N_COLUMNS)
-        n_members: how many of each; robot number member · n_designs + design is in lane number mod n_lanes of group
-            number div n_lanes.
-        n_lanes: of a group.
-        density: of every link [kg/m²].
-        max_motor_impulse: of every motor that is on [N·m·s].
-        blocks: (n_groups, N_ROWS, n_lanes) of 0, to be filled; lanes left over at the end get copies of the last robot,
-            so that every lane holds one.
-        place: (n_designs, n_links) room for the place of each link among those of its robot.
+        table: (n_designs, N_COLUMNS) designs.
+        n_members: robots per design.
+        n_lanes: lanes of a group.
+        density: density of every link [kg/m²].
+        max_motor_impulse: largest impulse in a step of a motor that is on [N·m·s].
+        blocks: (n_groups, N_ROWS, n_lanes) zeros to fill.
+        number: (n_designs, n_links) array to fill with the engine's numbers of the links.
     """
     single, n_robots = np.float32, n_members * len(table)
     links, one_density = spawn_kernel(table, density), single(density)
@@ -100,12 +110,12 @@ def pack_robots(
         for link in range(N_LINKS):
             tree += int(genes[PARENT_COLUMN + link]) * TREE_WEIGHTS[link]
         for link in range(N_LINKS):
-            place[design, link] = PLACE_OF_TREE[tree, link]
-        robot = np.zeros(layout.FREQUENCY + 1, single)  # what comes after is scratch
-        robot[layout.FREQUENCY] = single(genes[FREQUENCY])
+            number[design, link] = _NUMBER_OF_TREE[tree, link]
+        robot = np.zeros(layout.FREQUENCY + 1, single)  # the rows that follow are scratch
+        robot[layout.FREQUENCY] = single(genes[_FREQUENCY])
         for i in range(N_LINKS):
-            link = ORDER_OF_TREE[tree, i]
-            length = single(genes[LENGTH + link])
+            link = _ORDER_OF_TREE[tree, i]
+            length = single(genes[_LENGTH + link])
             inverse_mass, inverse_inertia = inverse_mass_and_inertia(
                 half_width[design, link], half_height[design, link], one_density
             )
@@ -114,24 +124,24 @@ def pack_robots(
             robot[layout.HALF_WIDTH + i] = half_width[design, link]
             robot[layout.HALF_HEIGHT + i] = half_height[design, link]
             robot[layout.INVERSE_MASS + i], robot[layout.INVERSE_INERTIA + i] = inverse_mass, inverse_inertia
-            robot[layout.LONG_AXIS + i], robot[layout.SHORT_AXIS + i] = length, ONE / length
+            robot[layout.LONG_AXIS + i], robot[layout.SHORT_AXIS + i] = length, _ONE / length
             robot[layout.MASS + i], robot[layout.INERTIA + i] = mass[design, link], inertia[design, link]
             robot[layout.VERTEX_1 + i] = robot[layout.VERTEX_2 + i] = NO_VERTEX
             if i > 0:
-                j, above = i - 1, place[design, int(genes[PARENT_COLUMN + link])]
+                j, above = i - 1, number[design, int(genes[PARENT_COLUMN + link])]
                 robot[layout.PARENT + j] = above
-                robot[layout.PARENT_INVERSE_MASS + j] = robot[layout.INVERSE_MASS + above]  # which comes before
+                robot[layout.PARENT_INVERSE_MASS + j] = robot[layout.INVERSE_MASS + above]  # packed before
                 robot[layout.PARENT_INVERSE_INERTIA + j] = robot[layout.INVERSE_INERTIA + above]
                 robot[layout.PARENT_ANCHOR + j] = parent_anchor[design, link]
                 robot[layout.CHILD_ANCHOR + j] = child_anchor[design, link]
-                robot[layout.MAX_MOTOR_IMPULSE + j] = max_motor_impulse if genes[MOTOR_ON + link] != 0 else ZERO
-                robot[layout.PHASE + j] = single(genes[PHASE + link] / TURN)
-                robot[layout.MOTION_RANGE + j] = single(genes[MOTION_RANGE + link])
-                robot[layout.REST_ANGLE + j] = single(genes[JOINT_ANGLE + link])
-        for number in range(design, n_robots, len(table)):
+                robot[layout.MAX_MOTOR_IMPULSE + j] = max_motor_impulse if genes[_MOTOR_ON + link] != 0 else _ZERO
+                robot[layout.PHASE + j] = single(genes[_PHASE + link] / TURN)
+                robot[layout.MOTION_RANGE + j] = single(genes[_MOTION_RANGE + link])
+                robot[layout.REST_ANGLE + j] = single(genes[_REST_ANGLE + link])
+        for copy in range(design, n_robots, len(table)):
             for row in range(len(robot)):
-                blocks[number // n_lanes, row, number % n_lanes] = robot[row]
+                blocks[copy // n_lanes, row, copy % n_lanes] = robot[row]
     last = n_robots - 1
-    for number in range(n_robots, blocks.shape[0] * n_lanes):
+    for copy in range(n_robots, blocks.shape[0] * n_lanes):
         for row in range(blocks.shape[1]):
-            blocks[number // n_lanes, row, number % n_lanes] = blocks[last // n_lanes, row, last % n_lanes]
+            blocks[copy // n_lanes, row, copy % n_lanes] = blocks[last // n_lanes, row, last % n_lanes]

@@ -10,6 +10,7 @@ from tasks.simulation import DIVERGED, OK, batch, simulate
 from tasks.simulation.box2d import Motion
 from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import contact, packing, step
+from tasks.simulation.trees.groups import Groups
 from tasks.simulation.trees.layout import N_ROWS, OMEGA, VERTEX_1, VERTEX_2, VX
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush, VelocityChange
 
@@ -27,7 +28,7 @@ ENVIRONMENTS = [DryLand(0.0), TrueSlush(1.0), ResidualSlush(1.0, Slushes(0.6, 1.
 
 
 def roll_out(designs: Designs, environment: Environment, n_lanes: int) -> Motion:
-    return batch.roll_out_on(designs, environment, PHYSICS, n_settle=20, n_measure=130, trace=True, n_lanes=n_lanes)
+    return batch.roll_out(designs, environment, PHYSICS, n_settle=20, n_measure=130, trace=True, n_lanes=n_lanes)
 
 
 @pytest.fixture(scope="module", params=ENVIRONMENTS, ids=lambda e: type(e).__name__)
@@ -97,7 +98,7 @@ def test_without_a_trace_the_ends_are_the_same(designs, environment, whole):
 @compiled_only
 def test_it_does_not_settle_if_not_asked_to(designs):
     motion = batch.roll_out(designs, DryLand(0.0), PHYSICS, n_settle=0, n_measure=1, trace=True)
-    spawned = batch.Groups(designs, PHYSICS, n_members=1, n_lanes=4).poses()
+    spawned = Groups(designs, PHYSICS, n_members=1, n_lanes=4).poses()
     np.testing.assert_array_equal(motion.settled[0], spawned)
     assert (spawned[:, 0, 0] == 0).all() and (spawned[..., 3:] == 0).all()
 
@@ -107,7 +108,7 @@ def test_it_does_not_settle_if_not_asked_to(designs):
 @pytest.mark.parametrize("row", [VX, OMEGA + 3])
 def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, row):
     world = batch.scene_of(TrueSlush(0.5), PHYSICS)
-    clean, spoiled = (batch.Groups(designs, PHYSICS, n_members=1, n_lanes=widest()) for _ in range(2))
+    clean, spoiled = (Groups(designs, PHYSICS, n_members=1, n_lanes=widest()) for _ in range(2))
     for groups in (clean, spoiled):
         groups.advance(world, 0, 60, None)
     victim = 21  # with neighbours on either side, in its part of the group and in the other
@@ -174,9 +175,9 @@ def test_mass_and_inertia_of_a_box():
 
 @compiled_only
 def test_packing_keeps_what_was_put_in(designs):
-    groups = batch.Groups(designs, PHYSICS, n_members=2, n_lanes=16)
+    groups = Groups(designs, PHYSICS, n_members=2, n_lanes=16)
     assert groups.blocks.shape == (6, N_ROWS, 16)  # 90 robots
-    again = batch.Groups(concatenate([designs, designs]), PHYSICS, n_members=1, n_lanes=16)
+    again = Groups(concatenate([designs, designs]), PHYSICS, n_members=1, n_lanes=16)
     np.testing.assert_array_equal(groups.blocks, again.blocks)
     assert (groups.blocks[:, VERTEX_1] == contact.NO_VERTEX).all()
 
@@ -187,6 +188,6 @@ def test_the_kernels_are_plain_python_too():
 
 @compiled_only
 def test_robots_of_plain_python_stand_on_two_points():
-    groups = batch.Groups(random_designs(4, np.random.default_rng(0)), PHYSICS, n_members=1, n_lanes=widest())
+    groups = Groups(random_designs(4, np.random.default_rng(0)), PHYSICS, n_members=1, n_lanes=widest())
     groups.advance(batch.scene_of(DryLand(0.0), PHYSICS), 0, 15, None)
     assert (groups.blocks[:, VERTEX_2 : VERTEX_2 + N_LINKS] != contact.NO_VERTEX).any()

@@ -218,9 +218,9 @@ def test_an_unknown_engine_is_refused_by_name(designs: Designs) -> None:
 @pytest.mark.parametrize(
     ("steps", "message"),
     [
-        ({"n_settle": -1}, "n_settle is -1, expected 0 or more steps"),
-        ({"n_measure": 0}, "n_measure is 0, expected 1 or more steps"),
-        ({"n_measure": -5}, "n_measure is -5, expected 1 or more steps"),
+        ({"n_settle": -1}, "n_settle is -1, expected at least 0"),
+        ({"n_measure": 0}, "n_measure is 0, expected at least 1"),
+        ({"n_measure": -5}, "n_measure is -5, expected at least 1"),
     ],
 )
 @pytest.mark.parametrize("engine", ["batch", "reference"])

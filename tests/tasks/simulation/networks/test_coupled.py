@@ -8,10 +8,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tasks.design import random_designs
-from tasks.simulation.batch import Groups, scene_of
+from tasks.simulation.batch import scene_of
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.inference import N_LANES
 from tasks.simulation.simd.lanes import widest
+from tasks.simulation.trees.groups import Groups
 from tasks.world import Physics, ResidualSlush
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="the ensemble uses torch then")
@@ -34,7 +35,7 @@ def test_one_kernel_gives_the_bits_of_asking_between_steps(n_designs, n_lanes, s
     designs, world = random_designs(n_designs, rng), scene_of(environment, PHYSICS)
     together, apart = (Groups(designs, PHYSICS, n_members=3, n_lanes=n_lanes) for _ in range(2))
     together.advance(world, 0, 0, None)
-    together.advance_among(environment.ensemble.networks, world, 0, 12)
+    together.advance_with_networks(environment.ensemble.networks, world, 0, 12)
     apart.advance(world, 0, 0, None)
     for step in range(12):
         apart.push(environment.ensemble)
@@ -54,8 +55,8 @@ def test_every_link_is_tied_to_a_row_of_its_own_member(n_designs, n_members, n_l
         [np.zeros((n_members, 6, 3), np.float32)], [np.zeros((n_members, 3), np.float32)], ("y",) * 6
     )
     coupling = coupled.couple(nets, blocks, n_robots)
-    wide = coupling.whole.places[:, None] * N_LANES + np.arange(N_LANES)[:, None]
-    places = np.concatenate([wide.reshape(-1, 3), coupling.single.places])
+    wide = coupling.whole.rows[:, None] * N_LANES + np.arange(N_LANES)[:, None]
+    places = np.concatenate([wide.reshape(-1, 3), coupling.single.rows])
     group, link, lane = np.unravel_index(places[:, 0], blocks.shape)
     place = group * n_lanes + lane
     assert sorted(zip(place, link, strict=True)) == [(i, k) for i in range(len(blocks) * n_lanes) for k in range(6)]
@@ -67,6 +68,6 @@ def test_every_link_is_tied_to_a_row_of_its_own_member(n_designs, n_members, n_l
         assert len(set(rows_of.values())) == len(rows_of) == 6 * n_robots
         assert [rows_of[key] for key in zip(robot, link, strict=True)] == places[:, column].tolist()
     if n_designs % N_LANES == 0 and n_lanes % N_LANES == 0 and n_robots % n_lanes == 0:
-        assert len(coupling.single.places) == 0
+        assert len(coupling.single.rows) == 0
     if n_lanes < N_LANES:
-        assert len(coupling.whole.places) == 0
+        assert len(coupling.whole.rows) == 0

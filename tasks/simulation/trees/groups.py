@@ -1,0 +1,146 @@
+"""Robots of the tree engine: their blocks, and the compiled kernels that step them."""
+
+from __future__ import annotations
+
+from functools import cache, cached_property
+
+import numpy as np
+
+from tasks.arrays import Float32, Int64
+from tasks.compiled import compiled
+from tasks.design import body, genes
+from tasks.design.genes import N_LINKS, Designs
+from tasks.simulation import box2d, controller
+from tasks.simulation.networks import coupled, inference
+from tasks.simulation.networks.coupled import Coupling
+from tasks.simulation.networks.inference import PackedNetworks
+from tasks.simulation.simd import lanes, rotation, vectors
+from tasks.simulation.simd.lanes import Block
+from tasks.simulation.trees import contact, joint, layout, packing, step
+from tasks.simulation.trees.step import Scene
+from tasks.world import LinkStates, Medium, Physics
+from tasks.world import slush as slush_source
+
+_SOURCES = [box2d, genes, slush_source, controller, lanes, vectors, layout, rotation, joint, contact, step]
+advance_kernel = compiled(step.advance, _SOURCES, seconds=20)
+_pack_robots = compiled(packing.pack_robots, [genes, body, layout, contact, controller, packing], seconds=2)
+
+
+def _advance_with_networks(
+    block: Block,
+    n_groups: int,
+    scene: Scene,
+    first_step: int,
+    n_steps: int,
+    coupling: Coupling,
+    trace: Block,
+    traced: bool,
+    one: int,
+) -> None:
+    """Step all robots in the media of their networks.
+
+    ``one`` is 1 and ``traced`` False. As constants they would make numba compile the engine a second time.
+    """
+    for taken in range(n_steps):
+        coupled.push(coupling, layout.VX, layout.VY, layout.OMEGA)
+        advance_kernel(block, n_groups, scene, first_step + taken, one, trace, traced)
+
+
+_advance_coupled = compiled(_advance_with_networks, [*_SOURCES, inference, coupled], seconds=15)
+
+
+@cache
+def _no_trace(n_lanes: int) -> Block:
+    return Block(1, n_lanes)
+
+
+class Groups:
+    """Robots packed into lanes: robot i is lane i mod n_lanes of group i // n_lanes."""
+
+    def __init__(self, designs: Designs, physics: Physics, *, n_members: int, n_lanes: int) -> None:
+        """Spawn n_members robots of each of n_designs designs: robot number member · n_designs + design."""
+        self.n_robots = n_members * len(designs)
+        self._n_members = n_members
+        self._physics = physics
+        self.n_lanes = n_lanes
+        self.n_groups = -(-self.n_robots // n_lanes)
+        self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
+        self._no_trace = _no_trace(n_lanes)
+        self.blocks = self._block.rows.reshape(self.n_groups, layout.N_ROWS, n_lanes)
+        self._number = np.empty((len(designs), N_LINKS), np.int64)
+        """(n_designs, n_links) the engine's numbers of the designs' links."""
+        max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
+        _pack_robots(
+            designs.table, n_members, n_lanes, physics.link_density, max_motor_impulse, self.blocks, self._number
+        )
+
+    @cached_property
+    def _robot_of_lane(self) -> Int64:
+        """(n_groups · n_lanes,) numbers; lanes left over at the end hold copies of the last robot."""
+        return np.minimum(np.arange(self.n_groups * self.n_lanes), self.n_robots - 1)
+
+    def _states(self, *rows: int) -> Float32:
+        """Read (n_quantities, n_robots, n_links) quantities by their first rows, links in the engine's order."""
+        taken = np.stack([self.blocks[:, row : row + N_LINKS] for row in rows])
+        return taken.transpose(0, 1, 3, 2).reshape(len(rows), -1, N_LINKS)[:, : self.n_robots]
+
+    def poses(self) -> Float32:
+        """Read (n_robots, n_links, 6) states, links in the designs' order; NaN where diverged."""
+        states = self._states(layout.X, layout.Y, layout.ANGLE, layout.VX, layout.VY, layout.OMEGA)
+        state = np.take_along_axis(np.moveaxis(states, 0, -1), self._number_of_link()[..., None], axis=1)
+        state[np.isnan(self.blocks[:, layout.DIVERGENCE].reshape(-1)[: self.n_robots])] = np.nan
+        return state
+
+    def _number_of_link(self) -> Int64:
+        return np.tile(self._number, (self._n_members, 1))
+
+    def advance(self, scene: Scene, first_step: int, n_steps: int, trace: Float32 | None) -> None:
+        """Take steps.
+
+        Args:
+            scene: shared constants.
+            first_step: number of the first step since the spawn; 0 orients the links first.
+            n_steps: number of steps.
+            trace: (n_robots, at least n_steps, n_links, 6) to fill with the states after each step, or None.
+        """
+        if trace is None:
+            self._run(self._block, self.n_groups, scene, first_step, n_steps, self._no_trace, False)
+            return
+        for group in range(self.n_groups):
+            block = lanes.from_row(self._block, group * layout.N_ROWS)
+            states = Block(n_steps * layout.N_TRACED, self.n_lanes)
+            self._run(block, 1, scene, first_step, n_steps, states, True)
+            mine = slice(group * self.n_lanes, min((group + 1) * self.n_lanes, self.n_robots))
+            by_robot = states.rows.reshape(n_steps, 6, N_LINKS, self.n_lanes).transpose(3, 0, 2, 1)
+            number = self._number_of_link()[mine, None, :, None]
+            trace[mine] = np.take_along_axis(by_robot[: mine.stop - mine.start], number, axis=2)
+
+    @staticmethod
+    def _run(*arguments: object) -> None:
+        with np.errstate(all="ignore"):  # without the compiler, lanes are NumPy arrays and would warn
+            advance_kernel(*arguments)
+
+    def advance_with_networks(self, networks: PackedNetworks, scene: Scene, first_step: int, n_steps: int) -> None:
+        """Take steps in a medium of one network per member, in a single kernel.
+
+        Args:
+            networks: networks of all members.
+            scene: shared constants.
+            first_step: number of the first step since the spawn.
+            n_steps: number of steps.
+        """
+        coupling = coupled.couple(networks, self.blocks, self.n_robots)
+        with np.errstate(all="ignore"):
+            _advance_coupled(self._block, self.n_groups, scene, first_step, n_steps, coupling, self._no_trace, False, 1)
+
+    def push(self, medium: Medium) -> None:
+        """Add a medium's velocity change to every link, as the reference engine does."""
+        states = self._states(*layout.QUANTITIES.values())
+        states = states.reshape(len(layout.QUANTITIES), self._n_members, -1, N_LINKS)
+        links = LinkStates(**dict(zip(layout.QUANTITIES, states, strict=True)))
+        change = medium.velocity_change(links, self._physics)
+        velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
+        for row, velocity in zip((layout.VX, layout.VY, layout.OMEGA), velocities, strict=True):
+            of_lane = velocity.astype(np.float32).reshape(self.n_robots, N_LINKS)[self._robot_of_lane]
+            by_group = of_lane.reshape(self.n_groups, self.n_lanes, N_LINKS).transpose(0, 2, 1)
+            self.blocks[:, row : row + N_LINKS] = by_group
