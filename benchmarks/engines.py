@@ -30,20 +30,20 @@ N_DESIGNS = 64
 N_STEPS = 1400
 N_ROUNDS = 7
 N_GENERATIONS = 20
-"""Of the batch engine in a round, which all begin alike."""
+"""Generations of the batch engine per round."""
 PHYSICS = Physics()
 AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torque=30.0)
-"""Of the robot that was built: rigid bodies that collide."""
+"""Physics of the robot that was built: rigid bodies that collide."""
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
 
 
 def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it is frozen)
-    """Draw a generation of designs, always the same."""
+    """Draw the same generation of designs in every call."""
     return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
 
 
 def first_generation() -> list[Figure]:
-    """Run the first generation of a trial: the kernels of evolution and of the engine compiled, then from the cache."""
+    """Time the first generation of a trial: with compilation of all kernels, then with kernels from the cache."""
     program = (
         "import time\n"
         "from functools import partial\n"
@@ -71,34 +71,34 @@ def first_generation() -> list[Figure]:
 
 
 def _batch(designs: Designs, environment: Environment) -> float:
-    """Step generation after generation, as a study does: one takes milliseconds, those of its peers seconds."""
-    world = batch.scene_of(environment, PHYSICS)
+    """Step several generations, as a study does: one takes milliseconds."""
+    scene = batch.scene_of(environment, PHYSICS)
     taken = 0.0
     for _ in range(N_GENERATIONS):
         groups = Groups(designs, PHYSICS, n_members=1, n_lanes=N_LANES)
-        taken += seconds(partial(groups.advance, world, 0, N_STEPS, None))
+        taken += seconds(partial(groups.advance, scene, 0, N_STEPS, None))
     return taken / N_GENERATIONS / N_DESIGNS / N_STEPS * 1e6
 
 
 def _batch_of_bodies(designs: Designs, environment: Environment) -> float:
     robots = Robots(designs, environment.depth, AS_BUILT, n_members=1)
-    world = batch.scene_of(environment, AS_BUILT)
-    return seconds(lambda: robots.advance(world, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
+    scene = batch.scene_of(environment, AS_BUILT)
+    return seconds(lambda: robots.advance(scene, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
 
 
 def _bare_steps(designs: Designs, environment: Environment, physics: Physics = PHYSICS) -> float:
-    """pybox2d's own Step of 64 worlds and nothing else."""
+    """Time pybox2d's Step of all robots and nothing else."""
     trees, controllers = kinematic_trees(designs, density=physics.link_density), Controllers.of(designs)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
-    worlds = [
-        reference._Robot(trees, rigid, design, controllers, environment.depth, physics).world
+    robots = [
+        reference._Robot(trees, rigid, design, controllers, environment.depth, physics)
         for design in range(len(designs))
     ]
 
     def run() -> None:
         for _ in range(N_STEPS):
-            for world in worlds:
-                world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
+            for robot in robots:
+                robot.world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
 
     return seconds(run) / len(designs) / N_STEPS * 1e6
 
@@ -120,9 +120,9 @@ def _obvious(designs: Designs, environment: Environment) -> float:
 
 
 def steps() -> list[Figure]:
-    """Step 64 robots in true slush, from the spawn on: the batch engine and its peers, as many steps each.
+    """Step 64 robots in True Slush from the spawn: the batch engine and its peers.
 
-    The bare Step has neither slush nor commands to its motors, so that its robots lie on the ground.
+    The bare Step has neither slush nor motor commands, so its robots lie on the ground.
     """
     figures = []
     population = designs()
@@ -172,14 +172,14 @@ def _over(theirs: list[float], ours: list[float]) -> list[float]:
 
 
 def packing() -> list[Figure]:
-    """Pack 64 designs into lanes, again and again, and once after rollouts as a study does; over those rollouts."""
+    """Time the packing of 64 designs, repeated and once after rollouts as in a study, as a share of the rollouts."""
     population, environment = designs(), TrueSlush(9.0)
-    world = batch.scene_of(environment, PHYSICS)
+    scene = batch.scene_of(environment, PHYSICS)
     pack = partial(Groups, population, PHYSICS, n_members=1, n_lanes=N_LANES)
     again, once = [], []
     for _ in range(N_ROUNDS):
         groups = pack()
-        rollouts = seconds(lambda groups=groups: groups.advance(world, 0, N_STEPS, None))
+        rollouts = seconds(lambda groups=groups: groups.advance(scene, 0, N_STEPS, None))
         once.append(100 * seconds(pack) / rollouts)
         again.append(100 * statistics.median(seconds(pack) for _ in range(20)) / rollouts)
     name = "packing 64 designs over their rollouts, d = 9"
@@ -197,7 +197,7 @@ def _work(barrier: Any, results: Any, n_rounds: int) -> None:
 
 
 def _rate(n_processes: int, n_rounds: int) -> float:
-    """Count the rounds that some processes take at once, per second of their own cores."""
+    """Return the rounds that concurrent processes complete per second of CPU time."""
     context = multiprocessing.get_context("spawn")
     barrier, results = context.Barrier(n_processes), context.Queue()
     workers = [context.Process(target=_work, args=(barrier, results, n_rounds)) for _ in range(n_processes)]
@@ -210,7 +210,7 @@ def _rate(n_processes: int, n_rounds: int) -> float:
 
 
 def two_processes() -> list[Figure]:
-    """Run two processes on two cores, and one: by the time that each got its core, whoever else wanted it."""
+    """Compare two processes on two cores with one, by CPU time."""
     if (os.cpu_count() or 1) < 2:
         return []
     ratios = [_rate(2, 8) / _rate(1, 8) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""Figures and how they are taken."""
+"""Figures of the benchmarks, and their measurement."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Figure:
-    """Something measured in several rounds, and what was promised of it."""
+    """A quantity measured in several rounds, and its promised bound."""
 
     name: str
     rounds: Sequence[float]
@@ -22,23 +22,23 @@ class Figure:
 
     @property
     def median(self) -> float:
-        """The median round."""
+        """Median of the rounds."""
         return statistics.median(self.rounds)
 
     @property
     def kept(self) -> bool:
-        """Whether the median keeps the promise, if there is one."""
+        """Whether the median meets the promise, if there is one."""
         if self.promise is None:
             return True
         return self.median >= self.promise if self.at_least else self.median <= self.promise
 
     @property
     def promise_text(self) -> str:
-        """The promise, for people."""
+        """Promise as text."""
         return f"{'≥' if self.at_least else '≤'} {self.promise:g}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the figure for JSON."""
+        """Return the figure for JSON."""
         return {**vars(self), "rounds": list(self.rounds), "median": self.median, "kept": self.kept}
 
 

@@ -1,4 +1,4 @@
-"""Networks on one core: our kernel against torch and against the core's own peak."""
+"""Networks on one core: the kernel compared with torch and with the core's peak."""
 
 # ruff: noqa: ARG001 (numba gives every intrinsic its context)
 
@@ -24,14 +24,14 @@ from tasks.world import ResidualSlush
 
 N_MEMBERS = 8
 N_TIMED = 140
-"""Steps that are timed, of the N_STEPS of a generation: every step costs the same."""
+"""Timed steps, scaled to the N_STEPS of a generation: every step costs the same."""
 SHAPES = ((2, 32), (2, 64), (3, 128), (4, 256))
 N_CHAINS = 24 if N_LANES == 16 else 12
 
 
 @intrinsic
 def _multiply_add(typing: Any, n: Any) -> Any:
-    """Chains of multiply-adds, independent of each other and all in registers: the most that the core can do."""
+    """Run independent chains of multiply-adds in registers, the most that the core can do."""
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         vector = ir.VectorType(ir.FloatType(), N_LANES)
@@ -72,7 +72,7 @@ def peak_gflops() -> float:
 
 
 def ensemble(hidden_layers: int, width: int) -> Ensemble:
-    """Untrained networks of a shape."""
+    """Create untrained networks of a shape."""
     rng = np.random.default_rng(1)
     sizes = (6, *[width] * hidden_layers, 3)
     weights = [(rng.normal(size=(N_MEMBERS, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
@@ -81,7 +81,7 @@ def ensemble(hidden_layers: int, width: int) -> Ensemble:
 
 
 def inference() -> list[Figure]:
-    """Infer with 8 members on 384 rows each: our kernel, torch's bmm, the core's peak."""
+    """Evaluate 8 members on 384 samples each: the kernel, torch's bmm, the core's peak."""
     _peak(10)
     figures = []
     torch.set_num_threads(1)

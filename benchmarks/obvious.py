@@ -1,7 +1,7 @@
 """The obvious script: one robot in pybox2d, with Python loops over links and a polygon clipper for the slush.
 
-What a careful reader of the paper would write first, and what the batch engine's speed is held against. It follows the
-same specification (tasks/world/slush.py) by other means, so its robots agree with ours up to rounding and chaos.
+A careful reader of the paper would write it first; the batch engine's speed is compared with it. It implements the same
+specification (tasks/world/slush.py) by other means, so its robots agree with ours up to rounding and chaos.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ Point = tuple[float, float]
 
 
 def clip_below(polygon: list[Point], height: float) -> list[Point]:
-    """Keep the part of a polygon below a height (Sutherland and Hodgman)."""
-    kept: list[Point] = []
+    """Clip the part of a polygon below a height (Sutherland and Hodgman)."""
+    below: list[Point] = []
     for (x1, y1), (x2, y2) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
         if y1 <= height:
-            kept.append((x1, y1))
+            below.append((x1, y1))
         if (y1 <= height) != (y2 <= height):
             t = (height - y1) / (y2 - y1)
-            kept.append((x1 + t * (x2 - x1), height))
-    return kept
+            below.append((x1 + t * (x2 - x1), height))
+    return below
 
 
 def area_and_second_moment(polygon: list[Point], about: Point) -> tuple[float, float]:
-    """Area and polar second moment of a polygon about a point."""
+    """Compute area and polar second moment of a polygon about a point."""
     area = moment = 0.0
     px, py = about
     for (x1, y1), (x2, y2) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
@@ -43,7 +43,7 @@ def area_and_second_moment(polygon: list[Point], about: Point) -> tuple[float, f
 
 
 class Robot:
-    """One design in its own world of true slush."""
+    """One design in True Slush."""
 
     def __init__(self, designs: Designs, index: int, depth: float, physics: Physics, slush: Slush) -> None:
         self.design, self.physics, self.slush = designs[index], physics, slush

@@ -1,4 +1,4 @@
-"""What the tests of equality share: fresh seeds, and a look at the platform's sine."""
+"""Shared by the parity tests: fresh seeds, and a comparison with the platform's sine."""
 
 import ctypes
 from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ Pairs = list[tuple[np.ndarray, np.ndarray]]
 
 
 def _sines(seed: int) -> Pairs:
-    """Our sines and the platform's, and the same of cosines."""
+    """Return pairs of our and the platform's sines, and cosines."""
     rng = np.random.default_rng(seed)
     exponent = rng.uniform(-20, 15, 20_000)
     angle = np.concatenate(
@@ -47,7 +47,7 @@ def sines() -> Callable[[int], Pairs]:
 
 @pytest.fixture(scope="session")
 def same_libm() -> None:
-    """Equality needs the sine that the wheel calls to be glibc's with fused operations, as ours is."""
+    """Skip unless the platform's sine is that of glibc with fused operations, as ours is."""
     for ours, theirs in _sines(0):
         if not np.array_equal(ours, theirs, equal_nan=True):
             n = int((ours != theirs).sum())

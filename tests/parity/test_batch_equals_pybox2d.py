@@ -34,8 +34,8 @@ def test_every_float_of_every_step(kind: type[DryLand | TrueSlush], depth: float
 
 
 @pytest.mark.parametrize("environment", [DryLand(0.0), TrueSlush(1.0)], ids=["dry", "slush"])
-def test_ends_of_groups_abreast(environment: Environment, same_libm: None, seed: int) -> None:
-    """Without a trace, as in a study, groups take their steps two by two; the last has lanes to spare."""
+def test_ends_of_groups_that_are_stepped_together(environment: Environment, same_libm: None, seed: int) -> None:
+    """Without a trace, as in a study, two groups are stepped together; the last has unused lanes."""
     designs = random_designs(2 * widest() + 5, np.random.default_rng(seed))
     assert_equal(designs, environment, Physics(), n_settle=200, n_measure=1200, trace=False)
 

@@ -86,7 +86,7 @@ def test_a_link_floats_with_four_fifths_submerged() -> None:
 
 
 def test_an_upright_link_at_its_floating_depth_stays() -> None:
-    # Of a link of 2 m, 1.6 m are below the surface: the centre is at -0.6 m.
+    # A link of 2 m, 1.6 m are below the surface: the centre is at -0.6 m.
     states = run(ReferenceFreeLinks(np.array([2.0]), Physics()), at_rest(1, y=-0.6), Slush(), 600)
     # Rounding unbalances weight and buoyancy by a few parts of 2^-24, and the water line pushes back: a bob no larger
     # than some roundings of y over the stiffness of a step, (ω dt)² with ω² = ρ g w = 6.1 /s².

@@ -1,4 +1,4 @@
-"""What the tests of the two engines share: media that are not built in, designs that are unusual, and comparisons."""
+"""Shared by the tests of both engines: media that are not built in, unusual designs, and comparisons."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ OTHER_CONSTANTS: dict[str, Any] = {
     "motor_gain": 3.0,
     "max_motor_torque": 31.0,
 }
-"""Every number of the physics, none as the paper has it."""
+"""Every constant of the physics, none with the paper's value."""
 
 STRONG_MOTORS: dict[str, Any] = {"max_motor_torque": 1e4, "motor_gain": 60.0}
 
 
 class Slushes:
-    """An ensemble of exact members, slushes of several densities, that compute in the precision that is asked for."""
+    """An ensemble of slushes of several densities, which compute in the given precision."""
 
     def __init__(self, *densities: float, precision: type[np.floating[Any]] = np.float32) -> None:
         self.n_members = len(densities)
@@ -53,7 +53,7 @@ class Slushes:
 
 
 def networks(rng: np.random.Generator) -> Ensemble:
-    """Three untrained networks whose changes are of the size of the slush's."""
+    """Create three untrained networks with changes as large as the slush's."""
     sizes = (6, 40, 40, 3)
     weights = [(rng.normal(size=(3, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
     weights[-1] *= np.float32(0.05)
@@ -62,7 +62,7 @@ def networks(rng: np.random.Generator) -> Ensemble:
 
 
 def wild(designs: Designs, rng: np.random.Generator, *, motor_on: float) -> Designs:
-    """Motors far beyond the paper's range: faster, farther, this share of them on, from links wound up many turns."""
+    """Return designs far beyond the paper's range: fast motors, large amplitudes, rest angles of many turns."""
     n = len(designs)
     return replace(
         designs,
@@ -74,7 +74,7 @@ def wild(designs: Designs, rng: np.random.Generator, *, motor_on: float) -> Desi
 
 
 def golden_designs(*, motor_on: float) -> Designs:
-    """Eight designs from uniform numbers alone, so that no other function of ours changes them."""
+    """Create eight designs from uniform numbers alone, independent of the rest of the code."""
     u = np.random.default_rng(20251121).random((8, 6, 8))
     child = np.arange(6) > 0
     return Designs(
@@ -101,7 +101,7 @@ def golden_digest(environment: Environment, physics: Physics, *, motor_on: float
 def assert_equal(
     designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool = True
 ) -> Motion:
-    """Check that both engines agree in every float; give their motion."""
+    """Check that both engines agree in every float; return their motion."""
     ours, theirs = (
         engine.roll_out(designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
         for engine in (batch, reference)
@@ -115,7 +115,7 @@ def assert_equal(
 
 
 def peaks_of_memory(designs: Designs, physics: Physics) -> list[int]:
-    """Measure the bytes at most in use while designs are simulated for one step, and for twelve."""
+    """Measure the peak memory [bytes] of simulations of one step and of twelve."""
     peaks = []
     for n_measure in (1, 12):
         tracemalloc.start()
@@ -143,7 +143,7 @@ print("equal")
 
 
 def assert_equal_in_plain_python(n_designs: int, physics: Physics, n_steps: Sequence[int]) -> None:
-    """Check that the kernels are plain Python too, with the reference's bits in slush and on dry land."""
+    """Check that the kernels run in plain Python with the reference's bits, in slush and on dry land."""
     script = PLAIN_PYTHON.format(n_designs=n_designs, physics=physics.model_dump_json(), n_steps=tuple(n_steps))
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True)

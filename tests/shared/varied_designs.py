@@ -1,4 +1,4 @@
-"""What the tests of variation share: mutations, what is the same in two designs, and how likely a count is."""
+"""Shared by the tests of variation: mutations, canonical designs, and bounds on counts."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ NO_REWIRING = Mutation(rewiring=0.0)
 
 
 def canonical(designs: Designs) -> Designs:
-    """Zero what a root ignores, so that designs that behave alike are equal."""
+    """Zero the ignored genes of roots, so that designs that behave alike are equal."""
     cleared = {gene.name: getattr(designs, gene.name).copy() for gene in GENES if not gene.of_root}
     for array in cleared.values():
         array[:, 0] = 0
@@ -38,6 +38,6 @@ def numbers(designs: Designs) -> np.ndarray:
 
 
 def binomial_interval(n: int, p: float) -> tuple[float, float]:
-    """Where a count of n draws of probability p falls but once in a million."""
+    """Return the interval that a count of n draws of probability p leaves once in a million."""
     low, high = stats.binom.interval(1 - 1e-6, n, p)
     return float(low), float(high)

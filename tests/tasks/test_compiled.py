@@ -15,7 +15,7 @@ OUTER = """
 import sys, inner
 from tasks.compiled import compiled, is_cached
 def kernel(x):
-    return inner.piece(x)
+    return inner.scaled(x)
 if __name__ == "__main__":
     import outer
     kernel = compiled(outer.kernel, [outer, inner], seconds=1)
@@ -26,14 +26,14 @@ if __name__ == "__main__":
 INNER = """
 from tasks.compiled import inline
 @inline
-def piece(x):
+def scaled(x):
     return x * {}
 """
 
 
 @pytest.fixture
 def run(tmp_path):
-    """Run a kernel that calls a piece of another module, from a folder; say what it gave, and whether it compiled."""
+    """Run a kernel that calls a function of another module; return its result and whether it was compiled."""
 
     def run(factor, *arguments, folder="here"):
         place = tmp_path / folder / "program"

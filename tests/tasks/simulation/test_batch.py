@@ -43,7 +43,7 @@ def whole(designs: Designs, environment: Environment) -> np.ndarray:
     return trace
 
 
-def test_as_many_populations_go_side_by_side_as_the_groups_abreast_hold():
+def test_as_many_populations_are_batched_as_fill_the_groups_that_are_stepped_together():
     room = step.MAX_GROUPS_AT_ONCE * widest()
     for n_robots in range(1, room + 1):
         n = batch.n_that_fill_lanes(n_robots, PHYSICS)
@@ -107,15 +107,15 @@ def test_it_does_not_settle_if_not_asked_to(designs):
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf, 3e38])
 @pytest.mark.parametrize("row", [VX, OMEGA + 3])
 def test_a_robot_that_diverges_leaves_its_neighbours_bits_alone(designs, poison, row):
-    world = batch.scene_of(TrueSlush(0.5), PHYSICS)
+    scene = batch.scene_of(TrueSlush(0.5), PHYSICS)
     clean, spoiled = (Groups(designs, PHYSICS, n_members=1, n_lanes=widest()) for _ in range(2))
     for groups in (clean, spoiled):
-        groups.advance(world, 0, 60, None)
+        groups.advance(scene, 0, 60, None)
     victim = 21  # with neighbours on either side, in its part of the group and in the other
     group, lane = divmod(victim, widest())
     spoiled.blocks[group, row, lane] = poison
     for groups in (clean, spoiled):
-        groups.advance(world, 60, 90, None)
+        groups.advance(scene, 60, 90, None)
     others = np.arange(N_DESIGNS) != victim
     assert np.isfinite(clean.poses()).all()
     assert np.isnan(spoiled.poses()[victim]).all() or np.isfinite(poison)

@@ -1,4 +1,4 @@
-"""What a joint's kernel does otherwise than Box2D says it, for speed: the same decision."""
+"""Box2D's constants: squared tolerances make the same decisions as Box2D's square roots."""
 
 import numpy as np
 import pytest

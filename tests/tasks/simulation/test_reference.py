@@ -24,7 +24,7 @@ def joint_angles(trace: np.ndarray, designs: Designs) -> np.ndarray:
     return (angle - np.take_along_axis(angle, parent, axis=2))[..., 1:]
 
 
-def test_motors_hold_what_the_drive_tells_them() -> None:
+def test_motors_follow_the_target_angle() -> None:
     # In water that bears the weight, a motor of 100 N·m follows θ*: the error decays at the gain of 10 /s and lags by
     # the target's own speed over the gain, range · 2π f / gain, half as much again while torque is short.
     designs = random_designs(16, np.random.default_rng(61))
@@ -122,7 +122,7 @@ def obvious_script(designs: Designs, design: int, depth: float, n_steps: int) ->
             part = placed.intersection(shapely.box(-10, -20, 10, -y))
             area, moment = part.area, 0.0
             if area > 0:
-                # Of the triangles that the part's edges span with the centre: A (p² + p·q + q²) / 6 each, signed.
+                # The triangles that the part's edges span with the centre: A (p² + p·q + q²) / 6 each, signed.
                 for p, q in pairwise(shapely.get_coordinates(shapely.orient_polygons(part))):
                     moment += (p[0] * q[1] - p[1] * q[0]) / 2 * (p @ p + p @ q + q @ q) / 6
             v, omega = np.array(body.linearVelocity), body.angularVelocity

@@ -149,7 +149,7 @@ def test_the_same_call_gives_the_same_bits(designs: Designs) -> None:
 
 
 @pytest.mark.parametrize("depth", [0.0, 1.0])
-def test_each_member_has_a_world_of_its_own(designs: Designs, depth: float) -> None:
+def test_each_member_is_simulated_alone(designs: Designs, depth: float) -> None:
     both = trace_of(short(designs, ResidualSlush(depth, Replay())))
     np.testing.assert_array_equal(both[0], trace_of(short(designs, TrueSlush(depth))))
     np.testing.assert_array_equal(both[1], trace_of(short(designs, DryLand(depth))))
@@ -157,8 +157,10 @@ def test_each_member_has_a_world_of_its_own(designs: Designs, depth: float) -> N
 
 @pytest.mark.parametrize("engine", ["batch", "reference"])
 def test_a_kind_of_slush_may_do_otherwise_than_slush(designs, engine):
-    worlds = OtherSlush(1.0, Weightless()), DryLand(1.0)
-    in_slush, on_land = (simulate(designs, world, n_settle=40, n_measure=60, engine=engine) for world in worlds)
+    environments = OtherSlush(1.0, Weightless()), DryLand(1.0)
+    in_slush, on_land = (
+        simulate(designs, environment, n_settle=40, n_measure=60, engine=engine) for environment in environments
+    )
     assert (in_slush.displacement == on_land.displacement).all()
 
 

@@ -25,21 +25,21 @@ def residual_slush(depth: float) -> ResidualSlush:
     return ResidualSlush(depth=depth, ensemble=ENSEMBLE)
 
 
-WORLDS = [DryLand, TrueSlush, residual_slush]
+ENVIRONMENTS = [DryLand, TrueSlush, residual_slush]
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.parametrize("depth", [0, 0.5, 9, np.float64(2.5)])
-def test_depths_are_metres(world: Callable[[float], Environment], depth: float) -> None:
-    assert world(depth).depth == depth
+def test_depths_are_metres(environment: Callable[[float], Environment], depth: float) -> None:
+    assert environment(depth).depth == depth
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
 @pytest.mark.parametrize("depth", [-1e-9, -9, float("nan"), float("inf"), True, "1", None])
-def test_other_depths_are_refused(world: Callable[[float], Environment], depth: float) -> None:
+def test_other_depths_are_refused(environment: Callable[[float], Environment], depth: float) -> None:
     message = f"depth is {depth!r}, expected a finite number of metres, at least 0"
     with pytest.raises(ValueError, match=re.escape(message)):
-        world(depth)
+        environment(depth)
 
 
 def test_environments_differ_in_their_medium() -> None:

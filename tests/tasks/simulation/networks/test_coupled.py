@@ -32,14 +32,14 @@ PHYSICS = Physics()
 def test_one_kernel_gives_the_bits_of_asking_between_steps(n_designs, n_lanes, seed):
     rng = np.random.default_rng(seed)
     environment = ResidualSlush(1.0, networks(rng))
-    designs, world = random_designs(n_designs, rng), scene_of(environment, PHYSICS)
+    designs, scene = random_designs(n_designs, rng), scene_of(environment, PHYSICS)
     together, apart = (Groups(designs, PHYSICS, n_members=3, n_lanes=n_lanes) for _ in range(2))
-    together.advance(world, 0, 0, None)
-    together.advance_with_networks(environment.ensemble.networks, world, 0, 12)
-    apart.advance(world, 0, 0, None)
+    together.advance(scene, 0, 0, None)
+    together.advance_with_networks(environment.ensemble.networks, scene, 0, 12)
+    apart.advance(scene, 0, 0, None)
     for step in range(12):
         apart.push(environment.ensemble)
-        apart.advance(world, step, 1, None)
+        apart.advance(scene, step, 1, None)
     np.testing.assert_array_equal(together.poses(), apart.poses())
 
 
