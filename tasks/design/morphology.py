@@ -25,7 +25,7 @@ _TOLERANCE = 1e-9
 
 MAX_DRAWS = 1 << 17
 """Most samples for one design. About 1,100 are rejected for each accepted random design; all fail once in 10^50."""
-_MAX_BATCH = 4096
+MAX_BATCH = 4096
 """Most samples that are drawn together; more overflow the cache."""
 
 
@@ -127,7 +127,7 @@ def until_apart(
     waiting = np.flatnonzero(~links_apart(Designs.from_table(first)))
     n_found, n_drawn, each = n_designs, 1, 1
     while waiting.size and n_drawn < max_draws:
-        each = max(1, min(2 * each, _MAX_BATCH // waiting.size, max_draws - n_drawn))
+        each = max(1, min(2 * each, MAX_BATCH // waiting.size, max_draws - n_drawn))
         drawn = draw(np.repeat(waiting, each))
         apart = links_apart(Designs.from_table(drawn)).reshape(waiting.size, each)
         lucky, chosen = apart.any(axis=1), apart.argmax(axis=1)

@@ -62,7 +62,7 @@ def test_numpys_integers_are_refused_rather_than_guessed_at() -> None:
 
 
 def test_a_negative_seed_is_refused() -> None:
-    with pytest.raises(ValueError, match="seed is -1, expected 0 or more"):
+    with pytest.raises(ValueError, match="seed is -1, expected at least 0"):
         generator(-1, "evolve")
 
 

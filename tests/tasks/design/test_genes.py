@@ -181,7 +181,7 @@ def test_a_value_that_its_type_would_change_is_refused_by_name(name, value):
     arrays = dict(random_designs(2, np.random.default_rng(0)).arrays())
     arrays[name] = arrays[name].astype(float)
     arrays[name][1, 3] = value
-    with pytest.raises(DesignError, match=f"{name} has values that are no"):
+    with pytest.raises(DesignError, match=f"{name}: expected values of type"):
         Designs(**arrays)
 
 

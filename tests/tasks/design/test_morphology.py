@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from tasks.design import DesignError, Designs, Morphology, links_apart, random_designs, rest_pose
-from tasks.design.morphology import MOST_AT_ONCE, until_apart
+from tasks.design.morphology import MAX_BATCH, until_apart
 
 
 def rectangles(designs: Designs, design: int) -> list[shapely.Polygon]:
@@ -99,10 +99,10 @@ def test_draws_end() -> None:
     def draw(which: np.ndarray) -> np.ndarray:
         nonlocal n_asked
         n_asked += len(which)
-        assert len(which) <= MOST_AT_ONCE
+        assert len(which) <= MAX_BATCH
         return bad.table[np.zeros(len(which), int)]
 
-    with pytest.raises(DesignError, match="design 0: links that no joint ties overlap at rest in each of 1000 draws"):
+    with pytest.raises(DesignError, match="design 0: links that no joint connects overlap at rest in all 1000 samples"):
         until_apart(draw(np.arange(2)), draw, max_draws=1000)
     assert n_asked == 2000
     instead = until_apart(draw(np.arange(2)), draw, max_draws=1000, otherwise=good.table[[0, 0]])

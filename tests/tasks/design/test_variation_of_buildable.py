@@ -55,7 +55,7 @@ def test_a_parent_without_a_mutant_is_named(buildable: Designs) -> None:
     parents = buildable[rng.permutation(48)[8:10]]
     only_rewired = Mutation(genes_changed=0.0, step=0.001, rewiring=1.0)
     mutate(parents[:1], rng, mutation=only_rewired, morphology=BUILDABLE)
-    with pytest.raises(DesignError, match=f"design 1: links .* overlap at rest in each of {MAX_DRAWS} draws"):
+    with pytest.raises(DesignError, match=f"design 1: links .* overlap at rest in all {MAX_DRAWS} samples"):
         mutate(parents, rng, mutation=only_rewired, morphology=BUILDABLE)
 
 
