@@ -1,5 +1,5 @@
-"""Robots whose links fuse into rigid bodies or collide, in the batch engine, with the bits of the reference engine.
+"""The rigid-body engine: robots whose links fuse or collide, with the bits of the reference engine.
 
-Scalar code, in blocks of one lane: what collides, and in which order, differs from robot to robot and step to step.
-Swinging links that pass through one another are left to the lanes of tasks/simulation/trees/step.py, which are faster.
+Scalar code, because the collisions and their order differ from robot to robot and from step to step. Swinging links
+that pass through one another are left to the tree engine (tasks/simulation/trees), which is faster.
 """
