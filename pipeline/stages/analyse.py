@@ -17,8 +17,8 @@ it has no rows or lacks something; {} if all is there. Lengths in m unless said.
                          X_n, X_n_left_out, the estimate X_mean, X_sd; of each test T = student, welch, mann_whitney:
                          T_statistic, T_p, T_reason; the estimates hedges_g and ratio; T_holm (p over the depths)
     attribution.parquet  a row per arm and depth: evolved_in, depth, n, n_best, and the estimates predicted, zero_shot,
-                         adapted, best, imagined, gap, lost_to_controller, lost_to_body, controller_share, body_share,
-                         recovered_zero_shot, recovered_adapted, recovered_of_dry_land
+                         adapted, best, hallucinated, gap, lost_to_controller, lost_to_body, controller_share,
+                         body_share, recovered_zero_shot, recovered_adapted, recovered_of_dry_land
     paper.parquet        a row per number of the paper: what, paper, source, this_run, verdict ("agrees", "differs",
                          "not comparable"), why, value, interval (in words: 95 %, of a range those of its ends), low,
                          high (ends of the 95 % interval of value), p; value is of a range its median, of a t test the

@@ -41,7 +41,7 @@ class Attribution:
     zero_shot: Estimate
     adapted: Estimate
     best: Estimate
-    imagined: Estimate
+    hallucinated: Estimate
     """predicted - zero_shot: displacement that exists only where the champion evolved."""
     gap: Estimate
     """best - zero_shot."""
@@ -77,7 +77,7 @@ def _attribution(scores: Scores, arm: EvolvedIn, depth: float, rng: Generator) -
     best = finite(scores.values("true_slush", "zero_shot", depth))
     dry_land = finite(scores.values("dry_land", "zero_shot", depth))
     both = np.isfinite(zero_shot) & np.isfinite(adapted)
-    imagined = mean(predicted - zero_shot)
+    hallucinated = mean(predicted - zero_shot)
     gap, controller, body, controller_share, body_share = _split(zero_shot[both], adapted[both], best, rng)
     return Attribution(
         evolved_in=arm,
@@ -88,7 +88,7 @@ def _attribution(scores: Scores, arm: EvolvedIn, depth: float, rng: Generator) -
         zero_shot=mean(zero_shot),
         adapted=mean(adapted),
         best=mean(best),
-        imagined=imagined,
+        hallucinated=hallucinated,
         gap=gap,
         lost_to_controller=controller,
         lost_to_body=body,

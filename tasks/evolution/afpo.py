@@ -168,6 +168,7 @@ def ask(
     parts: tuple[GenePart, ...] = ("body", "control") if body is None else ("control",)
     variation = variation_of(morphology, mutation=afpo.mutation, parts=parts, body=body)
 
+    # Every child draws a random design and two parents, whether its operator needs them or not.
     chance = rng.random(n_children)
     table = random_kernel(n_children, rng, variation)
     first = rng.integers(0, max(n_parents, 1), n_children)
@@ -175,6 +176,7 @@ def ask(
     operator = np.digitize(chance, np.cumsum(afpo.shares[:2])) if n_parents else np.full(n_children, RANDOM)
     mutants, crosses = operator == MUTATION, operator == CROSSOVER
 
+    # Mutants and recombinations replace the random designs.
     mutated = population.table[first[mutants]]
     mutate_kernel(mutated, rng, variation)
     table[mutants] = mutated

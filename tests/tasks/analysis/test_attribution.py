@@ -35,7 +35,7 @@ def test_a_worked_example():
             "zero_shot": 2,
             "adapted": 7,
             "best": 10,
-            "imagined": 58,
+            "hallucinated": 58,
             "gap": 8,
             "lost_to_controller": 5,
             "lost_to_body": 3,
