@@ -160,7 +160,7 @@ def test_a_medium_to_learn_and_to_transfer_to(copy):
     assert pulled.any() and not residual[~pulled, 3].any() and not residual[:, 4:].any()
     scores = json.loads((copy / "out/transfer/true_slush/1m/trial-0/score.json").read_text())
     assert scores["zero_shot"] == scores["predicted"]
-    assert not any(push[:, 1].any() for (_, world), push in pushes(copy).items() if world == "True Slush")
+    assert not any(push[:, 1].any() for (_, seen_in), push in pushes(copy).items() if seen_in == "True Slush")
     errors = polars.read_parquet(copy / "out/analyse/members/member_errors.parquet")
     assert errors.filter(component="vy")["rms_true"].max() == 0
 

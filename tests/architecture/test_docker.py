@@ -1,11 +1,11 @@
-"""The containers' files keep to their schemas, and agree with the project: versions, files, commands, what is open.
+"""The container files conform to their schemas and agree with the project: versions, files, commands, open ports.
 
-The schemas come with two packages of the dev extra: the compose specification with check-jsonschema, Kubernetes' own
-with kubernetes-validate. KubeRay's definition is in none; of a RayCluster, all but a few names is a Pod's template.
+The schemas come with two packages of the dev extra: check-jsonschema has the compose specification, kubernetes-validate
+those of Kubernetes. Neither has KubeRay's definition, but almost all of a RayCluster is a Pod template.
 
-What the containers run is run without them, word by word from these files: Ray's head, its workers and the driver by
-tests/torture/test_two_machines.py, MLflow's server by tests/pipeline/tracking/test_server.py. What Kubernetes runs is
-shown to be the same, here. See ONLY_PARSED for the rest.
+Tests run the commands of these files without containers: Ray's head, its workers and the driver in
+tests/torture/test_two_machines.py, MLflow's server in tests/pipeline/tracking/test_server.py. Tests in this file show
+that Kubernetes runs the same commands. ONLY_PARSED lists the exceptions.
 """
 
 import os
@@ -38,17 +38,17 @@ CONSTRAINTS = dict(line.split("==") for line in (ROOT / "constraints.txt").read_
 
 
 ONLY_PARSED = {
-    ("head", "healthcheck"): "Docker runs it: `ray health-check` is Ray's own, and its options are looked at here",
-    ("mlflow", "healthcheck"): "Docker runs it: the server's test asks MLflow for more than its health",
-    ("postgres", "healthcheck"): "PostgreSQL's own program, which is in its image alone",
-    ("postgres", "command"): "the image's own; the server's test has SQLite in its place, and that the image has the "
-    "driver of PostgreSQL which the server's address names is looked at here",
+    ("head", "healthcheck"): "Docker runs it: `ray health-check` is part of Ray, and its options are checked here",
+    ("mlflow", "healthcheck"): "Docker runs it: the server's test sends more requests than the health check",
+    ("postgres", "healthcheck"): "a program of PostgreSQL, which only its image contains",
+    ("postgres", "command"): "the image's own; the server's test uses SQLite instead, and a test here checks that the "
+    "image has the PostgreSQL driver that the server's address names",
 }
-"""Commands that no test runs without containers, and why: by service."""
+"""Commands that no test runs, by service, each with the reason."""
 
 
 def commands() -> list[list[str]]:
-    """Give every command line that a container runs, those of shells taken apart."""
+    """Return every command line that a container runs; those of shells are split."""
     given = [service["command"] for service in COMPOSE["services"].values() if "command" in service]
     given.append(KUBERNETES["Job"]["spec"]["template"]["spec"]["containers"][0]["command"])
     found = []
@@ -61,7 +61,7 @@ def commands() -> list[list[str]]:
     return found
 
 
-def test_what_the_image_copies_is_there_and_not_ignored():
+def test_files_that_the_image_copies_exist_and_are_not_ignored():
     allowed = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     copied = [source.removeprefix("./") for line in instructions("COPY") for source in line.split()[:-1]]
     assert copied
@@ -70,7 +70,7 @@ def test_what_the_image_copies_is_there_and_not_ignored():
     assert allowed == set(copied)
 
 
-def test_the_image_has_the_versions_that_were_tried_and_no_root():
+def test_the_image_has_the_tested_versions_and_does_not_run_as_root():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     (base,) = instructions("FROM")
     lowest, highest = re.findall(r"3\.(\d+)", project["requires-python"])
@@ -113,7 +113,7 @@ def test_every_command_is_run_by_a_test_or_is_named_with_the_reason():
     for name, service in COMPOSE["services"].items():
         if (name, "command") not in ONLY_PARSED:
             text = (ROOT / "tests" / RUN_BY[name]).read_text()
-            assert f'words_of("{name}"' in text or f'["{name}"]' in text  # from the file, not typed again
+            assert f'words_of("{name}"' in text or f'["{name}"]' in text  # read from the file, not repeated
         assert ("healthcheck" in service) == ((name, "healthcheck") in ONLY_PARSED)
     for name, kind in ONLY_PARSED:
         assert kind == "healthcheck" or kind not in COMPOSE["services"][name]
@@ -128,7 +128,7 @@ def test_health_checks_parse():
 
 
 def test_kubernetes_runs_what_compose_runs():
-    """The operator makes words of the parameters; it sets --head or --address, --block and the port (6379) itself."""
+    """The operator turns parameters into options; it sets --head or --address, --block and the port (6379) itself."""
     (driver,) = KUBERNETES["Job"]["spec"]["template"]["spec"]["containers"]
     assert driver["command"] == words_of("driver", {"head:6379": "puddle-head-svc:6379", "${PRESET}": "$PRESET"})
     spec = KUBERNETES["RayCluster"]["spec"]
@@ -140,7 +140,7 @@ def test_kubernetes_runs_what_compose_runs():
         by_compose = set(COMPOSE["services"][name]["command"])
         assert given <= by_compose
         lacking = by_compose - given - {"ray", "start", "--head", "--block", "--port=6379", "--address=head:6379"}
-        assert lacking == {"--object-store-memory=500000000"}  # a Pod has Ray's default, a share of its own memory
+        assert lacking == {"--object-store-memory=500000000"}  # a Pod uses Ray's default, a share of its memory
 
 
 def test_mlflows_options_exist():
@@ -152,7 +152,7 @@ def test_mlflows_options_exist():
 
 
 def test_the_image_has_the_driver_of_the_servers_database():
-    """Which one `postgresql:` alone means is SQLAlchemy's choice: psycopg2 before 2.1, psycopg since."""
+    """SQLAlchemy decides which driver `postgresql:` means: psycopg2 before 2.1, psycopg since."""
     (words,) = [words for words in commands() if words[0] == "mlflow"]
     driver = make_url(words[words.index("--backend-store-uri") + 1]).get_dialect().driver
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -166,7 +166,7 @@ def test_presets_that_they_name_exist():
     assert all((PRESETS / f"{name}.yaml").exists() for name in names)
 
 
-def test_compose_keeps_to_the_specification(tmp_path):
+def test_compose_conforms_to_the_specification(tmp_path):
     check = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec"]
     done = subprocess.run([*check, DOCKER / "compose.yaml"], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
@@ -176,11 +176,11 @@ def test_compose_keeps_to_the_specification(tmp_path):
 
 
 VARIABLES = {"PRESET": "paper", "TORCH_INDEX": "https://an.example/index"}
-"""What docker/compose.yaml takes from its user, each with a value that is not its default."""
+"""Variables of docker/compose.yaml, each with a value other than its default."""
 
 
-def test_compose_reads_it_itself(tmp_path):
-    """`docker compose config`, which also puts the variables in; it needs no daemon."""
+def test_docker_compose_accepts_it(tmp_path):
+    """`docker compose config` also substitutes the variables; it needs no daemon."""
     compose = [shutil.which("docker") or "docker", "compose"]
     try:
         asked = subprocess.run([*compose, "version"], capture_output=True, text=True)
@@ -197,7 +197,7 @@ def test_compose_reads_it_itself(tmp_path):
         read = yaml.safe_load(done.stdout)["services"]
         assert set(read) == set(COMPOSE["services"])
         for name, service in COMPOSE["services"].items():
-            assert read[name].get("command") == service.get("command")  # it writes $$ for a $ that is the shell's
+            assert read[name].get("command") == service.get("command")  # it writes $$ for a $ of the shell
         preset = read["driver"]["environment"]["PRESET"]
         assert preset == variables.get("PRESET", preset) and preset in {path.stem for path in PRESETS.glob("*.yaml")}
         index = variables.get("TORCH_INDEX", "")
@@ -207,10 +207,10 @@ def test_compose_reads_it_itself(tmp_path):
     assert subprocess.run([*compose, "-f", slip, "config"], capture_output=True).returncode != 0
 
 
-def test_compose_is_closed_and_whole():
-    """What a schema can't say."""
+def test_compose_exposes_no_port_or_secret_and_refers_to_what_it_defines():
+    """Rules that the schema cannot express."""
     taken = set(re.findall(r"(?<!\$)\$\{?(\w+)", (DOCKER / "compose.yaml").read_text()))
-    assert taken == set(VARIABLES)  # any other $ in a command is the shell's, and doubled
+    assert taken == set(VARIABLES)  # any other $ in a command belongs to the shell, and is doubled
     for service in COMPOSE["services"].values():
         assert "$" not in " ".join(service.get("command", ())).replace("$$", "")
         assert all(port.startswith("127.0.0.1:") for port in service.get("ports", []))
@@ -220,7 +220,7 @@ def test_compose_is_closed_and_whole():
         for needed, condition in service.get("depends_on", {}).items():
             assert condition == {"condition": "service_healthy"} and "healthcheck" in COMPOSE["services"][needed]
         secret = [name for name in service.get("environment", {}) if re.search("TOKEN|PASSWORD", name)]
-        assert all(name.endswith(("_PATH", "_FILE")) for name in secret)  # a file's name, never what is in it
+        assert all(name.endswith(("_PATH", "_FILE")) for name in secret)  # the name of a file, never its content
     for ray_node in ("head", "worker", "driver"):
         service = COMPOSE["services"][ray_node]
         assert service["environment"]["RAY_AUTH_MODE"] == "token"
@@ -229,19 +229,19 @@ def test_compose_is_closed_and_whole():
     assert COMPOSE["services"]["driver"]["restart"] == "no"
 
 
-def test_secrets_are_not_kept():
+def test_secrets_are_not_committed():
     assert "/docker/secrets/" in (ROOT / ".gitignore").read_text().splitlines()
     for secret in COMPOSE["secrets"].values():
         assert secret["file"].startswith("secrets/")
 
 
 KUBERNETES_VERSIONS = ("1.29", "1.37")
-"""The oldest and the newest that they are checked against."""
+"""The oldest and the newest version that the manifests are checked against."""
 
 
 @pytest.mark.parametrize("version", KUBERNETES_VERSIONS)
-def test_kubernetes_keeps_to_its_schemas(version):
-    """Strictly: no field that Kubernetes does not know."""
+def test_the_manifests_conform_to_the_schemas_of_kubernetes(version):
+    """The check is strict: unknown fields are refused."""
     cluster = KUBERNETES["RayCluster"]
     groups = [cluster["spec"]["headGroupSpec"], *cluster["spec"]["workerGroupSpecs"]]
     pods = [{"apiVersion": "v1", "kind": "PodTemplate", "template": group["template"]} for group in groups]
@@ -255,8 +255,8 @@ def test_kubernetes_keeps_to_its_schemas(version):
 
 
 @pytest.mark.parametrize("group", ["head", "worker"])
-def test_kuberay_has_what_its_definition_requires(group):
-    """ray-operator/apis/ray/v1/raycluster_types.go, its fields without `omitempty`."""
+def test_a_ray_cluster_has_the_fields_that_its_definition_requires(group):
+    """The required fields are those of ray-operator/apis/ray/v1/raycluster_types.go without `omitempty`."""
     cluster = KUBERNETES["RayCluster"]
     assert cluster["apiVersion"] == "ray.io/v1" and cluster["metadata"]["name"] == "puddle"
     spec = cluster["spec"]
@@ -272,7 +272,7 @@ def test_kuberay_has_what_its_definition_requires(group):
         (ray,) = one["template"]["spec"]["containers"]
         address = "localhost" if group == "head" else "puddle-head-svc"
         words = [w.replace("head:", f"{address}:") for w in COMPOSE["services"]["head"]["healthcheck"]["test"][1:]]
-        for probe in ("livenessProbe", "readinessProbe"):  # the operator's own ask Ray's dashboard
+        for probe in ("livenessProbe", "readinessProbe"):  # the operator's own probes need Ray's dashboard
             assert ray[probe]["exec"]["command"] == words
         if group == "worker":
             assert one["groupName"] and 0 <= one["minReplicas"] <= one["replicas"] <= one["maxReplicas"]
@@ -289,8 +289,8 @@ def test_the_driver_is_a_job_on_the_cluster_that_is_defined():
     assert claim == KUBERNETES["PersistentVolumeClaim"]["metadata"]["name"]
 
 
-def test_the_job_ends_with_a_study_that_is_done_and_goes_on_with_one_that_is_not():
-    """A rule may ask for exit codes only where the kubelet does not start containers again by itself."""
+def test_the_job_ends_when_the_study_has_ended_and_is_retried_otherwise():
+    """Rules about exit codes require that the kubelet does not restart containers by itself."""
     job = KUBERNETES["Job"]["spec"]
     (driver,) = job["template"]["spec"]["containers"]
     assert job["template"]["spec"]["restartPolicy"] == "Never" and job["backoffLimit"] > 0
@@ -302,8 +302,8 @@ def test_the_job_ends_with_a_study_that_is_done_and_goes_on_with_one_that_is_not
 
 
 @pytest.mark.parametrize(("there", "study", "code"), [(False, 0, 2), (True, 0, 0), (True, INCOMPLETE, INCOMPLETE)])
-def test_a_cluster_that_is_not_there_yet_is_no_study_that_is_done(tmp_path, there, study, code):
-    """`ray start` ends with 1 there, as a study does that set pieces aside."""
+def test_a_cluster_that_does_not_answer_yet_does_not_end_the_job(tmp_path, there, study, code):
+    """`ray start` then exits with 1, as a study with failed work items does."""
     for program, ends in (("ray", 0 if there else 1), ("puddle", study)):
         (tmp_path / program).write_text(f"#!/bin/sh\nexit {ends}\n")
         (tmp_path / program).chmod(0o755)

@@ -1,4 +1,4 @@
-"""The rules of the house: who may import whom, no files in tasks/, one order of axes."""
+"""Structure: who may import whom, no files in tasks/, one order of axes."""
 
 import ast
 import re
@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[2]
 SCIENCE = sorted((ROOT / "tasks").rglob("*.py"))
 
 COMPILERS_CACHE = ROOT / "tasks/compiled.py"
-"""The one module that knows of a folder: where numba keeps compiled kernels. No result of a task passes through it."""
+"""The only module that uses a folder: numba's cache of compiled kernels. No result of a task passes through it."""
 
 FILE_MODULES = {
     "pathlib",
@@ -45,13 +45,13 @@ FILE_CALLS = re.compile(
     r"|(np|numpy|torch)\.(save.*|load.*|genfromtxt|fromfile|memmap)"
     r"|.*\.(tofile|read_text|write_text|read_bytes|write_bytes)"
 )
-"""Calls that read, write, ask or tell, as they stand in the source."""
+"""Calls that read or write files or the terminal, as they stand in the source."""
 
 GLOSSARY = ("n_members", "n_designs", "n_steps", "n_links")
 """Axes in their order."""
 
 TABLES = {ROOT / "tasks/evolution/objectives/evaluation.py"}
-"""Where arrays are columns of a history, a table with a row per design: there n_designs leads, whatever follows."""
+"""Modules whose arrays are columns of a table with one row per design: there n_designs comes first."""
 
 
 def test_the_contracts_of_imports_hold() -> None:
@@ -62,7 +62,7 @@ def test_the_contracts_of_imports_hold() -> None:
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
-    """Top-level names of the packages that a module imports."""
+    """Return the top-level names of the packages that a module imports."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name.split(".")[0] for alias in node.names)
@@ -71,7 +71,7 @@ def imported(tree: ast.AST) -> Iterator[str]:
 
 
 def called(tree: ast.AST) -> Iterator[str]:
-    """What a module calls, as it stands in the source: ``open``, ``np.load``."""
+    """Return the functions that a module calls, as they stand in the source: ``open``, ``np.load``."""
     yield from (ast.unparse(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call))
 
 

@@ -1,4 +1,4 @@
-"""The patches of docs/sensitivity.md apply to this code, and each changes what becomes of designs."""
+"""The patches of docs/sensitivity.md apply to this code, and each changes the course of evolution."""
 
 import json
 import os
@@ -32,7 +32,7 @@ print(json.dumps(history["fitness"].tolist()))
 
 
 def fitness(folder: Path) -> list[float]:
-    """Evolve a few designs by the sources in a folder, in plain Python: their kernels would be compiled anew."""
+    """Evolve a few designs with the sources in a folder, in plain Python: their kernels would be compiled anew."""
     environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", RUN], cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -50,9 +50,9 @@ def test_the_page_names_every_patch_and_no_other():
 
 
 @pytest.mark.parametrize("patch", PATCHES, ids=lambda path: path.name)
-def test_a_patch_applies_and_changes_what_becomes_of_designs(patch: Path, tmp_path: Path, as_decided: list[float]):
+def test_a_patch_applies_and_changes_the_course_of_evolution(patch: Path, tmp_path: Path, as_decided: list[float]):
     shutil.copytree(ROOT / "tasks", tmp_path / "tasks", ignore=shutil.ignore_patterns("__pycache__"))
-    outside = {**os.environ, "GIT_CEILING_DIRECTORIES": str(tmp_path.parent)}  # a repository around it would be asked
+    outside = {**os.environ, "GIT_CEILING_DIRECTORIES": str(tmp_path.parent)}  # git must ignore a repository around it
     done = subprocess.run(["git", "apply", str(patch)], cwd=tmp_path, env=outside, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     changed = fitness(tmp_path)

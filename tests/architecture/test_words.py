@@ -79,14 +79,14 @@ FILES = {
     "keeper": "supervisor",
     "kernels": "trees",
     "marks": "watchdog",
-    "fork_server": "fork_server",
+    "nursery": "fork_server",
     "places": "parent indices",
     "rates": "cost_model",
     "reach": "preflight",
     "rows": "layout",
     "sizes": "storage_model",
     "specimens": "calibration",
-    "crash_consistency_disk": "crash_consistency_disk",
+    "volatile": "crash_consistency_disk",
 }
 """Retired names of modules, and what to call them."""
 
@@ -133,21 +133,24 @@ def prose(text: str) -> Iterator[tuple[int, str]]:
 
 
 def retired(path: str, names: list[tuple[int, str]], texts: list[tuple[int, str]]) -> Iterator[str]:
-    """Find the retired words of a file; name what stands for each."""
+    """Find the retired words of a file; say what to write for each."""
+    split = [(line, name, words_of(name)) for line, name in names]
+    distinct = {words for _, _, words in split}
+    flat = [(line, " ".join(text.split())) for line, text in texts]
     for word in WORDS:
         if not re.search(word.where, path) or re.search(word.except_in, path):
             continue
         if word.name:
             pattern = re.compile(rf"(?:^|_)({word.name})(?=_|$)")
-            for line, name in names:
-                if pattern.search(words_of(name)):
+            with_it = {words for words in distinct if pattern.search(words)}
+            for line, name, words in split:
+                if words in with_it:
                     yield f"{path}:{line}: {name}: write {word.instead}"
         if word.prose:
             pattern = re.compile(rf"(?<!\w)(?:{word.prose})(?!\w)", re.IGNORECASE)
-            for line, text in texts:
-                flat = " ".join(text.split())
-                for found in pattern.finditer(flat):
-                    around = flat[max(0, found.start() - 20) : found.end() + 20]
+            for line, text in flat:
+                for found in pattern.finditer(text):
+                    around = text[max(0, found.start() - 20) : found.end() + 20]
                     yield f"{path}:{line}: …{around}…: write {word.instead}"
 
 

@@ -1,6 +1,6 @@
-"""Science that goes wrong on its own: set aside, named in status, report and exit code, and the rest completes.
+"""Science that fails: it is named in the status, the report and the exit code, and the rest of the study completes.
 
-What goes wrong is real: a task of the stage itself, on a real worker, that diverges, hangs, allocates or dies.
+The failures are real: a task of a stage, on a real worker, diverges, hangs, runs out of memory or dies.
 """
 
 from __future__ import annotations
@@ -63,17 +63,17 @@ work: {throws_per_item: 3, generations_per_item: 4, engine: reference}
 
 
 def train_one_on_a_nan(job: Job, inputs: Inputs) -> Files:
-    """Train member 1 on a measurement that is none."""
+    """Train member 1 on measurements that are not numbers."""
     if job.spec.member != 1:
         return STAGES[1].compute(job, inputs)
     transitions = read_transitions(throws_among(inputs))
     transitions.residual[:] = np.nan
     train_member(transitions, job.spec.network, job.spec.training, seed=job.spec.seed, member=1)
-    raise AssertionError("it can't have learned anything")
+    raise AssertionError("the training succeeded, expected it to diverge")
 
 
 def evolve_some_badly(job: Job, inputs: Inputs) -> Files:
-    """Let four trials on dry land go wrong, each in its way."""
+    """Let four trials on dry land fail, each in a different way."""
     trial = job.spec.trial.identity
     match trial.environment, trial.index:
         case "dry_land", 1:
@@ -95,8 +95,8 @@ def crash() -> None:
 
 
 def seconds_of_a_crash(cluster: Cluster) -> float:
-    """Measure how long a worker's death and its work's second try take, on a machine that may have much else to do."""
-    for _ in range(2):  # the first has also to wait for workers, which its study will have
+    """Measure how long the death of a worker and the second attempt at its work take on a busy machine [s]."""
+    for _ in range(2):  # the first also waits for workers to start
         begin = time.monotonic()
         cluster.submit(crash)
         assert cluster.next_done() is not None
@@ -111,9 +111,7 @@ def injected(monkeypatch: pytest.MonkeyPatch, **computes) -> tuple[AnyStage, ...
 
 
 @pytest.mark.timeout(1200)  # patience with what hangs is a multiple of what workers take to start
-def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
-    torture, local_ray, tmp_path, monkeypatch, capsys
-):
+def test_failures_are_named_and_the_rest_completes(torture, local_ray, tmp_path, monkeypatch, capsys):
     injected(monkeypatch, train=train_one_on_a_nan, evolve=evolve_some_badly)
     limits = Limits(factor=3.0, least_seconds=max(10.0, 8 * seconds_of_a_crash(local_ray)))
     monkeypatch.setattr(pipeline.workflow.driver, "drive", functools.partial(drive, limits=limits))
@@ -149,7 +147,7 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
         assert n_lost >= 5
         done = {item.label for item in store.read_study("tiny").items}
         assert {"member-00#0", "dry_land/1m/trial-0#0", "index.html#0"} <= done
-    # The causes are mended: what was set aside is computed, and nothing else. (Another page would tell nothing new.)
+    # The causes are removed: what failed is computed, and nothing else. (Another page would show nothing new.)
     injected(monkeypatch)
     monkeypatch.setattr(pipeline.workflow.driver, "drive", drive)
     before = {(stage, key) for stage in store.stages() for key in store.keys(stage)}
@@ -164,11 +162,11 @@ def test_what_goes_wrong_is_set_aside_and_named_and_the_rest_completes(
 
 SLOWEST = 0.15  # Hz
 
-OF_A_SOUND_WORLD = "Rollouts in a sound world stay finite"
+OF_SOUND_PHYSICS = "Rollouts in a sound world stay finite"
 
 
 def some_in_a_wild_medium(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give every design of trial 0, and slow ones of trial 1, a medium whose drag is no number."""
+    """Simulate all designs of trial 0, and slow ones of trial 1, in a medium whose drag is not a number."""
     real, current = environments.roll_out, list[int]()
     wild = Slush.model_construct(**{**Slush().model_dump(), "linear_drag": np.nan})
 
@@ -199,8 +197,8 @@ def some_in_a_wild_medium(monkeypatch: pytest.MonkeyPatch) -> None:
 MEASURED = ("displacement", "com_displacement", "status")
 
 
-def test_designs_that_diverge_are_set_aside_and_named_and_the_rest_completes(monkeypatch, tmp_path, capsys):
-    """One trial whose every design does, and one of which some do, in evolution and in the adaptation."""
+def test_divergence_is_named_and_the_rest_completes(monkeypatch, tmp_path, capsys):
+    """All designs of one trial diverge, and some of another one, in evolution and in the adaptation."""
     some_in_a_wild_medium(monkeypatch)
     monkeypatch.setattr(pipeline.tracking, "open_tracker", lambda *_, **__: NoTracker())
     (tmp_path / "tiny.yaml").write_text(TINY)
@@ -229,15 +227,15 @@ def test_designs_that_diverge_are_set_aside_and_named_and_the_rest_completes(mon
         of_stage = status.split(f"  {stage} ")[1].split(" core-seconds\n")[1]
         assert f"    {label}: {what}\n" in of_stage
     assert status.count("diverged and w") == 2 and status.count("no champion") == 1
-    assert OF_A_SOUND_WORLD in said
+    assert OF_SOUND_PHYSICS in said
     score = decode_json(store.read(scored, SCORE), SCORE)
     assert score["status"] == "ok" and np.isfinite([score["predicted"], score["zero_shot"], score["adapted"]]).all()
-    # Said each time, also when all is done; of the stages up to the one that is asked for.
+    # It is said each time, also when nothing is left to compute, for the stages up to the requested one.
     assert call("evolve", *options, "--workers", "0") == 1
     again = capsys.readouterr().err.splitlines()
     assert [f"{where}: {what}" in again for where, what in named.items()] == [True, True, False]
     (path,) = store.root.glob(f"items/evolve/*/{evolved[0].key}/{segments.CURVE}")
-    path.write_bytes(path.read_bytes()[:-1] + b"?")  # of the same size: only who reads it can tell
+    path.write_bytes(path.read_bytes()[:-1] + b"?")  # the same size: only reading it reveals the damage
     noted = list(pipeline.commands.status.status_lines(settings, store))
     assert segments.CURVE in noted[-1] and sum("diverged and w" in line for line in noted) == 1
 
