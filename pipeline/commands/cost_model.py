@@ -1,33 +1,110 @@
-"""Forecast: how long a study will take and how much it will keep, from rates measured on this machine just now."""
+"""The cost model of `puddle forecast`: seconds and bytes of the work that is left.
+
+The cost of a work item is affine in its size: a fixed part, and a part per weighted unit. Both are fitted to samples,
+for each kind of chain. Samples come from the manifests of the store, of this study and of others with the same
+settings as far as these decide the cost of a unit. Where the store has none, a calibration run provides them.
+
+A stage takes its core-seconds divided by the number of cores, but not less than its longest chain.
+
+Measured against real studies on two cores of an AMD EPYC, forecast over recorded core-seconds, by stage:
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+import statistics
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.commands.rates import Rates, measure, seconds_of_a_result
-from pipeline.commands.schedule import Schedule, Work, play
-from pipeline.commands.sizes import Sizes, bytes_left, n_worlds_looked_at, weigh
 from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
 from pipeline.stages import STAGES, environments
 from pipeline.store import disk
+from pipeline.store.manifest import Manifest, encode_manifest
 from pipeline.store.store import Store
-from pipeline.workflow.graph import survey
-from pipeline.workflow.stage import AnyStage, Chain, Results
+from pipeline.workflow.driver import settings_of
+from pipeline.workflow.graph import StageRun, results_of
+from pipeline.workflow.stage import AnyStage, Chain, Results, Upstream
 
-N_PIECES_PLAYED = 4
-"""Of the longest trial, where a schedule is played through."""
-SOON_ENOUGH = 1.05
-"""Times the soonest end; of what ends so soon, the coarsest grain is best."""
+
+@dataclass(frozen=True)
+class Kind:
+    """What chains have in common whose weighted units cost the same."""
+
+    stage: str
+    specification: str
+    """Type of the chain's specification."""
+    environment: str
+    """Where most of its rollouts are; empty if it has none."""
+
+
+def kind_of(stage: AnyStage, chain: Chain[Any]) -> Kind:
+    """Return a chain's kind."""
+    return Kind(stage.name, type(chain.spec).__name__, getattr(chain.spec, "environment", ""))
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The cost of one item."""
+
+    size: float
+    """Weighted units."""
+    seconds: float
+    n_bytes: float
+
+    @classmethod
+    def of(cls, manifest: Manifest, size: float, seconds: float) -> Sample:
+        """Take the bytes from a manifest."""
+        n_bytes = len(encode_manifest(manifest)) + sum(entry.n_bytes for entry in manifest.files.values())
+        copies = 2 if manifest.stage == "report" else 1  # people open a copy of the report
+        return cls(size, seconds, copies * n_bytes)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The cost of an item as a function of its size."""
+
+    fixed_seconds: float
+    seconds_per_unit: float
+    fixed_bytes: float
+    bytes_per_unit: float
+
+    @classmethod
+    def fit(cls, samples: Sequence[Sample]) -> Cost:
+        """Fit the cost to samples: medians of the smallest and the greatest size.
+
+        Medians ignore the items that waited for a compiler.
+        """
+        sizes = [sample.size for sample in samples]
+        least, most = min(sizes), max(sizes)
+        small, large = ([one for one in samples if one.size == size] for size in (least, most))
+        seconds = [statistics.median(one.seconds for one in of) for of in (small, large)]
+        n_bytes = [statistics.median(one.n_bytes for one in of) for of in (small, large)]
+        return cls(*_line(least, most, *seconds), *_line(least, most, *n_bytes))
+
+    def seconds(self, sizes: Iterable[float]) -> float:
+        """Return the time that items of these sizes take [s]."""
+        return sum(self.fixed_seconds + self.seconds_per_unit * size for size in sizes)
+
+    def n_bytes(self, sizes: Iterable[float]) -> float:
+        """Return the disk space that items of these sizes take [bytes]."""
+        return sum(self.fixed_bytes + self.bytes_per_unit * size for size in sizes)
+
+
+def _line(x0: float, x1: float, y0: float, y1: float) -> tuple[float, float]:
+    """Return intercept and slope, neither below 0, of the line through two points; through one, no intercept."""
+    if x1 <= x0:
+        return 0.0, y1 / x1
+    slope = max(0.0, min((y1 - y0) / (x1 - x0), y1 / x1))
+    return y1 - slope * x1, slope
 
 
 @dataclass(frozen=True)
 class StageForecast:
-    """A stage's work that is still to do."""
+    """The work of a stage that is left."""
 
     stage: str
     unit: str
@@ -36,160 +113,176 @@ class StageForecast:
     longest_chain_seconds: float
     """No number of cores gets below this."""
     n_bytes: float
+    source: str
+    """Where the samples come from."""
+
+    def seconds(self, n_cores: int) -> float:
+        """Return the time on some cores [s]."""
+        return max(self.core_seconds / n_cores, self.longest_chain_seconds)
 
 
-def forecast(
-    settings: Settings, stages: Sequence[AnyStage], rates: Rates, sizes: Sizes, upstream: Mapping[str, Results]
+@dataclass(frozen=True)
+class Remaining:
+    """A chain with items left to compute."""
+
+    stage: AnyStage
+    chain: Chain[Any]
+    units: tuple[float, ...]
+    """Size of each item that is left."""
+
+    @property
+    def kind(self) -> Kind:
+        """The chain's kind."""
+        return kind_of(self.stage, self.chain)
+
+    @property
+    def sizes(self) -> list[float]:
+        """Weighted units of each item that is left."""
+        return [units * self.chain.weight for units in self.units]
+
+
+def remaining_chains(settings: Settings, upstream: Upstream) -> list[Remaining]:
+    """List the chains of a study that are not finished, with what is left of each."""
+    found = []
+    for stage in STAGES:
+        n_done: Mapping[Any, int] = upstream[stage.name].n_done if stage.name in upstream else {}
+        found += [Remaining(stage, one, one.units[n_done.get(one.identity, 0) :]) for one in stage.plan(settings)]
+    return [one for one in found if one.units]
+
+
+# -- samples from the store --------------------------------------------------------------------------------------------
+
+
+def _survey(settings: Settings, store: Store, say: Callable[[str], None]) -> tuple[Upstream, dict[Kind, list[Sample]]]:
+    """Find what the store holds of a study, and what its items cost."""
+    upstream: dict[str, Results] = {}
+    samples: dict[Kind, list[Sample]] = {}
+    for stage in STAGES:
+        chains = StageRun(stage, settings, upstream, store, say).chains()
+        upstream[stage.name] = results_of(stage, chains)
+        weights = {chain.identity: chain.weight for chain in stage.plan(settings)}
+        for progress in chains:
+            for manifest, units in zip(progress.manifests, progress.chain.units, strict=False):
+                if _is_comparable(manifest, settings):
+                    sample = Sample.of(manifest, units * weights[progress.chain.identity], manifest.record["seconds"])
+                    samples.setdefault(kind_of(stage, progress.chain), []).append(sample)
+    return upstream, samples
+
+
+def _is_comparable(manifest: Manifest, settings: Settings) -> bool:
+    """Return whether the engine was the same and all the work was done by one core."""
+    execution = manifest.record.get("execution", {})
+    same_engine = execution.get("engine", settings.work.engine) == settings.work.engine
+    return same_engine and "seconds" in manifest.record and execution.get("designs_per_batch") is None
+
+
+def _decides_cost(settings: Settings) -> dict[str, Any]:
+    """Return the settings that decide the cost of a unit, without those that count units."""
+    chosen = settings.model_dump(mode="json", exclude={"name", "seed", "grid", "transfer", "assess"})
+    chosen["work"] = settings.work.engine
+    for group, count in (("throws", "n_throws"), ("training", "n_iterations"), ("evolution", "n_generations")):
+        del chosen[group][count]
+    return chosen
+
+
+def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], None]) -> dict[Kind, list[Sample]]:
+    """Collect samples from the store's other studies whose units cost the same."""
+    samples: dict[Kind, list[Sample]] = {}
+    for name in store.studies():
+        try:
+            record = store.read_study(name)
+            other = settings_of(record) if record is not None else settings
+        except PuddleError:  # damaged, or a newer puddle's
+            continue
+        if other != settings and _decides_cost(other) == _decides_cost(settings):
+            for kind, found in _survey(other, store, say)[1].items():
+                samples.setdefault(kind, []).extend(found)
+    return samples
+
+
+# -- forecast ----------------------------------------------------------------------------------------------------------
+
+
+def forecast_stages(
+    settings: Settings, remaining: Sequence[Remaining], costs: Mapping[Kind, Cost], calibrated: Iterable[Kind]
 ) -> list[StageForecast]:
-    """Price the work that the store does not hold yet, and weigh what it will keep, stage by stage."""
+    """Add up what the remaining work costs.
+
+    Args:
+        settings: the study's settings.
+        remaining: its unfinished chains.
+        costs: the cost of each of their kinds.
+        calibrated: kinds whose samples come from the calibration run, not from the store.
+
+    Returns:
+        A forecast for every stage, in order.
+    """
+    calibrated = set(calibrated)
     forecasts = []
-    for stage in stages:
-        n_units = core_seconds = longest = n_bytes = 0.0
-        for chain in stage.plan(settings):
-            n_done = upstream[stage.name].n_done.get(chain.identity, 0) if stage.name in upstream else 0
-            n_left = sum(chain.units[n_done:])
-            seconds = n_left * _price(stage, chain, rates)
-            n_units, core_seconds, longest = n_units + n_left, core_seconds + seconds, max(longest, seconds)
-            n_bytes += bytes_left(stage, chain, n_done, settings, sizes)
-        forecasts.append(StageForecast(stage.name, stage.unit, n_units, core_seconds, longest, n_bytes))
+    for stage in STAGES:
+        own = [one for one in remaining if one.stage is stage]
+        seconds = [costs[one.kind].seconds(one.sizes) for one in own]
+        longest = max((s / _n_batches(settings, one) for s, one in zip(seconds, own, strict=True)), default=0.0)
+        n_bytes = sum(costs[one.kind].n_bytes(one.sizes) for one in own)
+        sources = {"calibration" if one.kind in calibrated else "store" for one in own}
+        n_units = sum(sum(one.units) for one in own)
+        source = " and ".join(sorted(sources))
+        forecasts.append(StageForecast(stage.name, stage.unit, n_units, sum(seconds), longest, n_bytes, source))
     return forecasts
 
 
-def _price(stage: AnyStage, chain: Chain[Any], rates: Rates) -> float:
-    match stage.unit:
-        case "throws":
-            return rates.throw
-        case "iterations":
-            return rates.iteration
-        case "generations":
-            return rates.simulation[chain.spec.environment] + rates.selection[stage.name]
-        case "designs":
-            return rates.rollout("true_slush") + rates.rollout("residual_slush")
-        case "analyses":
-            rollouts = float(chain.spec.n_rollouts) * rates.rollout(chain.spec.environment)
-            return rollouts + n_worlds_looked_at(chain.spec) * rates.look
-        case "pictures":
-            return rates.picture
-    raise ValueError(f"stage {stage.name}: its work is counted in {stage.unit}, which has no price")
+def _n_batches(settings: Settings, one: Remaining) -> int:
+    """Return how many workers compute a generation of a chain at the same time."""
+    if one.stage.unit != "generations":
+        return 1
+    size = environments.execution_options(settings, one.chain.spec.environment).designs_per_batch
+    return math.ceil(settings.evolution.afpo.population_size / size) if size else 1
 
 
-def works_of(stage: AnyStage, chain: Chain[Any], n_done: int, settings: Settings, rates: Rates) -> list[Work]:
-    """Say what is left of a chain, as tasks for cores."""
-    price = _price(stage, chain, rates)
-    if stage.unit != "generations":
-        return [Work(1, 1, units * price) for units in chain.units[n_done:]]
-    size = environments.execution_options(settings, chain.spec.environment).designs_per_batch
-    n_designs = rates.population_size
-    if size is None or size >= n_designs:
-        return [Work(1, 1, units * price) for units in chain.units[n_done:]]
-    batch_seconds = rates.simulation[chain.spec.environment] * size / n_designs
-    n_batches, select = math.ceil(n_designs / size), rates.selection[stage.name]
-    # What is less than a generation, such as the scoring of champions, is not split.
-    return [
-        Work(round(units), n_batches, batch_seconds, select) if units >= 1 else Work(1, 1, units * price)
-        for units in chain.units[n_done:]
-    ]
-
-
-def schedule(
-    settings: Settings, stage: AnyStage, upstream: Mapping[str, Results], rates: Rates, n_cores: int, driver: float
-) -> Schedule:
-    """Play a stage through on simulated cores, long trials in part: their generations are alike."""
-    chains = stage.plan(settings)
-    n_done = upstream[stage.name].n_done if stage.name in upstream else {}
-    works = [works_of(stage, chain, n_done.get(chain.identity, 0), settings, rates) for chain in chains]
-    longest = max((len(pieces) for pieces in works), default=0)
-    share = min(1.0, N_PIECES_PLAYED / longest) if longest else 1.0
-    played = play([pieces[: max(1, round(share * len(pieces)))] for pieces in works], n_cores, driver_seconds=driver)
-    return replace(played, seconds=played.seconds / share, critical_seconds=played.critical_seconds / share)
-
-
-def schedule_lines(
-    settings: Settings, upstream: Mapping[str, Results], rates: Rates, n_cores: int, driver: float
-) -> list[str]:
-    """Say how a cluster would be kept busy, and which grain would keep it so."""
-    lines = [
-        "",
-        f"on {n_cores:,} cores, the schedule played through (a result costs the driver {driver * 1e3:.0f} ms):",
-        f"{'stage':<10}{'to the end':>14}{'longest chain':>16}{'cores busy':>12}{'driver busy':>13}",
-    ]
-    evolution: Schedule | None = None
-    for stage in STAGES:
-        played = schedule(settings, stage, upstream, rates, n_cores, driver)
-        if not played.seconds:
-            continue
-        evolution = played if stage.name == "evolve" else evolution
-        lines.append(
-            f"{stage.name:<10}{played.seconds / 3600:12.2f} h{played.critical_seconds / 3600:14.2f} h"
-            f"{played.busy:12.0%}{played.driver_busy:13.0%}"
-        )
-    if evolution is not None:
-        lines += _advice(settings, evolution, upstream, rates, n_cores, driver)
-    return lines
-
-
-def _advice(
-    settings: Settings, now: Schedule, upstream: Mapping[str, Results], rates: Rates, n_cores: int, driver: float
-) -> list[str]:
-    """Recommend the coarsest batches that end evolution soonest, or nearly so."""
-    (evolve_stage,) = (stage for stage in STAGES if stage.name == "evolve")
-    grains: list[tuple[int | None, Schedule]] = [(settings.work.designs_per_batch, now)]
-    for size in (size for size in (32, 16, 8, 4, 2) if size < rates.population_size):
-        work = settings.work.model_copy(update={"designs_per_batch": size})
-        finer = settings.model_copy(update={"work": work})
-        grains.append((size, schedule(finer, evolve_stage, upstream, rates, n_cores, driver)))
-    soonest = min(played.seconds for _, played in grains)
-    grain, best = next(grain for grain in grains if grain[1].seconds <= SOON_ENOUGH * soonest)
-    if best is now:
-        return [f"No other grain ends evolution sooner: work.designs_per_batch={grain or 'null'} is right here."]
-    why = f"{len(evolve_stage.plan(settings)):,} trials alone keep {now.busy:.0%} of {n_cores:,} cores busy"
-    return [
-        f"{why}: with `--set work.designs_per_batch={grain}` evolution takes {best.seconds / 3600:.2f} h instead of "
-        f"{now.seconds / 3600:.2f} h, and keeps {best.busy:.0%} busy."
-    ]
-
-
-def forecast_lines(settings: Settings, root: Path, cores: Sequence[int], *, say: Callable[[str], None]) -> list[str]:
-    """Say what is left of a study, for this machine's cores and for others.
+def forecast_lines(
+    settings: Settings, root: Path, cores: Sequence[int], *, say: Callable[[str], None]
+) -> Iterator[str]:
+    """Forecast the rest of a study, for this machine's cores and for others.
 
     Args:
-        settings: the study's.
-        root: of the store, which knows what is done already; if there is none, nothing is.
-        cores: numbers of cores, of this machine's kind, to say it for besides this machine's own.
-        say: shows what is being measured.
+        settings: the study's settings.
+        root: the store's folder; it need not exist.
+        cores: further numbers of cores to forecast for.
+        say: shows what is being timed.
 
     Raises:
-        PuddleError: the store can't be read; or, where ``cores`` asks for it, nothing can be kept on its disk.
+        PuddleError: the store can't be read, or `puddle gc` is running.
     """
+    from pipeline.commands.calibration import calibrate
+
     root = root.expanduser().resolve()
     with disk.explained("looking for a store", root):
         store = Store.open(root, create=False) if (root / "store.json").exists() else None
-    driver = seconds_of_a_result(settings, root) if cores else 0.0
-    upstream = survey(settings, STAGES, store, say=say) if store is not None else {}
-    rates = measure(settings, say)
-    say("weighing a little of everything")
-    stages = forecast(settings, STAGES, rates, weigh(settings), upstream)
-    own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    columns = dict.fromkeys([own, *cores])
-    lines = [f"study {settings.name}: what is left, from rates measured on this machine just now", ""]
-    header = "".join(f"{f'{n} cores':>14}" for n in columns)
-    lines.append(f"{'stage':<10}{'work':>22}{'core-hours':>12}{header}{'kept':>12}")
-    total = dict.fromkeys(columns, 0.0)
-    for stage in stages:
-        hours = {n: max(stage.core_seconds / n, stage.longest_chain_seconds) / 3600 for n in columns}
-        for n in columns:
-            total[n] += hours[n]
-        lines.append(
-            f"{stage.stage:<10}{f'{stage.n_units:,.0f} {stage.unit}':>22}{stage.core_seconds / 3600:12.2f}"
-            + "".join(f"{hours[n]:12.2f} h" for n in columns)
-            + f"{stage.n_bytes / 1e6:9.0f} MB"
-        )
-    core_hours, kept = sum(s.core_seconds for s in stages) / 3600, sum(s.n_bytes for s in stages) / 1e6
-    lines.append(
-        f"{'all':<10}{'':>22}{core_hours:12.2f}" + "".join(f"{total[n]:12.2f} h" for n in columns) + f"{kept:9.0f} MB"
-    )
-    for n in dict.fromkeys(cores):
-        lines += schedule_lines(settings, upstream, rates, n, driver)
+    upstream: Upstream = {}
+    samples: dict[Kind, list[Sample]] = {}
     if store is not None:
-        lines.append(f"\nThe store holds {store.size_bytes() / 1e6:.0f} MB now.")
-    return lines
+        with store.lock_to_read():
+            upstream, samples = _survey(settings, store, say)
+            samples = {**_samples_of_others(settings, store, say), **samples}
+    remaining = remaining_chains(settings, upstream)
+    unknown = {one.kind for one in remaining} - samples.keys()
+    if unknown:
+        samples |= calibrate(settings, unknown, say=say)
+    costs = {kind: Cost.fit(of) for kind, of in samples.items()}
+    own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    yield from _table(settings, forecast_stages(settings, remaining, costs, unknown), [*dict.fromkeys([own, *cores])])
+    if store is not None:
+        yield f"The store holds {store.size_bytes() / 1e6:.0f} MB now."
+
+
+def _table(settings: Settings, stages: Sequence[StageForecast], cores: Sequence[int]) -> Iterator[str]:
+    yield f"study {settings.name}: the rest of the work"
+    header = "".join(f"{f'{n:,} cores':>14}" for n in cores)
+    yield f"{'stage':<10}{'work':>22}{'core-hours':>12}{header}{'disk':>12}  cost from"
+    for stage in stages:
+        hours = "".join(f"{stage.seconds(n) / 3600:12.2f} h" for n in cores)
+        work = f"{stage.stage:<10}{f'{stage.n_units:,.0f} {stage.unit}':>22}{stage.core_seconds / 3600:12.2f}"
+        yield f"{work}{hours}{stage.n_bytes / 1e6:9.0f} MB  {stage.source}".rstrip()
+    core_hours, n_bytes = sum(s.core_seconds for s in stages) / 3600, sum(s.n_bytes for s in stages)
+    hours = "".join(f"{sum(s.seconds(n) for s in stages) / 3600:12.2f} h" for n in cores)
+    yield f"{'all':<10}{'':>22}{core_hours:12.2f}{hours}{n_bytes / 1e6:9.0f} MB"

@@ -22,7 +22,7 @@ import numpy as np
 
 from pipeline.cluster import TaskFailed, ray_cluster, session
 from pipeline.cluster.process import free_memory
-from pipeline.commands.sizes import bytes_left_of_study
+from pipeline.commands.storage_model import bytes_left_of_study
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES

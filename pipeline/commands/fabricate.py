@@ -8,10 +8,11 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.exit_codes import INCOMPLETE, interruptible, to_stderr
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, TrackingUri
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, TrackingUri, with_options
 from pipeline.errors import PuddleError
 
 
+@with_options
 def fabricate(
     design: Annotated[Path | None, typer.Argument(help="A design file (design.json).")] = None,
     study: Annotated[str | None, typer.Option("--study", help="Use this study's proposed champion instead.")] = None,

@@ -6,9 +6,10 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, with_options
 
 
+@with_options
 def gc(
     store: StorePath = DEFAULT_STORE,
     remove: Annotated[bool, typer.Option("--remove", help="Remove the garbage; without it, only list it.")] = False,

@@ -8,9 +8,11 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.exit_codes import INTERRUPTED
+from pipeline.commands.options import with_options
 from pipeline.errors import PuddleError
 
 
+@with_options
 def drive(
     timeline: Annotated[
         Path | None, typer.Argument(help="A kit that `puddle fabricate` made, or a timeline (timeline.json).")

@@ -7,9 +7,10 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.exit_codes import interruptible
-from pipeline.commands.options import DEFAULT_STORE, StorePath
+from pipeline.commands.options import DEFAULT_STORE, StorePath, with_options
 
 
+@with_options
 def ui(
     store: StorePath = DEFAULT_STORE,
     port: Annotated[int, typer.Option("--port", min=1, max=65535, help="Port on the loopback interface.")] = 5000,

@@ -93,7 +93,7 @@ def test_a_public_function_documents_its_parameters(module: str) -> None:
         f"{module}:{function.lineno}: {name}: {what}"
         for name, function in public_functions(module)
         if len(parameters(function)) >= FEWEST_PARAMETERS
-        and not any(re.search(r"\.(command|callback)$|^overload$", one) for one in decorators(function))
+        and not any(re.search(r"\.(command|callback)$|^with_options$|^overload$", one) for one in decorators(function))
         for what in missing(function)
     ]
     if found:

@@ -1,136 +1,105 @@
-"""A forecast measures where the study is to be, and leaves nothing there; generations are priced as they come."""
+"""A forecast: costs are fitted to items of the store or of a calibration run, and added up."""
 
-import os
-import signal
-import tempfile
-import time
-from pathlib import Path
+import shutil
 
 import pytest
-from numpy.random import default_rng
+from command_line import call
 
-from pipeline.commands.app import main
-from pipeline.commands.cost_model import forecast_lines
-from pipeline.commands.rates import Rates, seconds_of_a_result, time_of_selection
-from pipeline.commands.sizes import BYTES_OF_A_DESIGN
-from pipeline.config.loading import load, preset_path
+from pipeline.commands.cost_model import Cost, Sample, forecast_lines, forecast_stages, kind_of, remaining_chains
+from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
-from pipeline.errors import PuddleError
+from pipeline.stages import STAGES
 from pipeline.store.store import Store
-from tasks.design import random_designs
-from tasks.evolution import EMPTY_POPULATION, ask
 
 
-@pytest.fixture(scope="module")
-def smoke() -> Settings:
-    return load(Settings, preset_path("smoke"), ())
+def sample(size: float, seconds: float) -> Sample:
+    return Sample(size, seconds, n_bytes=100.0 + size)
 
 
-@pytest.fixture
-def elsewhere(tmp_path, monkeypatch) -> Path:
-    """Where a store is to be, on a disk that is not the one of temporary files."""
-    monkeypatch.setattr(tempfile, "tempdir", "/dev")
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    return folder
+class CalibrationStarted(Exception):  # noqa: N818
+    pass
 
 
-@pytest.fixture
-def opened(monkeypatch) -> list[Path]:
-    """Where stores are opened."""
-    places = []
-    plain = Store.open
-    monkeypatch.setattr(Store, "open", lambda root, *, create: (places.append(root), plain(root, create=create))[1])
-    return places
+def stop_calibration(line: str) -> None:
+    raise CalibrationStarted(line)
 
 
-def test_the_disk_is_timed_where_the_store_is_to_be_and_nothing_is_left(smoke, elsewhere, opened):
-    assert 0 < seconds_of_a_result(smoke, elsewhere / "not" / "yet" / "made") < 10
-    assert len(opened) == 1 and opened[0].is_relative_to(elsewhere)
-    assert list(elsewhere.iterdir()) == []
+def test_a_cost_is_a_line_through_the_medians_of_two_sizes():
+    # 3 s and 5 s at sizes 1 and 2; the item of 60 s waited for a compiler.
+    cost = Cost.fit([sample(1, 3), sample(2, 5), sample(2, 60), sample(2, 4)])
+    assert (cost.fixed_seconds, cost.seconds_per_unit) == (1, 2)
+    assert (cost.fixed_bytes, cost.bytes_per_unit) == (100, 1)
+    assert cost.seconds([1, 10]) == 2 + 22
 
 
-def test_temporary_files_are_the_systems_where_they_lie_on_the_same_disk(smoke, tmp_path, monkeypatch, opened):
-    (tmp_path / "temporary").mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    seconds_of_a_result(smoke, tmp_path / "store")
-    assert len(opened) == 1 and opened[0].is_relative_to(tmp_path / "temporary")
-    assert not (tmp_path / "store").exists()
+def test_a_cost_is_proportional_to_the_only_size():
+    cost = Cost.fit([sample(4, 8)])
+    assert (cost.fixed_seconds, cost.seconds_per_unit) == (0, 2)
 
 
-def test_a_disk_that_keeps_nothing_is_an_error_that_says_so(smoke, elsewhere):
-    (elsewhere / "file").write_text("no folder")
-    why = f"{elsewhere}/file/store: timing what a result costs failed: Not a directory"
-    with pytest.raises(PuddleError, match=why):
-        seconds_of_a_result(smoke, elsewhere / "file" / "store")
+def test_noise_makes_no_cost_negative():
+    assert Cost.fit([sample(1, 5), sample(2, 4)]).seconds([0, 10]) == 8  # no slope: 4 s each
+    assert Cost.fit([sample(1, 1), sample(2, 4)]).fixed_seconds == 0  # a slope of 2 at most
 
 
-def test_no_more_is_kept_for_the_time_it_takes_than_a_trial_keeps(elsewhere, monkeypatch):
-    kept = []
-    plain = Store.commit
-
-    def commit(store, stage, key, identity, files, *, record):
-        kept.append(len(files["history.parquet"]))
-        return plain(store, stage, key, identity, files, record=record)
-
-    monkeypatch.setattr(Store, "commit", commit)
-    overrides = ("evolution.n_generations=5", "work.generations_per_item=5000")
-    settings = load(Settings, preset_path("smoke"), overrides)
-    seconds_of_a_result(settings, elsewhere / "store")
-    assert set(kept) == {5 * settings.evolution.afpo.population_size * BYTES_OF_A_DESIGN}
-
-
-def test_a_signal_leaves_nothing(smoke, elsewhere, monkeypatch):
-    monkeypatch.setattr(Store, "commit", lambda *arguments, **options: os.kill(os.getpid(), signal.SIGTERM))
-    with pytest.raises(SystemExit):
-        seconds_of_a_result(smoke, elsewhere / "store")
-    assert list(elsewhere.iterdir()) == []
+def test_the_longest_chain_is_divided_by_the_batches_of_a_generation():
+    """The paper's chains: 1,000 generations of 64 designs, in batches of 4 under networks only."""
+    paper = load(Settings, preset_path("paper"))
+    remaining = [one for one in remaining_chains(paper, {}) if one.stage.name == "evolve"]
+    costs = {one.kind: Cost(0.0, 1.0 / one.chain.weight, 0.0, 1.0 / one.chain.weight) for one in remaining}
+    evolve = {stage.stage: stage for stage in forecast_stages(paper, remaining, costs, ())}["evolve"]
+    assert evolve.n_units == evolve.core_seconds == pytest.approx(310_000)
+    assert evolve.longest_chain_seconds == pytest.approx(1000)
+    assert evolve.seconds(100) == pytest.approx(3100) and evolve.seconds(1000) == pytest.approx(1000)
+    alone = [one for one in remaining if one.kind.environment == "residual_slush"]
+    (split,) = (stage for stage in forecast_stages(paper, alone, costs, ()) if stage.stage == "evolve")
+    assert split.longest_chain_seconds == pytest.approx(1000 / 16)
 
 
-@pytest.fixture
-def measured(monkeypatch) -> None:
-    """Rates are these, whatever the machine."""
-    rates = Rates(
-        throw=0.01,
-        iteration=0.01,
-        population_size=8,
-        picture=0.02,
-        look=0.2,
-        simulation=dict.fromkeys(("true_slush", "dry_land", "residual_slush", "single_member"), 0.01),
-        selection={"evolve": 0.002, "transfer": 0.001},
-    )
-    monkeypatch.setattr("pipeline.commands.cost_model.measure", lambda settings, say: rates)
+def test_a_finished_study_costs_nothing(study, settings):
+    store, upstream = study
+    assert remaining_chains(settings, upstream) == []
+    *_, total, _ = forecast_lines(settings, store.root, (), say=stop_calibration)
+    assert total.split()[:2] == ["all", "0.00"]
 
 
-def test_what_a_result_costs_is_asked_for_other_cores_alone(measured, smoke, tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(
-        "pipeline.commands.cost_model.seconds_of_a_result", lambda settings, root: asked.append(root) or 0.01
-    )
-    forecast_lines(smoke, tmp_path / "store", (), say=str)
-    assert asked == []
-    assert any("on 8 cores" in line for line in forecast_lines(smoke, tmp_path / "store", (8,), say=str))
-    assert asked == [tmp_path / "store"]
+def test_items_of_another_study_are_samples_if_their_units_cost_the_same(study, settings, tmp_path):
+    """No calibration run is needed for more trials and generations, only for other costs per unit."""
+    store = Store.open(shutil.copytree(study[0].root, tmp_path / "store"), create=False)
+    store.write_study(settings.name, settings.model_dump(mode="json"), ())
+    more = ("name=more", "seed=7", "grid.n_trials=5", "evolution.n_generations=9", "work.generations_per_item=3")
+    longer = parse(Settings, settings.model_dump_json(), name="longer", overrides=more)
+    lines = list(forecast_lines(longer, store.root, (8,), say=stop_calibration))
+    assert "8 cores" in lines[1] and lines[2].endswith(" store") and "180 generations" in "\n".join(lines)
+    larger = parse(Settings, settings.model_dump_json(), name="larger", overrides=["rollout.n_measure=40"])
+    with pytest.raises(CalibrationStarted):
+        list(forecast_lines(larger, store.root, (), say=stop_calibration))
 
 
-def test_a_store_at_home_is_found(measured, tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("HOME", str(tmp_path))
-    Store.open(Path("~/results"), create=True)
-    for place, found in ("~/results", True), ("~/none", False):
-        monkeypatch.setenv("PUDDLE_STORE", place)
-        with pytest.raises(SystemExit) as ended:
-            main(["forecast", "--preset", "smoke"])
-        assert not ended.value.code
-        assert ("The store holds" in capsys.readouterr().out) == found
+def test_a_calibration_run_forecasts_a_real_study(study, settings, tmp_path):
+    """Bytes are compared, which do not depend on the machine; the seconds of a real study are in cost_model.py."""
+    store, _ = study
+    lines = list(forecast_lines(settings, tmp_path / "none", (), say=lambda line: None))
+    assert not (tmp_path / "none").exists()
+    for stage, line in zip(STAGES, lines[2:], strict=False):
+        words = line.split()
+        assert words[0] == stage.name and words[-1] == "calibration"
+        copies = 2 if stage.name == "report" else 1
+        n_bytes = copies * sum(store.item_bytes(stage.name, key) for key in store.keys(stage.name))
+        assert float(words[words.index("MB") - 1]) == pytest.approx(n_bytes / 1e6, rel=0.6, abs=0.51), stage.name
 
 
-def test_a_generation_pays_for_its_own_draws_alone(monkeypatch):
-    """Where links must be apart a body is drawn a thousand times: 64 bodies at first, then ten or so, none if given."""
-    monkeypatch.setattr(time, "perf_counter", time.process_time)  # whatever else the machine does
-    pontoon = load(Settings, preset_path("pontoon"), ())
-    afpo, morphology = pontoon.evolution.afpo, pontoon.evolution.morphology
-    start = time.process_time()
-    ask(EMPTY_POPULATION, default_rng(0), afpo, morphology=morphology)
-    first = time.process_time() - start
-    later, adapting = (time_of_selection(pontoon, body) for body in (None, random_designs(1, default_rng(0))))
-    assert first > 2 * later > 6 * adapting
+def test_kinds_tell_apart_what_costs_differ(settings):
+    plans = {stage.name: {kind_of(stage, chain) for chain in stage.plan(settings)} for stage in STAGES}
+    assert {kind.environment for kind in plans["evolve"]} == set(settings.grid.environments) | {"single_member"}
+    assert {kind.environment for kind in plans["transfer"]} == {"true_slush"}
+    assert len(plans["collect"]) == len(plans["train"]) == len(plans["assess"]) == 1
+    assert len(plans["report"]) == 2  # the page, and films
+
+
+def test_a_store_at_home_is_found(study, settings, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HOME", str(study[0].root.parent))
+    monkeypatch.setenv("PUDDLE_STORE", f"~/{study[0].root.name}")
+    (tmp_path / "tiny.yaml").write_text(settings.model_dump_json())
+    assert call("forecast", "--settings", str(tmp_path / "tiny.yaml")) == 0
+    assert f"The store holds {study[0].size_bytes() / 1e6:.0f} MB" in capsys.readouterr().out
