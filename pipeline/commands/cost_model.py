@@ -6,7 +6,8 @@ settings as far as these decide the cost of a unit. Where the store has none, a 
 
 A stage takes its core-seconds divided by the number of cores, but not less than its longest chain.
 
-Measured against real studies on two cores of an AMD EPYC, forecast over recorded core-seconds, by stage:
+On an AMD EPYC with compiled kernels, a calibration run forecast the processor time of the preset smoke with these ratios
+of forecast to study: collect 1.12, train 1.22, evolve 1.15, transfer 0.94, assess 1.28, analyse 0.91, report 1.01.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from pipeline.stages import STAGES, environments
 from pipeline.store import disk
 from pipeline.store.manifest import Manifest, encode_manifest
 from pipeline.store.store import Store
-from pipeline.workflow.driver import settings_of
 from pipeline.workflow.graph import StageRun, results_of
+from pipeline.workflow.record import settings_of
 from pipeline.workflow.stage import AnyStage, Chain, Results, Upstream
 
 
