@@ -11,7 +11,7 @@ from pipeline.config.settings import DEEPEST, RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.errors import PuddleError
 from pipeline.report import render_gif, render_mp4, render_robot, replay_of
 from pipeline.stages import environments
-from pipeline.stages.analyses.filmed_rollouts import NOBODY, median_member
+from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, median_member
 from pipeline.stages.collect import COLLECT, data_set
 from pipeline.stages.report_replays import looked_at, push_of, surroundings_in
 from pipeline.stages.train import TRAIN
@@ -101,14 +101,16 @@ def simulate_design(
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
         lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
     if out is not None and rollouts.trace is not None:
-        member = median_member(rollouts.displacement[:, 0]) if world == "residual_slush" else NOBODY
-        trace = rollouts.trace if member == NOBODY else rollouts.trace[member]
+        member = median_member(rollouts.displacement[:, 0]) if world == "residual_slush" else NO_MEMBER
+        trace = rollouts.trace if member == NO_MEMBER else rollouts.trace[member]
         replay = replay_of(
             design,
             trace[0],
             title=path.stem,
             environment=world,
-            seen_in=ENVIRONMENTS[world].label if member == NOBODY else f"{ENVIRONMENTS[world].label} (member {member})",
+            seen_in=ENVIRONMENTS[world].label
+            if member == NO_MEMBER
+            else f"{ENVIRONMENTS[world].label} (member {member})",
             depth=depth,
             surroundings=surroundings_in(world),
             n_settle=settings.rollout.n_settle,

@@ -114,7 +114,7 @@ def viewer(replays: Sequence[Replay], *, reason: str | None = None) -> str:
 <div class="bar below"><label>Speed <select id="speed"><option value="0.25">¼ ×</option><option value="0.5">½ ×</option>
 <option value="1" selected>1 ×</option><option value="2">2 ×</option><option value="4">4 ×</option></select></label>
 <label>Colour <select id="overlay"><option value="" selected>where it evolved</option>{colors}</select></label>
-<label><input id="push" type="checkbox"{"" if pushes else " disabled"}> Force of the slush</label>
+<label><input id="push" type="checkbox"{"" if pushes else " disabled"}> Push of the slush</label>
 <label><input id="follow" type="checkbox" checked> Follow the robot</label></div>
 </div>
 <p class="small">The root link is darker and has a black dot; white dots are joints. The number at the top right is the
@@ -129,7 +129,7 @@ def _twin_words(replays: Sequence[Replay]) -> str:
     if any(replay.hallucinated for replay in replays):
         words += (
             " For an ensemble, that is the environment of the member whose prediction is the median (the lower of "
-            "two). Hallucinated slush has a dashed surface, and its force is the member’s prediction."
+            "two). Hallucinated slush has a dashed surface, and its push is the member’s prediction."
         )
     return words
 

@@ -18,7 +18,7 @@ from tasks.design import N_LINKS, Designs
 from tasks.world import Physics
 
 STEPS_PER_SECOND = 60
-"""Of a trace with the paper's time step."""
+"""Steps per second of a trace with the paper's time step."""
 STEPS_PER_FRAME = 2
 
 QUANTUM = 1e-3

@@ -11,8 +11,8 @@ from pipeline.config.settings import Settings
 from pipeline.report.findings import TankRow
 from pipeline.report.replay import Replay, replay_of
 from pipeline.stages import environments
-from pipeline.stages.analyse import TANK, read_rows
 from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.analyses.tables import TANK, read_rows
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
@@ -25,14 +25,14 @@ ANALYSED = "analysed"
 """Role of the inputs that are the tables of an analysis."""
 
 PROPOSED = "proposed-"
-"""How the names of the proposed champions' design files begin."""
+"""Prefix of the design files of proposed champions."""
 
-MOST_SECONDS_IN_TANK = 60.0
-"""Of the films of the tank: a minute of a robot that goes nowhere is enough."""
+_MOST_SECONDS_IN_TANK = 60.0
+"""Limit on the films of the tank: a minute of a robot that does not move is enough [s]."""
 
 
 def proposed(settings: Settings, inputs: Inputs) -> list[TrialId]:
-    """Find each arm's champion that is proposed for building; none without a tank."""
+    """Return the champion of each arm that is proposed for building; none without a tank."""
     found: list[TrialId] = []
     for arm, trials in arms_of(trials_of(settings, "transfer")).items():
         rows = read_rows(inputs.get(InputName(ANALYSED, AnalysisId(TANK, arm))), "tank", TankRow)
@@ -42,7 +42,7 @@ def proposed(settings: Settings, inputs: Inputs) -> list[TrialId]:
 
 
 def proposal_files(trials: list[TrialId], inputs: Inputs) -> Files:
-    """Give the design files of proposed champions, named by their arms; the store wants no second dot in a name."""
+    """Return the design files of proposed champions, named after their arms; the store allows one dot in a name."""
     return {
         f"{PROPOSED}{trial.environment}-{trial.depth:g}m".replace(".", "_") + ".json": _champion_file(trial, inputs)
         for trial in trials
@@ -54,21 +54,31 @@ def _champion_file(trial: TrialId, inputs: Inputs) -> bytes:
 
 
 def tank_replays(settings: Settings, trial: TrialId, inputs: Inputs, engine: Any) -> list[Replay]:
-    """Film a proposed champion in the tank and on its dry floor. They show a tank, so they are of no environment."""
+    """Film a proposed champion in the tank and on its dry floor.
+
+    Args:
+        settings: settings of the study.
+        trial: trial of the champion.
+        inputs: files by name, with its scores.
+        engine: the engine.
+
+    Returns:
+        The replays that did not diverge. They belong to no environment.
+    """
     assert settings.tank is not None
     design = design_from(decode_json(_champion_file(trial, inputs), trial.label), trial.label)
     style = ENVIRONMENTS[trial.environment]
     tank, n_settle, time_step = settings.tank, settings.rollout.n_settle, settings.physics.time_step
     replays = []
-    for world, words in (
+    for surrounding, words in (
         (environments.true_slush(environments.media_of(settings, "true_slush"), tank.simulated_depth), "the tank"),
         (DryLand(depth=0.0), "the drained tank"),
     ):
         rollouts = simulate(
             design,
-            world,
+            surrounding,
             n_settle=n_settle,
-            n_measure=min(tank.n_steps(time_step), round(MOST_SECONDS_IN_TANK / time_step)),
+            n_measure=min(tank.n_steps(time_step), round(_MOST_SECONDS_IN_TANK / time_step)),
             engine=engine,
             trace=True,
             physics=settings.physics,
@@ -82,8 +92,8 @@ def tank_replays(settings: Settings, trial: TrialId, inputs: Inputs, engine: Any
                     title=f"To build: evolved {style.evolved}, trial {trial.index}, in {words}",
                     environment="",
                     seen_in=words,
-                    depth=round(world.depth, 2),
-                    surroundings="air" if world.medium is None else "true slush",
+                    depth=round(surrounding.depth, 2),
+                    surroundings="air" if surrounding.medium is None else "true slush",
                     n_settle=n_settle,
                     time_step=time_step,
                 )

@@ -1,4 +1,4 @@
-"""report: the page that a person looks at, its figures as SVG and PNG, and its moving robots as GIF and MP4."""
+"""report: the page of a study, its figures as SVG and PNG, and its films as GIF and MP4."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from pipeline.store.encoding import decode_json, encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.provenance import environment as provenance
 from pipeline.store.store import Store
-from pipeline.store.tables import Columns
+from pipeline.store.tables import Columns, rows_of
 from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId, deepest_first, trials_of
 from pipeline.workflow.stage import (
     NOT_POSSIBLE,
@@ -44,19 +44,20 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.evolution import OPERATORS
+from tasks.residual.error_report import ErrorRow
 from tasks.world import ENVIRONMENTS
 
 PAGE = "index.html"
 """The page's file."""
 
 TOGETHER = "replay"
-"""File name, without suffix, of the film that shows two robots: the best with residuals above the best without."""
+"""File name without suffix of the film of two robots: the best with residuals above the best without."""
 
 TRAINED, EVOLUTION, ADAPTATION = "trained", "evolution", "adaptation"
 """Roles of the inputs that are members' errors, curves of trials, and curves of their adaptations."""
 
 PICTURES_OF_PAGE = 4000
-"""About what the page costs, as pictures of a film."""
+"""Approximate cost of the page, as pictures of a film."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def _item(
     for of, (analysis,) in upstream["analyse"].done.items():
         inputs[InputName(ANALYSED, of)] = Input(analysis, tuple(analysis.files))
     if settings.needs_ensemble:
-        with suppress(MissingInputs):  # the figure of the data set says that there is none
+        with suppress(MissingInputs):  # the figure of the data set then gives a reason
             inputs |= data_set(upstream["collect"])
     if (family := _family_trial(settings, upstream["evolve"].done)) is not None:
         for number, segment in enumerate(upstream["evolve"].done[family]):
@@ -202,9 +203,9 @@ def _compute(job: Job[PageItemSpec | FilmsSpec], inputs: Inputs) -> Files:
 
 
 def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
-    """Make a GIF and an MP4 of each replay, or of those in True Slush above one another.
+    """Make a GIF and an MP4 of each replay, or of the two in True Slush together.
 
-    A listing says what each film shows; it is empty where no champion of the arm could be filmed.
+    A listing describes each film; it is empty if no champion of the arm could be filmed.
     """
     replays = replays_of(spec.simulation, spec.trials, execution, inputs)
     named = {film_name(replay): [replay] for replay in replays}
@@ -221,9 +222,9 @@ def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
 
 
 def film_name(replay: Replay) -> str:
-    """Name the film of one robot; the store wants no dot in a name."""
-    world = "" if replay.in_true_slush else "-at-home"
-    return f"{TOGETHER}-{replay.environment}-{replay.depth:g}m".replace(".", "_") + world
+    """Name the film of one robot; the store allows no dot in a name."""
+    suffix = "" if replay.in_true_slush else "-at-home"
+    return f"{TOGETHER}-{replay.environment}-{replay.depth:g}m".replace(".", "_") + suffix
 
 
 def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
@@ -269,7 +270,7 @@ def _curves(role: str, inputs: Inputs) -> dict[ChainId, Columns]:
 
 
 def _trial_result(trial: TrialId, inputs: Inputs, evolved: Mapping[ChainId, Columns]) -> TrialResult | None:
-    """Gather one trial's curve and scores; None where it was set aside. A champion that diverged has NaN for scores."""
+    """Return the curve and the scores of a trial; None if it failed. A champion that diverged has NaN for scores."""
     scored = inputs.get(InputName(SCORED, trial))
     if scored is None:
         return None
@@ -285,7 +286,7 @@ def _trial_result(trial: TrialId, inputs: Inputs, evolved: Mapping[ChainId, Colu
 
 
 def _draws(curves: Collection[Columns]) -> list[Draws]:
-    """Add up the draws of all trials by operator, where some were rejected."""
+    """Sum the draws of all trials by operator, for operators that rejected some."""
     totals = [
         Draws(
             operator,
@@ -298,51 +299,41 @@ def _draws(curves: Collection[Columns]) -> list[Draws]:
 
 
 def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Columns]) -> list[str]:
-    """Say what diverged, trial by trial."""
+    """List what diverged, by trial."""
     adapted = _curves(ADAPTATION, inputs)
-    said = []
+    found = []
     for trial in trials_of(settings, "transfer"):
         label = trial.label
         if (curve := evolved.get(trial.in_stage("evolve"))) is not None:
-            said.append((f"evolve: {label}", divergence.in_trial(curve)))
+            found.append((f"evolve: {label}", divergence.in_trial(curve)))
         if (scored := inputs.get(InputName(SCORED, trial))) is not None:
             scores = decode_json(scored[SCORE], label)
-            said.append((f"transfer: {label}", divergence.in_transfer(scores, adapted.get(trial))))
+            found.append((f"transfer: {label}", divergence.in_transfer(scores, adapted.get(trial))))
         if (share := inputs.get(InputName(ASSESSED, trial.in_stage("assess")))) is not None:
-            said.append((f"assess: {label}", divergence.in_assessment(read_predictions([share]))))
-    return [f"{where}: {what}" for where, what in said if what is not None]
+            found.append((f"assess: {label}", divergence.in_assessment(read_predictions([share]))))
+    return [f"{where}: {what}" for where, what in found if what is not None]
 
 
 def _residual_errors(inputs: Inputs) -> list[ResidualError]:
-    """Gather every member's errors by component and band of speed."""
+    """Return the errors of every member by component and band of speed."""
     rows = []
     members = [files for name, files in inputs.items() if name.role == TRAINED]
     for member, files in enumerate(members):
-        errors = read_errors(files[MEMBER_ERRORS], f"errors of member {member}")
-        for component, band, rmse, relative in zip(
-            errors["component"], errors["band"], errors["rmse"], errors["relative_error"], strict=True
-        ):
-            if band != "all" and np.isfinite(rmse):
-                known = np.isfinite(relative) and relative > 0
-                rows.append(
-                    ResidualError(
-                        member=member,
-                        component=str(component),
-                        unit=RESIDUAL_UNITS[str(component)],
-                        speed_band=f"{band} m/s",
-                        rmse=float(rmse),
-                        rms_residual=float(rmse / relative) if known else 0.0,
-                    )
-                )
+        errors = rows_of(ErrorRow, read_errors(files[MEMBER_ERRORS], f"errors of member {member}"))
+        for row in errors:
+            if row.band != "all" and np.isfinite(row.rmse):
+                truth = row.rmse / row.relative_error if row.relative_error > 0 else 0.0  # the ratio may be NaN
+                unit, band = RESIDUAL_UNITS[row.component], f"{row.band} m/s"
+                rows.append(ResidualError(member, row.component, unit, band, row.rmse, truth))
     return rows
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Put the page, the figures and the films where a person finds them."""
+    """Export the page, the figures and the films to the folder of the study."""
     files = {name: store.read(done, name) for (done,) in results.done.values() for name in done.files}
     folder = store.export(settings.name, files)
-    no_page = f"no page: {results.failed.get(PageId(), 'it is not made yet')}"
-    # MLflow shows both kinds of films, and a GIF is ten times an MP4: it gets the one GIF that tells the story.
+    no_page = f"no page: {results.failed.get(PageId(), 'it has not been made yet')}"
+    # A GIF is ten times as large as an MP4, so MLflow gets only one GIF.
     artifacts = {name: data for name, data in files.items() if not name.endswith(".gif") or name == f"{TOGETHER}.gif"}
     lines = [f"{folder / PAGE}" if PAGE in files else no_page]
     lines += [f"{folder / name}: a robot to build" for name in files if name.startswith(PROPOSED)]
@@ -351,7 +342,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
 
 REPORT = Stage(
     name="report",
-    version=7,
+    version=8,
     unit="pictures",
     reads=_reads,
     plan=_plan,

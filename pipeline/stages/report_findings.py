@@ -22,11 +22,20 @@ from pipeline.report.findings import (
     ThrownPaths,
 )
 from pipeline.stages import segments
-from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS, MATRIX, MEMBERS, STATISTICS, TANK, read_reasons, read_rows
 from pipeline.stages.analyses.champions import MatrixTestRow, matrices_of
 from pipeline.stages.analyses.instruments import ThrustRow
 from pipeline.stages.analyses.specs import AnalysisId
 from pipeline.stages.analyses.statistics import HistogramRow
+from pipeline.stages.analyses.tables import (
+    EXPLOITERS,
+    INSTRUMENTS,
+    MATRIX,
+    MEMBERS,
+    STATISTICS,
+    TANK,
+    read_reasons,
+    read_rows,
+)
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.encoding import decode_table

@@ -1,4 +1,4 @@
-"""From an arm's films to what the page shows: replays, with what the instruments say of them laid over.
+"""Replays of the best champion of each arm, with the measurements of the instruments as overlays.
 
 Part of the stage report.
 """
@@ -8,30 +8,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import environments
-from pipeline.stages.analyse import INSTRUMENTS, read_table
 from pipeline.stages.analyses.champions import champions
-from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, film_arm
-from pipeline.stages.analyses.instruments import transitions_of
+from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, film_arm
+from pipeline.stages.analyses.instruments import FilmRow, transitions_of
 from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.analyses.tables import INSTRUMENTS, read_rows, read_table
 from pipeline.stages.environments import SimulationSpec, members_among
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.workflow.identity import Arm, InputName, TrialId, deepest_first
 from pipeline.workflow.stage import Execution, Files, Inputs
 from tasks.analysis import acceleration, disagreement, link_states, novelty, thrown
+from tasks.arrays import Float64, Floats
 from tasks.design import Designs
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium
 
-LAID_OVER = (
-    ("disagreement", "what the members disagree about", "m/s²", 0.0),
-    ("novelty", "distance from the throws", "× usual", 1.0),
+_OVERLAYS = (
+    ("disagreement", "disagreement of the members", "m/s²", 0.0),
+    ("novelty", "distance from the throws", "× typical", 1.0),
 )
-"""Column of the instruments' links, what the page calls it, its unit, and what the darkest colour is at least: within
-the usual distance a state is not new."""
+"""Column of the table of links, label on the page, unit, and lower bound on the value of the darkest colour: a state
+within the usual distance is not novel."""
 
 
 def replays_of(
@@ -43,14 +43,17 @@ def replays_of(
         simulation: physics, rollout, and the media of True Slush and of the environments where they evolved.
         trials: trials of the arms.
         execution: the engine.
-        inputs: scores, every member or none, and the instruments of the arms where there is something to lay over.
+        inputs: scores, every member or none, and the measurements of the instruments where there are some.
+
+    Returns:
+        The replays; an arm without a champion has none.
     """
     networks = members_among(inputs)
     replays = []
     for arm, own in deepest_first(trials).items():
-        said = inputs.get(InputName(ANALYSED, AnalysisId(INSTRUMENTS, arm)), {})
+        measured = inputs.get(InputName(ANALYSED, AnalysisId(INSTRUMENTS, arm)), {})
         films = film_arm(simulation, execution, champions(own, inputs), networks)
-        replays += [_replay(simulation, film, _overlays(simulation, film, said), networks) for film in films]
+        replays += [_replay(simulation, film, _overlays(simulation, film, measured), networks) for film in films]
     return replays
 
 
@@ -64,11 +67,11 @@ def _replay(simulation: SimulationSpec, film: Filmed, overlays: tuple[Overlay, .
         environment=trial.environment,
         seen_in=_words(film),
         depth=trial.depth,
-        surroundings=surroundings_in(film.world),
+        surroundings=surroundings_in(film.seen_in),
         n_settle=simulation.rollout.n_settle,
         time_step=simulation.physics.time_step,
         overlays=overlays,
-        push=push_of(simulation, Arm(film.world, trial.depth), film.member, champion.design, film.trace, networks),
+        push=push_of(simulation, Arm(film.seen_in, trial.depth), film.member, champion.design, film.trace, networks),
     )
 
 
@@ -80,81 +83,75 @@ def surroundings_in(environment: EnvironmentName) -> Surroundings:
 
 
 def _words(film: Filmed) -> str:
-    """Name the world of a film; both kinds of residual worlds are Residual Slush as a member has it."""
-    if film.world in RESIDUAL_ENVIRONMENTS:
+    """Name the environment of a film; those with networks are Residual Slush with a member."""
+    if film.seen_in in RESIDUAL_ENVIRONMENTS:
         return f"Residual Slush (member {film.member})"
-    return ENVIRONMENTS[film.world].label
+    return ENVIRONMENTS[film.seen_in].label
 
 
 def _overlays(simulation: SimulationSpec, film: Filmed, instruments: Files) -> tuple[Overlay, ...]:
-    """Read what the instruments say of the champion's links in this world; nothing where they saw another."""
+    """Read the measurements along a film; none where the instruments measured another one."""
     if not instruments:
         return ()
-    worlds, links = read_table(instruments, "worlds"), read_table(instruments, "links")
-    here = (worlds["world"] == film.world) & (worlds["trial"] == film.champion.trial.index)
-    if not (here & (worlds["member"] == film.member)).any():
+    films = read_rows(instruments, "films", FilmRow)
+    if (film.seen_in, film.champion.trial.index, film.member) not in {
+        (row.seen_in, row.trial, row.member) for row in films
+    }:
         return ()
-    of = links["world"] == film.world
+    links = read_table(instruments, "links")
+    of = links["seen_in"] == film.seen_in
     n_links = int(links["link"].max()) + 1
     return tuple(
         Overlay(label, unit, at_frames(links[column][of].reshape(-1, n_links), simulation.rollout.n_settle), least)
-        for column, label, unit, least in LAID_OVER
+        for column, label, unit, least in _OVERLAYS
         if np.isfinite(links[column][of]).any()
     )
 
 
 def looked_at(
-    simulation: SimulationSpec,
-    design: Designs,
-    trace: npt.NDArray[np.floating],
-    inputs: Inputs,
-    *,
-    held_out: float,
-    seed: int,
+    simulation: SimulationSpec, design: Designs, trace: Floats, inputs: Inputs, *, held_out: float, seed: int
 ) -> tuple[Overlay, ...]:
-    """Put one rollout of any design under the instruments, as analyse does for champions.
+    """Apply the instruments to one rollout of any design, as the stage analyse does to champions.
 
     Args:
         simulation: physics and rollout.
-        design: the one design.
+        design: a single design.
         trace: (1, n_steps, n_links, 6)
         inputs: every member, and the throws.
-        held_out: share of the throws that the members did not learn from.
-        seed: of the study.
+        held_out: share of the throws that were held out.
+        seed: seed of the study.
+
+    Returns:
+        Disagreement and novelty, where they are known.
     """
     physics = simulation.physics
     learned, _ = transitions_of(held_out, seed, inputs)
-    said = disagreement(design, trace, environments.ensemble_of(inputs), physics).magnitude[0]
+    magnitude = disagreement(design, trace, environments.ensemble_of(inputs), physics).magnitude[0]
     new = novelty(link_states(design, trace, physics), thrown(learned.observation, learned.throw)).novelty[0]
     return tuple(
         Overlay(label, unit, at_frames(values, simulation.rollout.n_settle), least)
-        for (_, label, unit, least), values in zip(LAID_OVER, (said, new), strict=True)
+        for (_, label, unit, least), values in zip(_OVERLAYS, (magnitude, new), strict=True)
         if np.isfinite(values).any()
     )
 
 
 def push_of(
-    simulation: SimulationSpec,
-    arm: Arm,
-    member: int,
-    design: Designs,
-    trace: npt.NDArray[np.floating],
-    networks: Inputs,
-) -> npt.NDArray[np.float64] | None:
-    """Compute how the medium, or the member that stands for it, speeds up each link: (n_frames, n_links, 2) [m/s²].
+    simulation: SimulationSpec, arm: Arm, member: int, design: Designs, trace: Floats, networks: Inputs
+) -> Float64 | None:
+    """Compute the acceleration of each link by the medium, or by the member that predicts it.
 
     Args:
         simulation: physics, rollout, and the environment's medium.
         arm: the environment and its depth.
-        member: whose world it is, or NOBODY's.
-        design: the one design.
+        member: member that predicts the medium, or NO_MEMBER.
+        design: a single design.
         trace: (1, n_steps, n_links, 6)
-        networks: every member, where it is a member's world.
+        networks: every member, if a member predicts the medium.
 
     Returns:
-        None where nothing surrounds the links.
+        (n_frames, n_links, 2) [m/s²]; None where there is no medium.
     """
-    if member == NOBODY:
+    if member == NO_MEMBER:
         medium: Medium | None = environments.build_environment(simulation.media, arm.environment, arm.depth, {}).medium
     else:
         name, files = list(members_among(networks).items())[member]

@@ -1,1 +1,1 @@
-"""What the stage analyse computes: one function a kind of item, from its job and inputs to tables and reasons."""
+"""The computations of the stage analyse: one function for each kind of work item, from inputs to tables."""

@@ -1,4 +1,4 @@
-"""Champions, and the tables that set them side by side: the transfer matrix, and who lives off the ensemble.
+"""Champions, and the tables that compare them: the transfer matrix, and the designs that exploit the ensemble.
 
 Part of the stage analyse, whose page lists the tables.
 """
@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.report.findings import ExploiterRow
 from pipeline.stages import environments
 from pipeline.stages.analyses.specs import AnalysisItemSpec, ExploitersSpec, MatrixSpec
-from pipeline.stages.analyses.statistics import Reasons, Tables
+from pipeline.stages.analyses.tables import Reasons, Tables
 from pipeline.stages.assess import ASSESSED, read_predictions
 from pipeline.stages.transfer import CHAMPION, SCORE, SCORED
 from pipeline.store.design_file import design_from
@@ -24,6 +23,7 @@ from pipeline.store.tables import columns_of
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Inputs, Job
 from tasks.analysis import Exploiter, TransferMatrix, rank_exploiters, transfer_matrix
+from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.evolution import penalised_mean
@@ -32,7 +32,7 @@ from tasks.world import EnvironmentName, ResidualSlush
 
 @dataclass(frozen=True)
 class Champion:
-    """The champion of a trial, and what transfer says of it."""
+    """The champion of a trial with its scores from the stage transfer."""
 
     trial: TrialId
     design: Designs
@@ -43,7 +43,7 @@ class Champion:
 
 
 def champions(trials: Sequence[TrialId], inputs: Inputs) -> list[Champion]:
-    """Take up the champions of trials; those that were set aside or have none are left out."""
+    """Read the champions of trials; trials that failed or have no champion are left out."""
     found = []
     for trial in trials:
         files, label = inputs.get(InputName(SCORED, trial), {}), trial.label
@@ -60,7 +60,7 @@ def champions(trials: Sequence[TrialId], inputs: Inputs) -> list[Champion]:
 
 @dataclass(frozen=True)
 class MatrixTestRow:
-    """A champion of one depth at another, in True Slush; lengths in m."""
+    """A champion of one depth tested at another, in True Slush; lengths in m."""
 
     environment: EnvironmentName
     trained: float
@@ -128,7 +128,7 @@ def compute_matrix(job: Job[AnalysisItemSpec[MatrixSpec]], inputs: Inputs) -> tu
 
 @dataclass(frozen=True)
 class Candidate:
-    """A design, its ensemble's promise and the truth [m]; NaN where diverged."""
+    """A design, its predicted and its true displacement [m]; NaN where it diverged."""
 
     kind: Literal["champion", "assessed"]
     environment: EnvironmentName
@@ -138,12 +138,12 @@ class Candidate:
     identity: int
     predicted: float
     true: float
-    by_member: npt.NDArray[np.float64]
+    by_member: Float64
     """(n_members,)"""
 
 
 def compute_exploiters(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
-    """Rank every champion and every assessed design by what the ensemble promises of it and does not come true."""
+    """Rank every champion and every assessed design by the prediction of the ensemble minus the truth."""
     why = job.spec.no_networks
     suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(job.spec.analysis, inputs)]
     by_member = np.array([s.by_member for s in suspects]).reshape(len(suspects), -1 if suspects else 1)
@@ -163,10 +163,10 @@ def _exploiter_row(row: Exploiter, of: Candidate) -> ExploiterRow:
     return ExploiterRow(row.rank, *who, *ranking, by_member=tuple(of.by_member.tolist()))
 
 
-def _promise(by_member: npt.NDArray[np.float64], penalty: float) -> npt.NDArray[np.float64]:
-    """Aggregate (n_designs, n_members) as fitness does: (n_designs,); NaN where a member's rollout diverged."""
-    promised = penalised_mean(by_member, disagreement_penalty=penalty)
-    return np.where(np.isfinite(promised), promised, np.nan)
+def _predictions(by_member: Float64, penalty: float) -> Float64:
+    """Aggregate (n_designs, n_members) like fitness to (n_designs,); NaN where a member's rollout diverged."""
+    predicted = penalised_mean(by_member, disagreement_penalty=penalty)
+    return np.where(np.isfinite(predicted), predicted, np.nan)
 
 
 def _champions_under_members(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs: Inputs) -> list[Candidate]:
@@ -179,10 +179,10 @@ def _champions_under_members(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs:
         environment = ResidualSlush(depth=depth, ensemble=ensemble)
         designs = concatenate([of.design for of in here])
         by_member = environments.roll_out(spec.simulation, job.execution, environment, designs).displacement.T
-        promised = _promise(by_member, spec.disagreement_penalty)
-        for of, each, promise in zip(here, by_member, promised, strict=True):
+        predicted = _predictions(by_member, spec.disagreement_penalty)
+        for of, each, prediction in zip(here, by_member, predicted, strict=True):
             trial = of.trial
-            own = each[trial.index % len(each)] if trial.environment == "single_member" else promise
+            own = each[trial.index % len(each)] if trial.environment == "single_member" else prediction
             suspects.append(
                 Candidate("champion", trial.environment, depth, trial.index, -1, -1, float(own), of.zero_shot, each)
             )
@@ -194,7 +194,7 @@ def _assessed(spec: ExploitersSpec, inputs: Inputs) -> list[Candidate]:
     if not shares:
         return []
     table = read_predictions(shares)
-    promised = _promise(table["predicted"], spec.disagreement_penalty)
+    predicted = _predictions(table["predicted"], spec.disagreement_penalty)
     columns = (table[name].tolist() for name in ("environment", "depth", "trial", "generation", "identity"))
-    rows = zip(*columns, promised.tolist(), table["true"].tolist(), table["predicted"], strict=True)
+    rows = zip(*columns, predicted.tolist(), table["true"].tolist(), table["predicted"], strict=True)
     return [Candidate("assessed", *row) for row in rows]

@@ -1,7 +1,7 @@
-"""Instruments: what the members are wrong about, where, and what champions gain by it.
+"""Instruments: where the members are wrong, and what champions gain by it.
 
-Part of the stage analyse, whose page lists the tables. What needs no True Slush is computed from networks and throws
-alone: phantom thrust; where champions evolved, disagreement, novelty, luck and reach.
+Part of the stage analyse, whose docstring lists the tables. Phantom thrust, disagreement, novelty, luck and reach where
+champions evolved do not need True Slush.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.report.findings import ChampionRow, Moved
 from pipeline.stages import environments
 from pipeline.stages.analyses.champions import Champion, champions
-from pipeline.stages.analyses.filmed_rollouts import NOBODY, Filmed, best_of, film_at_home, home_of
+from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, best_of, film_at_home, home_of
 from pipeline.stages.analyses.specs import AnalysisItemSpec, InstrumentsSpec, MembersSpec
-from pipeline.stages.analyses.statistics import Reasons, Tables
+from pipeline.stages.analyses.tables import Reasons, Tables
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.environments import members_among
 from pipeline.store.tables import Columns, columns_of, text
@@ -40,6 +39,7 @@ from tasks.analysis import (
     thrown,
     thrown_links,
 )
+from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.residual import Transitions
@@ -47,11 +47,20 @@ from tasks.seeding import generator
 from tasks.world import EnsembleMedium, Physics
 
 N_TRIES = 32
-"""Times that each champion is tried again: its loss is then known to a fifth of the tries' deviation."""
+"""Repeats of each champion: the standard error of its loss is then a fifth of their standard deviation."""
 
 
 def transitions_of(held_out: float, seed: int, inputs: Inputs) -> tuple[Transitions, Transitions]:
-    """Load the throws that the members learned from, and those held out."""
+    """Read the throws of the members.
+
+    Args:
+        held_out: share of the throws that are held out.
+        seed: seed of the study.
+        inputs: files by name, with the throws.
+
+    Returns:
+        The throws on which the members were trained, and the held-out throws.
+    """
     from tasks.residual.training import validation_rows
 
     transitions = read_transitions(throws_among(inputs))
@@ -64,7 +73,7 @@ def transitions_of(held_out: float, seed: int, inputs: Inputs) -> tuple[Transiti
 
 @dataclass(frozen=True)
 class ThrustRow:
-    """One member's phantom thrust."""
+    """The phantom thrust of one member."""
 
     member: int
     thrust: Estimate
@@ -72,7 +81,7 @@ class ThrustRow:
 
 
 def compute_members(job: Job[AnalysisItemSpec[MembersSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
-    """Say how wrong each member is on the throws held out."""
+    """Measure the errors of each member on held-out throws."""
     spec, why = job.spec.analysis, job.spec.no_networks
     thrusts: list[ThrustRow] = []
     errors: Sequence[MemberError] = ()
@@ -92,21 +101,23 @@ def compute_members(job: Job[AnalysisItemSpec[MembersSpec]], inputs: Inputs) -> 
 
 
 @dataclass(frozen=True)
-class WorldRow:
-    """A rollout of the best champion whose links are shown."""
+class FilmRow:
+    """A film of the best champion whose links are in the table of links."""
 
-    world: str
+    seen_in: str
     member: int
     trial: int
     displacement: float
     disagreement: float
     """Mean over steps and links [m/s²]."""
     share_novel: float
-    """Of the steps and links, with a novelty above 1."""
+    """Share of steps and links with a novelty above 1."""
+    thrust: tuple[float, ...]
+    """(n_members,) mean departure along x [m/s²]."""
 
 
 def compute_arm(job: Job[AnalysisItemSpec[InstrumentsSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
-    """Put the champions of one arm under every instrument."""
+    """Apply every instrument to the champions of one arm."""
     spec, simulation = job.spec.analysis, job.spec.analysis.simulation
     arm = champions(spec.trials, inputs)
     if not arm:
@@ -120,25 +131,25 @@ def compute_arm(job: Job[AnalysisItemSpec[InstrumentsSpec]], inputs: Inputs) -> 
     moved = _moved(in_slush.displacement, in_slush.com_displacement)
     rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
     if why := job.spec.no_networks:
-        return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "worlds", "member_errors"), why)
+        return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "films", "member_errors"), why)
     ensemble, physics = environments.ensemble_of(inputs), simulation.physics
     links = link_states(designs, in_slush.trace, physics)
     errors = member_errors(ensemble, environments.true_medium(simulation.media), links, physics)
     learned, _ = transitions_of(spec.held_out, spec.seed, inputs)
     index = thrown(learned.observation, learned.throw)
     champion, traced = arm[best], in_slush.trace[best : best + 1]
-    films = [Filmed(champion, "true_slush", NOBODY, champion.zero_shot, traced)] if survives else []
+    films = [Filmed(champion, "true_slush", NO_MEMBER, champion.zero_shot, traced)] if survives else []
     if spec.arm.environment != "true_slush":
         films.append(film_at_home(simulation, job.execution, champion, members_among(inputs)))
-    seen = [_look(film, ensemble, index, physics) for film in films]
+    seen = [_measure(film, ensemble, index, physics) for film in films]
     lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
     lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
-    reasons = dict.fromkeys(("links", "worlds"), "; ".join(lacking)) if lacking else {}
+    reasons = dict.fromkeys(("links", "films"), "; ".join(lacking)) if lacking else {}
     return _arm_tables(rows, errors, seen, ensemble.n_members), reasons
 
 
 def _arm_tables(
-    rows: Sequence[ChampionRow], errors: Sequence[MemberError], seen: Sequence[Seen], n_members: int
+    rows: Sequence[ChampionRow], errors: Sequence[MemberError], seen: Sequence[MeasuredFilm], n_members: int
 ) -> Tables:
     return {
         "champions": columns_of(ChampionRow, rows),
@@ -147,7 +158,7 @@ def _arm_tables(
     }
 
 
-def _moved(displacement: npt.NDArray[np.float64], com_displacement: npt.NDArray[np.float64]) -> list[Moved]:
+def _moved(displacement: Float64, com_displacement: Float64) -> list[Moved]:
     of = reach(displacement, com_displacement)
     rows = zip(of.displacement.tolist(), of.com_displacement.tolist(), of.reach.tolist(), strict=True)
     return [Moved(*row) for row in rows]
@@ -165,7 +176,7 @@ def _champion_row(
     at_home = environments.score(spec.simulation, job.execution, environment, penalty, champion.design)
     (home,) = _moved(at_home.displacement.mean(axis=1), at_home.com_displacement.mean(axis=1))
 
-    def fitness(designs: Designs) -> npt.NDArray[np.float64]:
+    def fitness(designs: Designs) -> Float64:
         return environments.score(spec.simulation, job.execution, environment, penalty, designs).fitness
 
     rng = generator(spec.seed, "analyse", "luck", trial.environment, trial.depth, trial.index)
@@ -189,44 +200,43 @@ def _champion_row(
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What the instruments say of a rollout."""
+class MeasuredFilm:
+    """The measurements along a film."""
 
-    row: WorldRow
+    row: FilmRow
     disagreement: Disagreement
     novelty: Novelty
 
 
-def _look(film: Filmed, ensemble: EnsembleMedium, throws: Thrown, physics: Physics) -> Seen:
-    """Map disagreement and novelty along a rollout."""
+def _measure(film: Filmed, ensemble: EnsembleMedium, throws: Thrown, physics: Physics) -> MeasuredFilm:
+    """Measure disagreement and novelty along a film."""
     champion = film.champion
-    said = disagreement(champion.design, film.trace, ensemble, physics)
+    along = disagreement(champion.design, film.trace, ensemble, physics)
     new = novelty(link_states(champion.design, film.trace, physics), throws)
     known = new.novelty[np.isfinite(new.novelty)]
     share_novel = float((known > 1).mean()) if len(known) else np.nan
-    mean = float(said.by_design()[0])
-    return Seen(
-        WorldRow(film.world, film.member, champion.trial.index, film.displacement, mean, share_novel), said, new
-    )
+    mean = float(along.by_design()[0])
+    thrust = tuple(along.member_thrust()[:, 0].tolist())
+    row = FilmRow(film.seen_in, film.member, champion.trial.index, film.displacement, mean, share_novel, thrust)
+    return MeasuredFilm(row, along, new)
 
 
-def _link_tables(seen: Sequence[Seen], n_members: int) -> Tables:
-    """Lay out what was seen: a row per world, step and link."""
+def _link_tables(seen: Sequence[MeasuredFilm], n_members: int) -> Tables:
+    """Return a row per film, step and link, and a row per film."""
     parts = [_links(of, n_members) for of in seen] or [_no_links(n_members)]
-    thrust = np.array([of.disagreement.member_thrust()[:, 0] for of in seen]).reshape(len(seen), n_members)
     return {
         "links": {name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
-        "worlds": {**columns_of(WorldRow, [of.row for of in seen]), "thrust": thrust},
+        "films": columns_of(FilmRow, [of.row for of in seen]),
     }
 
 
-def _links(of: Seen, n_members: int) -> Columns:
+def _links(of: MeasuredFilm, n_members: int) -> Columns:
     magnitude, new = of.disagreement.magnitude[0], of.novelty
     n_steps, n_links = magnitude.shape
     n = magnitude.size
     names = np.array([*SPACE, ""])  # the last by index -1: unknown
     return {
-        "world": np.full(n, of.row.world),
+        "seen_in": np.full(n, of.row.seen_in),
         "step": np.repeat(np.arange(n_steps), n_links),
         "link": np.tile(np.arange(n_links), n_steps),
         "disagreement": magnitude.ravel(),
@@ -239,10 +249,10 @@ def _links(of: Seen, n_members: int) -> Columns:
 
 
 def _no_links(n_members: int) -> Columns:
-    """Give the same columns without a row."""
+    """Return the same columns without rows."""
     numbers, several = np.zeros(0, np.float32), np.zeros((0, n_members), np.float32)
     return {
-        "world": text([]),
+        "seen_in": text([]),
         "step": np.zeros(0, np.int64),
         "link": np.zeros(0, np.int64),
         "disagreement": numbers,

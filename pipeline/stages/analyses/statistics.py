@@ -1,4 +1,4 @@
-"""What scores and predictions show, without simulating anything: the paper's figures 3 and 4 as tables.
+"""Statistics of scores and predictions, without simulation: the paper's figures 3 and 4 as tables.
 
 Part of the stage analyse, whose page lists the tables.
 """
@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.stages.analyses.specs import AnalysisItemSpec, StatisticsSpec
+from pipeline.stages.analyses.tables import Reasons, Tables
 from pipeline.stages.assess import ASSESSED, read_predictions
 from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json
-from pipeline.store.tables import Columns, columns_of
+from pipeline.store.tables import columns_of
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Files, Inputs, Job
 from tasks.analysis import (
@@ -38,13 +39,10 @@ from tasks.analysis.prediction import mean_less_deviations
 from tasks.arrays import Float64
 from tasks.seeding import generator
 
-Tables = dict[str, Columns]
-Reasons = dict[str, str]
-
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """One trial's champion; lengths in m, NaN where there is none."""
+    """The scores of one champion [m]; NaN where they are missing."""
 
     environment: str
     depth: float
@@ -54,9 +52,9 @@ class ScoreRow:
     zero_shot: float
     """Displacement of the root in True Slush."""
     zero_shot_com: float
-    """Of the centre of mass."""
+    """Displacement of the centre of mass in True Slush."""
     zero_shot_reach: float
-    """The difference."""
+    """The difference of the two."""
     adapted: float
     adapted_com: float
     adapted_reach: float
@@ -64,7 +62,16 @@ class ScoreRow:
 
 
 def score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, str]) -> list[ScoreRow]:
-    """Gather every trial's scores, or say why it has none."""
+    """Collect the scores of every trial, or the reason why it has none.
+
+    Args:
+        trials: the trials.
+        inputs: files by name, with the scores.
+        failed: reason by label of the trial.
+
+    Returns:
+        A row per trial.
+    """
     rows = []
     for trial in trials:
         scored, label = inputs.get(InputName(SCORED, trial)), trial.label
@@ -79,7 +86,7 @@ def score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, s
 
 
 def compute(job: Job[AnalysisItemSpec[StatisticsSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
-    """Make every table that needs no rollout, and say what is missing of each."""
+    """Make every table that needs no rollout."""
     spec = job.spec.analysis
     rng = generator(spec.seed, "analyse", "statistics")
     table = columns_of(ScoreRow, score_rows(spec.trials, inputs, job.spec.failed))
@@ -113,7 +120,7 @@ def compute(job: Job[AnalysisItemSpec[StatisticsSpec]], inputs: Inputs) -> tuple
 
 
 def _predictions(shares: Sequence[Files]) -> tuple[Float64, Float64, list[str]]:
-    """Gather (n_members, n_designs) predicted and (n_designs,) true displacement, and the trial of each design."""
+    """Return (n_members, n_designs) predicted and (n_designs,) true displacement, and the trial of each design."""
     if not shares:
         return np.zeros((0, 0)), np.zeros(0), []
     table = read_predictions(shares)

@@ -13,19 +13,19 @@ from pipeline.report.findings import TankRow
 from pipeline.stages import environments
 from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.specs import AnalysisItemSpec, TankSpec
-from pipeline.stages.analyses.statistics import Reasons, Tables
+from pipeline.stages.analyses.tables import Reasons, Tables
 from pipeline.store.tables import columns_of
 from pipeline.workflow.stage import Execution, Inputs, Job
 from tasks.analysis import Crossing, crossings, nearest_the_mean
 from tasks.design.genes import concatenate
 from tasks.world import DryLand, Environment
 
-AT_ONCE = 16
-"""Champions whose traces are held together: 35,000 steps of one are 5 MB."""
+_CHAMPIONS_AT_ONCE = 16
+"""Champions whose traces are in memory at the same time: 35,000 steps of one are 5 MB."""
 
 
 def compute(job: Job[AnalysisItemSpec[TankSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
-    """Put the champions of one arm on dry land and into the tank, and propose one of them."""
+    """Simulate the champions of one arm on Dry Land and in the tank, and propose one of them for building."""
     spec = job.spec.analysis
     entrants = champions(spec.trials, inputs)
     if not entrants:
@@ -48,12 +48,12 @@ def compute(job: Job[AnalysisItemSpec[TankSpec]], inputs: Inputs) -> tuple[Table
 def _in_tank(
     spec: TankSpec, execution: Execution, environment: Environment, entrants: list[Champion]
 ) -> list[Crossing]:
-    """Let every champion loose in the tank, alone."""
+    """Simulate every champion alone in the tank."""
     rollout = spec.simulation.rollout.model_copy(update={"n_measure": spec.n_steps})
     simulation = replace(spec.simulation, rollout=rollout)
     found = []
-    for first in range(0, len(entrants), AT_ONCE):
-        designs = concatenate([of.design for of in entrants[first : first + AT_ONCE]])
+    for first in range(0, len(entrants), _CHAMPIONS_AT_ONCE):
+        designs = concatenate([of.design for of in entrants[first : first + _CHAMPIONS_AT_ONCE]])
         rollouts = environments.roll_out(simulation, execution, environment, designs, trace=True)
         found += crossings(
             designs, rollouts, spec.tank, n_settle=rollout.n_settle, time_step=simulation.physics.time_step

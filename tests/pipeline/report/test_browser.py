@@ -101,7 +101,7 @@ def test_the_viewer_scrubs(opened):
     np.testing.assert_array_equal(opened.picture("#stage"), halfway)
 
 
-def test_two_robots_stand_side_by_side_or_above_one_another(opened):
+def test_two_robots_have_panes_beside_or_above_one_another(opened):
     choose(opened, "beside", "")
     alone = opened.picture("#stage").shape
     choose(opened, "beside", "0")

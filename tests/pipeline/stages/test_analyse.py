@@ -1,4 +1,4 @@
-"""assess and analyse on a real study: figures agree with those of other stages to the last bit, and gaps say why."""
+"""assess and analyse on a real study: numbers equal those of other stages to the last bit, and gaps have reasons."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,8 @@ from small_study import labelled
 
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
-from pipeline.stages.analyse import ANALYSE, read_reasons, read_table
+from pipeline.stages.analyse import ANALYSE
+from pipeline.stages.analyses.tables import read_reasons, read_table
 from pipeline.stages.assess import ASSESS, ASSESSED, PREDICTIONS, read_predictions
 from pipeline.stages.environments import MemberId
 from pipeline.stages.transfer import SCORE, SCORED, read_scores
@@ -93,12 +94,12 @@ def test_regressions_are_scipys_on_the_predictions(analyses, predictions):
     assert (drawn["counts"].sum(axis=1) + drawn["n_outside"] == 21).all()
 
 
-def test_champions_do_again_what_evolution_and_transfer_say_of_them(analyses, scores):
-    """In the world where each evolved, of one member or all, and in True Slush: the same numbers to the last bit."""
+def test_champions_repeat_the_scores_of_evolution_and_transfer(analyses, scores):
+    """Where each evolved, with one member or all, and in True Slush: the same numbers to the last bit."""
     ranked = read_table(analyses["exploiters"], "exploiters")
     columns = ("environment", "depth", "trial", "predicted", "kind")
-    promised = {tuple(who): predicted for *who, predicted, kind in rows(ranked, *columns) if kind == "champion"}
-    assert set(promised) == set(scores)
+    predicted = {tuple(who): predicted for *who, predicted, kind in rows(ranked, *columns) if kind == "champion"}
+    assert set(predicted) == set(scores)
     tests = read_table(analyses["transfer-matrix"], "tests")
     at_home = {
         (environment, trained, trial): (root, whole)
@@ -112,7 +113,7 @@ def test_champions_do_again_what_evolution_and_transfer_say_of_them(analyses, sc
         assert (table["slush_displacement"][i], table["slush_com"][i]) == (of["zero_shot"], of["zero_shot_com"])
         assert at_home[environment, depth, trial] == (of["zero_shot"], of["zero_shot_com"])
         if environment in ("residual_slush", "single_member"):
-            assert promised[environment, depth, trial] == of["predicted"]
+            assert predicted[environment, depth, trial] == of["predicted"]
         assert table["n_tries"][i] == 32 and table["n_diverged"][i] == 0
         assert table["loss"][i] == pytest.approx(table["claimed"][i] - table["again"][i], abs=1e-12)
 
@@ -127,15 +128,15 @@ def test_links_cover_every_step_of_the_champion_that_the_page_films(settings, an
         )
         champions = read_table(files, "champions")
         assert champions["trial"][champions["best"]].tolist() == [best]
-        links, worlds = read_table(files, "links"), read_table(files, "worlds")
+        links, films = read_table(files, "links"), read_table(files, "films")
         expected = ["true_slush"] if environment == "true_slush" else ["true_slush", environment]
-        assert worlds["world"].tolist() == expected and set(worlds["trial"]) == {best}
-        assert worlds["displacement"][0] == scores[environment, 1.0, best]["zero_shot"]
+        assert films["seen_in"].tolist() == expected and set(films["trial"]) == {best}
+        assert films["displacement"][0] == scores[environment, 1.0, best]["zero_shot"]
         if environment == "single_member":
-            assert worlds["member"].tolist() == [-1, best % settings.ensemble.n_members]
-            assert worlds["displacement"][1] == scores[environment, 1.0, best]["predicted"]
-        for world, mean, novel in rows(worlds, "world", "disagreement", "share_novel"):
-            of = links["world"] == world
+            assert films["member"].tolist() == [-1, best % settings.ensemble.n_members]
+            assert films["displacement"][1] == scores[environment, 1.0, best]["predicted"]
+        for seen_in, mean, novel in rows(films, "seen_in", "disagreement", "share_novel"):
+            of = links["seen_in"] == seen_in
             assert links["step"][of].tolist() == [step for step in range(n_steps) for _ in range(6)]
             assert links["link"][of].tolist() == [*range(6)] * n_steps
             assert links["disagreement"][of].mean(dtype=np.float64) == pytest.approx(mean, rel=1e-6)
@@ -187,13 +188,13 @@ def test_a_study_without_networks_gets_what_needs_none(settings, study):
                 has_rows = len(next(iter(table.values()))) > 0
                 assert has_rows or reasons[name.removesuffix(".parquet")].startswith(why)
         if chain.label.startswith("instruments"):
-            assert set(reasons) == {"links", "worlds", "member_errors"}
+            assert set(reasons) == {"links", "films", "member_errors"}
             assert np.isfinite(read_table(files, "champions")["loss"]).all()
         if chain.label == "statistics":
             assert set(reasons) == {"regressions", "histograms", "contrasts"}
 
 
-def test_what_was_set_aside_is_named_and_the_rest_is_there(settings, study):
+def test_failed_trials_are_named_and_the_rest_is_there(settings, study):
     store, upstream = study
     lost = [TrialId("transfer", "dry_land", 1.0, trial) for trial in range(2)]
     found = upstream["transfer"]
@@ -226,10 +227,10 @@ def test_champions_that_diverge_in_true_slush_are_shown_where_they_evolved(setti
         scores = decode_json(inputs[name][SCORE], name.label) | {"zero_shot": None, "zero_shot_com": None}
         inputs[name] = {**inputs[name], SCORE: encode_json(scores)}
     files = ANALYSE.compute(item.job, inputs)
-    champions, worlds = read_table(files, "champions"), read_table(files, "worlds")
-    assert worlds["world"].tolist() == ["residual_slush"] and len(read_table(files, "links")["step"]) == 25 * 6
+    champions, films = read_table(files, "champions"), read_table(files, "films")
+    assert films["seen_in"].tolist() == ["residual_slush"] and len(read_table(files, "links")["step"]) == 25 * 6
     assert champions["best"].tolist() == (champions["claimed"] == champions["claimed"].max()).tolist()
-    assert "stays finite in True Slush" in read_reasons(files)["worlds"]
+    assert "stays finite in True Slush" in read_reasons(files)["films"]
 
 
 def test_trials_whose_designs_all_diverged_leave_tables_that_say_so(settings, study):
@@ -271,7 +272,7 @@ def test_summary_gives_every_table_to_read_and_the_metrics_by_which_studies_are_
         "accuracy.slope.mean_less_1_sd",
         "phantom_thrust.member-1",
         "phantom_thrust.rms",
-        "imagined.worst_champion",
+        "hallucinated.worst_champion",
     )
     assert set(metrics) <= set(summary.metrics)
     assert any("True Slush at 9 m" in line and "not comparable" in line for line in summary.lines)

@@ -12,8 +12,9 @@ from pipeline.commands.one_design import simulate_design
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.stages.analyse import ANALYSE, TANK, read_table
+from pipeline.stages.analyse import ANALYSE
 from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.analyses.tables import TANK, read_table
 from pipeline.stages.evolve import EVOLVE
 from pipeline.stages.report import PAGE, REPORT
 from pipeline.store.design_file import design_from

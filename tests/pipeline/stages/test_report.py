@@ -1,4 +1,4 @@
-"""report on a real study: who is filmed where, what is laid over, and what people get."""
+"""report on a real study: which replays there are, their overlays, and the files of the report."""
 
 import json
 from dataclasses import replace
@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.stages.analyse import EXPLOITERS, INSTRUMENTS, read_table
 from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.analyses.tables import EXPLOITERS, INSTRUMENTS, read_table
 from pipeline.stages.environments import MEMBER, simulation_spec
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.stages.report import EVOLUTION, PAGE, REPORT
@@ -43,18 +43,18 @@ def analysed(kind, environment=None):
     return InputName(ANALYSED, AnalysisId(kind, Arm(environment, 1.0) if environment else None))
 
 
-def by_world(replays):
+def by_environment(replays):
     return {(replay.environment, replay.seen_in): replay for replay in replays}
 
 
 def test_every_arm_is_filmed_in_true_slush_and_where_it_evolved(page):
     spec, inputs = page
-    found = by_world(replays(spec, inputs))
-    worlds = {
-        environment: read_table(inputs[analysed(INSTRUMENTS, environment)], "worlds")
+    found = by_environment(replays(spec, inputs))
+    films = {
+        environment: read_table(inputs[analysed(INSTRUMENTS, environment)], "films")
         for environment in ("dry_land", "residual_slush", "single_member")
     }
-    median = {name: f"Residual Slush (member {table['member'][1]})" for name, table in worlds.items()}
+    median = {name: f"Residual Slush (member {table['member'][1]})" for name, table in films.items()}
     assert set(found) == {
         ("true_slush", "True Slush"),
         ("dry_land", "True Slush"),
@@ -64,21 +64,23 @@ def test_every_arm_is_filmed_in_true_slush_and_where_it_evolved(page):
         ("single_member", "True Slush"),
         ("single_member", median["single_member"]),
     }
-    for (environment, world), replay in found.items():
+    for (environment, seen_in), replay in found.items():
         moved = replay.frames[-1, 0, 0] - replay.frames[0, 0, 0]
         if environment != "true_slush":
-            row = 0 if world == "True Slush" else 1
-            assert moved == pytest.approx(worlds[environment]["displacement"][row], abs=1e-5)
-        assert replay.hallucinated == world.startswith("Residual") and (replay.push is None) == (world == "Dry Land")
-        assert [overlay.unit for overlay in replay.overlays] == ["m/s²", "× usual"]
+            row = 0 if seen_in == "True Slush" else 1
+            assert moved == pytest.approx(films[environment]["displacement"][row], abs=1e-5)
+        assert replay.hallucinated == seen_in.startswith("Residual") and (replay.push is None) == (
+            seen_in == "Dry Land"
+        )
+        assert [overlay.unit for overlay in replay.overlays] == ["m/s²", "× typical"]
     home, slush = found["residual_slush", median["residual_slush"]], found["residual_slush", "True Slush"]
     assert home.title == slush.title and not np.array_equal(home.push, slush.push)
 
 
-def test_the_member_filmed_promises_the_median(page):
-    """The lower of two members: the one that promises less."""
+def test_the_member_filmed_predicts_the_median(page):
+    """The lower of two members: the one that predicts less."""
     _, inputs = page
-    table = read_table(inputs[analysed(INSTRUMENTS, "residual_slush")], "worlds")
+    table = read_table(inputs[analysed(INSTRUMENTS, "residual_slush")], "films")
     ranked = read_table(inputs[analysed(EXPLOITERS)], "exploiters")
     mine = (ranked["kind"] == "champion") & (ranked["environment"] == "residual_slush")
     by_member = ranked["by_member"][mine & (ranked["trial"] == table["trial"][1])][0]
@@ -89,7 +91,7 @@ def test_the_member_filmed_promises_the_median(page):
 def test_without_networks_and_analysis_there_is_what_needs_none(page):
     spec, inputs = page
     bare = {name: files for name, files in inputs.items() if name.role not in (MEMBER, ANALYSED)}
-    found = by_world(replays(spec, bare))
+    found = by_environment(replays(spec, bare))
     assert set(found) == {
         ("dry_land", "Dry Land"),
         *((name, "True Slush") for name in ("true_slush", "dry_land", "residual_slush", "single_member")),
@@ -106,7 +108,7 @@ def test_films_and_throws_take_as_long_as_in_the_simulation(page, settings):
     assert found.throws.seconds == pytest.approx(settings.throws.n_steps * 0.05)
 
 
-def test_champions_that_no_true_slush_has_seen_are_filmed_where_they_evolved(page):
+def test_champions_without_scores_in_true_slush_are_filmed_where_they_evolved(page):
     spec, inputs = page
     unseen = {}
     for name, files in inputs.items():
@@ -114,7 +116,7 @@ def test_champions_that_no_true_slush_has_seen_are_filmed_where_they_evolved(pag
             scores = decode_json(files[SCORE], name.label) | {"zero_shot": None, "zero_shot_com": None}
             files = {**files, SCORE: encode_json(scores)}
         unseen[name] = files
-    assert {world for _, world in by_world(replays(spec, unseen))} & {"True Slush"} == set()
+    assert {seen_in for _, seen_in in by_environment(replays(spec, unseen))} & {"True Slush"} == set()
     assert len(replays(spec, unseen)) == 3
 
 
@@ -142,10 +144,10 @@ def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings
     assert REPORT.compute(item.job, inputs) == {"films-residual_slush-1m.json": encode_json({})}
 
 
-def test_what_a_page_lacks_is_told_apart(study, settings):
+def test_failed_and_untried_work_items_are_listed_apart(study, settings):
     _, upstream = study
     first, second = trials_of(settings, "transfer")[:2]
-    reasons = "failed after 2 attempts at a: not possible: so it says", f"{NOT_POSSIBLE}evolve of a: not done"
+    reasons = "failed after 2 attempts at a: not possible: an error", f"{NOT_POSSIBLE}evolve of a: not done"
     lost = dict(zip((first, second), reasons, strict=True))
     chain = next(chain for chain in REPORT.plan(settings) if chain.label == PAGE)
     upstream = {**upstream, "transfer": replace(upstream["transfer"], failed=lost)}

@@ -1,0 +1,136 @@
+"""The results of the stage analyse in the terminal and as metrics by which studies are compared.
+
+Part of the stage analyse, whose page lists the tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import isfinite
+
+import numpy as np
+
+from pipeline.report.findings import ExploiterRow, TankRow
+from pipeline.stages.analyses.instruments import ThrustRow
+from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.analyses.tables import EXPLOITERS, MEMBERS, STATISTICS, TANK, read_rows
+from pipeline.workflow.identity import Arm, ChainId, TrialId
+from pipeline.workflow.stage import Files
+from tasks.analysis import Attribution, Crossing, Regression, Row, Tank
+from tasks.analysis.prediction import mean_less_deviations
+
+Highlights = tuple[list[str], dict[str, float]]
+"""Lines for the terminal, and metrics."""
+
+_AGGREGATE_METRICS = {mean_less_deviations(0): "mean", mean_less_deviations(1): "mean_less_1_sd"}
+
+
+def highlights(found: Mapping[ChainId, Files], tank: Tank | None) -> Highlights:
+    """Summarise the analyses that are done: their files by identity."""
+    lines: list[str] = []
+    metrics: dict[str, float] = {}
+    summaries: Mapping[str, Callable[[Files], Highlights]] = {
+        STATISTICS: _statistics,
+        MEMBERS: _members,
+        EXPLOITERS: _exploiters,
+    }
+    parts = [summarise(found[of]) for kind, summarise in summaries.items() if (of := AnalysisId(kind)) in found]
+    for analysis, files in found.items():
+        if tank is not None and isinstance(analysis, AnalysisId) and analysis.kind == TANK and analysis.arm:
+            parts.append(_tank(analysis.arm, files, tank))
+    for more_lines, more_metrics in parts:
+        lines += more_lines
+        metrics |= more_metrics
+    return lines, metrics
+
+
+def _statistics(files: Files) -> Highlights:
+    """List the paper's numbers beside this run's; the metrics are ratios and regressions."""
+    rows = read_rows(files, "paper", Row)
+    lines = [f"{'':<58} {'paper':>14} {'this run':>12} {'(95 %)':<18}"]
+    for row in rows:
+        if not row.what.startswith(("Student", "the built robot")):
+            interval = f"({row.interval})" if row.interval else ""
+            lines.append(f"{row.what:<58} {row.paper:>14} {row.this_run:>12} {interval:<18} {row.verdict}")
+    tests = [row.verdict for row in rows if row.what.startswith("Student")]
+    counts = ", ".join(f"{tests.count(verdict)} {verdict}" for verdict in ("agrees", "differs", "not comparable"))
+    lines.append(f"of the paper's {len(tests)} t tests: {counts}")
+    metrics: dict[str, float | None] = {
+        f"paper.n_{verdict}": float(sum(row.verdict == verdict for row in rows)) for verdict in ("agrees", "differs")
+    }
+    for gap in read_rows(files, "attribution", Attribution):
+        arm = Arm(gap.evolved_in, gap.depth).label.replace("/", ".")
+        metrics[f"ratio_to_true_slush.zero_shot.{arm}"] = gap.recovered_zero_shot.value
+        metrics[f"ratio_to_true_slush.adapted.{arm}"] = gap.recovered_adapted.value
+    for fit in read_rows(files, "regressions", Regression):
+        if fit.name in _AGGREGATE_METRICS or fit.name.startswith("member"):
+            name = _AGGREGATE_METRICS.get(fit.name, fit.name.replace(" ", "-"))
+            metrics |= {f"accuracy.r.{name}": fit.r.value, f"accuracy.slope.{name}": fit.slope.value}
+    return lines, _known(metrics)
+
+
+def _members(files: Files) -> Highlights:
+    rows = read_rows(files, "phantom_thrust", ThrustRow)
+    metrics = _known({f"phantom_thrust.member-{row.member}": row.thrust.value for row in rows})
+    if not metrics:
+        return [], {}
+    thrusts = list(metrics.values())
+    metrics["phantom_thrust.rms"] = float(np.sqrt(np.mean(np.square(thrusts))))
+    return [f"phantom thrust of the members: {', '.join(f'{value:+.4f}' for value in thrusts)} m/s²"], metrics
+
+
+def _exploiters(files: Files) -> Highlights:
+    """Name the champion that exploits the ensemble most."""
+    for row in read_rows(files, "exploiters", ExploiterRow):
+        if row.kind == "champion" and row.excess is not None:
+            label = TrialId("evolve", row.environment, row.depth, row.trial).label
+            line = f"champion that exploits the ensemble most: {label}, predicted {row.predicted:z.1f} m, "
+            return [f"{line}true {row.true:z.1f} m"], {"hallucinated.worst_champion": row.excess}
+    return [], {}
+
+
+def _tank(arm: Arm, files: Files, tank: Tank) -> Highlights:
+    """Name the champion to build, with its results in the tank."""
+    rows = read_rows(files, "tank", TankRow)
+    best = next((row for row in rows if row.proposed), None)
+    if best is None:
+        return [], {}
+    label = AnalysisId(TANK, arm).label
+    mean = np.mean([row.zero_shot for row in rows if row.zero_shot is not None])
+    dry_land = "diverged" if best.dry_land is None else f"{best.dry_land:.2f} m"
+    lines = [
+        f"{label}: to build: the champion of trial {best.trial}, {best.zero_shot:.2f} m in True Slush, nearest to the "
+        f"champions' mean of {mean:.2f} m; on Dry Land {dry_land}",
+        f"{label}: in the tank, {tank.simulated_length:.1f} m x {tank.simulated_depth:.2f} m in the simulation, the "
+        f"built robot {_outcome(best.wet, tank)} ({1000 * tank.built_speed(best.wet.speed):.0f} mm/s); on the dry "
+        f"floor it {_outcome(best.dry, tank)}",
+        f"{label}: {sum(row.wet.crossed for row in rows)} of {len(rows)} champions cross the tank, "
+        f"{sum(row.dry.crossed for row in rows)} its dry floor",
+    ]
+    metrics = {
+        "zero_shot": best.zero_shot,
+        "dry_land": best.dry_land,
+        "wet_crossed": float(best.wet.crossed),
+        "wet_seconds": best.wet.seconds,
+        "wet_speed": best.wet.speed,
+        "dry_crossed": float(best.dry.crossed),
+        "dry_travelled": best.dry.travelled,
+    }
+    prefix = f"tank.{arm.label.replace('/', '.')}.proposed"
+    return lines, _known({f"{prefix}.{name}": value for name, value in metrics.items()})
+
+
+def _outcome(found: Crossing, tank: Tank) -> str:
+    """Describe how far a robot travelled, in metres and seconds of the built robot."""
+    if found.crossed:
+        return f"crosses in {tank.built_seconds(found.seconds):.0f} s"
+    if not isfinite(found.travelled):
+        return "diverged"
+    if found.distance <= 0:
+        return "is as long as the tank"
+    travelled_cm, distance_cm = (100 * tank.scale * metres for metres in (found.travelled, found.distance))
+    return f"travels {travelled_cm:z.1f} of {distance_cm:.1f} cm in {tank.seconds:g} s"
+
+
+def _known(metrics: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: value for name, value in metrics.items() if value is not None and isfinite(value)}
