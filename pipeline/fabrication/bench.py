@@ -21,7 +21,7 @@ from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import KitFinding
-from tasks.fabrication.contacts import Contact, passing_contacts
+from tasks.fabrication.contacts import PassingContact, passing_contacts
 from tasks.fabrication.floating import Floating, floating_of
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.scaling import JointLoad, Scales, joint_loads, scales_of
@@ -152,7 +152,7 @@ def bench_of(
         simulated_mass_kg=physics.link_density * design.parent.shape[1],  # a link has 1 m²
     )
     loads: list[JointLoad] = []
-    contacts: list[Contact] = []
+    contacts: list[PassingContact] = []
     if simulated is not None:
         amplitudes = [float(design.motion_range[0, joint]) for joint in joints]
         loads = joint_loads(

@@ -12,7 +12,7 @@ from pipeline.fabrication.choices import FabricationSettings
 from tasks.analysis.tank import Tank
 from tasks.fabrication.calibration import Calibration
 from tasks.fabrication.checks import KitFinding, Severity
-from tasks.fabrication.contacts import Contact
+from tasks.fabrication.contacts import PassingContact
 from tasks.fabrication.floating import Floating
 from tasks.fabrication.scaling import CONTINUOUS_SHARE, JointLoad
 from tasks.fabrication.servos import Servo
@@ -123,7 +123,7 @@ def check_loads(loads: Sequence[JointLoad] | None, servo: Servo, settings: Fabri
     return findings
 
 
-def check_contacts(contacts: Sequence[Contact]) -> list[KitFinding]:
+def check_contacts(contacts: Sequence[PassingContact]) -> list[KitFinding]:
     """Report contacts of the simulated run that the bench does not have."""
     findings = []
     for contact in contacts:

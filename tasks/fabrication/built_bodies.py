@@ -28,7 +28,7 @@ _AMPLITUDES = np.linspace(1.0, 0.1, 10)  # shares of the full amplitude: the gai
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class RigidPart:
     """Links that form one part."""
 
     index: int
@@ -45,7 +45,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Joint:
+class TurningJoint:
     """A turning joint."""
 
     link: int
@@ -76,14 +76,14 @@ class Mechanism:
     link_size: tuple[Point, ...]
     """(n_links) widths and heights of the links [mm]."""
     parent_link: tuple[int, ...]
-    bodies: tuple[Body, ...]
-    joints: tuple[Joint, ...]
+    bodies: tuple[RigidPart, ...]
+    joints: tuple[TurningJoint, ...]
 
-    def path(self, start: int, end: int) -> list[tuple[Joint, int]]:
+    def path(self, start: int, end: int) -> list[tuple[TurningJoint, int]]:
         """List the joints from one body to another, with 1 where the path leads to the child and -1 elsewhere."""
         above = {joint.child: joint for joint in self.joints}
 
-        def to_root(body: int) -> list[Joint]:
+        def to_root(body: int) -> list[TurningJoint]:
             chain = []
             while body in above:
                 chain.append(above[body])
@@ -120,7 +120,7 @@ class Mechanism:
         return [_chained(path, np.array(angles)) for angles in product(*per_joint)]
 
 
-def _chained(path: list[tuple[Joint, int]], angles: Float64) -> Pose:
+def _chained(path: list[tuple[TurningJoint, int]], angles: Float64) -> Pose:
     """Compose the turns about each joint's position at rest, from the far end of the path to its start."""
     rotation, shift = np.eye(2), np.zeros(2)
     for (joint, _), angle in zip(reversed(path), angles[::-1], strict=True):
@@ -166,7 +166,7 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
         along = design.child_attachment[0, link] * length[link] / 2
         at = (scale * (x[link] - np.sin(angle[link]) * along), scale * (y[link] + np.cos(angle[link]) * along))
         joints.append(
-            Joint(
+            TurningJoint(
                 link=link,
                 parent_link=above,
                 parent=body_of[above],
@@ -178,7 +178,7 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
             )
         )
     bodies = tuple(
-        Body(index, tuple(of), depth[index], unary_union([links[link] for link in of]))
+        RigidPart(index, tuple(of), depth[index], unary_union([links[link] for link in of]))
         for index, of in enumerate(members)
     )
     return Mechanism(

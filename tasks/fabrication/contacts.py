@@ -22,7 +22,7 @@ from tasks.simulation.box2d import TOTAL_RADIUS
 
 
 @dataclass(frozen=True)
-class Contact:
+class PassingContact:
     """Two links that touched in a run and belong to parts that pass each other on the bench."""
 
     links: tuple[int, int]
@@ -38,7 +38,7 @@ class Contact:
 
 def passing_contacts(
     design: Designs, mechanism: Mechanism, layers: Layers, pose: Floats, *, time_step: float
-) -> list[Contact]:
+) -> list[PassingContact]:
     """Find the contacts of a run that a kit does not have.
 
     Args:
@@ -63,7 +63,7 @@ def passing_contacts(
             touching = shapely.distance(outlines[:, first], outlines[:, second]) <= TOTAL_RADIUS
             if touching.any():
                 share, start = float(touching.mean()), float(touching.argmax() + 1) * time_step
-                found.append(Contact((first, second), (a.index, b.index), joints, share, start))
+                found.append(PassingContact((first, second), (a.index, b.index), joints, share, start))
     return sorted(found, key=lambda contact: -contact.share)
 
 

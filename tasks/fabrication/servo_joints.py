@@ -26,7 +26,7 @@ from shapely import Point as ShapelyPoint
 from shapely import affinity, box, unary_union
 from shapely.geometry.base import BaseGeometry
 
-from tasks.fabrication.built_bodies import Joint, Mechanism, Point, swept
+from tasks.fabrication.built_bodies import Mechanism, Point, TurningJoint, swept
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.servos import Horn, Sense, Servo, as_measured, servo_named
 
@@ -40,7 +40,7 @@ _CABLE_CLEARANCE_MM = 1.0
 class ServoJoint:
     """A turning joint with its servo in one part and its horn in the other."""
 
-    joint: Joint
+    joint: TurningJoint
     number: int
     """Index among the servo joints."""
     servo: Servo
