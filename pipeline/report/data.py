@@ -194,7 +194,7 @@ def deepest_scored(trials: Iterable[TrialResult]) -> float | None:
 
 
 def arm(trials: Iterable[TrialResult], environment: EnvironmentName, depth: float) -> list[TrialResult]:
-    """Select the trials of one environment and depth, ordered by number.
+    """Return the trials of one environment and depth, ordered by number.
 
     Args:
         trials: of any environment and depth.

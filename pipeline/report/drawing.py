@@ -88,7 +88,7 @@ class NothingToDraw(Exception):  # noqa: N818 (a condition, not a failure)
 
 
 def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Drawing | Missing:
-    """Draw a figure and encode it as SVG and PNG.
+    """Return a figure, encoded as SVG and PNG, or the reason why there is none.
 
     Args:
         name: name of the figure, used for its files and its id on the page.

@@ -25,7 +25,7 @@ def resource(name: str) -> str:
 
 
 def document(*, title: str, policy: str, body: str, css: str = "") -> str:
-    """Assemble a whole page, for a study or for a kit.
+    """Return a whole page, for a study or for a kit.
 
     Args:
         title: escaped for HTML.

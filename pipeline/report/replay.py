@@ -133,7 +133,7 @@ def replay_of(
     overlays: tuple[Overlay, ...] = (),
     push: Float64 | None = None,
 ) -> Replay:
-    """Make a replay from the trace of a rollout; see :class:`Replay` for the arguments that are not listed.
+    """Return a replay, made from the trace of a rollout.
 
     Args:
         design: a single design.

@@ -265,7 +265,7 @@ def _color(environment: str) -> Rgb:
 
 
 def mix(first: str | Rgb, second: str | Rgb, share: float) -> Rgb:
-    """Blend two colours, given as #rrggbb or as numbers.
+    """Return a blend of two colours, given as #rrggbb or as numbers.
 
     Args:
         first: result for a share of 0.

@@ -48,7 +48,7 @@ def absent(title: str, reason: str) -> str:
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]], label: str, *, kind: str) -> str:
-    """Lay out cells as a table that scrolls sideways on a narrow page.
+    """Return cells laid out as a table that scrolls sideways on a narrow page.
 
     Args:
         columns: headings, HTML.
@@ -73,5 +73,11 @@ def scrolling(content: str, label: str) -> str:
 
 
 def folded(summary: str, content: str, *, attributes: str = "") -> str:
-    """Hide content behind a summary that opens it."""
+    """Return content hidden behind a summary that opens it.
+
+    Args:
+        summary: HTML that is always visible.
+        content: HTML that is hidden at first.
+        attributes: HTML attributes of the element.
+    """
     return f"<details{attributes}><summary>{summary}</summary>{content}</details>"

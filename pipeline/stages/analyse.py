@@ -66,19 +66,7 @@ from typing import Any
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.analyses import champions, instruments, statistics, tank_tests
-from pipeline.stages.analyses.specs import (
-    AnalysisId,
-    AnalysisItemSpec,
-    AnalysisSpec,
-    ExploitersSpec,
-    InstrumentsSpec,
-    MatrixSpec,
-    MembersSpec,
-    StatisticsSpec,
-    TankSpec,
-)
-from pipeline.stages.analyses.summary import highlights
-from pipeline.stages.analyses.tables import (
+from pipeline.stages.analyses.analysis_tables import (
     ANALYSIS_VERSION,
     EXPLOITERS,
     INSTRUMENTS,
@@ -92,6 +80,18 @@ from pipeline.stages.analyses.tables import (
     read_reasons,
     read_table,
 )
+from pipeline.stages.analyses.specs import (
+    AnalysisId,
+    AnalysisItemSpec,
+    AnalysisSpec,
+    ExploitersSpec,
+    InstrumentsSpec,
+    MatrixSpec,
+    MembersSpec,
+    StatisticsSpec,
+    TankSpec,
+)
+from pipeline.stages.analyses.summary import highlights
 from pipeline.stages.assess import ASSESSED, ASSESSED_ENVIRONMENTS, PREDICTIONS
 from pipeline.stages.collect import data_set
 from pipeline.stages.transfer import scores_inputs

@@ -11,8 +11,8 @@ from pipeline.config.settings import Settings
 from pipeline.report.findings import TankRow
 from pipeline.report.replay import Replay, replay_of
 from pipeline.stages import environments
+from pipeline.stages.analyses.analysis_tables import TANK, read_rows
 from pipeline.stages.analyses.specs import AnalysisId
-from pipeline.stages.analyses.tables import TANK, read_rows
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json

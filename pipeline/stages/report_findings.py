@@ -22,11 +22,7 @@ from pipeline.report.findings import (
     ThrownPaths,
 )
 from pipeline.stages import segments
-from pipeline.stages.analyses.champions import MatrixTestRow, matrices_of
-from pipeline.stages.analyses.instruments import ThrustRow
-from pipeline.stages.analyses.specs import AnalysisId
-from pipeline.stages.analyses.statistics import HistogramRow
-from pipeline.stages.analyses.tables import (
+from pipeline.stages.analyses.analysis_tables import (
     EXPLOITERS,
     INSTRUMENTS,
     MATRIX,
@@ -36,6 +32,10 @@ from pipeline.stages.analyses.tables import (
     read_reasons,
     read_rows,
 )
+from pipeline.stages.analyses.champions import MatrixTestRow, matrices_of
+from pipeline.stages.analyses.instruments import ThrustRow
+from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.analyses.statistics import HistogramRow
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.encoding import decode_table
@@ -52,7 +52,7 @@ HISTORIES = "history"
 
 
 def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Findings:
-    """Collect what the page shows of analyses, throws and histories.
+    """Return what the page shows.
 
     Args:
         inputs: the page's inputs.

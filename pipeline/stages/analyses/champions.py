@@ -13,8 +13,8 @@ import numpy as np
 
 from pipeline.report.findings import ExploiterRow
 from pipeline.stages import environments
+from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.specs import AnalysisItemSpec, ExploitersSpec, MatrixSpec
-from pipeline.stages.analyses.tables import Reasons, Tables
 from pipeline.stages.assess import ASSESSED, read_predictions
 from pipeline.stages.transfer import CHAMPION, SCORE, SCORED
 from pipeline.store.design_file import design_from

@@ -14,10 +14,10 @@ import numpy as np
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.report.findings import ChampionRow, Moved
 from pipeline.stages import environments
+from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, best_of, film_at_home, home_of
 from pipeline.stages.analyses.specs import AnalysisItemSpec, InstrumentsSpec, MembersSpec
-from pipeline.stages.analyses.tables import Reasons, Tables
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.environments import members_among
 from pipeline.store.tables import Columns, columns_of, text

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.specs import AnalysisItemSpec, StatisticsSpec
-from pipeline.stages.analyses.tables import Reasons, Tables
 from pipeline.stages.assess import ASSESSED, read_predictions
 from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json

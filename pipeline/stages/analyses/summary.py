@@ -11,9 +11,9 @@ from math import isfinite
 import numpy as np
 
 from pipeline.report.findings import ExploiterRow, TankRow
+from pipeline.stages.analyses.analysis_tables import EXPLOITERS, MEMBERS, STATISTICS, TANK, read_rows
 from pipeline.stages.analyses.instruments import ThrustRow
 from pipeline.stages.analyses.specs import AnalysisId
-from pipeline.stages.analyses.tables import EXPLOITERS, MEMBERS, STATISTICS, TANK, read_rows
 from pipeline.workflow.identity import Arm, ChainId, TrialId
 from pipeline.workflow.stage import Files
 from tasks.analysis import Attribution, Crossing, Regression, Row, Tank

@@ -11,9 +11,9 @@ import numpy as np
 
 from pipeline.report.findings import TankRow
 from pipeline.stages import environments
+from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.specs import AnalysisItemSpec, TankSpec
-from pipeline.stages.analyses.tables import Reasons, Tables
 from pipeline.store.tables import columns_of
 from pipeline.workflow.stage import Execution, Inputs, Job
 from tasks.analysis import Crossing, crossings, nearest_the_mean

@@ -8,7 +8,7 @@ from small_study import labelled
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages.analyse import ANALYSE
-from pipeline.stages.analyses.tables import read_reasons, read_table
+from pipeline.stages.analyses.analysis_tables import read_reasons, read_table
 from pipeline.stages.assess import ASSESS, ASSESSED, PREDICTIONS, read_predictions
 from pipeline.stages.environments import MemberId
 from pipeline.stages.transfer import SCORE, SCORED, read_scores

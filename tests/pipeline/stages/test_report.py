@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.stages.analyses.analysis_tables import EXPLOITERS, INSTRUMENTS, read_table
 from pipeline.stages.analyses.specs import AnalysisId
-from pipeline.stages.analyses.tables import EXPLOITERS, INSTRUMENTS, read_table
 from pipeline.stages.environments import MEMBER, simulation_spec
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.stages.report import EVOLUTION, PAGE, REPORT
