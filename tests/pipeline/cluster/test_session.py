@@ -76,7 +76,7 @@ def test_a_driver_that_is_stuck_ends_when_its_ray_dies(server, place):
         _, said = driver.communicate(timeout=60)
         assert driver.returncode == 2
         assert f"\npuddle: {RAY_DIED}" in said
-        end = time.monotonic() + 15
+        end = time.monotonic() + 60
         while time.monotonic() < end and any(process.is_running() for process in processes):
             time.sleep(0.1)
         assert not any(process.is_running() for process in processes)
