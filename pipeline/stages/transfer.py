@@ -1,7 +1,7 @@
 """transfer: how champions do in the true slush, where they have never been. Paper, "Evolution" and Fig. 4.
 
 The champion of every trial is scored zero-shot in True Slush at its own depth. Then its body is frozen and its
-controller is evolved from scratch in True Slush: what is still missing after that is the body's fault.
+controller is evolved from scratch in True Slush: the gap that remains is the body's fault.
 """
 
 from __future__ import annotations
