@@ -6,8 +6,9 @@ settings as far as these decide the cost of a unit. Where the store has none, a 
 
 A stage takes its core-seconds divided by the number of cores, but not less than its longest chain.
 
-On an AMD EPYC with compiled kernels, a calibration run forecast the processor time of the preset smoke with these ratios
-of forecast to study: collect 1.12, train 1.22, evolve 1.15, transfer 0.94, assess 1.28, analyse 0.91, report 1.01.
+On an AMD EPYC with compiled kernels, a calibration run forecast the processor time of the preset smoke with these
+ratios of forecast to study: collect 1.12, train 1.22, evolve 1.15, transfer 0.94, assess 1.28, analyse 0.91 and
+report 1.01.
 """
 
 from __future__ import annotations
