@@ -126,7 +126,7 @@ class Robots:
         states = LinkStates(**{name: np.ascontiguousarray(links[name]) for name in _QUANTITIES})
         change = medium.velocity_change(states, self._physics)
         of_body = body_change(self._rigid, links["lever_x"], links["lever_y"], change)
-        bodies = self.records["bodies"].reshape(*self._shape[:2], -1)
+        bodies = self.records["bodies"].reshape(*self._shape[:2], self.records["bodies"].shape[1])
         design, link = np.nonzero(self._rigid.is_first)
         where = (slice(None), design, body_index(self._rigid)[design, link])
         for name, added in (("v_x", of_body.vx), ("v_y", of_body.vy), ("w", of_body.omega)):
