@@ -33,7 +33,7 @@ from pipeline.workflow.stage import AnyStage, Chain, Results, Upstream
 
 
 @dataclass(frozen=True)
-class Kind:
+class CostKind:
     """What chains have in common whose weighted units cost the same."""
 
     stage: str
@@ -43,9 +43,9 @@ class Kind:
     """Where most of its rollouts are; empty if it has none."""
 
 
-def kind_of(stage: AnyStage, chain: Chain[Any]) -> Kind:
+def kind_of(stage: AnyStage, chain: Chain[Any]) -> CostKind:
     """Return a chain's kind."""
-    return Kind(stage.name, type(chain.spec).__name__, getattr(chain.spec, "environment", ""))
+    return CostKind(stage.name, type(chain.spec).__name__, getattr(chain.spec, "environment", ""))
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,13 @@ class Sample:
 
     @classmethod
     def of(cls, manifest: Manifest, size: float, seconds: float) -> Sample:
-        """Take the bytes from a manifest."""
+        """Return the sample of a committed item.
+
+        Args:
+            manifest: the item's manifest, which states its bytes.
+            size: weighted units.
+            seconds: processor time of the item [s].
+        """
         n_bytes = len(encode_manifest(manifest)) + sum(entry.n_bytes for entry in manifest.files.values())
         copies = 2 if manifest.stage == "report" else 1  # people open a copy of the report
         return cls(size, seconds, copies * n_bytes)
@@ -133,7 +139,7 @@ class Remaining:
     """Size of each item that is left."""
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> CostKind:
         """The chain's kind."""
         return kind_of(self.stage, self.chain)
 
@@ -155,10 +161,12 @@ def remaining_chains(settings: Settings, upstream: Upstream) -> list[Remaining]:
 # -- samples from the store --------------------------------------------------------------------------------------------
 
 
-def _survey(settings: Settings, store: Store, say: Callable[[str], None]) -> tuple[Upstream, dict[Kind, list[Sample]]]:
+def _survey(
+    settings: Settings, store: Store, say: Callable[[str], None]
+) -> tuple[Upstream, dict[CostKind, list[Sample]]]:
     """Find what the store holds of a study, and what its items cost."""
     upstream: dict[str, Results] = {}
-    samples: dict[Kind, list[Sample]] = {}
+    samples: dict[CostKind, list[Sample]] = {}
     for stage in STAGES:
         chains = StageRun(stage, settings, upstream, store, say).chains()
         upstream[stage.name] = results_of(stage, chains)
@@ -187,9 +195,9 @@ def _decides_cost(settings: Settings) -> dict[str, Any]:
     return chosen
 
 
-def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], None]) -> dict[Kind, list[Sample]]:
+def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], None]) -> dict[CostKind, list[Sample]]:
     """Collect samples from the store's other studies whose units cost the same."""
-    samples: dict[Kind, list[Sample]] = {}
+    samples: dict[CostKind, list[Sample]] = {}
     for name in store.studies():
         try:
             record = store.read_study(name)
@@ -206,7 +214,7 @@ def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], No
 
 
 def forecast_stages(
-    settings: Settings, remaining: Sequence[Remaining], costs: Mapping[Kind, Cost], calibrated: Iterable[Kind]
+    settings: Settings, remaining: Sequence[Remaining], costs: Mapping[CostKind, Cost], calibrated: Iterable[CostKind]
 ) -> list[StageForecast]:
     """Add up what the remaining work costs.
 
@@ -255,13 +263,13 @@ def forecast_lines(
     Raises:
         PuddleError: the store can't be read, or `puddle gc` is running.
     """
-    from pipeline.commands.calibration import calibrate
+    from pipeline.commands.calibration_run import calibrate
 
     root = root.expanduser().resolve()
     with disk.explained("looking for a store", root):
         store = Store.open(root, create=False) if (root / "store.json").exists() else None
     upstream: Upstream = {}
-    samples: dict[Kind, list[Sample]] = {}
+    samples: dict[CostKind, list[Sample]] = {}
     if store is not None:
         with store.lock_to_read():
             upstream, samples = _survey(settings, store, say)

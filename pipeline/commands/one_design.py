@@ -65,25 +65,24 @@ def simulate_design(
         raise PuddleError(f"--environment: expected one of {', '.join(_ENVIRONMENTS)}, got {environment!r}")
     if not 0.0 <= depth <= DEEPEST:
         raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, got {depth:g}")
-    world = environment
     kind = None if out is None else out.suffix.lower()
     if out is not None and (kind not in (*_RENDERERS, _PAGE_SUFFIX) or not out.parent.is_dir()):
         suffixes = " or ".join((*_RENDERERS, _PAGE_SUFFIX))
         raise PuddleError(f"--out: expected a file name that ends in {suffixes}, in an existing folder, got {out}")
-    simulation = environments.simulation_spec(settings, world)
+    simulation = environments.simulation_spec(settings, environment)
     files: dict[InputName, Files] = {}
     why = ""
-    if world == "residual_slush" or kind == _PAGE_SUFFIX:
+    if environment == "residual_slush" or kind == _PAGE_SUFFIX:
         try:
             files = _networks(settings, open_store, throws=kind == _PAGE_SUFFIX)
         except PuddleError as missing:
             advice = f". `{how_to_run('study')}` computes it." if isinstance(missing, MissingInputs) else ""
             why = f"{missing}{advice}"
-            if world == "residual_slush":
+            if environment == "residual_slush":
                 raise PuddleError(why) from None
     rollouts = simulate(
         design,
-        environments.build_environment(simulation.media, world, depth, files),
+        environments.build_environment(simulation.media, environment, depth, files),
         n_settle=settings.rollout.n_settle,
         n_measure=settings.rollout.n_measure,
         engine=settings.work.engine,
@@ -93,26 +92,26 @@ def simulate_design(
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is no displacement.")
     measured_seconds = settings.rollout.n_measure * settings.physics.time_step
-    lines = [f"{ENVIRONMENTS[world].label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
+    lines = [f"{ENVIRONMENTS[environment].label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
     evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
-    if world == "residual_slush":
+    if environment == "residual_slush":
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
         lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
     if out is not None and rollouts.trace is not None:
-        member = median_member(rollouts.displacement[:, 0]) if world == "residual_slush" else NO_MEMBER
+        member = median_member(rollouts.displacement[:, 0]) if environment == "residual_slush" else NO_MEMBER
         trace = rollouts.trace if member == NO_MEMBER else rollouts.trace[member]
         replay = replay_of(
             design,
             trace[0],
             title=path.stem,
-            environment=world,
-            seen_in=ENVIRONMENTS[world].label
+            environment=environment,
+            seen_in=ENVIRONMENTS[environment].label
             if member == NO_MEMBER
-            else f"{ENVIRONMENTS[world].label} (member {member})",
+            else f"{ENVIRONMENTS[environment].label} (member {member})",
             depth=depth,
-            surroundings=surroundings_in(world),
+            surroundings=surroundings_in(environment),
             n_settle=settings.rollout.n_settle,
             time_step=settings.physics.time_step,
             overlays=looked_at(
@@ -120,7 +119,9 @@ def simulate_design(
             )
             if kind == _PAGE_SUFFIX and files
             else (),
-            push=push_of(simulation, Arm(world, depth), member, design, trace, files) if kind == _PAGE_SUFFIX else None,
+            push=push_of(simulation, Arm(environment, depth), member, design, trace, files)
+            if kind == _PAGE_SUFFIX
+            else None,
         )
         if kind == _PAGE_SUFFIX and why:
             lines.append(f"  shown without the networks' view: {why}")

@@ -89,18 +89,18 @@ def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
     drag = Slush.model_construct(**{**Slush().model_dump(), "linear_drag": np.nan})
 
     def wild(media, name, depth, inputs):
-        world = real(media, name, depth, inputs)
+        environment = real(media, name, depth, inputs)
         if depth == 0.0 and name == "true_slush":  # what the networks learn from is sound
-            return world
-        if not isinstance(world, ResidualSlush):
-            return TrueSlush(depth=world.depth, slush=drag)
-        *biases, last = world.ensemble.biases
-        return replace(world, ensemble=replace(world.ensemble, biases=(*biases, np.full_like(last, 3e38))))
+            return environment
+        if not isinstance(environment, ResidualSlush):
+            return TrueSlush(depth=environment.depth, slush=drag)
+        *biases, last = environment.ensemble.biases
+        return replace(environment, ensemble=replace(environment.ensemble, biases=(*biases, np.full_like(last, 3e38))))
 
     monkeypatch.setattr(environments, "build_environment", wild)
     html = page_of("grid.n_trials=1")
     everyone = "every design of every trial diverged"
-    nobody = "no trial of this arm has a champion"
+    no_champion = "no trial of this arm has a champion"
     missing = absent(html)
     tests = missing.pop("The table of tests")
     assert tests.startswith("no depth has scores of both sides: Dry Land zero-shot against True Slush")
@@ -117,8 +117,8 @@ def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
         "Family tree of a champion": "every design of the trial whose champion it is of diverged",
         "Prediction accuracy": "every assessed design diverged, in True Slush or under a member",
         "What the members say together": "every assessed design diverged, in True Slush or under a member",
-        "Error of the members where robots go": nobody,
-        "The table of luck and reach": nobody,
+        "Error of the members where robots go": no_champion,
+        "The table of luck and reach": no_champion,
     }
     words = words_of(html)
     assert f"There is no champion: {everyone}." in words

@@ -94,7 +94,7 @@ def evolving(study, settings, tmp_path, monkeypatch) -> Store:
 LOST = [
     ("collect", "throws-2", 0),
     ("train", "member-01", 0),
-    *(("evolve", f"{world}/1m/trial-1", index) for world in ("dry_land", "residual_slush") for index in (0, 1)),
+    *(("evolve", f"{arm}/1m/trial-1", index) for arm in ("dry_land", "residual_slush") for index in (0, 1)),
     ("transfer", "dry_land/1m/trial-0", 0),
     ("assess", "true_slush/1m/trial-0", 0),
 ]

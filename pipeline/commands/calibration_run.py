@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.commands.cost_model import Kind, Sample, kind_of
+from pipeline.commands.cost_model import CostKind, Sample, kind_of
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
@@ -74,7 +74,9 @@ class _Run:
         return manifest, Sample.of(manifest, chains[0].units[index] * chains[0].weight, seconds)
 
 
-def calibrate(settings: Settings, wanted: Collection[Kind], *, say: Callable[[str], None]) -> dict[Kind, list[Sample]]:
+def calibrate(
+    settings: Settings, wanted: Collection[CostKind], *, say: Callable[[str], None]
+) -> dict[CostKind, list[Sample]]:
     """Compute and time items of some kinds.
 
     Args:
@@ -90,7 +92,7 @@ def calibrate(settings: Settings, wanted: Collection[Kind], *, say: Callable[[st
     """
     from tasks.residual.training import NoDevice
 
-    base, run, samples = _small_study(settings), _Run(), dict[Kind, list[Sample]]()
+    base, run, samples = _small_study(settings), _Run(), dict[CostKind, list[Sample]]()
     last = max((i for i, stage in enumerate(STAGES) if any(kind.stage == stage.name for kind in wanted)), default=-1)
     for stage in STAGES[: last + 1]:
         say(f"timing {stage.name}")
@@ -153,9 +155,9 @@ def _full_size(stage: str, settings: Settings) -> int:
     }[stage]
 
 
-def _by_kind(stage: AnyStage, plan: Sequence[Chain[Any]]) -> dict[Kind, list[Chain[Any]]]:
+def _by_kind(stage: AnyStage, plan: Sequence[Chain[Any]]) -> dict[CostKind, list[Chain[Any]]]:
     """Group chains by kind, those with the most items first: in transfer they adapt before they score."""
-    kinds: dict[Kind, list[Chain[Any]]] = {}
+    kinds: dict[CostKind, list[Chain[Any]]] = {}
     for chain in sorted(plan, key=lambda chain: -chain.n_items):
         kinds.setdefault(kind_of(stage, chain), []).append(chain)
     return kinds
@@ -174,7 +176,7 @@ def _compute_chain(
 
 
 def _timed(
-    run: _Run, stage: AnyStage, settings: Settings, base: Settings, kind: Kind, done: Sequence[Manifest]
+    run: _Run, stage: AnyStage, settings: Settings, base: Settings, kind: CostKind, done: Sequence[Manifest]
 ) -> Iterator[Sample]:
     """Time items of growing size, after the first chain has compiled what it needs.
 
