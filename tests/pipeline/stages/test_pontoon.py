@@ -157,19 +157,17 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     (trial,) = tank["trial"][tank["proposed"]].tolist()
     told = "\n".join(ANALYSE.summarise(pontoon, upstream["analyse"], store).lines)
     assert f"to build: the champion of trial {trial}," in told
-    (way,) = re.findall(r"in the tank of 16.7 m x 2.14 m of simulation it (.+) in 0.5 s \(.*\) as built;", told)
+    (way,) = re.findall(r"in the tank, 16.7 m x 2.14 m in the simulation, the built robot (.+) in 0.5 s \(", told)
     travelled, expected = (tank[f"wet_{name}"][tank["proposed"]][0] for name in ("travelled", "distance"))
-    assert (
-        way == f"comes {7 * travelled:z.1f} of {7 * expected:.1f} cm"
-    )  # as built, as its seconds are: 0.07 m for a metre
+    assert way == f"travels {7 * travelled:z.1f} of {7 * expected:.1f} cm"  # built at 0.07 m per simulated metre
     summary = REPORT.summarise(pontoon, upstream["report"], store)
     (path,) = (line.removesuffix(": a robot to build") for line in summary.lines if line.endswith("a robot to build"))
     page = summary.artifacts[PAGE].decode()
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
     assert f"✓ trial {trial}" in text
-    assert "Residual Slush, 2 m: 0 of 3 cross, 0 on the dry floor" in text
+    assert "Residual Slush, 2 m: 0 of 3 cross the tank, 0 the dry floor" in text
     assert "To build: evolved in Residual Slush" in page  # its films
-    assert re.search(r"did were drawn again: 100 % of [\d,]+ by random, \d+ % of [\d,]+ by mutation", text)
+    assert re.search(r"rejected and drawn again: 100 % of [\d,]+ from random, \d+ % of [\d,]+ from mutation", text)
     assert "as far to the right as they can in 1 seconds" in text
     # The exported file is a design file like any other, and describes the champion itself.
     (champion,) = (store.read(labelled(upstream["transfer"].done)[f"{ARM}/trial-{trial}"][-1], "champion.json"),)
