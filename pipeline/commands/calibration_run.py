@@ -18,6 +18,7 @@ from pipeline.commands.cost_model import CostKind, Sample, kind_of
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
+from pipeline.stages.assess import ASSESSED_ENVIRONMENTS
 from pipeline.store.encoding import digest
 from pipeline.store.manifest import FileEntry, Manifest
 from pipeline.workflow.identity import ChainId
@@ -129,7 +130,7 @@ def _small_study(settings: Settings) -> Settings:
             "evolution.n_generations": 1,
             "transfer.n_generations": 1,
             "work.generations_per_item": 1,
-            "assess.n_designs": min(settings.assess.n_designs, 4),
+            "assess.n_designs": _full_size("assess", settings),
         },
     )
 
@@ -144,14 +145,15 @@ def _changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
 
 def _full_size(stage: str, settings: Settings) -> int:
     """Return the size of a stage's items in the study, or the greatest that the small study allows."""
-    work, population_size = settings.work, settings.evolution.afpo.population_size
+    work, n_trials = settings.work, min(_N_TRIALS, settings.grid.n_trials)
+    n_assessed = sum(environment in ASSESSED_ENVIRONMENTS for environment in settings.grid.environments) * n_trials
     return {
         "collect": max(2, min(work.throws_per_item, settings.throws.n_throws)),
         "train": settings.training.n_iterations,
         "evolve": min(work.generations_per_item, settings.evolution.n_generations),
         "transfer": min(work.generations_per_item, settings.transfer.n_generations),
-        "assess": min(settings.assess.n_designs, population_size),
-        "analyse": min(_N_TRIALS, settings.grid.n_trials),
+        "assess": min(settings.assess.n_designs, max(1, n_assessed * settings.evolution.afpo.population_size)),
+        "analyse": n_trials,
     }[stage]
 
 
@@ -211,4 +213,5 @@ def _timed(
 
 
 def _first_size(stage: AnyStage, base: Settings) -> int:
+    """Return the size to begin with; assess has only its full size, because few designs leave SIMD lanes empty."""
     return {"collect": 2, "train": base.training.n_iterations, "assess": base.assess.n_designs}.get(stage.name, 1)
