@@ -8,8 +8,6 @@ processes of a machine share, or in NUMBA_CACHE_DIR if that is set. The package 
 
 # ruff: noqa: PTH100, PTH103, PTH111, PTH116, PTH118, PTH119, PTH120, PTH207 (tasks import no pathlib)
 
-from __future__ import annotations
-
 import glob
 import hashlib
 import inspect

@@ -1,7 +1,5 @@
 """Random numbers of a work item, seeded from its identity and never from the order in which work items run."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import operator

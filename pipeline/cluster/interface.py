@@ -1,7 +1,5 @@
 """The interface of a cluster: submit pure functions, collect their outcomes."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ Ray's wire format is pickle: whoever can submit to a cluster can run code on it.
 by a token that only this user can read; an existing one keeps its owner's rules.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import importlib.util

@@ -1,7 +1,5 @@
 """The preflight check, which asks whether an existing Ray cluster answers before anything waits for it."""
 
-from __future__ import annotations
-
 import select
 import socket
 import subprocess

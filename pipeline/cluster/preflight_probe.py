@@ -7,8 +7,6 @@ line of standard error why not. Standard input is a pipe from the driver: when i
 It imports nothing from puddle and is started by its path, because the driver's import path need not be its own.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """Rules for every process of a study: one thread, bounded memory, and signals that leave nothing behind."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource

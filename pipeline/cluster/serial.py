@@ -1,7 +1,5 @@
 """A cluster that consists of this process alone."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import traceback

@@ -3,8 +3,6 @@
 Linux and macOS.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import functools

@@ -5,8 +5,6 @@ but it is expensive and needs the dashboard. The entry of a call whose worker wa
 ends, so a call that Ray retries counts as started at once.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 

@@ -3,8 +3,6 @@
 Once Ray is gone, a call into it may never return, or may end the process without a word.
 """
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import threading

@@ -4,8 +4,6 @@ The modules of commands import what is slow only when a command runs: `puddle --
 pinned before numpy, numba or torch is loaded.
 """
 
-from __future__ import annotations
-
 import sys
 import traceback
 from collections.abc import Callable

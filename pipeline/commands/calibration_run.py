@@ -6,8 +6,6 @@ their kind, so that the next stage has inputs. Where the size of items is a sett
 until the size decides the time. Times are of the processor, so that other programs do not count.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Damage: hash a whole store again, name what is damaged or missing and what will be computed again."""
 
-from __future__ import annotations
-
 import contextlib
 import shlex
 from collections.abc import Callable, Iterator, Sequence

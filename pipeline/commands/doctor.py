@@ -1,7 +1,5 @@
 """puddle doctor: check a machine before a long study."""
 
-from __future__ import annotations
-
 import typer
 
 from pipeline.commands.exit_codes import INCOMPLETE, interruptible

@@ -1,7 +1,5 @@
 """Checks of a machine before a long study: they find in seconds what would stop the study after hours."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.metadata
 import os

@@ -1,7 +1,5 @@
 """Exit codes, and what the terminal shows when a command is interrupted."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 from collections.abc import Iterator

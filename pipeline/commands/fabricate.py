@@ -1,7 +1,5 @@
 """puddle fabricate: the kit of a robot."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

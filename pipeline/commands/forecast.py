@@ -1,7 +1,5 @@
 """puddle forecast: hours and bytes per stage."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -8,8 +8,6 @@ unfinished study needs behind it is removed, and computed again. Nothing is remo
 it can't be determined what a study needs.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """puddle gc: remove what no study needs."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

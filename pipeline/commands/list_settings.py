@@ -1,7 +1,5 @@
 """puddle settings: every setting with its unit, its reason and its value."""
 
-from __future__ import annotations
-
 import typer
 
 from pipeline.commands.options import StudyOptions, with_options

@@ -1,7 +1,5 @@
 """Simulation of one design: its displacement, a film of it, or a page with what the networks say about it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """puddle drive: play a timeline on a robot's servos."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """puddle simulate: how far one design gets."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """An upper estimate of a study's size on the disk, for `puddle doctor`, which has no time for a calibration run."""
 
-from __future__ import annotations
-
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.workflow.stage import Upstream

@@ -1,7 +1,5 @@
 """puddle study, and one command per stage: run what is not done yet."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 

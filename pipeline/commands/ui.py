@@ -1,7 +1,5 @@
 """puddle ui: MLflow's own pages."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """puddle verify: check every byte of a store."""
 
-from __future__ import annotations
-
 import contextlib
 from typing import Annotated
 

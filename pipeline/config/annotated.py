@@ -1,7 +1,5 @@
 """Settings written out in full: YAML with every value's unit and reason, which loads as the same settings."""
 
-from __future__ import annotations
-
 import json
 import textwrap
 from collections.abc import Iterator

@@ -8,8 +8,6 @@ Settings are in the order of the pipeline: data, networks, environments, evoluti
 work is divided, which never changes a result.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, create_model, model_validator

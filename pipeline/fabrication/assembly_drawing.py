@@ -3,8 +3,6 @@
 The views are to scale when printed at full size. The same kit gives the same bytes.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable, Sequence
 from itertools import combinations

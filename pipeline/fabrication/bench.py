@@ -1,7 +1,5 @@
 """The kit on the bench: the loads of its servos, its floating, its timeline, and what speaks against building it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import pi, radians
 

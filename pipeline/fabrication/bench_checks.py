@@ -1,7 +1,5 @@
 """Findings about a kit on the bench: its servos' loads, its timeline, contacts, floating, scale and predictions."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import isclose
 from typing import Literal

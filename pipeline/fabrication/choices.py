@@ -1,7 +1,5 @@
 """Settings of ``puddle fabricate``, separate from a study's."""
 
-from __future__ import annotations
-
 from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.scaling import Scaling
 from tasks.fabrication.timeline import Playback

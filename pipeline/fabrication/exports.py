@@ -8,8 +8,6 @@
     profiles/PART.dxf                   outline, bores and pockets of one copy of a part
 """
 
-from __future__ import annotations
-
 import csv
 import io
 

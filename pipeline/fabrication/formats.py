@@ -1,7 +1,5 @@
 """STEP, STL, 3MF and DXF encodings. The same kit gives the same bytes."""
 
-from __future__ import annotations
-
 import io
 import re
 import zipfile

@@ -1,7 +1,5 @@
 """Figures of a kit's page: the loads against the servo's torque–speed line, and the start of the timeline."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

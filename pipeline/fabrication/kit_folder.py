@@ -1,7 +1,5 @@
 """A kit's folder: written completely or not at all, and never over anything but another kit."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

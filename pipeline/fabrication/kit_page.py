@@ -1,7 +1,5 @@
 """index.html of a kit: the robot, the findings, the files to download, and the physics of the scale."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files

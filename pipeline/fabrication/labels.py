@@ -1,7 +1,5 @@
 """Labels of a drawing, each placed where it covers the least."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from math import cos, pi, sin
 from typing import Any

@@ -3,8 +3,6 @@
 matplotlib sorts triangles by their centres, which fails where long rods pass between plates.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass

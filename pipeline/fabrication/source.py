@@ -1,7 +1,5 @@
 """The source of a kit's design: a file, or the champion of a study that the paper's rule selects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """File formats of servo timelines (timeline.json, timeline.csv) and calibrations (calibration.yaml)."""
 
-from __future__ import annotations
-
 import csv
 import io
 from pathlib import Path

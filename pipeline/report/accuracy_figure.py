@@ -1,7 +1,5 @@
 """Figures of prediction accuracy: paper, Fig. 3, and every way of aggregating the ensemble members."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

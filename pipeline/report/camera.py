@@ -1,7 +1,5 @@
 """The cameras of a film: where each looks at every picture, at one scale for all robots."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

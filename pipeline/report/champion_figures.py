@@ -1,7 +1,5 @@
 """Figures of the champions and of their evolution: paper, Fig. 4, and fitness by generation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

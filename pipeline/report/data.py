@@ -3,8 +3,6 @@
 Nothing is required: a study that has only begun, or that lost some of its trials, still makes a report.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal

@@ -5,8 +5,6 @@ keeps text as text. It uses no colours but ``INK``, ``FAINT``, ``PAPER_MARK`` an
 page replaces by its own in dark mode.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Figures of the data set and of the networks trained on it: paper, Fig. 2, and the errors of each member."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

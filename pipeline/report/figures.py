@@ -1,7 +1,5 @@
 """The figures of a study, by name. The same report always gives the same bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -7,8 +7,6 @@ the number of threads. The rows of all planes are multiples of 64 bytes: FFmpeg 
 which made one film in ten of 600 or 608 pixels differ. The bytes depend on the version of PyAV.
 """
 
-from __future__ import annotations
-
 import io
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """The results of the analysis as the page shows them: rows of the analysis tables, and why some are missing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal

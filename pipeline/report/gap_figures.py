@@ -1,7 +1,5 @@
 """Figures of the transfer gap: its attribution to body and controller, and transfer between depths."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

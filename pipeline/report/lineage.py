@@ -1,7 +1,5 @@
 """The family tree of a champion: its ancestors, the operators that made them, and their fitness."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

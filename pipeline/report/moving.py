@@ -1,7 +1,5 @@
 """The moving parts of the page: the gallery, the viewer with its controls, and the script that plays both."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Sequence
 from html import escape

@@ -4,8 +4,6 @@ Fixed text is in page.html, the frame of any page in document.html, styles in pa
 viewer.js. This module adds what depends on the study, and escapes every text that comes from it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape

@@ -1,7 +1,5 @@
 """The tables of the analysis on the page: against the paper, tests, exploiters, luck, the tank, a champion's line."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ A replay is made from a trace, which has a state after each step. Two steps make
 frames per second.
 """
 
-from __future__ import annotations
-
 import base64
 from dataclasses import dataclass
 from typing import Literal, TypedDict

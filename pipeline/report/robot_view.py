@@ -4,8 +4,6 @@ Drawn with Pillow at ZOOM times the size and reduced. Positions are computed for
 words are drawn once.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cache, lru_cache

@@ -1,7 +1,5 @@
 """The table of transfer: every arm at every depth, beside the paper's numbers where it gives them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 

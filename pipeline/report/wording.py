@@ -1,7 +1,5 @@
 """How the page writes numbers, tables, and what is missing. All of it returns HTML; text from a study is escaped."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from html import escape
 

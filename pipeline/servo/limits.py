@@ -3,8 +3,6 @@
 Every command to a controller goes through :class:`LimitedOutput`, which passes it through :func:`clamp`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

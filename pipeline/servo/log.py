@@ -4,8 +4,6 @@ During a run every row is written to a journal beside the log at once, so that e
 The next run that logs into the same folder turns such a journal into Parquet.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Sequence

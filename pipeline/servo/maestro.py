@@ -8,8 +8,6 @@ With "Timeout" and "On startup or error: Off" set in the Maestro Control Center,
 when the host falls silent (docs/servo.md).
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import math

@@ -1,7 +1,5 @@
 """``puddle drive``: check the files, ask the user, play the timeline on a controller."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections.abc import Callable, Iterator, Sequence

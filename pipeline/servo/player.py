@@ -5,8 +5,6 @@ the port is lost, or on any other exception. All of these lead through :meth:`Pl
 switches the servos off at once. If the port is lost, only the controller's own time-out can still act.
 """
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The interface of a servo controller, independent of its wire protocol."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Protocol
 

@@ -56,8 +56,6 @@ the page does; if none survives True Slush, the best champion where it evolved:
                          X_speed, all in units of the simulation
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from math import ceil
 from pathlib import PurePosixPath

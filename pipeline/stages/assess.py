@@ -4,8 +4,6 @@ Designs are drawn over the generations of every trial in True Slush and on Dry L
 in True Slush and under every member. What the figures say of it is computed by the stage analyse.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

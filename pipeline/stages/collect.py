@@ -1,7 +1,5 @@
 """collect: the data set of throws, in chunks. Paper, "Dataset Collection"."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 

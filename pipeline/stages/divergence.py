@@ -4,8 +4,6 @@ A rollout in a sound environment stays finite. So a design that diverges points 
 network. Evolution never lets it survive and figures leave it out, but the user must learn of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Environments of a study: built from settings and trained networks, and what it takes to simulate designs in them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """evolve: the evolution of bodies and controllers, every trial of every depth and environment. Paper, "Evolution"."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 Part of the stage report.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from pipeline.config.settings import Settings

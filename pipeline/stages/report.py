@@ -1,7 +1,5 @@
 """report: the page of a study, its figures as SVG and PNG, and its films as GIF and MP4."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Container, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Part of the stage report. Where something is missing, its reason is collected instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

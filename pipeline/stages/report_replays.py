@@ -3,8 +3,6 @@
 Part of the stage report.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Segments: a work item of some generations of one trial. Evolution and adaptation both consist of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """train: the ensemble of residual networks, one member at a time. Paper, "Neural Network Training"."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 

@@ -4,8 +4,6 @@ The champion of every trial is scored zero-shot in True Slush at its own depth. 
 controller is evolved from scratch in True Slush: the gap that remains is the body's fault.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The design file, design.json: a schema version and the fields of one design."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ looked up in this module at each call, so that a test can kill the process or fi
 are exempt, because nothing in them must outlive a process. POSIX only (flock).
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

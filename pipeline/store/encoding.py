@@ -9,8 +9,6 @@ The metadata of a table or of arrays is one JSON text under the key ``puddle``: 
 random order.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

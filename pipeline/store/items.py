@@ -4,8 +4,6 @@ An item is a folder of files and a manifest that describes them. The manifest is
 the SHA-256 that it gives, so an item is complete or it does not exist. See store.py for the folder layout.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Manifests, which describe the items of a store."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Provenance: the environment in which a result was computed; in every manifest, but in no key and no digest."""
 
-from __future__ import annotations
-
 import functools
 import importlib.metadata
 import platform

@@ -5,8 +5,6 @@ it gives the reason. A nested dataclass, such as an Estimate, is laid out flat: 
 ``slope_high``, ``slope_reason``. A nested field with ``metadata={"prefix": False}`` keeps the names of its columns.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Background work on a thread: a stage is mirrored to MLflow while the next one computes."""
 
-from __future__ import annotations
-
 import queue
 import threading
 from collections.abc import Callable

@@ -4,8 +4,6 @@ Only this process writes to the store; workers return bytes. An item that fails 
 rest of the study goes on without it.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import time

@@ -1,7 +1,5 @@
 """The driver: the one process that runs a study's stages, commits their results and mirrors them to MLflow."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager

@@ -1,7 +1,5 @@
 """The record of a study: settings, items and failed chains, as `puddle status` and `puddle gc` read them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace

@@ -8,8 +8,6 @@ A stage's work is a set of independent *chains*. A chain is a sequence of items,
 trial. An :class:`Item` is done if and only if the store holds its key, the SHA-256 of its identity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -10,8 +10,6 @@ A part can be negative: adaptation from scratch may find a worse controller than
 is then too large by the same amount. Shares exist only where there is a gap.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ sweep of depths, the smallest of ten p-values is small by chance; Holm's correct
 two-sided.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -8,8 +8,6 @@ error that all members share: see :mod:`tasks.analysis.novelty` and, where the t
 Entry i of a trace is the state after step i, so predictions from it belong to step i + 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Literal

@@ -5,8 +5,6 @@ below any manufacturing tolerance alters its path. And fitness is the displaceme
 instants, which a coiled chain can gain by uncoiling while the robot as a whole stays in place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ The first needs the true medium. The second needs only throws that the members w
 users whose true environment is not a simulation.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

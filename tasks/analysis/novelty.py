@@ -13,8 +13,6 @@ The unit of novelty is the usual distance: the median distance of the states of 
 A link at 5 is five times as far from the training data as fresh throws are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@
 Anything that this run did not measure, or that has too few values for an interval, is not comparable.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ Designs of one trial descend from each other, so they are not independent sample
 given, the intervals come from resampling whole trials; resampling designs gives intervals that are too narrow.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal

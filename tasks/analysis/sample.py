@@ -4,8 +4,6 @@ The paper draws 2,376 designs uniformly over the generations of trials in True S
 contains early designs that hardly move and late ones that go far.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator

@@ -1,7 +1,5 @@
 """Scores of champions: the input of comparisons, attribution and the comparison with the paper."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

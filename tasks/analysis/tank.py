@@ -11,8 +11,6 @@ keeps weight, buoyancy, drag and inertia in proportion, so only under it does th
 The tank has no walls.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

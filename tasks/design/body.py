@@ -7,8 +7,6 @@ A locked joint fuses its two links to one rigid body. The body's frame is that o
 root, which has the lowest index.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

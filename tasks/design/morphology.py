@@ -6,8 +6,6 @@ Overlap is avoided by rejection sampling (:func:`until_apart`), which preserves 
 allowed designs; moving links apart would favour the positions that they are moved to.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal

@@ -7,8 +7,6 @@ Designs that a morphology does not allow are rejected and drawn anew; functions 
 draws, too. variation_kernels.py has the compiled operators.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 

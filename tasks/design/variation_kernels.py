@@ -7,8 +7,6 @@ An operator draws the same number of random numbers for every design, needed or 
 the next gene.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

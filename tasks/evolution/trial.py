@@ -4,8 +4,6 @@ Independent trials may be batched: their designs are evaluated together to save 
 same as if it ran alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

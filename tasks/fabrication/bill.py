@@ -1,7 +1,5 @@
 """The bill of materials: what to print, to buy and to cut to length."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Joints whose motor is on turn. All others are locked at rest, so that their two 
 in the plane of the simulation (x forward, y up), with the robot at rest and the root link upright at the origin.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 

@@ -1,7 +1,5 @@
 """A check for the optional CAD packages, which take seconds to import."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 _PACKAGES = ("build123d", "ezdxf", "shapely")

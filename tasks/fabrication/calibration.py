@@ -6,8 +6,6 @@ the simulation. Servos differ, and a horn fits its spline only tooth by tooth, s
 guess: measure each servo once (docs/servo.md).
 """
 
-from __future__ import annotations
-
 from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator

@@ -3,8 +3,6 @@
 A fault means that the robot can't be built or would damage itself, a warning that it can be built but has a drawback.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations

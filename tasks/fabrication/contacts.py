@@ -5,8 +5,6 @@ layers (tasks/fabrication/servo_joints.py). Parts of one layer collide there too
 different layers pass each other: if their links touched in the simulated run, the run does not predict the bench.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any

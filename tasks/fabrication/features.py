@@ -4,8 +4,6 @@ Heights count from the part's back (0) to its face (the thickness), which faces 
 solid, its analytic volume, the DXF and the check of walls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

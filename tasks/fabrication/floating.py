@@ -4,8 +4,6 @@ The draught is that of the rest pose, upright as drawn. In the simulation buoyan
 tips a robot over. On the bench it does, until the centre of buoyancy is in line with the centre of mass.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from shapely import box, unary_union

@@ -6,8 +6,6 @@ under it. If they fit, the parts fit; if not, put your measurements into ``kit.m
 place, the gap between the two gauges equals the gap between the layers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

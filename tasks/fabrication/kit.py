@@ -3,8 +3,6 @@
 Needs the optional CAD packages; see :mod:`tasks.fabrication.cad`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from shapely import unary_union

@@ -1,7 +1,5 @@
 """Settings of a kit: scale, servo, clearances, printer. [P] marks values from the paper; lengths are in mm."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator

@@ -4,8 +4,6 @@ Parts are extruded along z. The left pontoon is on the left of a robot that move
 z = 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, degrees, radians, sin

@@ -3,8 +3,6 @@
 A polygon of the same outline serves the decisions and checks in the plane.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees

@@ -6,8 +6,6 @@ outer part's rods also cross the inner layer and must clear the parts that sweep
 layer, the one with more and wider-spaced rods is taken.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -12,8 +12,6 @@ reports whether the robot crosses its tank, not how fast. Froude's law is the de
 (tasks/analysis/tank.py), because the simulation predicts the bench under no other. Kept frequencies suit slow servos.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -16,8 +16,6 @@ A joint is assembled as follows:
   cradle is wider than its link, it stands out as a boss, which the checks report.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, pi, sin

@@ -11,8 +11,6 @@ The frame of a servo has u along the case's long side, v along its short side, a
 with its origin on the shaft at the top of the case. The case reaches from u = -shaft_offset to length - shaft_offset.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from math import radians

@@ -4,8 +4,6 @@ A cut crosses one link in the shape of a dovetail, as in a jigsaw puzzle: the pi
 plane, and are glued. The cut removes the clearance between the pieces.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, sin
 

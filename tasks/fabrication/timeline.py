@@ -5,8 +5,6 @@ rest, with time scaled from simulation to bench (tasks/fabrication/scaling.py). 
 to 1 and lowers it again: a run begins and ends at rest, without a jump in angle, speed or acceleration.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The first steps of fast throws contain most of the residuals' variance, so R² o
 which moves slowly. At low speed, a small mean error is a thrust that does not exist, and evolution exploits it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

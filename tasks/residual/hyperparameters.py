@@ -3,8 +3,6 @@
 [P] marks values of the paper; the others are our decisions.
 """
 
-from __future__ import annotations
-
 from typing import Literal, Self
 
 from pydantic import Field, model_validator

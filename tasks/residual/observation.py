@@ -3,8 +3,6 @@
 Paper: o = (a, y, cos θ, vx, vy, ω). The horizontal position is left out, because the dynamics do not depend on x.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tasks.arrays import Float32, Floats

@@ -4,8 +4,6 @@ The transitions, settings, seed and member's number determine the result: a seco
 machine and device. All members of a study hold out the same throws.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Iterator

@@ -5,8 +5,6 @@ links collide are stepped one by one (tasks/simulation/rigid_bodies). It uses on
 core.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tasks.compiled import is_cached

@@ -1,7 +1,5 @@
 """Box2D 2.3's constants (b2Settings.h), and what both engines share: the ground, a state's columns, the motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Free links: Box2D's step of bodies without contacts or joints, in NumPy, with the bits of the reference engine."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tasks.arrays import Float32, Floats

@@ -5,8 +5,6 @@ mass, angular velocity. All arithmetic is float32, in the order that is written 
 repeat it; parentheses matter. A link that is a body by itself keeps every bit of its state.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -9,8 +9,6 @@ links' fixtures in the order of the links; then the joints in the order of their
 body lists its last link's fixture first, and adds masses in that order.)
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import Box2D

@@ -4,8 +4,6 @@ Paper, "Performance Evaluation": a robot settles for a while, then the displacem
 from the first step.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Dry Land: the rigid-body simulator without a medium."""
 
-from __future__ import annotations
-
 from tasks.world.environment import Environment
 from tasks.world.registry import EnvironmentKind, register
 

@@ -1,7 +1,5 @@
 """Environments: a depth and a medium around the same rigid-body simulator. Paper, "Simulation Environments"."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from numbers import Real

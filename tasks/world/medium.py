@@ -4,8 +4,6 @@ The change is computed from the state at the start of a step and added before th
 residual of a step is an exact function of the state, and the joints are solved with the new velocities.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

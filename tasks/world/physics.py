@@ -3,8 +3,6 @@
 [P] marks constants that the paper states; the others are our decisions.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 
 from pydantic import Field

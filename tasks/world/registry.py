@@ -48,8 +48,6 @@ names: networks learn it, and champions are transferred to it. To learn tar, reg
 ``build=TarPit``, ``settings_group="tar"`` and ``settings=Tar``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

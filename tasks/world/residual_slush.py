@@ -1,7 +1,5 @@
 """Residual Slush: Dry Land plus the velocity changes that residual networks predict. Paper, "Residual Physics"."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

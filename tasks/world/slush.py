@@ -9,8 +9,6 @@ the reference engine. The batch engine repeats the same operations in the same o
 (tasks/simulation/trees/step.py).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

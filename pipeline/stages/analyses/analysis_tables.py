@@ -1,7 +1,5 @@
 """The tables of the stage analyse in its files: names of its work items, reading and writing."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table

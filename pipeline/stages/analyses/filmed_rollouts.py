@@ -3,8 +3,6 @@
 Used by the stages analyse, whose instruments measure the films, and report, which shows them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What each analysis is: its identity, and the specification that decides its result."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar

@@ -3,8 +3,6 @@
 Part of the stage analyse, whose page lists the tables.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from math import isfinite
 

@@ -3,8 +3,6 @@
 Part of the stage analyse, whose page lists the tables. Paper, "Physical Validation".
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Displacement of the root along x: the paper's objective."""
 
-from __future__ import annotations
-
 from tasks.arrays import Float64
 from tasks.evolution.objectives.evaluation import Objective, register_objective
 from tasks.simulation import Rollouts

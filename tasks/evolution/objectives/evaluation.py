@@ -1,7 +1,5 @@
 """The registry of objectives, and fitness from the scores of an ensemble. Paper, "Performance Evaluation"."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

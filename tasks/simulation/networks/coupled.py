@@ -10,8 +10,6 @@ in neighbouring lanes of the networks, and where a vector of one is a vector of 
 
 # mypy: disallow-untyped-decorators=False
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

@@ -10,8 +10,6 @@ of the next, and stay in the cache.
 # mypy: disallow-untyped-decorators=False, warn-return-any=False
 # ruff: noqa: ARG001 (numba gives every intrinsic its context)
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Sequence

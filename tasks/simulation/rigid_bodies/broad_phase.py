@@ -5,8 +5,6 @@ collide (b2ContactFilter::ShouldCollide, b2Body::ShouldCollide) are listed in th
 contacts begin with the newest; ``contact_list`` begins with the oldest and is read backwards.
 """
 
-from __future__ import annotations
-
 from numpy import float32
 
 from tasks.compiled import inline

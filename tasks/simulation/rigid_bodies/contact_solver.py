@@ -11,8 +11,6 @@ m and i are inverse masses and inertias. The accumulated normal impulse x satisf
 x (Cdot - bias) = 0; friction stays within ± μ x. Two points share a matrix K, whose K₁₂ has the cross products of both.
 """
 
-from __future__ import annotations
-
 from numpy import float32
 
 from tasks.compiled import inline

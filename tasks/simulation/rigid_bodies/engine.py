@@ -1,7 +1,5 @@
 """Robots of rigid bodies in the batch engine: their records, and the compiled kernel that steps them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tasks.arrays import Float32

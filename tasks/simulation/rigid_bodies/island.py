@@ -8,8 +8,6 @@ Each constraint depends on the result of the one before it, which leaves a proce
 interleave a team of a few robots, constraint by constraint.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ record as its address, so ``robot.bodies[b].v_x`` is a single load. Names follow
 units and in the world's frame, those named local_… in a body's.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Packing robots into records: b2Body, b2Fixture and b2Joint as Box2D creates them."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

@@ -3,8 +3,6 @@
 Boxes have four corners and four edges, edge i going from corner i to corner i + 1.
 """
 
-from __future__ import annotations
-
 from numpy import float32
 
 from tasks.compiled import inline

@@ -20,8 +20,6 @@ m and i are inverse masses and inertias. An impulse P = -K⁻¹ Cdot, or -K⁻¹
 the positions, by M⁻¹ Jᵀ P.
 """
 
-from __future__ import annotations
-
 from numpy import float32
 
 from tasks.compiled import inline

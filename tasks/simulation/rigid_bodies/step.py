@@ -3,8 +3,6 @@
 The relation of links to bodies is that of tasks/simulation/fused_links.py. Every bit equals the reference engine's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from numpy import float32

@@ -1,7 +1,5 @@
 """Rotations and transforms of bodies: Box2D 2.3's Common/b2Math.h."""
 
-from __future__ import annotations
-
 from numpy import float32
 
 from tasks.compiled import inline

@@ -13,8 +13,6 @@ Without the compiler (NUMBA_DISABLE_JIT=1) kernels run in plain Python on NumPy 
 Under the compiler, each of these functions is a typing rule and a few instructions: see vectors.py.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from fractions import Fraction

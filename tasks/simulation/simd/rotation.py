@@ -6,8 +6,6 @@ precision. Without fused operations one value in a million differs. On a platfor
 engines differ, and the tests fail.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -28,8 +28,6 @@ Position correction of a point, by β of the error and as a Newton step with the
     C    = clamp(β (separation + slop), -most, 0)              λ = -C / K     y += m λ,  angle += i r_x λ
 """
 
-from __future__ import annotations
-
 from tasks.compiled import inline
 from tasks.simulation.box2d import (
     BAUMGARTE,

@@ -1,7 +1,5 @@
 """Robots of the tree engine: their blocks, and the compiled kernels that step them."""
 
-from __future__ import annotations
-
 from functools import cache, cached_property
 
 import numpy as np

@@ -25,8 +25,6 @@ Motor constraint (one equation), with the commanded speed s:
     The accumulated impulse is clamped to the most that the motor's torque gives in a step. A motor that is off gives 0.
 """
 
-from __future__ import annotations
-
 from tasks.compiled import inline
 from tasks.simulation.box2d import LINEAR_SLOP_SQUARED
 from tasks.simulation.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, from_row, select

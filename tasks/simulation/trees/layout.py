@@ -6,8 +6,6 @@ vx of a link in all lanes. The rows that a step uses of 32 robots just fit a cor
 time.
 """
 
-from __future__ import annotations
-
 from tasks.design.genes import N_JOINTS, N_LINKS
 
 # State, passed from one step to the next. The first six are the columns of a trace.

@@ -4,8 +4,6 @@ In NumPy this would be a hundred calls and a twentieth of the rollouts of 64 des
 hundredth.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

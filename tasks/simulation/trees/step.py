@@ -7,8 +7,6 @@ those of tasks/simulation/controller.py and tasks/world/slush.py, in the same fl
 reference engine to the last bit.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
