@@ -178,11 +178,15 @@ def test_settings_of_another_version_are_named(options, store, tmp_path, capsys)
     store.write_study("tiny", {**store.read_study("tiny").settings, "wings": 2}, ())
     assert call("gc", "--remove", "--store", str(store.root)) == 2
     said = capsys.readouterr().err
-    assert "expected settings of this puddle" in said and "wings: Extra inputs" in said and "nothing is removed" in said
+    assert (
+        "expected settings of this version of puddle" in said
+        and "wings: Extra inputs" in said
+        and "nothing is removed" in said
+    )
     kit = str(tmp_path / "kit")
     assert call("fabricate", "--study", "tiny", "--out", kit, "--store", str(store.root)) == 2
     said = capsys.readouterr().err
-    assert said.startswith("puddle: study tiny: expected settings of this puddle") and "wings" in said
+    assert said.startswith("puddle: study tiny: expected settings of this version of puddle") and "wings" in said
 
 
 def test_items_of_a_study_without_a_record_stay_until_the_study_is_deleted(options, store, capsys):
