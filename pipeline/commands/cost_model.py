@@ -9,7 +9,7 @@ A stage takes its core-seconds divided by the number of cores, but not less than
 On an AMD EPYC with compiled kernels, a calibration run forecast the processor time of real studies with these ratios
 of forecast to study: in smoke and in a small laptop (2 depths, 2 trials, 100 generations) collect 1.12 and 1.03, train
 1.22 and 0.92, evolve 1.15 and 1.09, transfer 0.94 and 1.08, assess 1.28 and 1.24 (at one depth, with 400 designs),
-analyse 0.91 and 0.74, report 1.01 and 1.00. Bytes were within a factor of 2, except for analyse in the smoke study (0.48).
+analyse 0.91 and 0.74, report 1.01 and 1.00. Bytes were within a factor of 2, except in analyse of smoke (0.48).
 """
 
 from __future__ import annotations
