@@ -113,7 +113,7 @@ def test_the_shortest_rollout_that_settings_allow_is_the_shortest_that_can_be_sh
     assert len(replay_of(design, trace[:n_steps], n_settle=n_settle, **WORDS).frames) == 2
     with pytest.raises(ValueError, match=f"expected at least {n_steps} steps, got {n_steps - 1}"):
         replay_of(design, trace[: n_steps - 1], n_settle=n_settle, **WORDS)
-    with pytest.raises(ValueError, match=f"n_measure is {n_measure - 1}.*expected {n_measure} or more"):
+    with pytest.raises(ValueError, match=f"n_measure is {n_measure - 1}.*expected n_measure of at least {n_measure}"):
         RolloutSettings(n_settle=n_settle, n_measure=n_measure - 1)
 
 
