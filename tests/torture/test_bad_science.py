@@ -141,7 +141,7 @@ def test_failures_are_named_and_the_rest_completes(torture, local_ray, tmp_path,
             listed = next(line for line in status.split(f"  {stage}")[1].splitlines() if line.strip().startswith(label))
             assert why in listed
             assert label in page and why in page
-        assert "The next `puddle study` tries again what failed" in status
+        assert "tried again by the next `puddle study`" in status
         n_lost = sum(line.count(" failed after 2 attempts") for line in said.splitlines())
         assert n_lost >= 5
         done = {item.label for item in store.read_study("tiny").items}
