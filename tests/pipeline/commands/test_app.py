@@ -107,7 +107,7 @@ def test_a_page_of_one_design_shows_the_networks_view(study, design, capsys, tmp
         arguments = (str(design), "--environment", environment, "--depth", depth, "--out", str(out))
         assert call("simulate", *arguments, *study) == 0
         (replay,) = json.loads(re.search(r'id="replays">(.*?)</script>', out.read_text()).group(1))
-        assert [overlay["unit"] for overlay in replay["overlays"]] == ["m/s²", "× usual"]
+        assert [overlay["unit"] for overlay in replay["overlays"]] == ["m/s²", "× typical"]
         assert bool(replay["push"]) == (environment != "dry_land")
     alone = tmp_path / "alone.html"
     arguments = (str(design), "--environment", "dry_land", "--depth", "1", "--out", str(alone))
@@ -214,7 +214,7 @@ def test_invalid_designs(capsys, tmp_path, design):
     assert "frequency is 7.0" in refusal(json.dumps({**good, "frequency": 7.0}))
     assert "motor_on" in refusal(json.dumps({**good, "motor_on": [0, 1, 1, 1, 1, 1]}))
     said = refused(capsys, "simulate", str(tmp_path / "none.json"), "--environment", "dry_land", "--depth", "1")
-    assert "can't be read" in said
+    assert "cannot be read" in said
     said = refused(
         capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.mp5")
     )
@@ -286,7 +286,7 @@ def test_single_members_evolve_only_at_depths_of_the_grid():
     [
         ("depths: [2.0, 1.0, 2.0]", "depths repeats a value: expected each value once"),
         ("depths: [2.0, 1.0, 3.0, 1.0000001]", "depths has 1.0 and 1.0000001, and both are shown as 1 m"),
-        ("single_member_depths: [123.4567, 123.4568]", "single_member_depths holds 123.4567 and 123.4568, and both"),
+        ("single_member_depths: [123.4567, 123.4568]", "single_member_depths has 123.4567 and 123.4568, and both"),
     ],
 )
 def test_depths_with_the_same_label_are_refused(grid, said):

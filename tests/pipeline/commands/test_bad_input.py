@@ -51,7 +51,7 @@ def words_of(html: str) -> str:
 
 def absent(html: str) -> dict[str, str]:
     """Title -> reason, of everything that the page has to do without."""
-    found = re.findall(r'<p class="absent"><b>(.*?)</b> is not here: (.*?)\.</p>', html)
+    found = re.findall(r'<p class="absent"><b>(.*?)</b>: not available, because (.*?)\.</p>', html)
     return {unescape(title): unescape(reason) for title, reason in found}
 
 
@@ -62,7 +62,7 @@ def check_figures(html: str, missing: dict[str, str]) -> None:
     assert drawn == set(TITLES.values()) - set(missing)
 
 
-ONE_DEPTH = {"Transfer across depths": "it compares depths, and so far there are trials at one alone"}
+ONE_DEPTH = {"Transfer across depths": "it compares depths, and all trials so far are at one depth"}
 
 
 def test_a_single_trial_has_no_intervals_and_no_tests(page_of):
@@ -76,7 +76,7 @@ def test_a_single_trial_has_no_intervals_and_no_tests(page_of):
 def test_where_nothing_moves_there_is_nothing_to_compare(page_of):
     """No gravity, no buoyancy and no torque: what is left is the rounding of joints, 1e-8 m."""
     html = page_of("physics.gravity=0", "physics.max_motor_torque=0")
-    check_figures(html, ONE_DEPTH | {"What the members say together": "every design truly goes equally far"})
+    check_figures(html, ONE_DEPTH | {"Accuracy of members and aggregates": "every design truly goes equally far"})
     words = words_of(html)
     assert "both groups are constant" in words and "all values of both groups are equal" in words
     assert "the reference goes nowhere, or backwards" in words
@@ -108,16 +108,16 @@ def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
         **ONE_DEPTH,
         "The gallery": everyone,
         "The replay viewer": everyone,
-        "Transfer at the deepest depth": everyone,
+        "Transfer at the greatest depth": everyone,
         "Fitness by generation": everyone,
-        "The gap by body and controller": (
+        "Transfer gap: body and controller": (
             "0 trials scored zero-shot and adapted and 0 in True Slush, expected 1 or more"
         ),
         "Transfer between depths": "no trial has a champion",
-        "Family tree of a champion": "every design of the trial whose champion it is of diverged",
+        "Family tree of a champion": "every design of the trial diverged",
         "Prediction accuracy": "every assessed design diverged, in True Slush or under a member",
-        "What the members say together": "every assessed design diverged, in True Slush or under a member",
-        "Error of the members where robots go": no_champion,
+        "Accuracy of members and aggregates": "every assessed design diverged, in True Slush or under a member",
+        "Error of the members on champions": no_champion,
         "The table of luck and reach": no_champion,
     }
     words = words_of(html)
@@ -144,7 +144,9 @@ def test_members_that_observe_different_things_are_named_and_the_rest_is_there(p
     html = page_of("grid.n_trials=1", all_done=False)
     fault = "WeightsError: member 1: observation_mean has shape (5,), expected (6,)"
     missing = absent(html)
-    assert missing["Prediction accuracy"].count(fault) == missing["What the members say together"].count(fault) == 2
+    assert (
+        missing["Prediction accuracy"].count(fault) == missing["Accuracy of members and aggregates"].count(fault) == 2
+    )
     assert f"residual_slush/1m/trial-0 failed after 2 attempts at residual_slush/1m/trial-0/segment-0: {fault}" in (
         words_of(html)
     )

@@ -26,7 +26,8 @@ def test_a_setting_has_its_reason_above_and_its_default_beside_it():
         if ":" in line and not line.lstrip().startswith("#"):
             assert lines[number - 1].lstrip().startswith("# "), line
     assert "name: mine  # default: paper" in lines
-    assert any("One of: uniform, log_uniform." in line for line in lines)
+    text = " ".join(line.strip().lstrip("# ") for line in lines)  # the list may be wrapped
+    assert "One of: uniform, log_uniform." in text
     assert all(len(line) <= 120 for line in lines)
 
 
