@@ -16,7 +16,8 @@ from tasks.arrays import Floats
 from tasks.design import Designs
 from tasks.fabrication.built_bodies import Mechanism
 from tasks.fabrication.rods import Layers
-from tasks.simulation.box2d import TOTAL_RADIUS
+
+_TOUCHING_DISTANCE = 0.02  # [m]: the skins of two Box2D polygons, in double precision as the outlines are
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def passing_contacts(
         for first, second in ((min(i, k), max(i, k)) for i in a.links for k in b.links):
             if mechanism.parent_link[second] == first:
                 continue  # joined links never collide
-            touching = shapely.distance(outlines[:, first], outlines[:, second]) <= TOTAL_RADIUS
+            touching = shapely.distance(outlines[:, first], outlines[:, second]) <= _TOUCHING_DISTANCE
             if touching.any():
                 share, start = float(touching.mean()), float(touching.argmax() + 1) * time_step
                 found.append(PassingContact((first, second), (a.index, b.index), joints, share, start))

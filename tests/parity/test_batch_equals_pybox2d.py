@@ -17,7 +17,7 @@ from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, Tru
 
 DEPTHS = (0.0, 0.3, 1.0, 2.5, 9.0)
 
-pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="too slow in Python; test_batch.py has a short one")
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="slow in Python; test_batch.py has a short one")
 
 
 def test_sines_and_cosines_are_the_platform_s(same_libm: None, seed: int, sines) -> None:

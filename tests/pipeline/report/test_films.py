@@ -163,7 +163,7 @@ def test_an_mp4_shows_the_pictures_and_they_move(slush_replay):
 
 
 def test_an_mp4_has_the_same_bytes_each_time(slush_replay, dry_replay):
-    """Between the films memory is filled with other things, which once came through."""
+    """Between the films memory is filled with other data, which once leaked into a film."""
     short, other = (replace(replay, frames=replay.frames[:12]) for replay in (slush_replay, dry_replay))
     first = render_mp4([short])
     for _ in range(25):
