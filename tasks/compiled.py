@@ -34,8 +34,7 @@ class _Cached:
     seconds: int
 
 
-_KERNELS: dict[Callable[..., Any], _Cached] = {}
-"""Kernels by their Python functions."""
+_KERNELS: dict[Callable[..., Any], _Cached] = {}  # kernels by their Python functions
 
 
 class _Announcement(Listener):  # type: ignore[misc]  # numba has no types

@@ -12,8 +12,7 @@ from pipeline.errors import PuddleError
 class Ticket:
     """The identity of a submitted call until its outcome arrives."""
 
-    number: int
-    """Order of submission, from 0."""
+    number: int  # order of submission, from 0
     name: str
 
 

@@ -12,11 +12,9 @@ from urllib.parse import urlsplit
 from pipeline.cluster import preflight_probe
 from pipeline.errors import PuddleError
 
-CONNECT_SECONDS = 15.0
-"""Time that an existing cluster has to answer [s]."""
+CONNECT_SECONDS = 15.0  # time that an existing cluster has to answer [s]
 
-PROBE_START_SECONDS = 120.0
-"""Time that the probe has to start on a busy machine [s]; one second is usual."""
+PROBE_START_SECONDS = 120.0  # time that the probe has to start on a busy machine [s]; one second is usual
 
 
 def check_reachable(address: str) -> None:

@@ -15,11 +15,9 @@ PINNED_THREADS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_
 """One thread per process: torch's results change in their last bits with the number of threads, and a study's results
 must not depend on the number of cores."""
 
-DEFERRED_SECONDS = 2.0
-"""Longest time that a signal is deferred [s]."""
+DEFERRED_SECONDS = 2.0  # longest time that a signal is deferred [s]
 
-SHARE_OF_FREE_MEMORY = 0.9
-"""Share of the free memory that one task may take."""
+SHARE_OF_FREE_MEMORY = 0.9  # share of the free memory that one task may take
 
 _SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
 

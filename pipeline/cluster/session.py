@@ -39,8 +39,7 @@ _WORKERS_ON_DEMAND = {"RAY_enable_worker_prestart": "0", "RAY_prestart_worker_fi
 """Ray makes its first driver wait for all workers that it starts in advance: for ever, if one is killed meanwhile
 (ray-project/ray, issue 40131)."""
 
-START_SECONDS = 120.0
-"""Time that Ray has to start on a busy machine [s]; ten seconds are usual."""
+START_SECONDS = 120.0  # time that Ray has to start on a busy machine [s]; ten seconds are usual
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,7 @@ class Session:
     """A running private Ray."""
 
     address: str
-    token: Path
-    """File with the token that its servers require."""
+    token: Path  # file with the token that its servers require
     is_alive: Callable[[], bool]
     calling: AbstractContextManager[object]
     """Held by the driver while it calls Ray; if Ray is dead and the call does not return, the process ends."""

@@ -34,17 +34,13 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 
-PR_SET_CHILD_SUBREAPER = 36
-"""From Linux's <sys/prctl.h>."""
+PR_SET_CHILD_SUBREAPER = 36  # from Linux's <sys/prctl.h>
 
-KILL_SECONDS = 10.0
-"""Time to kill all descendants [s]; one may hang in the kernel."""
+KILL_SECONDS = 10.0  # time to kill all descendants [s]; one may hang in the kernel
 
-SERVERS = {"gcs_server", "raylet"}
-"""Ray's names for the processes without which it is dead."""
+SERVERS = {"gcs_server", "raylet"}  # ray's names for the processes without which it is dead
 
-SERVER_CHECK_INTERVAL = 0.2
-"""Time between two checks of the servers [s]."""
+SERVER_CHECK_INTERVAL = 0.2  # time between two checks of the servers [s]
 
 
 def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:

@@ -20,8 +20,7 @@ GONE_SECONDS = 45.0
 ANSWER_SECONDS = 5.0
 """Time that an existing cluster has to answer one check [s]. Together with the above it stays below Ray's minute."""
 
-CHECK_INTERVAL = 1.0
-"""Time between two checks [s]."""
+CHECK_INTERVAL = 1.0  # time between two checks [s]
 
 RAY_DIED = (
     "Ray on this machine died: its raylet or its GCS is gone (killed, or out of memory).\n"

@@ -33,14 +33,11 @@ _SIZES = {
 """The setting that decides the size of a stage's items. Other stages are timed at one size."""
 
 _N_TRIALS = 2
-_N_DISTINCT = 2
-"""Chains of each kind that are computed: members of an ensemble have to differ."""
+_N_DISTINCT = 2  # chains of each kind that are computed: members of an ensemble have to differ
 _N_FIRST_ITERATIONS = 4
 _GROWTH = 4
-_LONG_ENOUGH = 2.0
-"""Longer items are not timed once one has taken this long [s]."""
-_SIZE_DECIDES = 2.5
-"""Nor once an item takes this many times as long as the shortest."""
+_LONG_ENOUGH = 2.0  # longer items are not timed once one has taken this long [s]
+_SIZE_DECIDES = 2.5  # nor once an item takes this many times as long as the shortest
 
 
 @dataclass
@@ -48,8 +45,7 @@ class _Run:
     """Results in memory."""
 
     upstream: dict[str, Results] = field(default_factory=dict)
-    files: dict[str, Files] = field(default_factory=dict)
-    """Contents of items, by key."""
+    files: dict[str, Files] = field(default_factory=dict)  # contents of items, by key
 
     def compute(
         self, stage: AnyStage, settings: Settings, chains: Sequence[Chain[Any]], index: int, previous: Manifest | None

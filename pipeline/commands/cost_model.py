@@ -38,10 +38,8 @@ class CostKind:
     """What chains have in common whose weighted units cost the same."""
 
     stage: str
-    specification: str
-    """Type of the chain's specification."""
-    environment: str
-    """Where most of its rollouts are; empty if it has none."""
+    specification: str  # type of the chain's specification
+    environment: str  # where most of its rollouts are; empty if it has none
 
 
 def kind_of(stage: AnyStage, chain: Chain[Any]) -> CostKind:
@@ -53,8 +51,7 @@ def kind_of(stage: AnyStage, chain: Chain[Any]) -> CostKind:
 class Sample:
     """The cost of one item."""
 
-    size: float
-    """Weighted units."""
+    size: float  # weighted units
     seconds: float
     n_bytes: float
 
@@ -119,11 +116,9 @@ class StageForecast:
     unit: str
     n_units: float
     core_seconds: float
-    longest_chain_seconds: float
-    """No number of cores gets below this."""
+    longest_chain_seconds: float  # no number of cores gets below this
     n_bytes: float
-    source: str
-    """Where the samples come from."""
+    source: str  # where the samples come from
 
     def seconds(self, n_cores: int) -> float:
         """Return the time on some cores [s]."""
@@ -136,8 +131,7 @@ class Remaining:
 
     stage: AnyStage
     chain: Chain[Any]
-    units: tuple[float, ...]
-    """Size of each item that is left."""
+    units: tuple[float, ...]  # size of each item that is left
 
     @property
     def kind(self) -> CostKind:

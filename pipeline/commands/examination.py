@@ -34,14 +34,10 @@ _CONSTRAINTS = Path(__file__).resolve().parents[2] / "constraints.txt"
 
 _BYTES_PER_WORKER = 450e6
 """Memory of a worker: 300 MB with torch and the engine loaded (measured), and space to work in."""
-_BYTES_OF_DRIVER = 1e9
-"""Memory of the driver and of Ray's own processes."""
-_SPARE_BYTES = 1e9
-"""Disk space beside the results: MLflow's database, reports, other users."""
-_OPEN_FILES = 4096
-"""File descriptors that Ray needs with dozens of workers."""
-_RAY_SECONDS = 60.0
-"""Time that Ray's first worker may take to answer."""
+_BYTES_OF_DRIVER = 1e9  # memory of the driver and of Ray's own processes
+_SPARE_BYTES = 1e9  # disk space beside the results: MLflow's database, reports, other users
+_OPEN_FILES = 4096  # file descriptors that Ray needs with dozens of workers
+_RAY_SECONDS = 60.0  # time that Ray's first worker may take to answer
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,11 @@ from collections.abc import Iterator
 
 import typer
 
-INCOMPLETE = 1
-"""The study ran to its end but some work items or designs failed; the message names them."""
-USER_ERROR = 2
-"""The user can correct the mistake."""
+INCOMPLETE = 1  # the study ran to its end but some work items or designs failed; the message names them
+USER_ERROR = 2  # the user can correct the mistake
 DEFECT = 70
 """A bug in puddle, shown with its traceback: EX_SOFTWARE of sysexits.h. Python itself would exit with 1."""
-INTERRUPTED = 130
-"""Ctrl-C."""
+INTERRUPTED = 130  # ctrl-C
 
 _STOPPED = (128 + signal.SIGTERM, 128 + signal.SIGHUP)
 

@@ -32,12 +32,9 @@ class Garbage:
 
     items: tuple[tuple[str, str], ...]
     """Stage and key of items that no study needs, each before the items that it was made from."""
-    uncommitted: tuple[tuple[str, str], ...]
-    """Stage and key of items whose commit never finished."""
-    temporary: tuple[Path, ...]
-    """Temporary files of studies, left by a process that died; see :meth:`Store.temporary`."""
-    sessions: tuple[Path, ...]
-    """Ray's folders in /tmp whose driver is dead."""
+    uncommitted: tuple[tuple[str, str], ...]  # stage and key of items whose commit never finished
+    temporary: tuple[Path, ...]  # temporary files of studies, left by a process that died; see :meth:`Store.temporary`
+    sessions: tuple[Path, ...]  # ray's folders in /tmp whose driver is dead
 
 
 def find_garbage(store: Store) -> Garbage:

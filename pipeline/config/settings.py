@@ -23,8 +23,7 @@ from tasks.world.registry import settings_groups
 RESIDUAL_ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kind.networks != "none")
 """Environments that need trained networks."""
 
-DEEPEST = 1000.0
-"""Greatest depth of the ground [m]."""
+DEEPEST = 1000.0  # greatest depth of the ground [m]
 
 Depth = Annotated[float, Field(ge=0.0, le=DEEPEST)]
 

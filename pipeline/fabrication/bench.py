@@ -37,21 +37,15 @@ _SPARE_RANGE = radians(5.0)  # beyond a joint's range that a calibration allows
 class SimulatedRun:
     """The simulated run from which the loads are taken."""
 
-    environment: str
-    """The environment, in words."""
-    displacement: float
-    """Displacement of the root [m of simulation]."""
-    com_displacement: float
-    """Displacement of the centre of mass [m of simulation]."""
-    duration: float
-    """Duration of the measurement [s of simulation]."""
+    environment: str  # the environment, in words
+    displacement: float  # displacement of the root [m of simulation]
+    com_displacement: float  # displacement of the centre of mass [m of simulation]
+    duration: float  # duration of the measurement [s of simulation]
     torque: Float64
     """(n_steps, n_joints) torques of the motors [N·m of simulation], after settling: before, the motors jump to the
     gait, which a timeline does not."""
-    speed: Float64
-    """(n_steps, n_joints) speeds of the joints [rad/s of simulation]."""
-    pose: Float64
-    """(n_steps, n_links, 3) x, y [m of simulation] and angle [rad] of the links."""
+    speed: Float64  # (n_steps, n_joints) speeds of the joints [rad/s of simulation]
+    pose: Float64  # (n_steps, n_links, 3) x, y [m of simulation] and angle [rad] of the links
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +55,13 @@ class Bench:
     scales: Scales
     servo: Servo
     servos_per_joint: int
-    simulated: SimulatedRun | None
-    """None if the simulation diverged."""
+    simulated: SimulatedRun | None  # none if the simulation diverged
     loads: tuple[JointLoad, ...]
     floating: Floating
     predicted: tuple[float, ...] | None
     """(n_members) displacements of the root that the study's ensemble predicts [m of simulation]."""
-    calibration: Calibration | None
-    """None if no joint has a servo."""
-    timeline: Timeline | None
-    """None if the servos can't play it; the findings say why."""
+    calibration: Calibration | None  # none if no joint has a servo
+    timeline: Timeline | None  # none if the servos can't play it; the findings say why
     findings: tuple[KitFinding, ...]
 
 

@@ -38,8 +38,7 @@ _SEVERITIES = ("fault", "warning", "note")
 class KitResult:
     """Result of ``puddle fabricate``."""
 
-    lines: list[str]
-    """Lines for the terminal."""
+    lines: list[str]  # lines for the terminal
     n_faults: int
 
 

@@ -27,16 +27,12 @@ class DesignSource:
 
     design: Designs
     name: str
-    origin: str
-    """Where the design comes from, in words."""
-    settings: Settings
-    """Settings of the study, or those for simulating a design file."""
-    depth: float
-    """Depth of the slush in the simulation [m]."""
+    origin: str  # where the design comes from, in words
+    settings: Settings  # settings of the study, or those for simulating a design file
+    depth: float  # depth of the slush in the simulation [m]
     predicted: tuple[float, ...] | None
     """(n_members) displacements that the study's ensemble predicts [m of simulation], if there is one."""
-    true_slush: float | None = None
-    """Its score in True Slush [m of simulation], if the study has one."""
+    true_slush: float | None = None  # its score in True Slush [m of simulation], if the study has one
 
 
 def proposed(settings: Settings, store: Store) -> DesignSource:

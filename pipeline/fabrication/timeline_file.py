@@ -17,8 +17,7 @@ from tasks.fabrication.timeline import FRAME_RATE_HZ, Timeline, TimelineError, p
 _SCHEMA, _VERSION = "puddle.timeline", 1
 _FIELDS = {"schema", "version", "frames_per_second", "joints", "angle", "channels", "pulse_us"}
 
-MAX_TIMELINE_BYTES = 2**24
-"""Largest timeline file, which holds hours of five joints."""
+MAX_TIMELINE_BYTES = 2**24  # largest timeline file, which holds hours of five joints
 
 _RADIAN_DIGITS, _PULSE_DIGITS = 6, 2  # decimals, far finer than any servo
 

@@ -28,8 +28,7 @@ from tasks.analysis.prediction import Figure as Statistic
 from tasks.analysis.prediction import mean_less_deviations
 from tasks.world import ENVIRONMENTS
 
-_MEAN, _CAUTIOUS = mean_less_deviations(0), mean_less_deviations(1)
-"""The paper's two aggregates, μ and μ − σ."""
+_MEAN, _CAUTIOUS = mean_less_deviations(0), mean_less_deviations(1)  # the paper's two aggregates, μ and μ − σ
 
 _DENSITY = LinearSegmentedColormap.from_list("density", [(0.87, 0.47, 0.0, 0.18), (0.87, 0.47, 0.0, 1.0)])
 """Opacity grows with the number of designs, so that it is legible on a light and on a dark page."""

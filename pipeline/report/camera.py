@@ -8,38 +8,27 @@ import numpy as np
 from pipeline.report.replay import STEPS_PER_FRAME, STEPS_PER_SECOND, Replay
 from tasks.arrays import Float64
 
-FILM_FPS = STEPS_PER_SECOND // STEPS_PER_FRAME
-"""Pictures per second: every frame of a replay."""
+FILM_FPS = STEPS_PER_SECOND // STEPS_PER_FRAME  # pictures per second: every frame of a replay
 
 PICTURE_WIDTH = 640
 """Width of a picture [pixel]. A multiple of 128, so that no row of an MP4's planes needs padding, see films.py."""
-LANE_HEIGHT = 240
-"""Height of each robot's part of the picture [pixel]."""
-CAPTION_HEIGHT = 44
-"""Height of the caption at the top of a lane [pixel]."""
-ZOOM = 2
-"""Pixels drawn per pixel of the picture, in each direction, to smooth edges."""
-LANE_SIZE = PICTURE_WIDTH * ZOOM, LANE_HEIGHT * ZOOM
-"""Width and height of a lane as drawn [pixel]."""
+LANE_HEIGHT = 240  # height of each robot's part of the picture [pixel]
+CAPTION_HEIGHT = 44  # height of the caption at the top of a lane [pixel]
+ZOOM = 2  # pixels drawn per pixel of the picture, in each direction, to smooth edges
+LANE_SIZE = PICTURE_WIDTH * ZOOM, LANE_HEIGHT * ZOOM  # width and height of a lane as drawn [pixel]
 
-_MARGIN = 0.6
-"""Space above and below what the robot reaches [m]."""
-_VIEW_HEIGHT = (5.5, 15.0)
-"""Least and greatest height that a lane shows [m]."""
-_SMOOTHING = 1.0
-"""Half of the time over which the camera averages the robot's position [s]."""
+_MARGIN = 0.6  # space above and below what the robot reaches [m]
+_VIEW_HEIGHT = (5.5, 15.0)  # least and greatest height that a lane shows [m]
+_SMOOTHING = 1.0  # half of the time over which the camera averages the robot's position [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
     """The view of a lane: maps (x, y) [m] to pixels of the lane as drawn."""
 
-    scale: float
-    """[pixel/m]"""
-    x: Float64
-    """(n_pictures,) x at the centre of the picture [m]."""
-    bottom: Float64
-    """(n_pictures,) y at the lower edge of the lane [m]."""
+    scale: float  # [pixel/m]
+    x: Float64  # (n_pictures,) x at the centre of the picture [m]
+    bottom: Float64  # (n_pictures,) y at the lower edge of the lane [m]
 
     def project(self, points: Float64) -> Float64:
         """Map (n_pictures, ..., 2) x, y [m] to columns and rows."""

@@ -26,8 +26,7 @@ from pipeline.report.drawing import (
 from tasks.analysis import paper
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
-CURVE_POINTS = 120
-"""Generations drawn per fitness curve, so that a page of a hundred curves stays small."""
+CURVE_POINTS = 120  # generations drawn per fitness curve, so that a page of a hundred curves stays small
 
 _TRANSFERS: tuple[Measure, Measure] = ("zero_shot", "adapted")
 _NO_TRIALS = "no trial has finished yet"

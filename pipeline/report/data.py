@@ -30,21 +30,15 @@ def arm_words(environment: EnvironmentName, depth: float) -> str:
 class TrialResult:
     """The champion of one trial and its displacements [m]; NaN where its rollout diverged."""
 
-    environment: EnvironmentName
-    """Where it evolved."""
-    depth: float
-    """[m]"""
+    environment: EnvironmentName  # where it evolved
+    depth: float  # [m]
     trial: int
-    predicted: float
-    """Fitness where it evolved (in Residual Slush the mean of the members minus k standard deviations)."""
-    zero_shot: float | None = None
-    """Displacement of its root in True Slush; None if not simulated yet."""
-    zero_shot_com: float | None = None
-    """Displacement of its centre of mass in True Slush."""
+    predicted: float  # fitness where it evolved (in Residual Slush the mean of the members minus k standard deviations)
+    zero_shot: float | None = None  # displacement of its root in True Slush; None if not simulated yet
+    zero_shot_com: float | None = None  # displacement of its centre of mass in True Slush
     adapted: float | None = None
     """Displacement of its root in True Slush with a controller that evolved there; None if not adapted."""
-    adapted_com: float | None = None
-    """Displacement of its centre of mass, likewise."""
+    adapted_com: float | None = None  # displacement of its centre of mass, likewise
     curve: Float64 = field(default_factory=lambda: np.empty(0))
     """(n_generations,) best fitness so far where it evolves [m]."""
 
@@ -59,14 +53,10 @@ class ResidualError:
     """Error of one member in one component of the residual, on held-out transitions in one band of speed."""
 
     member: int
-    component: str
-    """Such as "vx"."""
-    unit: str
-    """Unit of ``rmse`` and ``rms_residual``, such as "m/s"."""
-    speed_band: str
-    """Such as "0.5-2 m/s"; bands are shown in the order in which they first appear."""
-    rmse: float
-    """Root mean square of prediction minus residual."""
+    component: str  # such as "vx"
+    unit: str  # unit of ``rmse`` and ``rms_residual``, such as "m/s"
+    speed_band: str  # such as "0.5-2 m/s"; bands are shown in the order in which they first appear
+    rmse: float  # root mean square of prediction minus residual
     rms_residual: float
     """Root mean square of the residual: the error of predicting 0. 0 where it is unknown."""
 
@@ -95,36 +85,28 @@ class StudyReport:
 
     name: str
     title: str
-    created_with: Mapping[str, str]
-    """Version by package."""
+    created_with: Mapping[str, str]  # version by package
     settings_yaml: str
     trials: Sequence[TrialResult] = ()
     residual_errors: Sequence[ResidualError] = ()
     replays: Sequence[Replay] = ()
     findings: Findings = field(default_factory=Findings)
-    draws: Sequence[Draws] = ()
-    """Operators that rejected designs; empty where every design is buildable."""
+    draws: Sequence[Draws] = ()  # operators that rejected designs; empty where every design is buildable
     measured_seconds: float = 20.0
     """How long displacement is measured [s]. [P]"""
     digests: Sequence[ArtifactDigest] = ()
-    failed: Sequence[str] = ()
-    """Work items that failed, with their errors."""
-    not_possible: Sequence[str] = ()
-    """Work items that were not tried because an input failed."""
-    diverged: Sequence[str] = ()
-    """Trials with designs that diverged, and how many."""
+    failed: Sequence[str] = ()  # work items that failed, with their errors
+    not_possible: Sequence[str] = ()  # work items that were not tried because an input failed
+    diverged: Sequence[str] = ()  # trials with designs that diverged, and how many
 
 
 @dataclass(frozen=True)
 class TrialMean:
     """Mean and standard deviation of a measure over trials."""
 
-    mean: float
-    """[m]"""
-    sd: float | None
-    """Sample standard deviation [m]; None with a single trial."""
-    values: tuple[float, ...]
-    """One per trial with a finite value, in the order of the trials [m]."""
+    mean: float  # [m]
+    sd: float | None  # sample standard deviation [m]; None with a single trial
+    values: tuple[float, ...]  # one per trial with a finite value, in the order of the trials [m]
 
     @property
     def n(self) -> int:
@@ -176,8 +158,7 @@ def all_diverged(trials: Sequence[TrialResult]) -> bool:
     return bool(trials) and all(trial.all_diverged for trial in trials)
 
 
-ALL_DIVERGED = "every design of every trial diverged"
-"""Reason for a page without champions."""
+ALL_DIVERGED = "every design of every trial diverged"  # reason for a page without champions
 
 
 def depths(trials: Iterable[TrialResult]) -> list[float]:

@@ -23,8 +23,7 @@ FAINT = "#c9ced6"
 PAPER_MARK = "#c2185b"
 DASHED, DOTTED = (0, (4, 3)), (0, (1, 1.2))
 
-FIGURE_WIDTH = 360 / 72
-"""Width of a figure [inch]; 360 units of its SVG."""
+FIGURE_WIDTH = 360 / 72  # width of a figure [inch]; 360 units of its SVG
 
 _STYLE: dict[str, Any] = {
     "svg.fonttype": "none",
@@ -65,11 +64,9 @@ class Drawing:
 
     name: str
     title: str
-    description: str
-    """The caption, which is also the text for readers who cannot see the figure."""
+    description: str  # the caption, which is also the text for readers who cannot see the figure
     svg: bytes
-    png: bytes
-    """The figure on white, three pixels per unit."""
+    png: bytes  # the figure on white, three pixels per unit
 
 
 @dataclass(frozen=True)

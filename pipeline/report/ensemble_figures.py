@@ -15,8 +15,7 @@ from tasks.world import ENVIRONMENTS
 
 _COLORS = ("#dd7700", "#1c6fb8", "#7d4aa5")
 """Colours of the projectiles, from short to long."""
-_VIEW = 24.0
-"""Distance shown to either side of the start of a throw [m]."""
+_VIEW = 24.0  # distance shown to either side of the start of a throw [m]
 _POINTS_PER_PATH = 40
 _RESIDUAL = ENVIRONMENTS["residual_slush"].color
 _VELOCITIES = {"vx": "along x [m/s²]", "vy": "along y [m/s²]", "omega": "angular [rad/s²]"}

@@ -28,10 +28,8 @@ twice as long for files that are a tenth smaller."""
 _MP4 = {"movflags": "+faststart", "movie_timescale": str(1000 * FILM_FPS)}
 """The index goes to the front, so that a browser can start at once. The time scale is a multiple of the frame rate;
 milliseconds would cut the last picture short."""
-_BT709 = 1
-"""Colour encoding (ITU-T H.273), written into the file so that players do not guess it from the size."""
-_STUDIO_RANGE = 1
-"""Brightness from 16 to 235, as players expect."""
+_BT709 = 1  # colour encoding (ITU-T H.273), written into the file so that players do not guess it from the size
+_STUDIO_RANGE = 1  # brightness from 16 to 235, as players expect
 
 
 def render_films(replays: Sequence[Replay]) -> tuple[bytes, bytes]:

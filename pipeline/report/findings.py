@@ -31,18 +31,15 @@ class ExploiterRow:
     environment: EvolvedIn
     depth: float
     trial: int
-    generation: int
-    """-1 for a champion, like ``identity``."""
+    generation: int  # -1 for a champion, like ``identity``
     identity: int
     predicted: float | None
     true: float | None
     excess: float | None
-    disagreement: float | None
-    """Standard deviation over the members."""
+    disagreement: float | None  # standard deviation over the members
     ranked_by: str
     reason: str | None
-    by_member: tuple[float, ...]
-    """(n_members,) displacement under each member."""
+    by_member: tuple[float, ...]  # (n_members,) displacement under each member
 
 
 @dataclass(frozen=True)
@@ -51,8 +48,7 @@ class Moved:
 
     displacement: float | None
     com: float | None
-    reach: float | None
-    """Displacement of the root minus that of the centre of mass."""
+    reach: float | None  # displacement of the root minus that of the centre of mass
 
 
 @dataclass(frozen=True)
@@ -60,20 +56,13 @@ class ChampionRow:
     """A champion simulated again, where it evolved and in True Slush; lengths in m, None where it diverged."""
 
     trial: int
-    best: bool
-    """Whether it is the best zero-shot, or the best where it evolved if none survives True Slush."""
-    home: Moved
-    """Where it evolved, mean over members."""
-    slush: Moved
-    """In True Slush."""
-    claimed: float | None
-    """Fitness where it evolved."""
-    again: float | None
-    """Mean fitness of its repeats, with attachments shifted by 1e-4."""
-    loss: Estimate
-    """``claimed`` minus ``again``: the winner's luck."""
-    share_below: float | None
-    """Share of repeats with a lower fitness."""
+    best: bool  # whether it is the best zero-shot, or the best where it evolved if none survives True Slush
+    home: Moved  # where it evolved, mean over members
+    slush: Moved  # in True Slush
+    claimed: float | None  # fitness where it evolved
+    again: float | None  # mean fitness of its repeats, with attachments shifted by 1e-4
+    loss: Estimate  # ``claimed`` minus ``again``: the winner's luck
+    share_below: float | None  # share of repeats with a lower fitness
     n_diverged: int
     n_tries: int
 
@@ -83,18 +72,12 @@ class TankRow:
     """A champion in the virtual tank; displacements in m, None where it diverged."""
 
     trial: int
-    proposed: bool
-    """Whether it is proposed for building: the nearest to the champions' mean in True Slush."""
-    zero_shot: float | None
-    """Displacement of its root in True Slush, at its own depth."""
-    dry_land: float | None
-    """Displacement of its root on Dry Land, at its own depth and for as long."""
-    dry_land_com: float | None
-    """Displacement of its centre of mass on Dry Land."""
-    wet: Crossing
-    """In the filled tank."""
-    dry: Crossing
-    """On the floor of the drained tank."""
+    proposed: bool  # whether it is proposed for building: the nearest to the champions' mean in True Slush
+    zero_shot: float | None  # displacement of its root in True Slush, at its own depth
+    dry_land: float | None  # displacement of its root on Dry Land, at its own depth and for as long
+    dry_land_com: float | None  # displacement of its centre of mass on Dry Land
+    wet: Crossing  # in the filled tank
+    dry: Crossing  # on the floor of the drained tank
 
 
 # -- everything else --------------------------------------------------------------------------------------------------
@@ -104,54 +87,40 @@ class TankRow:
 class ThrownPaths:
     """The throws of the data set: paper, Fig. 2."""
 
-    length_scale: Float64
-    """(n_throws,) long axis of the link [m]."""
-    path: Float64
-    """(n_throws, n_steps, 3) x, y [m], angle [rad]."""
-    seconds: float
-    """Duration of each [s]."""
+    length_scale: Float64  # (n_throws,) long axis of the link [m]
+    path: Float64  # (n_throws, n_steps, 3) x, y [m], angle [rad]
+    seconds: float  # duration of each [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Accuracy:
     """Accuracy of the predicted displacement in True Slush: paper, Fig. 3."""
 
-    depth: float
-    """[m]"""
+    depth: float  # [m]
     regressions: Sequence[Regression]
     """For every member ("member 0", ...) and every aggregate ("mean", "mean - 1 sd", "min", ...)."""
-    histograms: Histograms
-    """For the members and their mean."""
+    histograms: Histograms  # for the members and their mean
 
 
 @dataclass(frozen=True)
 class Ancestor:
     """A design in the family of a champion, which includes the champion."""
 
-    identity: int
-    """Running number within the trial."""
-    generation: int
-    """Generation of its birth."""
-    age: int
-    """Age of its genes at birth [generations]."""
-    operator: str
-    """Operator that made it: "random", "mutation" or "crossover"."""
-    parents: tuple[int, ...]
-    """Identities; empty for a random design."""
-    fitness: float
-    """Where it evolved [m]; -inf if it diverged."""
-    n_genes_changed: int | None
-    """Genes that differ from the more similar parent; None for a random design."""
+    identity: int  # running number within the trial
+    generation: int  # generation of its birth
+    age: int  # age of its genes at birth [generations]
+    operator: str  # operator that made it: "random", "mutation" or "crossover"
+    parents: tuple[int, ...]  # identities; empty for a random design
+    fitness: float  # where it evolved [m]; -inf if it diverged
+    n_genes_changed: int | None  # genes that differ from the more similar parent; None for a random design
 
 
 @dataclass(frozen=True)
 class Family:
     """The ancestors of a champion."""
 
-    label: str
-    """The champion, in words."""
-    ancestors: Sequence[Ancestor]
-    """Ordered by identity, the champion last."""
+    label: str  # the champion, in words
+    ancestors: Sequence[Ancestor]  # ordered by identity, the champion last
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,19 +134,14 @@ class Findings:
     attributions: Sequence[Attribution] = ()
     transfer_matrices: Mapping[EvolvedIn, TransferMatrix] = field(default_factory=dict)
     """By where the champions evolved."""
-    exploiters: Sequence[ExploiterRow] = ()
-    """Ordered by rank."""
-    champions: Mapping[str, Sequence[ChampionRow]] = field(default_factory=dict)
-    """By arm, in words."""
-    phantom_thrust: Sequence[Estimate] = ()
-    """One per member [m/s²]."""
+    exploiters: Sequence[ExploiterRow] = ()  # ordered by rank
+    champions: Mapping[str, Sequence[ChampionRow]] = field(default_factory=dict)  # by arm, in words
+    phantom_thrust: Sequence[Estimate] = ()  # one per member [m/s²]
     member_errors: Sequence[MemberError] = ()
     family: Family | None = None
     tank: Tank | None = None
-    tank_tests: Mapping[str, Sequence[TankRow]] = field(default_factory=dict)
-    """By arm, in words."""
-    missing: Mapping[str, str] = field(default_factory=dict)
-    """Reason by field of this class, where a stage gives one."""
+    tank_tests: Mapping[str, Sequence[TankRow]] = field(default_factory=dict)  # by arm, in words
+    missing: Mapping[str, str] = field(default_factory=dict)  # reason by field of this class, where a stage gives one
 
     def why(self, name: str, otherwise: str) -> str:
         """Return the reason why a field is empty."""

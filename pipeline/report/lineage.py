@@ -18,8 +18,7 @@ _OPERATOR_LOOKS = {
 }
 """Marker, colour and label by operator."""
 
-_MOST_MARKERS = 400
-"""Number of ancestors above which only those on the main line have markers."""
+_MOST_MARKERS = 400  # number of ancestors above which only those on the main line have markers
 
 
 def main_line(family: Family) -> list[Ancestor]:

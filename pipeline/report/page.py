@@ -20,11 +20,9 @@ from pipeline.report.transfer_table import transfer_table
 from pipeline.report.wording import absent, folded, number, percent
 from tasks.world import ENVIRONMENTS
 
-_STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"
-"""Nothing is loaded from elsewhere."""
+_STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
 
-_MOST_PIXELS_PER_UNIT = 1.5
-"""Limit on the enlargement of figures; their text is then as large as a heading."""
+_MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text is then as large as a heading
 
 
 def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] | None = None) -> str:

@@ -14,10 +14,8 @@ from pipeline.report.wording import NONE, absent, folded, interval, number, p_va
 from tasks.analysis import Contrast, Crossing, Row, SignificanceTest, Tank
 from tasks.analysis.paper import Verdict, name_of
 
-MOST_EXPLOITERS = 15
-"""Designs listed on the page; the table of the study has all."""
-LINE_ENDS = 12
-"""Ancestors listed from each end of a champion's line."""
+MOST_EXPLOITERS = 15  # designs listed on the page; the table of the study has all
+LINE_ENDS = 12  # ancestors listed from each end of a champion's line
 
 
 # -- against the paper ------------------------------------------------------------------------------------------------

@@ -15,15 +15,12 @@ from tasks.arrays import Float64, Floats
 from tasks.design import N_LINKS, Designs
 from tasks.world import Physics
 
-STEPS_PER_SECOND = 60
-"""Steps per second of a trace with the paper's time step."""
+STEPS_PER_SECOND = 60  # steps per second of a trace with the paper's time step
 STEPS_PER_FRAME = 2
 
-QUANTUM = 1e-3
-"""Step of the encoded coordinates [m and rad]; the page is within half of it of the trace."""
+QUANTUM = 1e-3  # step of the encoded coordinates [m and rad]; the page is within half of it of the trace
 
-MOST_ACCELERATION = 60.0
-"""Acceleration at which arrows stop growing [m/s²]; six times gravity."""
+MOST_ACCELERATION = 60.0  # acceleration at which arrows stop growing [m/s²]; six times gravity
 
 Surroundings = Literal["air", "true slush", "hallucinated slush", "another medium"]
 """What fills the space above the ground and below y = 0."""
@@ -34,10 +31,8 @@ class Overlay:
     """A number for every link and frame, shown as the colour of the link and as a line over time."""
 
     label: str
-    unit: str
-    """Such as "m/s²", or "× usual"."""
-    values: Float64
-    """(n_frames, n_links), not negative; NaN where unknown."""
+    unit: str  # such as "m/s²", or "× usual"
+    values: Float64  # (n_frames, n_links), not negative; NaN where unknown
     darkest_at_least: float = 0.0
     """Lower bound on the value of the darkest colour, so that harmless values never look alarming."""
 
@@ -183,10 +178,8 @@ class EncodedOverlay(TypedDict):
 
     label: str
     unit: str
-    most: float
-    """Value of level 254: the 95th percentile, so that peaks do not make the rest pale."""
-    levels: str
-    """base64 of uint8, (n_frames, n_links): shares of ``most`` in 254ths; 255 where there is no value."""
+    most: float  # value of level 254: the 95th percentile, so that peaks do not make the rest pale
+    levels: str  # base64 of uint8, (n_frames, n_links): shares of ``most`` in 254ths; 255 where there is no value
 
 
 class EncodedReplay(TypedDict):
@@ -203,15 +196,12 @@ class EncodedReplay(TypedDict):
     parent: list[int]
     parentAttachment: list[float]
     quantum: float
-    first: list[int]
-    """n_links × (x, y, angle) of the first frame, in quanta."""
+    first: list[int]  # n_links × (x, y, angle) of the first frame, in quanta
     steps: str
     """base64 of little-endian int16, (n_frames - 1, n_links, 3): change from each frame to the next, in quanta."""
     overlays: list[EncodedOverlay]
-    pushQuantum: float
-    """Step of the push [m/s²]."""
-    push: str
-    """base64 of int8, (n_frames, n_links, 2), in its quanta; empty where it is not known."""
+    pushQuantum: float  # step of the push [m/s²]
+    push: str  # base64 of int8, (n_frames, n_links, 2), in its quanta; empty where it is not known
 
 
 def encode(replay: Replay) -> EncodedReplay:

@@ -21,11 +21,9 @@ from tasks.world import ENVIRONMENTS
 
 SKY, SLUSH, GROUND_FILL, GROUND_EDGE, SURFACE = "#f5f8fb", "#bcd9ee", "#8b7d6b", "#5f5446", "#5d9fcd"
 DISTANCE_LINE, UNKNOWN, WHITE = "#d5dde5", "#566270", "#ffffff"
-SLUSH_OVER_ROBOT = 0.45
-"""Opacity of the slush in front of a submerged robot."""
+SLUSH_OVER_ROBOT = 0.45  # opacity of the slush in front of a submerged robot
 
-_EDGE = 1.75 * ZOOM
-"""Width of a link's edge as drawn [pixel]."""
+_EDGE = 1.75 * ZOOM  # width of a link's edge as drawn [pixel]
 
 Rgb = tuple[int, int, int]
 

@@ -5,8 +5,7 @@ from html import escape
 
 from tasks.analysis import Estimate
 
-NONE = "–"
-"""Stands where there is no number."""
+NONE = "–"  # stands where there is no number
 
 
 def signed(form: str, value: float) -> str:

@@ -11,8 +11,7 @@ from tasks.fabrication.calibration import ServoCalibration
 
 _STEPS_PER_US = 4  # a Maestro resolves a quarter of a microsecond
 
-LONGEST_STEP = 0.04
-"""Longest time since the last command that a servo may move for [s]: two frames."""
+LONGEST_STEP = 0.04  # longest time since the last command that a servo may move for [s]: two frames
 
 
 def clamp(wanted_us: float, last_us: float | None, elapsed: float, servo: ServoCalibration) -> float:

@@ -14,30 +14,23 @@ from pipeline.store import disk
 from pipeline.store.encoding import encode_table
 from pipeline.store.tables import columns_of
 
-JOURNAL = ".journal"
-"""Suffix of the file that holds the rows until the log is closed."""
+JOURNAL = ".journal"  # suffix of the file that holds the rows until the log is closed
 
 
 @dataclass(frozen=True)
 class LogEntry:
     """A command to one servo, a reading of one, or an event of the whole run."""
 
-    time: float
-    """Time since the run began, by the host's monotonic clock [s]."""
+    time: float  # time since the run began, by the host's monotonic clock [s]
     event: str = ""
     """Empty for a pulse; "at most N µs/s", "position", "off" or "home"; or how the run began or ended, in words."""
-    frame: int = -1
-    """Frame of the timeline; -1 outside it."""
-    channel: int = -1
-    """Channel; -1 for the whole run."""
-    wanted: float | None = None
-    """Pulse that the timeline asked for [µs]."""
-    sent: float | None = None
-    """Pulse that was sent [µs]; 0 is off."""
+    frame: int = -1  # frame of the timeline; -1 outside it
+    channel: int = -1  # channel; -1 for the whole run
+    wanted: float | None = None  # pulse that the timeline asked for [µs]
+    sent: float | None = None  # pulse that was sent [µs]; 0 is off
     position: float | None = None
     """Pulse that the controller reported [µs]; 0 is off. Only in "position" rows."""
-    lateness: float | None = None
-    """Delay of the command behind the timeline [s]."""
+    lateness: float | None = None  # delay of the command behind the timeline [s]
 
 
 class ServoLog:

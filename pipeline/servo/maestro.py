@@ -41,8 +41,7 @@ _ERRORS_BY_BIT = (
 )
 
 VENDOR_ID = 0x1FFB
-PRODUCT_IDS = (0x0089, 0x008A, 0x008B, 0x008C)
-"""USB product IDs of the Maestros with 6, 12, 18 and 24 channels."""
+PRODUCT_IDS = (0x0089, 0x008A, 0x008B, 0x008C)  # USB product IDs of the Maestros with 6, 12, 18 and 24 channels
 
 
 def two_bytes(value: int) -> bytes:

@@ -28,21 +28,16 @@ _FRAMES_PER_UPDATE = 5  # the live line is rewritten ten times a second
 class PlayOptions:
     """Options of a run."""
 
-    timeline: Path
-    """A timeline, or the folder of a kit."""
-    calibration: Path | None = None
-    """Calibration file; None takes calibration.yaml beside the timeline."""
+    timeline: Path  # A timeline, or the folder of a kit
+    calibration: Path | None = None  # calibration file; None takes calibration.yaml beside the timeline
     port: str | None = None
     dry_run: bool = False
-    duration: float | None = None
-    """Time after which to stop [s], more than 0; None plays to the end."""
+    duration: float | None = None  # time after which to stop [s], more than 0; None plays to the end
     loop: bool = False
-    log: Path | None = None
-    """Log file; None puts drive-DATE-TIME.parquet beside the timeline."""
+    log: Path | None = None  # log file; None puts drive-DATE-TIME.parquet beside the timeline
     baud: int = 115200
     baud_detection: bool = False
-    timeout: float = 0.1
-    """Longest wait for an answer of the controller [s]."""
+    timeout: float = 0.1  # longest wait for an answer of the controller [s]
 
 
 def port_lines() -> list[str]:

@@ -24,8 +24,7 @@ from tasks.fabrication.timeline import FRAME_RATE_HZ
 
 _FRAME = 1 / FRAME_RATE_HZ
 
-MAX_LATENESS = 0.25
-"""Longest delay after which a run goes on [s]; the Maestro's own time-out should be twice as long."""
+MAX_LATENESS = 0.25  # longest delay after which a run goes on [s]; the Maestro's own time-out should be twice as long
 
 NEUTRAL_HOLD = 1.0
 """Time at neutral before the timeline begins [s], because the initial position of the horns is unknown."""
@@ -81,12 +80,9 @@ def stopped_by_signals() -> Iterator[StopRequest]:
 class PlayState:
     """State of a run after a frame, for display."""
 
-    time: float
-    """Time since the timeline began [s]."""
-    angles: Mapping[int, float]
-    """Angle that was sent to each channel [rad]."""
-    lateness: float
-    """Delay of the frame [s]."""
+    time: float  # time since the timeline began [s]
+    angles: Mapping[int, float]  # angle that was sent to each channel [rad]
+    lateness: float  # delay of the frame [s]
 
 
 @dataclass
@@ -100,8 +96,7 @@ class Player:
     clock: Clock = field(default_factory=Clock)
     show: Callable[[PlayState], None] = lambda state: None
     worst_lateness: float = 0.0
-    outcome: str = "never moved"
-    """How the run left the servos, in words."""
+    outcome: str = "never moved"  # how the run left the servos, in words
 
     def __post_init__(self) -> None:
         self._shutting_down = False

@@ -122,8 +122,7 @@ _COMPUTE: Mapping[type[AnalysisSpec], Callable[[Job[Any], Inputs], tuple[Tables,
     TankSpec: tank_tests.compute,
 }
 
-_NOT_AS_CSV = ("links", "histograms")
-"""Tables that are too long to read."""
+_NOT_AS_CSV = ("links", "histograms")  # tables that are too long to read
 
 
 def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:

@@ -26,14 +26,12 @@ from tasks.world import EnvironmentName
 
 PREDICTIONS = "predictions.parquet"
 
-ASSESSED = "assessed"
-"""Role of the inputs of later stages that are a trial's predictions."""
+ASSESSED = "assessed"  # role of the inputs of later stages that are a trial's predictions
 
 ASSESSED_ENVIRONMENTS: tuple[EnvironmentName, ...] = ("true_slush", "dry_land")
 """Environments whose trials designs are drawn from: as in the paper, those that do not depend on the networks."""
 
-_SEGMENT = "segment"
-"""Role of the inputs that are a trial's histories."""
+_SEGMENT = "segment"  # role of the inputs that are a trial's histories
 
 _UNITS = {
     "environment": "where the design evolved",

@@ -17,8 +17,7 @@ from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_stat
 from tasks.seeding import generator
 from tasks.world import Physics
 
-THROWN = "throws"
-"""Role of the inputs that are chunks of the data set."""
+THROWN = "throws"  # role of the inputs that are chunks of the data set
 
 TRANSITIONS = "transitions.parquet"
 
@@ -39,8 +38,7 @@ _UNITS = {
 class ChunkId:
     """A chunk of the data set."""
 
-    first: int
-    """Number of its first throw."""
+    first: int  # number of its first throw
 
     @property
     def label(self) -> str:

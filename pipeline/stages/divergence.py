@@ -14,8 +14,7 @@ from pipeline.store.tables import Columns
 from tasks.arrays import Bools
 from tasks.evolution import OPERATORS
 
-NO_CHAMPION = "no champion: every design of the trial diverged"
-"""Status of a trial without survivors."""
+NO_CHAMPION = "no champion: every design of the trial diverged"  # status of a trial without survivors
 
 
 def in_trial(curve: Columns) -> str | None:

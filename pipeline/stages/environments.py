@@ -19,11 +19,9 @@ from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentNa
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 
-MEMBER = "member"
-"""Role of the inputs that are trained networks."""
+MEMBER = "member"  # role of the inputs that are trained networks
 
-_FLOPS_OF_PHYSICS = 8e3
-"""Approximate cost of one link's Box2D step, to weigh networks against."""
+_FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
 
 
 @dataclass(frozen=True)
@@ -38,8 +36,7 @@ class MemberId:
         return f"member-{self.index:02d}"
 
 
-Media = Mapping[str, Parameters]
-"""Settings of the environments' media, by group."""
+Media = Mapping[str, Parameters]  # settings of the environments' media, by group
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from pipeline.workflow.identity import Arm, ChainId, trials_of
 from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, TrialSummary, Upstream
 from tasks.evolution import OPERATORS
 
-_DIVERGED = "n_designs_diverged"
-"""MLflow metric: designs of a trial that diverged, over all its generations."""
+_DIVERGED = "n_designs_diverged"  # MLflow metric: designs of a trial that diverged, over all its generations
 
 
 def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:

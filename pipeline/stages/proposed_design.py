@@ -19,14 +19,11 @@ from pipeline.workflow.stage import Files, Inputs
 from tasks.simulation import OK, simulate
 from tasks.world import ENVIRONMENTS, DryLand
 
-ANALYSED = "analysed"
-"""Role of the inputs that are the tables of an analysis."""
+ANALYSED = "analysed"  # role of the inputs that are the tables of an analysis
 
-PROPOSED = "proposed-"
-"""Prefix of the design files of proposed champions."""
+PROPOSED = "proposed-"  # prefix of the design files of proposed champions
 
-_MOST_SECONDS_IN_TANK = 60.0
-"""Limit on the films of the tank: a minute of a robot that does not move is enough [s]."""
+_MOST_SECONDS_IN_TANK = 60.0  # limit on the films of the tank: a minute of a robot that does not move is enough [s]
 
 
 def proposed(settings: Settings, inputs: Inputs) -> list[TrialId]:

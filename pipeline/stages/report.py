@@ -45,8 +45,7 @@ from tasks.evolution import OPERATORS
 from tasks.residual.error_report import ErrorRow
 from tasks.world import ENVIRONMENTS
 
-PAGE = "index.html"
-"""The page's file."""
+PAGE = "index.html"  # the page's file
 
 TOGETHER = "replay"
 """File name without suffix of the film of two robots: the best with residuals above the best without."""
@@ -54,8 +53,7 @@ TOGETHER = "replay"
 TRAINED, EVOLUTION, ADAPTATION = "trained", "evolution", "adaptation"
 """Roles of the inputs that are members' errors, curves of trials, and curves of their adaptations."""
 
-PICTURES_OF_PAGE = 4000
-"""Approximate cost of the page, as pictures of a film."""
+PICTURES_OF_PAGE = 4000  # approximate cost of the page, as pictures of a film
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,7 @@ class PageItemSpec:
     page: PageSpec
     failed: tuple[str, ...]
     not_possible: tuple[str, ...]
-    digests: tuple[tuple[str, str, str], ...]
-    """Stage, label and digest of every chain that is done."""
+    digests: tuple[tuple[str, str, str], ...]  # stage, label and digest of every chain that is done
     made_with: Mapping[str, str]
 
 

@@ -45,8 +45,7 @@ from tasks.design import Designs
 from tasks.design.genes import GENES
 from tasks.evolution import OPERATORS
 
-HISTORIES = "history"
-"""Role of the inputs that are segments of the trial whose champion's family is shown."""
+HISTORIES = "history"  # role of the inputs that are segments of the trial whose champion's family is shown
 
 
 def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Findings:

@@ -24,11 +24,9 @@ from tasks.world import Environment, EnvironmentName
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
 
-BEFORE = InputName("before")
-"""The segment before."""
+BEFORE = InputName("before")  # the segment before
 
-CHAMPION_OF = InputName("champion-of")
-"""The last segment of the trial whose champion's body is frozen."""
+CHAMPION_OF = InputName("champion-of")  # the last segment of the trial whose champion's body is frozen
 
 
 @dataclass(frozen=True)
@@ -42,8 +40,7 @@ class TrialSpec:
     simulation: SimulationSpec
     afpo: Afpo
     morphology: Morphology
-    disagreement_penalty: float
-    """Weight of the members' disagreement in the fitness; 0 without networks."""
+    disagreement_penalty: float  # weight of the members' disagreement in the fitness; 0 without networks
 
     def at_home(self, inputs: Inputs) -> Environment:
         """Build the environment where designs are simulated."""

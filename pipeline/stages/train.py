@@ -27,8 +27,7 @@ from pipeline.workflow.stage import (
 )
 from tasks.residual import STATE, Architecture, ErrorRow, Training
 
-MEMBER_ERRORS = "errors.parquet"
-"""File of a member's errors on the throws held out."""
+MEMBER_ERRORS = "errors.parquet"  # file of a member's errors on the throws held out
 
 _LEARNING = "learning.parquet"
 
@@ -53,8 +52,7 @@ class MemberSpec:
     member: int
     seed: int
     network: Architecture
-    training: Training
-    """It names the device: a GPU gives other low bits, so other networks."""
+    training: Training  # it names the device: a GPU gives other low bits, so other networks
 
 
 def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:

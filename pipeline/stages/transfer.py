@@ -33,14 +33,11 @@ from pipeline.workflow.stage import (
 )
 from tasks.design import Designs
 
-SCORED = "scored"
-"""Role of the inputs of later stages that are a trial's scores and champion."""
+SCORED = "scored"  # role of the inputs of later stages that are a trial's scores and champion
 
-_ADAPTED_TO = InputName("adapted")
-"""The last segment of the adaptation."""
+_ADAPTED_TO = InputName("adapted")  # the last segment of the adaptation
 
-_SCORING_UNITS = 2 / 64
-"""Cost of scoring a champion before and after: two rollouts, of about 64 in a generation."""
+_SCORING_UNITS = 2 / 64  # cost of scoring a champion before and after: two rollouts, of about 64 in a generation
 
 _ADAPTED_DIVERGED = "adapted_n_designs_diverged"
 """MLflow metric: designs of an adaptation that diverged, over all its generations."""
@@ -55,8 +52,7 @@ class ScoreSpec:
     trial: TrialSpec
 
 
-TransferSpec = SegmentSpec | ScoreSpec
-"""A segment of an adaptation, or the scoring at its end."""
+TransferSpec = SegmentSpec | ScoreSpec  # A segment of an adaptation, or the scoring at its end
 
 
 def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:

@@ -19,8 +19,7 @@ from typing import BinaryIO
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.encoding import digest
 
-MAX_DOCUMENT_BYTES = 2**26
-"""Largest JSON document [bytes]: the record of a study of half a million work items."""
+MAX_DOCUMENT_BYTES = 2**26  # largest JSON document [bytes]: the record of a study of half a million work items
 
 _HASH_BUFFER_BYTES = 2**20
 _OWN = os.O_NOFOLLOW | os.O_CLOEXEC

@@ -30,8 +30,7 @@ Array: TypeAlias = npt.NDArray[Any]
 
 METADATA_KEY = "puddle"
 
-MAX_TABLE_BYTES = 2**31
-"""Largest table in memory [bytes]; a work item produces megabytes."""
+MAX_TABLE_BYTES = 2**31  # largest table in memory [bytes]; a work item produces megabytes
 
 _INTEGERS = tuple(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 _NUMBERS = frozenset(("bool", *_INTEGERS, "float32", "float64"))

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-SECONDS_OF_SILENCE = 2.0
-"""Time that the end may wait before it tells the user what for [s]."""
+SECONDS_OF_SILENCE = 2.0  # time that the end may wait before it tells the user what for [s]
 
 
 class Background:

@@ -19,17 +19,13 @@ from pipeline.workflow.identity import InputName, to_json
 from pipeline.workflow.progress import Bar
 from pipeline.workflow.stage import Files, Input, Inputs, Item, Job
 
-N_ATTEMPTS = 2
-"""Attempts at an item by itself before it counts as failed."""
+N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
 
-QUEUED_PER_CORE = 2
-"""Batches submitted to the cluster per core, so that no core waits for this process."""
+QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no core waits for this process
 
-_SECONDS_BETWEEN_CHECKS = 5.0
-"""How often this process looks for hanging items and for the number of cores."""
+_SECONDS_BETWEEN_CHECKS = 5.0  # how often this process looks for hanging items and for the number of cores
 
-_CHECKS_WITHOUT_CORES = 3
-"""Consecutive checks after which this process reports that the cluster has no cores."""
+_CHECKS_WITHOUT_CORES = 3  # consecutive checks after which this process reports that the cluster has no cores
 
 
 @dataclass(frozen=True)
@@ -40,15 +36,12 @@ class Limits:
     waiting for one that does not.
     """
 
-    factor: float = 20.0
-    """Times the slowest item of the stage so far, by weighted units."""
-    least_seconds: float = 600.0
-    """What any item may take, however fast the others were."""
+    factor: float = 20.0  # times the slowest item of the stage so far, by weighted units
+    least_seconds: float = 600.0  # what any item may take, however fast the others were
     unknown_seconds_per_unit: float = 60.0
     """Limit for a weighted unit while no item of the stage is known to have ended. The longest item, a training of the
     paper's network on one core, takes seconds per unit and days in all; this allows a month."""
-    unknown_least_seconds: float = 86_400.0
-    """What any item may take in that case: some units are whole analyses."""
+    unknown_least_seconds: float = 86_400.0  # what any item may take in that case: some units are whole analyses
 
     def seconds(self, cost: float, slowest: float) -> tuple[float, str]:
         """Return the limit [s] of a batch that costs ``cost`` weighted units, and the reason for it.

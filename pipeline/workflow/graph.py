@@ -25,10 +25,8 @@ class ChainProgress:
 
     chain: Chain[Any]
     manifests: list[Manifest] = field(default_factory=list)
-    n_failures: int = 0
-    """Consecutive failures of the next item, computed by itself."""
-    failed: str | None = None
-    """Why the chain can't go on, if it can't."""
+    n_failures: int = 0  # consecutive failures of the next item, computed by itself
+    failed: str | None = None  # why the chain can't go on, if it can't
     alone: bool = False
     """Whether the next item has failed: it is tried again by itself, so that no other item fails with it."""
     slowest: float = 0.0
@@ -79,8 +77,7 @@ class StageRun:
     settings: Settings
     upstream: Upstream
     store: Store
-    say: Callable[[str], None]
-    """Shows a line to the user, such as that an item is damaged."""
+    say: Callable[[str], None]  # shows a line to the user, such as that an item is damaged
 
     def chains(self) -> list[ChainProgress]:
         """Plan the stage's chains and advance each as far as the store has its items."""

@@ -34,8 +34,7 @@ class Arm:
     """An environment at one depth: all its trials are samples of one distribution."""
 
     environment: EnvironmentName
-    depth: float
-    """[m]"""
+    depth: float  # [m]
 
     @property
     def label(self) -> str:
@@ -48,10 +47,8 @@ class TrialId:
     """A trial of a stage."""
 
     stage: str
-    environment: EnvironmentName
-    """Where its designs evolved."""
-    depth: float
-    """[m]"""
+    environment: EnvironmentName  # where its designs evolved
+    depth: float  # [m]
     index: int
 
     @property
@@ -96,12 +93,9 @@ def deepest_first(trials: Sequence[TrialId]) -> dict[Arm, list[TrialId]]:
 class InputName:
     """The part that an input plays for its item."""
 
-    role: str
-    """Such as "member" or "before"."""
-    chain: ChainId | None = None
-    """The chain that it comes from, where several play the role."""
-    index: int = 0
-    """Number of the item in that chain, where several play the role."""
+    role: str  # such as "member" or "before"
+    chain: ChainId | None = None  # the chain that it comes from, where several play the role
+    index: int = 0  # number of the item in that chain, where several play the role
 
     @property
     def label(self) -> str:

@@ -19,23 +19,19 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-SECONDS_BETWEEN_LINES = 10.0
-"""Least time between two lines where there is no terminal [s]."""
+SECONDS_BETWEEN_LINES = 10.0  # least time between two lines where there is no terminal [s]
 
 _BAR_FPS, _BAR_WIDTH = 4.0, 30
 
-_ROUNDING = 1e-9
-"""Relative error of a sum of costs."""
+_ROUNDING = 1e-9  # relative error of a sum of costs
 
 
 @dataclass(frozen=True)
 class Work:
     """An amount of work."""
 
-    units: float = 0.0
-    """Number of units, such as generations."""
-    cost: float = 0.0
-    """Cost, in units of average cost."""
+    units: float = 0.0  # number of units, such as generations
+    cost: float = 0.0  # cost, in units of average cost
 
     def __add__(self, other: Work) -> Work:
         return Work(self.units + other.units, self.cost + other.cost)
@@ -82,8 +78,7 @@ class Pace:
     name: str
     unit: str
     total: Work
-    found: Work
-    """Work done before the stage started."""
+    found: Work  # work done before the stage started
     clock: Callable[[], float] = time.monotonic
     done: Work = field(init=False)
     start: float = field(init=False)

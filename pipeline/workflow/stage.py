@@ -24,14 +24,11 @@ from tasks.arrays import Float64
 ChainSpecT = TypeVar("ChainSpecT")
 ItemSpecT = TypeVar("ItemSpecT")
 
-Files = Mapping[str, bytes]
-"""An item's results: contents by file name."""
+Files = Mapping[str, bytes]  # an item's results: contents by file name
 
-Inputs = Mapping[InputName, Files]
-"""Contents of an item's inputs, in the order in which the item lists them."""
+Inputs = Mapping[InputName, Files]  # contents of an item's inputs, in the order in which the item lists them
 
-NOT_POSSIBLE = "not possible: "
-"""How the reason begins where a chain was never tried because one of its inputs failed."""
+NOT_POSSIBLE = "not possible: "  # how the reason begins where a chain was never tried because one of its inputs failed
 
 
 class MissingInputs(PuddleError):  # noqa: N818 (a state, not a fault)
@@ -53,16 +50,12 @@ class Chain(Generic[ChainSpecT]):
     """Items that follow one another."""
 
     identity: ChainId
-    units: tuple[float, ...]
-    """Size of each item, in the stage's unit."""
-    spec: ChainSpecT
-    """What all its items have in common: each item's specification is this one, or has it as a field."""
-    weight: float = 1.0
-    """Cost of a unit relative to the stage's other chains, for the order of work and the time left."""
+    units: tuple[float, ...]  # size of each item, in the stage's unit
+    spec: ChainSpecT  # what all its items have in common: each item's specification is this one, or has it as a field
+    weight: float = 1.0  # cost of a unit relative to the stage's other chains, for the order of work and the time left
     batch_key: Arm | None = None
     """Items of chains with the same key may be computed as one batch if they are equally far and equally long."""
-    batch_size: int = 1
-    """Chains that make the fastest batch."""
+    batch_size: int = 1  # chains that make the fastest batch
 
     @property
     def label(self) -> str:
@@ -87,8 +80,7 @@ class Input:
 class Job(Generic[ItemSpecT]):
     """What a worker receives of an item, besides its inputs."""
 
-    key: str
-    """The item's key, which its tables name as their producer."""
+    key: str  # the item's key, which its tables name as their producer
     spec: ItemSpecT
     execution: Execution
 
@@ -100,8 +92,7 @@ class Item(Generic[ItemSpecT]):
     stage: str
     version: int
     label: str
-    spec: ItemSpecT
-    """Everything that changes the result, besides inputs: settings, seed, trial."""
+    spec: ItemSpecT  # everything that changes the result, besides inputs: settings, seed, trial
     inputs: Mapping[InputName, Input]
     execution: Execution = Execution()
 
@@ -127,16 +118,11 @@ class Results:
     """What the store holds of a stage for one study, by chain."""
 
     stage: str
-    done: Mapping[ChainId, tuple[Manifest, ...]]
-    """Manifests of every complete chain, in the order of the plan."""
-    failed: Mapping[ChainId, str] = field(default_factory=dict)
-    """Reasons of the chains that failed."""
-    unfinished: tuple[ChainId, ...] = ()
-    """Chains that have items still to do."""
-    n_done: Mapping[ChainId, int] = field(default_factory=dict)
-    """Number of items done of every chain."""
-    seconds: float = 0.0
-    """Core-seconds that the items took, on the machines that made them."""
+    done: Mapping[ChainId, tuple[Manifest, ...]]  # manifests of every complete chain, in the order of the plan
+    failed: Mapping[ChainId, str] = field(default_factory=dict)  # reasons of the chains that failed
+    unfinished: tuple[ChainId, ...] = ()  # chains that have items still to do
+    n_done: Mapping[ChainId, int] = field(default_factory=dict)  # number of items done of every chain
+    seconds: float = 0.0  # core-seconds that the items took, on the machines that made them
     diverged: Mapping[ChainId, str] = field(default_factory=dict)
     """What diverged in complete chains; the driver fills it in."""
 
@@ -151,8 +137,7 @@ class Results:
         return self.done[identity]
 
 
-Upstream = Mapping[str, Results]
-"""Results of earlier stages, by stage name."""
+Upstream = Mapping[str, Results]  # results of earlier stages, by stage name
 
 
 @dataclass(frozen=True)
@@ -162,22 +147,18 @@ class TrialSummary:
     chain: ChainId
     params: Mapping[str, str | int | float]
     metrics: Mapping[str, float]
-    curves: Mapping[str, Float64]
-    """Metrics by generation."""
-    steps: Sequence[int] | None = None
-    """Generations of the curves' points; None for 0, 1, 2 …"""
+    curves: Mapping[str, Float64]  # metrics by generation
+    steps: Sequence[int] | None = None  # generations of the curves' points; None for 0, 1, 2 …
 
 
 @dataclass(frozen=True)
 class Summary:
     """A stage's results in short."""
 
-    lines: Sequence[str]
-    """Lines for the terminal."""
+    lines: Sequence[str]  # lines for the terminal
     metrics: Mapping[str, float] = field(default_factory=dict)
     trials: Sequence[TrialSummary] = ()
-    artifacts: Mapping[str, bytes] = field(default_factory=dict)
-    """Files that a person may want to open, by path."""
+    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files that a person may want to open, by path
     of_study: bool = False
     """Whether the study as a whole shows these metrics and artifacts too, so that studies can be compared by them."""
 
@@ -187,12 +168,9 @@ class Stage(Generic[ChainSpecT, ItemSpecT]):
     """All work of one kind."""
 
     name: str
-    version: int
-    """Raised when the same specification would give other results than before."""
-    unit: str
-    """Unit of work, in the plural."""
-    reads: Callable[[Settings], tuple[str, ...]]
-    """Names of the stages whose results it needs under these settings."""
+    version: int  # raised when the same specification would give other results than before
+    unit: str  # unit of work, in the plural
+    reads: Callable[[Settings], tuple[str, ...]]  # names of the stages whose results it needs under these settings
     plan: Callable[[Settings], Sequence[Chain[ChainSpecT]]]
     item: Callable[[Settings, Chain[ChainSpecT], int, Manifest | None, Upstream], Item[ItemSpecT]]
     """Specify item i of a chain from the item before it (None at the chain's start) and the stages it reads."""

@@ -29,30 +29,21 @@ class Attribution:
     """The transfer gap of one arm at one depth: means over trials [m], and shares."""
 
     evolved_in: EvolvedIn
-    depth: float
-    """[m]"""
-    n: int
-    """Trials with a finite zero-shot and adapted displacement, from which the split is computed."""
-    n_best: int
-    """Trials in True Slush."""
+    depth: float  # [m]
+    n: int  # trials with a finite zero-shot and adapted displacement, from which the split is computed
+    n_best: int  # trials in True Slush
     predicted: Estimate
     zero_shot: Estimate
     adapted: Estimate
     best: Estimate
-    hallucinated: Estimate
-    """predicted - zero_shot: displacement that exists only where the champion evolved."""
-    gap: Estimate
-    """best - zero_shot."""
+    hallucinated: Estimate  # predicted - zero_shot: displacement that exists only where the champion evolved
+    gap: Estimate  # best - zero_shot
     lost_to_controller: Estimate
     lost_to_body: Estimate
-    controller_share: Estimate
-    """lost_to_controller / gap."""
-    body_share: Estimate
-    """lost_to_body / gap."""
-    recovered_zero_shot: Estimate
-    """zero_shot / best: the paper's 67 %."""
-    recovered_adapted: Estimate
-    """adapted / best: the paper's 87 %."""
+    controller_share: Estimate  # lost_to_controller / gap
+    body_share: Estimate  # lost_to_body / gap
+    recovered_zero_shot: Estimate  # zero_shot / best: the paper's 67 %
+    recovered_adapted: Estimate  # adapted / best: the paper's 87 %
     recovered_of_dry_land: Estimate
     """(zero_shot - Dry Land's) / (best - Dry Land's): share of Dry Land's gap that this arm closes."""
 
@@ -132,16 +123,11 @@ def _undone(arm: EvolvedIn, zero_shot: Float64, best: Float64, dry_land: Float64
 class TransferMatrix:
     """Displacement of champions by the depth where they evolved (rows) and the depth of the test (columns)."""
 
-    trained: Float64
-    """(n_trained,) depths [m]."""
-    tested: Float64
-    """(n_tested,) depths [m]."""
-    mean: Float64
-    """(n_trained, n_tested) displacement [m]; NaN where n is 0."""
-    sd: Float64
-    """(n_trained, n_tested) sample deviation [m]; NaN where n is below 2."""
-    n: Int64
-    """(n_trained, n_tested) number of champions with a finite displacement."""
+    trained: Float64  # (n_trained,) depths [m]
+    tested: Float64  # (n_tested,) depths [m]
+    mean: Float64  # (n_trained, n_tested) displacement [m]; NaN where n is 0
+    sd: Float64  # (n_trained, n_tested) sample deviation [m]; NaN where n is below 2
+    n: Int64  # (n_trained, n_tested) number of champions with a finite displacement
     relative: Float64
     """(n_trained, n_tested) mean / mean of the champions that evolved at the tested depth; NaN where these do not exist
     or do not advance."""

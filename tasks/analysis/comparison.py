@@ -20,8 +20,7 @@ from tasks.analysis.scores import EvolvedIn, Quantity, Scores
 from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
 from tasks.arrays import Float64, Floats
 
-_MAX_EXACT = 20
-"""Largest number of values in both groups for which Mann-Whitney's p is exact, unless values are tied."""
+_MAX_EXACT = 20  # largest number of values in both groups for which Mann-Whitney's p is exact, unless values are tied
 
 
 @dataclass(frozen=True)
@@ -39,10 +38,8 @@ class Group:
 
     n: int
     n_left_out: int
-    mean: Estimate
-    """Mean with Student's t interval [m]."""
-    sd: float | None
-    """Sample deviation [m]; None for fewer than two values."""
+    mean: Estimate  # mean with Student's t interval [m]
+    sd: float | None  # sample deviation [m]; None for fewer than two values
 
 
 @dataclass(frozen=True)
@@ -54,10 +51,8 @@ class Comparison:
     student: SignificanceTest
     welch: SignificanceTest
     mann_whitney: SignificanceTest
-    hedges_g: Estimate
-    """(mean a - mean b) / pooled deviation, corrected for small samples."""
-    ratio: Estimate
-    """mean a / mean b."""
+    hedges_g: Estimate  # (mean a - mean b) / pooled deviation, corrected for small samples
+    ratio: Estimate  # mean a / mean b
 
 
 def group(values: Floats) -> Group:
@@ -192,11 +187,9 @@ def holm(p: Sequence[float | None]) -> list[float | None]:
     return corrected
 
 
-ScoredArm = tuple[EvolvedIn, Quantity]
-"""Champions of one environment, zero-shot or adapted."""
+ScoredArm = tuple[EvolvedIn, Quantity]  # champions of one environment, zero-shot or adapted
 
-BEST: ScoredArm = ("true_slush", "zero_shot")
-"""Designs that evolved in True Slush, E: the paper's upper bound."""
+BEST: ScoredArm = ("true_slush", "zero_shot")  # designs that evolved in True Slush, E: the paper's upper bound
 
 CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
     (("dry_land", "zero_shot"), BEST),
@@ -220,8 +213,7 @@ class Contrast:
 
     a: ScoredArm
     b: ScoredArm
-    depth: float
-    """[m]"""
+    depth: float  # [m]
     comparison: Comparison = field(metadata={"prefix": False})
     student_holm: float | None
     """p of Student's t, corrected over the depths of this contrast; the other two tests likewise."""

@@ -99,15 +99,12 @@ class Disagreement:
 
     deviation: Float32
     """(n_designs, n_steps, n_links, 3) standard deviation over members of each acceleration [m/s², m/s², rad/s²]."""
-    magnitude: Float32
-    """(n_designs, n_steps, n_links) the deviation as one number, by :func:`size` [m/s²]."""
+    magnitude: Float32  # (n_designs, n_steps, n_links) the deviation as one number, by :func:`size` [m/s²]
     departure: Float32
     """(n_members, n_designs, n_steps, n_links) a member's distance from the members' median, by :func:`size` [m/s²]. Of
     three or more members, one that alone is wrong departs alone; two always depart alike."""
-    thrust: Float32
-    """(n_members, n_designs, n_steps, n_links) the departure along x [m/s²]; positive pushes forwards."""
-    reason: str | None
-    """Why all is NaN, if so."""
+    thrust: Float32  # (n_members, n_designs, n_steps, n_links) the departure along x [m/s²]; positive pushes forwards
+    reason: str | None  # why all is NaN, if so
 
     def by_design(self) -> Float64:
         """Return the mean magnitude over each rollout: (n_designs,) [m/s²]; NaN where no state is finite."""
@@ -163,21 +160,14 @@ def disagreement(designs: Designs, trace: Floats, ensemble: EnsembleMedium, phys
 class Exploiter:
     """A design in the ranking of exploiters."""
 
-    rank: int
-    """Rank from 1; tied designs share the best of their ranks."""
-    design: int
-    """Index of the design."""
-    predicted: float | None
-    """Displacement where it evolved [m]; None where diverged."""
-    true: float | None
-    """Displacement in True Slush [m]; None where unknown or diverged."""
-    excess: float | None
-    """predicted - true: the hallucinated displacement [m]."""
-    disagreement: float | None
-    """Disagreement of the members, in the unit of the argument; None where unknown."""
+    rank: int  # rank from 1; tied designs share the best of their ranks
+    design: int  # index of the design
+    predicted: float | None  # displacement where it evolved [m]; None where diverged
+    true: float | None  # displacement in True Slush [m]; None where unknown or diverged
+    excess: float | None  # predicted - true: the hallucinated displacement [m]
+    disagreement: float | None  # disagreement of the members, in the unit of the argument; None where unknown
     ranked_by: Literal["excess", "disagreement", "nothing"]
-    reason: str | None
-    """Why the excess, or every figure, is missing."""
+    reason: str | None  # why the excess, or every figure, is missing
 
 
 def rank_exploiters(

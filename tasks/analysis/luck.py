@@ -15,24 +15,19 @@ from tasks.analysis.uncertainty import Estimate, mean
 from tasks.arrays import Float64, Floats, Int64
 from tasks.design import Designs, concatenate
 
-_JITTER = 1e-4
-"""Change of each attachment [half heights]: at most 0.01 mm if a metre is built as 70 mm."""
+_JITTER = 1e-4  # change of each attachment [half heights]: at most 0.01 mm if a metre is built as 70 mm
 
 
 @dataclass(frozen=True, eq=False)
 class Luck:
     """Scores of designs in repeated tries with jittered attachments; diverged tries are left out and counted."""
 
-    claimed: Float64
-    """(n_designs,) score as evolved [m]; not finite where diverged."""
-    again: Float64
-    """(n_designs, n_tries) score with jittered attachments [m]; not finite where diverged."""
-    n_diverged: Int64
-    """(n_designs,) tries that diverged."""
+    claimed: Float64  # (n_designs,) score as evolved [m]; not finite where diverged
+    again: Float64  # (n_designs, n_tries) score with jittered attachments [m]; not finite where diverged
+    n_diverged: Int64  # (n_designs,) tries that diverged
     loss: tuple[Estimate, ...]
     """For each design, claimed - mean of the tries [m]; positive if copies do worse than the champion."""
-    share_below: Float64
-    """(n_designs,) share of the tries that scored below the claim; NaN where the loss has no value."""
+    share_below: Float64  # (n_designs,) share of the tries that scored below the claim; NaN where the loss has no value
 
 
 def jittered(designs: Designs, rng: Generator, *, jitter: float = _JITTER) -> Designs:
@@ -85,12 +80,9 @@ def luck(
 class Reach:
     """Displacement of the root without displacement of the robot."""
 
-    displacement: Float64
-    """(n_designs,) displacement of the root [m]."""
-    com_displacement: Float64
-    """(n_designs,) displacement of the whole robot's centre of mass [m]."""
-    reach: Float64
-    """(n_designs,) difference, gained by stretching towards +x [m]; NaN where diverged."""
+    displacement: Float64  # (n_designs,) displacement of the root [m]
+    com_displacement: Float64  # (n_designs,) displacement of the whole robot's centre of mass [m]
+    reach: Float64  # (n_designs,) difference, gained by stretching towards +x [m]; NaN where diverged
 
 
 def reach(displacement: Floats, com_displacement: Floats) -> Reach:

@@ -17,14 +17,11 @@ from tasks.residual.error_report import BANDS, LOW_SPEED
 from tasks.world import EnsembleMedium, LinkStates, Medium, Physics
 from tasks.world.slush import submerged_part
 
-COMPONENTS = ("vx", "vy", "omega")
-"""Velocities that a medium changes [m/s, m/s, rad/s]."""
+COMPONENTS = ("vx", "vy", "omega")  # velocities that a medium changes [m/s, m/s, rad/s]
 
-IMMERSIONS = ("all", "dry", "partly", "submerged")
-"""Part of a link below the surface: any, none, some, all."""
+IMMERSIONS = ("all", "dry", "partly", "submerged")  # part of a link below the surface: any, none, some, all
 
-_FULLY_SUBMERGED = 1 - 1e-6
-"""Least area below the surface of a submerged link [m²], which has 1 m² up to rounding."""
+_FULLY_SUBMERGED = 1 - 1e-6  # least area below the surface of a submerged link [m²], which has 1 m² up to rounding
 
 
 @dataclass(frozen=True)
@@ -32,19 +29,13 @@ class MemberError:
     """One row of the table. Errors are predicted - true accelerations [m/s², m/s², rad/s²]; None if n_rows is 0."""
 
     member: int
-    component: str
-    """One of COMPONENTS."""
-    band: str
-    """Speed band, one of BANDS [m/s]."""
-    immersion: str
-    """One of IMMERSIONS."""
-    n_rows: int
-    """Link states in the band."""
-    bias: float | None
-    """Mean error."""
+    component: str  # one of COMPONENTS
+    band: str  # speed band, one of BANDS [m/s]
+    immersion: str  # one of IMMERSIONS
+    n_rows: int  # link states in the band
+    bias: float | None  # mean error
     rmse: float | None
-    rms_true: float | None
-    """Root mean square of the true acceleration, which is the error of predicting zero."""
+    rms_true: float | None  # root mean square of the true acceleration, which is the error of predicting zero
 
 
 def member_errors(

@@ -23,28 +23,22 @@ from tasks.arrays import Float64, Floats, Int64
 from tasks.residual import OBSERVATION, observe
 from tasks.world import LinkStates
 
-SPACE = ("y", "cos_angle", "vx", "vy", "omega")
-"""Components of OBSERVATION that span the space."""
+SPACE = ("y", "cos_angle", "vx", "vy", "omega")  # components of OBSERVATION that span the space
 _COLUMNS = [OBSERVATION.index(name) for name in SPACE]
 _VELOCITIES = slice(SPACE.index("vx"), None)
 _LOW_VELOCITY = 0.5
 """v₀ [m/s, rad/s]: end of the lowest speed band of the error report, in which swimmers spend most of their time."""
-_FRESH_EVERY = 10
-"""Every tenth throw is held back to measure the usual distance."""
-_MIN_SCALE = 1e-6
-"""Lower bound of a component's deviation, for components that do not vary over the throws."""
+_FRESH_EVERY = 10  # every tenth throw is held back to measure the usual distance
+_MIN_SCALE = 1e-6  # lower bound of a component's deviation, for components that do not vary over the throws
 
 
 @dataclass(frozen=True, eq=False)
 class Thrown:
     """An index of the thrown states."""
 
-    tree: cKDTree
-    """Points of the states in the scaled space."""
-    scale: Float64
-    """(5,) deviation of each component."""
-    usual: float | None
-    """Usual distance; None if the reason says why."""
+    tree: cKDTree  # points of the states in the scaled space
+    scale: Float64  # (5,) deviation of each component
+    usual: float | None  # usual distance; None if the reason says why
     reason: str | None
 
 
@@ -52,10 +46,8 @@ class Thrown:
 class Novelty:
     """Distances of links from the throws, in the links' shape; NaN where a state is not finite."""
 
-    distance: Float64
-    """(...) distance to the nearest thrown state, in deviations of the throws."""
-    novelty: Float64
-    """(...) distance / usual distance; NaN where the latter is unknown (see Thrown.reason)."""
+    distance: Float64  # (...) distance to the nearest thrown state, in deviations of the throws
+    novelty: Float64  # (...) distance / usual distance; NaN where the latter is unknown (see Thrown.reason)
     component: Int64
     """(...) index into SPACE of the largest contribution to the distance; -1 where the state is not finite."""
 

@@ -36,8 +36,7 @@ N_TRIALS = 10
 """Trials of each environment at each depth. "Evolution"."""
 N_DESIGNS = 2376
 """Designs of the prediction accuracy. "Prediction Accuracy"."""
-SIGNIFICANT, INSIGNIFICANT = 1e-4, 0.01
-"""The paper's two thresholds: p below the first, p above the second."""
+SIGNIFICANT, INSIGNIFICANT = 1e-4, 0.01  # the paper's two thresholds: p below the first, p above the second
 
 MEANS: Mapping[ScoredArm, tuple[float, str]] = {
     ("true_slush", "zero_shot"): (13.6, '"mean displacement 13.6 m", Evolution'),
@@ -74,10 +73,8 @@ class Statement:
 
     a: ScoredArm
     b: ScoredArm
-    claim: Claim
-    """Whether a is less or greater than b."""
-    depths: tuple[float, ...]
-    """[m]"""
+    claim: Claim  # whether a is less or greater than b
+    depths: tuple[float, ...]  # [m]
     source: str
 
 
@@ -133,20 +130,16 @@ class Row:
 
     what: str
     paper: str
-    source: str
-    """Quotation and section of the paper."""
+    source: str  # quotation and section of the paper
     this_run: str
     verdict: Verdict
     why: str
     value: float | None = None
     """This run's value in the unit of ``what``: a range's median, or the difference a - b of a t test's means [m]."""
-    interval: str = ""
-    """Text of the 95 % interval, for a range those of its two ends; empty if there is none."""
+    interval: str = ""  # text of the 95 % interval, for a range those of its two ends; empty if there is none
     low: float | None = None
-    high: float | None = None
-    """Ends of the 95 % interval of ``value``; None if there is none."""
-    p: float | None = None
-    """p of a t test."""
+    high: float | None = None  # ends of the 95 % interval of ``value``; None if there is none
+    p: float | None = None  # p of a t test
 
 
 def against_paper(

@@ -19,13 +19,10 @@ from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_const
 from tasks.arrays import Bools, Float64, Floats, Int64
 from tasks.evolution import penalised_mean
 
-Figure = Literal["r", "slope"]
-"""A figure of a regression: Pearson's R, or the slope of true on predicted."""
+Figure = Literal["r", "slope"]  # A figure of a regression: Pearson's R, or the slope of true on predicted
 
-_PENALTIES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)
-"""k of μ - kσ; the paper's are 0 and 1."""
-_TAIL = 0.25
-"""Share of the most pessimistic members in the lower quantile and CVaR: two of eight."""
+_PENALTIES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)  # k of μ - kσ; the paper's are 0 and 1
+_TAIL = 0.25  # share of the most pessimistic members in the lower quantile and CVaR: two of eight
 _MIN_DESIGNS = 3  # any two points lie on a line
 
 
@@ -33,25 +30,19 @@ _MIN_DESIGNS = 3  # any two points lie on a line
 class Regression:
     """True displacement = intercept + slope · predicted displacement, over designs that diverged in neither."""
 
-    name: str
-    """Name of the predictor, such as "member 0", "mean", "mean - 1 sd" or "min"."""
-    n: int
-    """Designs in the regression."""
-    n_left_out: int
-    """Designs whose predicted or true displacement is not finite."""
+    name: str  # name of the predictor, such as "member 0", "mean", "mean - 1 sd" or "min"
+    n: int  # designs in the regression
+    n_left_out: int  # designs whose predicted or true displacement is not finite
     slope: Estimate
-    intercept: Estimate
-    """[m]"""
-    r: Estimate
-    """Pearson's R."""
+    intercept: Estimate  # [m]
+    r: Estimate  # pearson's R
 
 
 @dataclass(frozen=True)
 class MembersRange:
     """Range of a figure over the members of an ensemble; the intervals are for other designs, not other members."""
 
-    n: int
-    """Members with a figure."""
+    n: int  # members with a figure
     lowest: Estimate
     median: Estimate
     highest: Estimate
@@ -62,14 +53,10 @@ class Histograms:
     """2-D histograms of predicted and true displacement on the same square, one for each predictor."""
 
     names: tuple[str, ...]
-    edges: Float64
-    """(n_bins + 1,) edges of both axes [m]."""
-    counts: Int64
-    """(n_predictors, n_bins, n_bins) designs by predicted and true displacement."""
-    n_outside: Int64
-    """(n_predictors,) designs outside the edges or not finite."""
-    reason: str | None
-    """Why there are no histograms, if so; counts then have no bins."""
+    edges: Float64  # (n_bins + 1,) edges of both axes [m]
+    counts: Int64  # (n_predictors, n_bins, n_bins) designs by predicted and true displacement
+    n_outside: Int64  # (n_predictors,) designs outside the edges or not finite
+    reason: str | None  # why there are no histograms, if so; counts then have no bins
 
 
 def mean_less_deviations(k: float) -> str:

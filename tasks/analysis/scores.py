@@ -9,8 +9,7 @@ import numpy.typing as npt
 from tasks.arrays import Float64, Int64
 from tasks.world.registry import EnvironmentName
 
-EvolvedIn = EnvironmentName
-"""The arm of a study: where a champion evolved."""
+EvolvedIn = EnvironmentName  # the arm of a study: where a champion evolved
 Quantity = Literal["predicted", "zero_shot", "adapted"]
 """Displacement where a champion evolved; in True Slush; in True Slush with a controller that evolved there."""
 
@@ -19,18 +18,12 @@ Quantity = Literal["predicted", "zero_shot", "adapted"]
 class Scores:
     """Scores with one row for each trial, that is for each champion."""
 
-    evolved_in: npt.NDArray[np.str_]
-    """(n_trials,) values of EvolvedIn."""
-    depth: Float64
-    """(n_trials,) [m]"""
-    trial: Int64
-    """(n_trials,)"""
-    predicted: Float64
-    """(n_trials,) fitness where the champion evolved [m]; NaN where unknown, as in the next two."""
-    zero_shot: Float64
-    """(n_trials,) displacement in True Slush [m]."""
-    adapted: Float64
-    """(n_trials,) displacement in True Slush with an adapted controller [m]."""
+    evolved_in: npt.NDArray[np.str_]  # (n_trials,) values of EvolvedIn
+    depth: Float64  # (n_trials,) [m]
+    trial: Int64  # (n_trials,)
+    predicted: Float64  # (n_trials,) fitness where the champion evolved [m]; NaN where unknown, as in the next two
+    zero_shot: Float64  # (n_trials,) displacement in True Slush [m]
+    adapted: Float64  # (n_trials,) displacement in True Slush with an adapted controller [m]
 
     def __post_init__(self) -> None:
         shapes = {name: np.shape(array) for name, array in vars(self).items()}

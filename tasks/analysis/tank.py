@@ -67,18 +67,12 @@ class Tank(Parameters):
 class Crossing:
     """Result of one robot in the tank, in simulated metres and seconds."""
 
-    length: float
-    """Length of the settled robot along the tank [m]; NaN where it diverged."""
-    distance: float
-    """Distance that its centre of mass must travel [m]; at most 0 if the robot is as long as the tank."""
-    travelled: float
-    """Distance that its centre of mass travelled until it crossed or time ran out [m]."""
-    crossed: bool
-    """Whether it crossed in time; False for a robot as long as the tank."""
-    seconds: float
-    """Simulated time until it crossed [s]; NaN if it did not."""
-    speed: float
-    """Mean speed over ``travelled`` [m/s]."""
+    length: float  # length of the settled robot along the tank [m]; NaN where it diverged
+    distance: float  # distance that its centre of mass must travel [m]; at most 0 if the robot is as long as the tank
+    travelled: float  # distance that its centre of mass travelled until it crossed or time ran out [m]
+    crossed: bool  # whether it crossed in time; False for a robot as long as the tank
+    seconds: float  # simulated time until it crossed [s]; NaN if it did not
+    speed: float  # mean speed over ``travelled`` [m/s]
 
 
 def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int, time_step: float) -> list[Crossing]:

@@ -21,16 +21,11 @@ from scipy import stats
 
 from tasks.arrays import Float64, Floats
 
-LEVEL = 0.95
-"""Confidence level of every interval."""
-_N_RESAMPLES = 2000
-"""A 2.5 % tail then has 50 resamples, so its position is known to about 14 % of the tail."""
-_MIN_VALUES = 3
-"""Fewest values in a sample for a bootstrap interval."""
-RESOLUTION = 1e-6
-"""Smallest meaningful displacement [m]: positions are of single precision, 5e-7 m at 8 m."""
-_MAX_MATRIX = 4_000_000
-"""Largest number of elements in a matrix of resamples by values: 32 MB."""
+LEVEL = 0.95  # confidence level of every interval
+_N_RESAMPLES = 2000  # A 2.5 % tail then has 50 resamples, so its position is known to about 14 % of the tail
+_MIN_VALUES = 3  # fewest values in a sample for a bootstrap interval
+RESOLUTION = 1e-6  # smallest meaningful displacement [m]: positions are of single precision, 5e-7 m at 8 m
+_MAX_MATRIX = 4_000_000  # largest number of elements in a matrix of resamples by values: 32 MB
 
 
 @dataclass(frozen=True)
@@ -40,8 +35,7 @@ class Estimate:
     value: float | None
     low: float | None = None
     high: float | None = None
-    reason: str | None = None
-    """Why the value or its interval is missing; None if both exist."""
+    reason: str | None = None  # why the value or its interval is missing; None if both exist
 
     @staticmethod
     def missing(reason: str) -> Estimate:

@@ -22,26 +22,16 @@ from tasks.design.genes import COLUMNS, N_LINKS, PARENT_COLUMN, Designs, DesignT
 class KinematicTrees:
     """Bodies of designs at rest, rounded once to float32; every array is (n_designs, n_links)."""
 
-    parent: Int64
-    """Index of the parent; -1 for the root."""
-    half_width: Float32
-    """[m]"""
-    half_height: Float32
-    """[m]"""
-    mass: Float32
-    """[kg]"""
-    inertia: Float32
-    """Moment of inertia about the centre [kg·m²]."""
-    parent_anchor: Float32
-    """Position of the joint along the parent's y axis, from its centre [m]; 0 for the root."""
-    child_anchor: Float32
-    """Position of the joint along the link's own y axis, from its centre [m]; 0 for the root."""
-    x: Float32
-    """Centre at the spawn [m]; the root's is 0."""
-    y: Float32
-    """Centre at the spawn [m]; the lowest corner of the robot is at 0."""
-    angle: Float32
-    """Angle at the spawn [rad]; the root is upright, at 0."""
+    parent: Int64  # index of the parent; -1 for the root
+    half_width: Float32  # [m]
+    half_height: Float32  # [m]
+    mass: Float32  # [kg]
+    inertia: Float32  # moment of inertia about the centre [kg·m²]
+    parent_anchor: Float32  # position of the joint along the parent's y axis, from its centre [m]; 0 for the root
+    child_anchor: Float32  # position of the joint along the link's own y axis, from its centre [m]; 0 for the root
+    x: Float32  # centre at the spawn [m]; the root's is 0
+    y: Float32  # centre at the spawn [m]; the lowest corner of the robot is at 0
+    angle: Float32  # angle at the spawn [rad]; the root is upright, at 0
 
 
 _LENGTH, _PARENT_ATTACHMENT, _CHILD_ATTACHMENT, _JOINT_ANGLE = (
@@ -136,8 +126,7 @@ def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:
     return KinematicTrees(designs.parent, *spawn_kernel(designs.table, density))
 
 
-PassiveJoints = Literal["swing", "locked"]
-"""Behaviour of a joint whose motor is off."""
+PassiveJoints = Literal["swing", "locked"]  # behaviour of a joint whose motor is off
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,32 +136,19 @@ class RigidBodies:
     A link that is a body by itself is its own first link, at the origin of the body's frame, with shares of 1.
     """
 
-    first_link: Int64
-    """First link of the link's body."""
-    x: Float32
-    """Centre of the link in the body's frame [m]."""
-    y: Float32
-    """[m]"""
-    angle: Float32
-    """Angle of the link in the body's frame [rad]."""
-    cos: Float32
-    """Cosine of that angle."""
-    sin: Float32
-    """Sine of that angle."""
-    lever_x: Float32
-    """Vector from the body's centre of mass to the link's centre, in the body's frame [m]."""
-    lever_y: Float32
-    """[m]"""
-    mass_share: Float32
-    """Mass of the link over that of the body."""
-    inertia_share: Float32
-    """Moment of inertia of the link over that of the body, each about its own centre of mass."""
-    mass_over_inertia: Float32
-    """Mass of the link over the body's moment of inertia [1/m²]."""
-    joint_x: Float32
-    """Joint of the link in the frame of the parent's body [m]; 0 for the root."""
-    joint_y: Float32
-    """[m]"""
+    first_link: Int64  # first link of the link's body
+    x: Float32  # centre of the link in the body's frame [m]
+    y: Float32  # [m]
+    angle: Float32  # angle of the link in the body's frame [rad]
+    cos: Float32  # cosine of that angle
+    sin: Float32  # sine of that angle
+    lever_x: Float32  # vector from the body's centre of mass to the link's centre, in the body's frame [m]
+    lever_y: Float32  # [m]
+    mass_share: Float32  # mass of the link over that of the body
+    inertia_share: Float32  # moment of inertia of the link over that of the body, each about its own centre of mass
+    mass_over_inertia: Float32  # mass of the link over the body's moment of inertia [1/m²]
+    joint_x: Float32  # joint of the link in the frame of the parent's body [m]; 0 for the root
+    joint_y: Float32  # [m]
 
     @property
     def is_first(self) -> Bools:

@@ -22,8 +22,7 @@ N_LINKS = 6
 """Links of a design, including the root. The sweeps in tasks/simulation/trees/step.py list its joints."""
 N_JOINTS = N_LINKS - 1
 
-ROOT_PARENT = -1
-"""Parent of the root."""
+ROOT_PARENT = -1  # parent of the root
 
 DesignTable = npt.NDArray[np.float64]
 """(n_designs, N_COLUMNS) table of designs, which variation and selection operate on."""
@@ -46,10 +45,8 @@ class Gene:
     low: float
     high: float
     unit: str
-    of_root: bool
-    """Whether the root has this gene too."""
-    per_link: bool = True
-    """Whether each link has one; otherwise the design has one."""
+    of_root: bool  # whether the root has this gene too
+    per_link: bool = True  # whether each link has one; otherwise the design has one
 
     def __post_init__(self) -> None:
         if not self.per_link and not self.of_root:
@@ -79,8 +76,7 @@ GENES: tuple[Gene, ...] = (
 )
 """All genes except the tree (``parent``), which :func:`tasks.design.variation.mutate` rewires."""
 
-N_GENES = sum(gene.n_numbers for gene in GENES)
-"""Numbers of a design without its tree: 37."""
+N_GENES = sum(gene.n_numbers for gene in GENES)  # numbers of a design without its tree: 37
 
 PER_DESIGN = tuple(gene.name for gene in GENES if not gene.per_link)
 """Fields of Designs with one number per design; the others have one per link."""
@@ -223,10 +219,8 @@ def _columns() -> dict[str, slice]:
     return columns
 
 
-COLUMNS = _columns()
-"""Columns of each field in a table of designs, link by link."""
-PARENT_COLUMN = COLUMNS["parent"].start
-"""Column of the root's parent, followed by those of the other links."""
+COLUMNS = _columns()  # columns of each field in a table of designs, link by link
+PARENT_COLUMN = COLUMNS["parent"].start  # column of the root's parent, followed by those of the other links
 LINK_OF_COLUMN = np.concatenate([[N_LINKS] if name in PER_DESIGN else np.arange(N_LINKS) for name in COLUMNS])
 """(N_COLUMNS,) link of each column; N_LINKS for columns of the whole design."""
 N_COLUMNS = max(columns.stop for columns in COLUMNS.values())
@@ -249,15 +243,11 @@ def concatenate(several: list[Designs]) -> Designs:
 
 FIRST = np.array([COLUMNS[gene.name].start for gene in GENES])
 """(n_genes,) column of each gene's first number in a table of designs, including the root's."""
-END = np.array([COLUMNS[gene.name].stop for gene in GENES])
-"""(n_genes,) column after each gene's last number."""
-LOW = np.array([gene.low for gene in GENES])
-"""(n_genes,) lower bounds in the genes' units; HIGH are the upper bounds."""
+END = np.array([COLUMNS[gene.name].stop for gene in GENES])  # (n_genes,) column after each gene's last number
+LOW = np.array([gene.low for gene in GENES])  # (n_genes,) lower bounds in the genes' units; HIGH are the upper bounds
 HIGH = np.array([gene.high for gene in GENES])
-OF_ROOT = np.array([gene.of_root for gene in GENES])
-"""(n_genes,) whether the root has the gene."""
-IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])
-"""(n_genes,) whether the gene is either 0 or 1."""
+OF_ROOT = np.array([gene.of_root for gene in GENES])  # (n_genes,) whether the root has the gene
+IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])  # (n_genes,) whether the gene is either 0 or 1
 
 
 def find_fault(table: DesignTable) -> tuple[int, int]:

@@ -18,13 +18,11 @@ from tasks.design.body import rest_pose
 from tasks.design.genes import N_LINKS, DesignError, Designs, DesignTable
 from tasks.parameters import Parameters
 
-_TOLERANCE = 1e-9
-"""Overlap that counts as touching [m]: the rounding of positions within some metres."""
+_TOLERANCE = 1e-9  # overlap that counts as touching [m]: the rounding of positions within some metres
 
 MAX_DRAWS = 1 << 17
 """Most samples for one design. About 1,100 are rejected for each accepted random design; all fail once in 10^50."""
-MAX_BATCH = 4096
-"""Most samples that are drawn together; more overflow the cache."""
+MAX_BATCH = 4096  # most samples that are drawn together; more overflow the cache
 
 
 class Morphology(Parameters):
@@ -37,18 +35,15 @@ class Morphology(Parameters):
     """Whether links that no joint connects may overlap at rest. [P]: apart in the robot that was built."""
 
 
-ANY_BODY = Morphology()
-"""No constraints."""
+ANY_BODY = Morphology()  # no constraints
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
     """Designs that a morphology allows, and the number of samples drawn for them."""
 
-    table: DesignTable
-    """(n_designs, N_COLUMNS) accepted designs."""
-    n_draws: Int64
-    """(n_designs,) samples drawn for each design: n_draws - 1 were rejected."""
+    table: DesignTable  # (n_designs, N_COLUMNS) accepted designs
+    n_draws: Int64  # (n_designs,) samples drawn for each design: n_draws - 1 were rejected
 
     @property
     def designs(self) -> Designs:

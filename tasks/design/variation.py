@@ -36,8 +36,7 @@ class Mutation(Parameters):
 
 _MUTATION = Mutation()
 
-VARIATION_SOURCES = [genes, variation_kernels]
-"""Modules that the operators' kernels are compiled from."""
+VARIATION_SOURCES = [genes, variation_kernels]  # modules that the operators' kernels are compiled from
 random_kernel = compiled(variation_kernels.random_table, VARIATION_SOURCES, seconds=3)
 mutate_kernel = compiled(variation_kernels.mutate_table, VARIATION_SOURCES, seconds=6)
 recombine_kernel = compiled(variation_kernels.recombine_tables, VARIATION_SOURCES, seconds=3)
@@ -255,8 +254,7 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
     return draw_recombinations(one.table, other.table, rng, morphology=morphology).designs
 
 
-MAX_RECOMBINATIONS = 256
-"""Most draws of a child; there are 62 choices of links."""
+MAX_RECOMBINATIONS = 256  # most draws of a child; there are 62 choices of links
 
 
 def draw_recombinations(

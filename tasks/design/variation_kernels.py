@@ -32,21 +32,17 @@ from tasks.design.genes import (
 )
 
 MOTOR = "motor_on"
-MOTORS = COLUMNS[MOTOR].start + 1
-"""Column of the first joint's motor, followed by those of the other joints."""
+MOTORS = COLUMNS[MOTOR].start + 1  # column of the first joint's motor, followed by those of the other joints
 
-ANY_NUMBER = -1
-"""Number of motors that are on: unconstrained."""
-BODY_STAYS = -1.0
-"""Stands for a probability of rewiring if bodies must not change."""
+ANY_NUMBER = -1  # number of motors that are on: unconstrained
+BODY_STAYS = -1.0  # stands for a probability of rewiring if bodies must not change
 
 
 class Numbers(NamedTuple):
     """Numbers in a table of designs that may vary; every field is (n_numbers,)."""
 
     column: Int64
-    low: Float64
-    """Lower bound in the gene's unit."""
+    low: Float64  # lower bound in the gene's unit
     high: Float64
     is_angle: Bools
     is_flag: Bools
@@ -56,20 +52,13 @@ class Numbers(NamedTuple):
 class Variation(NamedTuple):
     """Numbers that may vary, and the rates of variation."""
 
-    body: DesignTable
-    """(1, N_COLUMNS) design whose body all designs get; (0, N_COLUMNS) if bodies vary."""
-    body_columns: Int64
-    """Columns of the body."""
-    n_actuated: int
-    """Number of motors that are on, or ANY_NUMBER."""
-    numbers: Numbers
-    """Those that may change."""
-    change: float
-    """Probability that a number does."""
-    step: float
-    """Deviation of the Gaussian step, as a share of the gene's range."""
-    rewiring: float
-    """Probability that one link of a design gets another parent, or BODY_STAYS."""
+    body: DesignTable  # (1, N_COLUMNS) design whose body all designs get; (0, N_COLUMNS) if bodies vary
+    body_columns: Int64  # columns of the body
+    n_actuated: int  # number of motors that are on, or ANY_NUMBER
+    numbers: Numbers  # those that may change
+    change: float  # probability that a number does
+    step: float  # deviation of the Gaussian step, as a share of the gene's range
+    rewiring: float  # probability that one link of a design gets another parent, or BODY_STAYS
 
 
 def random_table(n_designs: int, rng: Generator, variation: Variation) -> DesignTable:

@@ -30,12 +30,10 @@ from tasks.design.genes import N_COLUMNS, DesignTable, GenePart
 from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel, variation_of
 from tasks.parameters import Parameters
 
-OPERATORS = ("random", "mutation", "crossover")
-"""Operators that make a child, in the order of their codes."""
+OPERATORS = ("random", "mutation", "crossover")  # operators that make a child, in the order of their codes
 RANDOM, MUTATION, CROSSOVER = range(3)
 
-NO_PARENT = -1
-"""Index and identity of a parent that a child does not have."""
+NO_PARENT = -1  # index and identity of a parent that a child does not have
 
 
 class Afpo(Parameters):
@@ -70,14 +68,10 @@ class Population(NamedTuple):
 
     table: DesignTable
     """Genes (n_designs, N_COLUMNS); n_designs is below the population's size only if too many designs diverged."""
-    fitness: Float64
-    """(n_designs,) [m], finite."""
-    age: Int64
-    """(n_designs,) generations since the oldest ancestor was drawn at random."""
-    identity: Int64
-    """(n_designs,) running number within the trial, in order of evaluation."""
-    n_evaluated: int
-    """Designs evaluated in the trial so far."""
+    fitness: Float64  # (n_designs,) [m], finite
+    age: Int64  # (n_designs,) generations since the oldest ancestor was drawn at random
+    identity: Int64  # (n_designs,) running number within the trial, in order of evaluation
+    n_evaluated: int  # designs evaluated in the trial so far
 
     @property
     def designs(self) -> Designs:
@@ -123,18 +117,12 @@ EMPTY_POPULATION = Population(
 class Children(NamedTuple):
     """Designs that wait to be evaluated; axis 0 is the child."""
 
-    table: DesignTable
-    """Genes (n_children, N_COLUMNS)."""
-    age: Int64
-    """(n_children,) generations: the older parent's age, 0 without parents."""
-    identity: Int64
-    """(n_children,) running number within the trial."""
-    operator: Int64
-    """(n_children,) index into OPERATORS."""
-    parents: Int64
-    """(n_children, 2) identities of the parents, or NO_PARENT."""
-    n_draws: Int64
-    """(n_children,) draws of the operator until the morphology allowed the design."""
+    table: DesignTable  # genes (n_children, N_COLUMNS)
+    age: Int64  # (n_children,) generations: the older parent's age, 0 without parents
+    identity: Int64  # (n_children,) running number within the trial
+    operator: Int64  # (n_children,) index into OPERATORS
+    parents: Int64  # (n_children, 2) identities of the parents, or NO_PARENT
+    n_draws: Int64  # (n_children,) draws of the operator until the morphology allowed the design
 
     @property
     def designs(self) -> Designs:

@@ -42,8 +42,7 @@ class Trial:
     generator_of: Callable[[int], Generator]
     """Maps a generation to its own generator, so that a trial can be cut after any generation."""
     population: Population = EMPTY_POPULATION
-    body: Designs | None = None
-    """One design whose body stays fixed; only controllers evolve then."""
+    body: Designs | None = None  # one design whose body stays fixed; only controllers evolve then
 
 
 _Generation = tuple[Children, Evaluation, Population]

@@ -16,15 +16,12 @@ from tasks.fabrication.servo_joints import ServoJoint
 class BillLine:
     """A line of the bill."""
 
-    kind: str
-    """print, servo, screw, rod, pin, electronics or supplies."""
+    kind: str  # print, servo, screw, rod, pin, electronics or supplies
     item: str
     count: int
     note: str
-    length_mm: float | None = None
-    """Length of each rod or pin."""
-    mass_g: float | None = None
-    """Mass of all of them; None unless they are prints, servos or steel."""
+    length_mm: float | None = None  # length of each rod or pin
+    mass_g: float | None = None  # mass of all of them; None unless they are prints, servos or steel
 
 
 def bill_of(

@@ -16,8 +16,7 @@ from tasks.design import N_LINKS, Designs, rest_pose
 from tasks.fabrication.kit_settings import KitSettings
 
 Point = tuple[float, float]
-Pose = Float64
-"""(6,) rigid motion of the plane in shapely's order: cos, -sin, sin, cos, x [mm], y [mm]."""
+Pose = Float64  # (6,) rigid motion of the plane in shapely's order: cos, -sin, sin, cos, x [mm], y [mm]
 
 _SWEEP_STEP = np.radians(2.5)  # between sampled poses of a turning part; misses 0.07 mm at 300 mm from the joint
 _MAX_ANGLES_OF_TWO = 31  # per joint of a pair: 6° apart over the widest range, which misses 0.4 mm at 300 mm
@@ -31,10 +30,8 @@ class RigidPart:
 
     index: int
     links: tuple[int, ...]
-    depth: int
-    """Number of turning joints between it and the part of the root."""
-    outline: BaseGeometry
-    """Union of its links."""
+    depth: int  # number of turning joints between it and the part of the root
+    outline: BaseGeometry  # union of its links
 
     @property
     def name(self) -> str:
@@ -46,33 +43,24 @@ class RigidPart:
 class TurningJoint:
     """A turning joint."""
 
-    link: int
-    """Child link, which numbers the joint."""
+    link: int  # child link, which numbers the joint
     parent_link: int
-    parent: int
-    """Index of the body with its parent link."""
-    child: int
-    """Index of the body with its child link."""
+    parent: int  # index of the body with its parent link
+    child: int  # index of the body with its child link
     at: Point
-    rest_angle: float
-    """Angle of the child link relative to its parent at rest, within ±π [rad]."""
-    motion_range: float
-    """Amplitude [rad]."""
-    phase: float
-    """Phase [rad]."""
+    rest_angle: float  # angle of the child link relative to its parent at rest, within ±π [rad]
+    motion_range: float  # amplitude [rad]
+    phase: float  # phase [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
     """A design as parts and joints."""
 
-    links: tuple[Polygon, ...]
-    """(n_links) outlines of the links."""
+    links: tuple[Polygon, ...]  # (n_links) outlines of the links
     link_centre: tuple[Point, ...]
-    link_angle: tuple[float, ...]
-    """(n_links) angles of the links' long axes from y [rad]."""
-    link_size: tuple[Point, ...]
-    """(n_links) widths and heights of the links [mm]."""
+    link_angle: tuple[float, ...]  # (n_links) angles of the links' long axes from y [rad]
+    link_size: tuple[Point, ...]  # (n_links) widths and heights of the links [mm]
     parent_link: tuple[int, ...]
     bodies: tuple[RigidPart, ...]
     joints: tuple[TurningJoint, ...]

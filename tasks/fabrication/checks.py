@@ -34,8 +34,7 @@ _NECK_STEP_MM = 0.25
 class KitFinding:
     """A fault, warning or note about a kit."""
 
-    name: str
-    """Name of the check."""
+    name: str  # name of the check
     severity: Severity
     where: str
     message: str

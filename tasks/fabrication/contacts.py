@@ -25,14 +25,10 @@ class PassingContact:
     """Two links that touched in a run and belong to parts that pass each other on the bench."""
 
     links: tuple[int, int]
-    parts: tuple[int, int]
-    """Indices of their parts."""
-    joints: tuple[int, ...]
-    """Joints between those parts, by the numbers of their child links."""
-    share: float
-    """Share of the run's steps in which they touched."""
-    first: float
-    """Time of the first contact [s of simulation]."""
+    parts: tuple[int, int]  # indices of their parts
+    joints: tuple[int, ...]  # joints between those parts, by the numbers of their child links
+    share: float  # share of the run's steps in which they touched
+    first: float  # time of the first contact [s of simulation]
 
 
 def passing_contacts(

@@ -38,13 +38,11 @@ class Feature:
     """A pocket or bore."""
 
     label: str
-    group: str
-    """Features of one group may meet; those of different groups may not."""
+    group: str  # features of one group may meet; those of different groups may not
     outline: Polygon
     low_mm: float
     high_mm: float
-    circle: tuple[Point, float] | None = None
-    """Centre and radius of a round feature."""
+    circle: tuple[Point, float] | None = None  # centre and radius of a round feature
 
 
 def _bore(label: str, group: str, at: Point, diameter: float, low: float, high: float) -> Feature:
@@ -162,10 +160,8 @@ class HornScrew:
     """A screw that holds a part on its horn."""
 
     length_mm: int
-    web_mm: float
-    """Plastic that it passes through; its head is sunk into the rest."""
-    engaged_mm: float
-    """Length of its thread in the horn."""
+    web_mm: float  # plastic that it passes through; its head is sunk into the rest
+    engaged_mm: float  # length of its thread in the horn
 
 
 def horn_screw(servo_joint: ServoJoint, settings: KitSettings) -> HornScrew:

@@ -16,18 +16,13 @@ class Floating:
     """A kit in a fluid."""
 
     mass_kg: float
-    sealed_m3: float
-    """Displaced volume while all pockets hold air [m³]."""
-    flooded_m3: float
-    """Displaced volume once all pockets are full; the infill stays dry [m³]."""
-    sealed_share: float
-    """Submerged share of the sealed volume; it sinks above 1."""
-    flooded_share: float
-    """Submerged share of the flooded volume; with full pockets it sinks above 1."""
+    sealed_m3: float  # displaced volume while all pockets hold air [m³]
+    flooded_m3: float  # displaced volume once all pockets are full; the infill stays dry [m³]
+    sealed_share: float  # submerged share of the sealed volume; it sinks above 1
+    flooded_share: float  # submerged share of the flooded volume; with full pockets it sinks above 1
     draught_mm: float | None
     """Height of the waterline above the lowest corner of the rest pose, sealed; None if it sinks."""
-    height_mm: float
-    """Height of the rest pose."""
+    height_mm: float  # height of the rest pose
 
     def stands_in(self, depth_mm: float) -> bool:
         """Return whether it touches the floor of a tank in its rest pose before it floats."""

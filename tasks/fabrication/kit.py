@@ -29,22 +29,16 @@ class Kit:
 
     settings: KitSettings
     mechanism: Mechanism
-    servo_joints: tuple[ServoJoint, ...]
-    """One per turning joint, in order of the child links."""
-    profiles: tuple[Profile, ...]
-    """One per body."""
+    servo_joints: tuple[ServoJoint, ...]  # one per turning joint, in order of the child links
+    profiles: tuple[Profile, ...]  # one per body
     layers: Layers
     splits: tuple[Split, ...]
     features: dict[tuple[int, str], tuple[Feature, ...]]
     """Features cut out of each copy of a body, by the body's index and the side."""
-    parts: tuple[Part, ...]
-    """Pieces to print."""
-    bought: tuple[BoughtPart, ...]
-    """Servos, horns, rods and pins, in place."""
-    gauges: tuple[Gauge, ...]
-    """Test prints for the fit of servo and horn."""
-    findings: tuple[KitFinding, ...]
-    """Faults first."""
+    parts: tuple[Part, ...]  # pieces to print
+    bought: tuple[BoughtPart, ...]  # servos, horns, rods and pins, in place
+    gauges: tuple[Gauge, ...]  # test prints for the fit of servo and horn
+    findings: tuple[KitFinding, ...]  # faults first
     bill: tuple[BillLine, ...]
 
     @property

@@ -33,18 +33,13 @@ class Part:
     name: str
     body: int
     side: str
-    solid: Solid
-    """Solid, in place in the robot."""
+    solid: Solid  # solid, in place in the robot
     outline: Polygon
     volume_mm3: float
-    mass_g: float
-    """Estimated mass at the chosen infill."""
-    face_down: bool
-    """Whether it is printed on its face, with its pockets open upward, rather than on its back."""
-    face_is_up: bool
-    """Whether its face points along +z in the robot."""
-    turn_deg: float
-    """Turn that makes it fit the bed."""
+    mass_g: float  # estimated mass at the chosen infill
+    face_down: bool  # whether it is printed on its face, with its pockets open upward, rather than on its back
+    face_is_up: bool  # whether its face points along +z in the robot
+    turn_deg: float  # turn that makes it fit the bed
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +47,7 @@ class BoughtPart:
     """A servo, horn, rod or pin, in place in the robot."""
 
     name: str
-    kind: str
-    """servo, horn, rod or pin."""
+    kind: str  # servo, horn, rod or pin
     solid: Shape
 
 
@@ -61,10 +55,8 @@ class BoughtPart:
 class Mesh:
     """A closed surface of triangles whose normals point outward."""
 
-    vertices: Float64
-    """(n_vertices, 3) positions [mm]."""
-    triangles: Int64
-    """(n_triangles, 3) indices of vertices."""
+    vertices: Float64  # (n_vertices, 3) positions [mm]
+    triangles: Int64  # (n_triangles, 3) indices of vertices
 
 
 def placement(body: int, side: str, layers: Layers, settings: KitSettings) -> tuple[bool, float]:

@@ -31,8 +31,7 @@ class Profile:
     """The outline of a part."""
 
     face: Face
-    polygon: Polygon
-    """The same outline with chords for arcs."""
+    polygon: Polygon  # the same outline with chords for arcs
 
 
 def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int, settings: KitSettings) -> Profile:

@@ -28,10 +28,8 @@ _CORNER_MM = 0.2  # tolerance that reduces the hundreds of chords of an arc to a
 class Layers:
     """Layer and rods of every part."""
 
-    outer: tuple[bool, ...]
-    """Whether each part is in the outer layer."""
-    rods: tuple[tuple[Point, ...], ...]
-    """Positions of each part's rods in the plane; none if there is no room."""
+    outer: tuple[bool, ...]  # whether each part is in the outer layer
+    rods: tuple[tuple[Point, ...], ...]  # positions of each part's rods in the plane; none if there is no room
 
     def low_mm(self, body: int, settings: KitSettings) -> float:
         """Return where a part of the left pontoon and its rods begin along z."""

@@ -79,20 +79,13 @@ def scales_of(scaling: Scaling, *, length: float, mass_kg: float, simulated_mass
 class JointLoad:
     """Load of a joint on its servos over a simulated run, at bench scale."""
 
-    joint: int
-    """Number of the child link."""
-    peak_torque: float
-    """Peak torque of each servo [N·m]."""
-    rms_torque: float
-    """Root mean square torque of each servo [N·m]."""
-    peak_speed: float
-    """Highest speed that the simulated joint reached or its controller commanded [rad/s]."""
-    use: float
-    """Largest share of the torque–speed line in use at once; the servo can't follow above 1."""
-    stall_share: float
-    """RMS torque as a share of the stall torque."""
-    saturated: float
-    """Share of the steps in which the simulated motor was at its torque limit."""
+    joint: int  # number of the child link
+    peak_torque: float  # peak torque of each servo [N·m]
+    rms_torque: float  # root mean square torque of each servo [N·m]
+    peak_speed: float  # highest speed that the simulated joint reached or its controller commanded [rad/s]
+    use: float  # largest share of the torque–speed line in use at once; the servo can't follow above 1
+    stall_share: float  # RMS torque as a share of the stall torque
+    saturated: float  # share of the steps in which the simulated motor was at its torque limit
 
     @property
     def margin(self) -> float:

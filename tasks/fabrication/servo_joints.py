@@ -39,17 +39,13 @@ class ServoJoint:
     """A turning joint with its servo in one part and its horn in the other."""
 
     joint: TurningJoint
-    number: int
-    """Index among the servo joints."""
+    number: int  # index among the servo joints
     servo: Servo
     horn: Horn
-    carrier: int
-    """Index of the body that holds the servo."""
+    carrier: int  # index of the body that holds the servo
     carrier_link: int
-    driven: int
-    """Index of the body that the horn turns."""
-    angle: float
-    """Angle of the servo's long side in the plane, from the shaft to the far end [rad]."""
+    driven: int  # index of the body that the horn turns
+    angle: float  # angle of the servo's long side in the plane, from the shaft to the far end [rad]
     clearance_mm: float
     wall_mm: float
 

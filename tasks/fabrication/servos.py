@@ -16,8 +16,7 @@ from dataclasses import dataclass, field, fields, replace
 from math import radians
 from typing import Any, Literal
 
-KG_CM = 9.80665 * 0.01
-"""A kilogram-force centimetre [N·m]."""
+KG_CM = 9.80665 * 0.01  # A kilogram-force centimetre [N·m]
 
 Sense = Literal[1, -1]
 HornKind = Literal["disc", "cross"]
@@ -39,11 +38,9 @@ class Horn:
     top_mm: float
     thickness_mm: float
     screw_radius_mm: float
-    screw_mm: float
-    """Diameter of the four screws that hold the driven part."""
+    screw_mm: float  # diameter of the four screws that hold the driven part
     screw_name: str
-    sources: Mapping[str, str] = field(default_factory=dict)
-    """Source of each field; a missing field has no source."""
+    sources: Mapping[str, str] = field(default_factory=dict)  # source of each field; a missing field has no source
 
 
 @dataclass(frozen=True)
@@ -51,17 +48,14 @@ class Servo:
     """A model of servo. :data:`MEASURES` describes the dimensions of its case and ears."""
 
     name: str
-    voltage_v: float
-    """Voltage of the torque and the speed."""
+    voltage_v: float  # voltage of the torque and the speed
     stall_torque_nm: float
     no_load_speed_rad_s: float
     mass_g: float
     min_pulse_us: float
     max_pulse_us: float
-    travel_rad: float
-    """Angle between the shortest and the longest pulse."""
-    sense: Sense
-    """1 if longer pulses turn the horn counter-clockwise, seen from above the horn."""
+    travel_rad: float  # angle between the shortest and the longest pulse
+    sense: Sense  # 1 if longer pulses turn the horn counter-clockwise, seen from above the horn
     length_mm: float
     width_mm: float
     height_mm: float
@@ -71,21 +65,16 @@ class Servo:
     ear_thickness_mm: float
     hole_span_mm: float
     hole_pitch_mm: float
-    ear_screw_mm: float
-    """Diameter of the screws through the ears."""
+    ear_screw_mm: float  # diameter of the screws through the ears
     ear_screw_name: str
-    spline_mm: float
-    """Outer diameter of the spline."""
+    spline_mm: float  # outer diameter of the spline
     spline_teeth: int
-    centre_screw_mm: float
-    """Diameter of the screw that holds the horn on the spline."""
+    centre_screw_mm: float  # diameter of the screw that holds the horn on the spline
     centre_screw_name: str
     cable_width_mm: float
     """Width of the flat cable, which leaves near the bottom at one end; clones differ in which end."""
-    horns: tuple[Horn, ...]
-    """Horns for its spline, the preferred one first."""
-    sources: Mapping[str, str] = field(default_factory=dict)
-    """Source of each field; a missing field has no source."""
+    horns: tuple[Horn, ...]  # horns for its spline, the preferred one first
+    sources: Mapping[str, str] = field(default_factory=dict)  # source of each field; a missing field has no source
 
     @property
     def us_per_rad(self) -> float:
@@ -267,8 +256,7 @@ _SMALL_AND_LARGE = (
 _EQUAL_OF_A_DISC = (("short_mm", "long_mm"), ("arm_width_mm", "2 * long_mm"))
 _SMALL_AND_LARGE_OF_A_CROSS = (("arm_width_mm", "2 * short_mm"), ("arm_width_mm", "2 * long_mm"))
 
-YOURS = "measured by you"
-"""Source of the measurements in a kit's settings."""
+YOURS = "measured by you"  # source of the measurements in a kit's settings
 
 
 def servo_named(name: str) -> Servo:

@@ -28,14 +28,10 @@ _NECK, _HEAD, _DEPTH = 0.32, 0.46, 0.28  # narrowest and widest place and depth 
 class Split:
     """The pieces of a part."""
 
-    whole: Polygon
-    """Outline of the part."""
-    cuts: tuple[BaseGeometry, ...]
-    """Areas removed between pieces."""
-    pieces: tuple[Polygon, ...]
-    """Outlines of the pieces along x; one if the part is whole."""
-    fits: bool
-    """Whether every piece fits the bed."""
+    whole: Polygon  # outline of the part
+    cuts: tuple[BaseGeometry, ...]  # areas removed between pieces
+    pieces: tuple[Polygon, ...]  # outlines of the pieces along x; one if the part is whole
+    fits: bool  # whether every piece fits the bed
 
 
 def bed_mm(settings: KitSettings) -> tuple[float, float]:

@@ -15,8 +15,7 @@ from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.parameters import Parameters
 
-FRAME_RATE_HZ = 50.0
-"""Frames per second; an analogue servo reads one pulse every 20 ms."""
+FRAME_RATE_HZ = 50.0  # frames per second; an analogue servo reads one pulse every 20 ms
 
 
 class TimelineError(ValueError):
@@ -36,10 +35,8 @@ class Playback(Parameters):
 class Timeline:
     """Joint angles at 50 Hz."""
 
-    joints: tuple[int, ...]
-    """Driven joints, by the numbers of their child links."""
-    angle: Float64
-    """(n_frames, n_joints) angles from rest [rad]."""
+    joints: tuple[int, ...]  # driven joints, by the numbers of their child links
+    angle: Float64  # (n_frames, n_joints) angles from rest [rad]
 
     def __post_init__(self) -> None:
         if not self.joints:

@@ -37,12 +37,9 @@ class WeightsError(ValueError):
 class Ensemble:
     """Networks of one shape; the first axis of every array is the member."""
 
-    weights: tuple[Float32, ...]
-    """(n_members, n_in, n_out) for each layer, from 6 observations to 3 velocity changes."""
-    biases: tuple[Float32, ...]
-    """(n_members, n_out) for each layer."""
-    device: str = "cpu"
-    """Device of the networks: "cpu" selects the compiled kernel, any other name is torch's."""
+    weights: tuple[Float32, ...]  # (n_members, n_in, n_out) for each layer, from 6 observations to 3 velocity changes
+    biases: tuple[Float32, ...]  # (n_members, n_out) for each layer
+    device: str = "cpu"  # device of the networks: "cpu" selects the compiled kernel, any other name is torch's
 
     def __post_init__(self) -> None:
         n_members = self.weights[0].shape[:1]

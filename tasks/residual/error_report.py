@@ -21,8 +21,7 @@ BANDS = (
 )
 """Name and range low <= |v| < high of each speed band [m/s]."""
 
-LOW_SPEED = "< 0.5"
-"""Speed band of most states of an evolved swimmer."""
+LOW_SPEED = "< 0.5"  # speed band of most states of an evolved swimmer
 
 
 @dataclass(frozen=True)
@@ -33,19 +32,13 @@ class ErrorRow:
     exist (no rows, or a true residual without variance) are NaN.
     """
 
-    component: str
-    """One of STATE."""
-    band: str
-    """One of BANDS."""
-    n_rows: int
-    """Transitions in the band."""
+    component: str  # one of STATE
+    band: str  # one of BANDS
+    n_rows: int  # transitions in the band
     rmse: float
-    bias: float
-    """Mean error."""
-    relative_error: float
-    """rmse divided by the root mean square of the true residual; predicting 0 scores 1."""
-    r2: float
-    """Share of the variance explained; predicting the mean scores 0."""
+    bias: float  # mean error
+    relative_error: float  # rmse divided by the root mean square of the true residual; predicting 0 scores 1
+    r2: float  # share of the variance explained; predicting the mean scores 0
 
 
 def error_rows(predicted: Floats, true: Floats, speed: Floats) -> tuple[ErrorRow, ...]:

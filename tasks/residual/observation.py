@@ -10,14 +10,12 @@ from tasks.arrays import Float32, Floats
 STATE = ("x", "y", "angle", "vx", "vy", "omega")
 """Components of a link's state, and of the residual of one step [m, m, rad, m/s, m/s, rad/s]."""
 
-OBSERVATION = ("a", "y", "cos_angle", "vx", "vy", "omega")
-"""Components of a network's input [m, m, 1, m/s, m/s, rad/s]."""
+OBSERVATION = ("a", "y", "cos_angle", "vx", "vy", "omega")  # components of a network's input [m, m, 1, m/s, m/s, rad/s]
 
 OBSERVED = ("length_scale", "y", "cos", "vx", "vy", "omega")
 """The same components as fields of :class:`tasks.world.LinkStates`."""
 
-VELOCITIES = slice(3, 6)
-"""Components of a residual that are applied; positions follow by integration."""
+VELOCITIES = slice(3, 6)  # components of a residual that are applied; positions follow by integration
 
 
 def observe(*, length_scale: Floats, y: Floats, cos: Floats, vx: Floats, vy: Floats, omega: Floats) -> Float32:

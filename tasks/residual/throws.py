@@ -45,12 +45,9 @@ class Throws(Parameters):
 class Starts:
     """Initial states of throws; axis 0 is the throw."""
 
-    throw: Int64
-    """(n_throws,) index of the throw in the data set."""
-    length_scale: Float64
-    """(n_throws,) long axis [m]."""
-    state: Float32
-    """(n_throws, 6) initial state in the order of STATE."""
+    throw: Int64  # (n_throws,) index of the throw in the data set
+    length_scale: Float64  # (n_throws,) long axis [m]
+    state: Float32  # (n_throws, 6) initial state in the order of STATE
 
     def __len__(self) -> int:
         return len(self.throw)
@@ -64,22 +61,14 @@ class Starts:
 class Transitions:
     """One step from each state of the throws, in E and in E'; axis 0 is the transition."""
 
-    throw: Int64
-    """(n_transitions,) index of the throw in the data set."""
-    step: Int64
-    """(n_transitions,) steps since the start."""
-    length_scale: Float64
-    """(n_transitions,) long axis [m]."""
-    state: Float32
-    """(n_transitions, 6) state before both steps, in the order of STATE."""
-    next_in_slush: Float32
-    """(n_transitions, 6) state after a step of E."""
-    next_on_dry_land: Float32
-    """(n_transitions, 6) state after a step of E'."""
-    observation: Float32
-    """(n_transitions, 6) a network's input, in the order of OBSERVATION."""
-    residual: Float32
-    """(n_transitions, 6) residual e = E(x) - E'(x), in the order of STATE."""
+    throw: Int64  # (n_transitions,) index of the throw in the data set
+    step: Int64  # (n_transitions,) steps since the start
+    length_scale: Float64  # (n_transitions,) long axis [m]
+    state: Float32  # (n_transitions, 6) state before both steps, in the order of STATE
+    next_in_slush: Float32  # (n_transitions, 6) state after a step of E
+    next_on_dry_land: Float32  # (n_transitions, 6) state after a step of E'
+    observation: Float32  # (n_transitions, 6) a network's input, in the order of OBSERVATION
+    residual: Float32  # (n_transitions, 6) residual e = E(x) - E'(x), in the order of STATE
 
     def __len__(self) -> int:
         return len(self.throw)

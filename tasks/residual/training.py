@@ -23,8 +23,7 @@ from tasks.residual.observation import OBSERVATION
 from tasks.residual.throws import Transitions
 from tasks.seeding import generator
 
-_N_CURVE_POINTS = 100
-"""Approximate number of points of a learning curve."""
+_N_CURVE_POINTS = 100  # approximate number of points of a learning curve
 
 
 class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a rollout's status)
@@ -41,12 +40,9 @@ class TrainedMember:
 
     weights: dict[str, Float32]
     """weight_i (n_in, n_out) and bias_i (n_out,) of each layer i, for standardised quantities."""
-    standardisation: Standardisation
-    """Standardisation of the training set."""
-    learning_curve: Float64
-    """(n_points, 3) iteration, mean training loss since the previous point, validation loss."""
-    validation: tuple[ErrorRow, ...]
-    """Errors on the held-out throws, in SI units."""
+    standardisation: Standardisation  # standardisation of the training set
+    learning_curve: Float64  # (n_points, 3) iteration, mean training loss since the previous point, validation loss
+    validation: tuple[ErrorRow, ...]  # errors on the held-out throws, in SI units
 
     def arrays(self) -> dict[str, Float32]:
         """Return the weights and the standardisation by name: everything that inference needs."""

@@ -11,26 +11,18 @@ GROUND_HALF_WIDTH = 10_000.0
 GROUND_HALF_HEIGHT = 10.0
 """[m]. Far thicker than any link moves in a step (Box2D allows 2 m), so nothing tunnels."""
 
-LINEAR_SLOP = np.float32(0.005)
-"""b2_linearSlop [m]: error of a position constraint that is tolerated."""
+LINEAR_SLOP = np.float32(0.005)  # b2_linearSlop [m]: error of a position constraint that is tolerated
 LEAST_SEPARATION = np.float32(-3.0) * LINEAR_SLOP
 """Least separation at which b2ContactSolver is done with positions [m]."""
-POLYGON_RADIUS = np.float32(0.01)
-"""b2_polygonRadius [m]: skin of a polygon."""
-TOTAL_RADIUS = np.float32(0.02)
-"""Skins of two polygons [m]: vertices nearer than this are contact points."""
-VELOCITY_THRESHOLD = np.float32(1.0)
-"""b2_velocityThreshold [m/s]: nothing slower bounces."""
+POLYGON_RADIUS = np.float32(0.01)  # b2_polygonRadius [m]: skin of a polygon
+TOTAL_RADIUS = np.float32(0.02)  # skins of two polygons [m]: vertices nearer than this are contact points
+VELOCITY_THRESHOLD = np.float32(1.0)  # b2_velocityThreshold [m/s]: nothing slower bounces
 MAX_CONDITION_NUMBER = np.float32(1000.0)
 """k_maxConditionNumber: worse conditioned pairs of contact points are not solved as a block."""
-BAUMGARTE = np.float32(0.2)
-"""b2_baumgarte: share of a position error that one sweep removes."""
-MAX_LINEAR_CORRECTION = np.float32(0.2)
-"""b2_maxLinearCorrection [m]: most that one sweep removes."""
-MAX_TRANSLATION = np.float32(2.0)
-"""b2_maxTranslation [m]: farthest that a body moves in a step."""
-MAX_ROTATION = np.float32(0.5) * np.float32(3.14159265359)
-"""b2_maxRotation [rad]: farthest that a body turns in a step."""
+BAUMGARTE = np.float32(0.2)  # b2_baumgarte: share of a position error that one sweep removes
+MAX_LINEAR_CORRECTION = np.float32(0.2)  # b2_maxLinearCorrection [m]: most that one sweep removes
+MAX_TRANSLATION = np.float32(2.0)  # b2_maxTranslation [m]: farthest that a body moves in a step
+MAX_ROTATION = np.float32(0.5) * np.float32(3.14159265359)  # b2_maxRotation [rad]: farthest that a body turns in a step
 MAX_ROTATION_SQUARED = MAX_ROTATION * MAX_ROTATION
 
 
@@ -44,8 +36,7 @@ def largest_square(root: float) -> np.float32:
     return square
 
 
-LINEAR_SLOP_SQUARED = largest_square(float(LINEAR_SLOP))
-"""[m²]"""
+LINEAR_SLOP_SQUARED = largest_square(float(LINEAR_SLOP))  # [m²]
 
 
 class Column:
@@ -58,12 +49,9 @@ class Column:
 class Motion:
     """Motion of links as an engine reports it; NaN from the step in which a rollout diverged."""
 
-    settled: Float32
-    """(n_members, n_designs, n_links, 6) states at the end of settling."""
-    final: Float32
-    """(n_members, n_designs, n_links, 6) states at the end."""
-    trace: Float32 | None
-    """(n_members, n_designs, n_steps, n_links, 6) states after each step, if requested."""
+    settled: Float32  # (n_members, n_designs, n_links, 6) states at the end of settling
+    final: Float32  # (n_members, n_designs, n_links, 6) states at the end
+    trace: Float32 | None  # (n_members, n_designs, n_steps, n_links, 6) states after each step, if requested
     motor_torque: Float32 | None = None
     """(n_members, n_designs, n_steps, n_links) torque of each joint's motor on the child link [N·m], 0 without a motor.
     Only the reference engine reports it, together with the trace."""

@@ -15,8 +15,7 @@ import numpy as np
 from tasks.arrays import Bools, Float32
 from tasks.design.genes import Designs
 
-TURN = 2 * np.pi
-"""[rad]"""
+TURN = 2 * np.pi  # [rad]
 
 SINE_OF_TURNS = (6.283185, -41.341656, 81.601, -76.54965, 39.535793)
 """Coefficients of the odd powers of r in sin(2π r) for |r| ≤ 1/4: least squares on Chebyshev nodes, error 2e-7."""
@@ -38,16 +37,11 @@ def sine_of_turns(turns: Float32) -> Float32:
 class Controllers:
     """Controllers of designs, rounded once to the engines' precision."""
 
-    frequency: Float32
-    """(n_designs, 1) [Hz]"""
-    phase_turns: Float32
-    """(n_designs, n_links) [turns]"""
-    motion_range: Float32
-    """(n_designs, n_links) [rad]"""
-    rest_angle: Float32
-    """(n_designs, n_links) [rad]"""
-    motor_on: Bools
-    """(n_designs, n_links); False for the root, which has no joint."""
+    frequency: Float32  # (n_designs, 1) [Hz]
+    phase_turns: Float32  # (n_designs, n_links) [turns]
+    motion_range: Float32  # (n_designs, n_links) [rad]
+    rest_angle: Float32  # (n_designs, n_links) [rad]
+    motor_on: Bools  # (n_designs, n_links); False for the root, which has no joint
 
     @staticmethod
     def of(designs: Designs) -> Controllers:

@@ -20,16 +20,11 @@ from tasks.world import VelocityChange
 class PlacedLinks:
     """States of links; leading axes are (n_members, n_designs, n_links)."""
 
-    state: Float32
-    """(..., 6) x, y [m], angle [rad], vx, vy [m/s] of the link's own centre, omega [rad/s]."""
-    cos: Floats
-    """(...) cosine of the link's angle."""
-    sin: Floats
-    """(...) sine of the link's angle."""
-    lever_x: Floats
-    """(...) vector from the body's centre of mass to the link's centre, along x [m]."""
-    lever_y: Floats
-    """(...) the same along y [m]."""
+    state: Float32  # (..., 6) x, y [m], angle [rad], vx, vy [m/s] of the link's own centre, omega [rad/s]
+    cos: Floats  # (...) cosine of the link's angle
+    sin: Floats  # (...) sine of the link's angle
+    lever_x: Floats  # (...) vector from the body's centre of mass to the link's centre, along x [m]
+    lever_y: Floats  # (...) the same along y [m]
 
 
 def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> PlacedLinks:

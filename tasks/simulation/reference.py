@@ -24,8 +24,7 @@ from tasks.world import Environment, LinkStates, Medium, Physics, VelocityChange
 
 _COLLIDES_WITH_GROUND_ONLY = {"groupIndex": -1}
 """Filter of links that pass through each other: fixtures of one negative group never collide. The ground is in none."""
-GROUND_BIT = 1 << N_LINKS
-"""Collision category of the ground; a link's category is the bit of its number."""
+GROUND_BIT = 1 << N_LINKS  # collision category of the ground; a link's category is the bit of its number
 
 
 class _Bodies:

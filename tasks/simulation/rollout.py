@@ -28,10 +28,8 @@ class Rollouts:
 
     displacement: Float64
     """(n_designs,) displacement of the root along x, from the end of settling to the end [m]; NaN where diverged."""
-    com_displacement: Float64
-    """(n_designs,) the same of the whole robot's centre of mass [m]; NaN where diverged."""
-    status: npt.NDArray[np.str_]
-    """(n_designs,) "ok", or "diverged" where a state became non-finite."""
+    com_displacement: Float64  # (n_designs,) the same of the whole robot's centre of mass [m]; NaN where diverged
+    status: npt.NDArray[np.str_]  # (n_designs,) "ok", or "diverged" where a state became non-finite
     trace: Float32 | None
     """(n_designs, n_steps, n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s] after each step, links in the
     design's own order. NaN from the step in which a rollout diverged; None unless requested."""

@@ -12,11 +12,9 @@ from tasks.world.medium import Medium
 class Environment:
     """Rigid links over hard ground, in a medium."""
 
-    is_ensemble: ClassVar[bool] = False
-    """Whether rollouts have an axis of ensemble members, even of a single one."""
+    is_ensemble: ClassVar[bool] = False  # whether rollouts have an axis of ensemble members, even of a single one
 
-    depth: float
-    """Depth of the ground: it lies at y = -depth [m]."""
+    depth: float  # depth of the ground: it lies at y = -depth [m]
 
     def __post_init__(self) -> None:
         depth = self.depth

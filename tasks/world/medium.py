@@ -19,36 +19,24 @@ class LinkStates:
     There is no horizontal position: a medium is uniform along x.
     """
 
-    length_scale: Floats
-    """Long axis [m]; the short axis is its reciprocal."""
-    mass: Floats
-    """[kg]"""
-    inertia: Floats
-    """Moment of inertia about the centre of mass [kg·m²]."""
-    y: Floats
-    """Height of the centre of mass over the medium's surface [m]."""
-    cos: Floats
-    """Cosine of the angle between the long axis and the vertical."""
-    sin: Floats
-    """Sine of the same angle."""
-    vx: Floats
-    """[m/s]"""
-    vy: Floats
-    """[m/s]"""
-    omega: Floats
-    """[rad/s]"""
+    length_scale: Floats  # long axis [m]; the short axis is its reciprocal
+    mass: Floats  # [kg]
+    inertia: Floats  # moment of inertia about the centre of mass [kg·m²]
+    y: Floats  # height of the centre of mass over the medium's surface [m]
+    cos: Floats  # cosine of the angle between the long axis and the vertical
+    sin: Floats  # sine of the same angle
+    vx: Floats  # [m/s]
+    vy: Floats  # [m/s]
+    omega: Floats  # [rad/s]
 
 
 @dataclass(frozen=True, eq=False)
 class VelocityChange:
     """Change of links' velocities in one step; arrays of the links' shape."""
 
-    vx: Floats
-    """[m/s]"""
-    vy: Floats
-    """[m/s]"""
-    omega: Floats
-    """[rad/s]"""
+    vx: Floats  # [m/s]
+    vy: Floats  # [m/s]
+    omega: Floats  # [rad/s]
 
 
 class Medium(Protocol):

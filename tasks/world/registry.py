@@ -65,31 +65,21 @@ from tasks.world.medium import EnsembleMedium
 class EnvironmentKind:
     """An environment as settings name it and as figures show it."""
 
-    name: str
-    """Name in settings, tables and files, such as ``true_slush``."""
+    name: str  # name in settings, tables and files, such as ``true_slush``
     build: Callable[..., Environment]
     """Class of the environment, called with the depth [m] and the medium, if it has one."""
-    settings_group: str | None = None
-    """Group of settings that states the medium's parameters."""
-    settings: type[Parameters] | None = None
-    """Class of these settings, which is also the medium."""
-    networks: Literal["none", "one", "all"] = "none"
-    """Trained ensemble members that the medium consists of."""
+    settings_group: str | None = None  # group of settings that states the medium's parameters
+    settings: type[Parameters] | None = None  # class of these settings, which is also the medium
+    networks: Literal["none", "one", "all"] = "none"  # trained ensemble members that the medium consists of
     label: str
-    symbol: str
-    """Symbol in the paper."""
-    evolved: str
-    """Phrase that completes "evolved ..."."""
-    marker: str
-    """Matplotlib marker, so that colour is never the only difference."""
+    symbol: str  # symbol in the paper
+    evolved: str  # phrase that completes "evolved ..."
+    marker: str  # Matplotlib marker, so that colour is never the only difference
     color: str
-    adapted_color: str
-    """Colour of the same arm once its controllers have adapted to True Slush."""
-    dark_color: str
-    """Colour on a dark page."""
+    adapted_color: str  # colour of the same arm once its controllers have adapted to True Slush
+    dark_color: str  # colour on a dark page
     dark_adapted_color: str
-    order: int = 100
-    """Place in every listing; ties are listed by name."""
+    order: int = 100  # place in every listing; ties are listed by name
 
     def environment(
         self, depth: float, settings: Mapping[str, Any], ensemble: EnsembleMedium | None = None
@@ -150,5 +140,4 @@ class _RegisteredNames:
         return core_schema.literal_schema(list(ENVIRONMENTS))
 
 
-EnvironmentName = Annotated[str, _RegisteredNames()]
-"""Name of a registered environment."""
+EnvironmentName = Annotated[str, _RegisteredNames()]  # name of a registered environment

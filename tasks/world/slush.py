@@ -21,8 +21,7 @@ from tasks.world.medium import LinkStates, Medium, VelocityChange
 from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
 
-TINY = 1e-30
-"""Replaces the rise of a level edge, whose submerged share is a step function of depth."""
+TINY = 1e-30  # replaces the rise of a level edge, whose submerged share is a step function of depth
 
 
 def submerged_part(length_scale: Floats, y: Floats, cos: Floats, sin: Floats) -> tuple[Floats, Floats]:

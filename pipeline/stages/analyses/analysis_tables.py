@@ -6,18 +6,15 @@ from pipeline.store.encoding import decode_json, decode_table, encode_json, enco
 from pipeline.store.tables import Columns, rows_of
 from pipeline.workflow.stage import Files
 
-ANALYSIS_VERSION = 5
-"""Version of the stage and of its tables."""
+ANALYSIS_VERSION = 5  # version of the stage and of its tables
 
 STATISTICS, MEMBERS, MATRIX, EXPLOITERS = "statistics", "members", "transfer-matrix", "exploiters"
-INSTRUMENTS, TANK = "instruments", "tank"
-"""Kinds of analyses."""
+INSTRUMENTS, TANK = "instruments", "tank"  # kinds of analyses
 
 REASONS = "reasons.json"
 
 Tables = dict[str, Columns]
-Reasons = dict[str, str]
-"""Why a table is empty or incomplete, by table."""
+Reasons = dict[str, str]  # why a table is empty or incomplete, by table
 AnyRow = TypeVar("AnyRow")
 
 

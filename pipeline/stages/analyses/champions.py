@@ -34,10 +34,8 @@ class Champion:
 
     trial: TrialId
     design: Designs
-    predicted: float
-    """Fitness where it evolved [m]."""
-    zero_shot: float
-    """Displacement in True Slush [m]; NaN where diverged."""
+    predicted: float  # fitness where it evolved [m]
+    zero_shot: float  # displacement in True Slush [m]; NaN where diverged
 
 
 def champions(trials: Sequence[TrialId], inputs: Inputs) -> list[Champion]:
@@ -136,8 +134,7 @@ class Candidate:
     identity: int
     predicted: float
     true: float
-    by_member: Float64
-    """(n_members,)"""
+    by_member: Float64  # (n_members,)
 
 
 def compute_exploiters(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:

@@ -16,8 +16,7 @@ from pipeline.workflow.stage import Execution, Inputs
 from tasks.arrays import Float32, Float64
 from tasks.world import Environment, EnvironmentName
 
-NO_MEMBER = -1
-"""Stands for the member in an environment without networks."""
+NO_MEMBER = -1  # stands for the member in an environment without networks
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,14 +24,10 @@ class Filmed:
     """A rollout of a champion."""
 
     champion: Champion
-    seen_in: EnvironmentName
-    """Environment of the rollout."""
-    member: int
-    """Member that predicts the medium, or NO_MEMBER."""
-    displacement: float
-    """[m]"""
-    trace: Float32
-    """(1, n_steps, n_links, 6)"""
+    seen_in: EnvironmentName  # environment of the rollout
+    member: int  # member that predicts the medium, or NO_MEMBER
+    displacement: float  # [m]
+    trace: Float32  # (1, n_steps, n_links, 6)
 
 
 def best_of(arm: Sequence[Champion]) -> tuple[int, bool]:

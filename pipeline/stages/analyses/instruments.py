@@ -46,8 +46,7 @@ from tasks.residual import Transitions
 from tasks.seeding import generator
 from tasks.world import EnsembleMedium, Physics
 
-N_TRIES = 32
-"""Repeats of each champion: the standard error of its loss is then a fifth of their standard deviation."""
+N_TRIES = 32  # repeats of each champion: the standard error of its loss is then a fifth of their standard deviation
 
 
 def transitions_of(held_out: float, seed: int, inputs: Inputs) -> tuple[Transitions, Transitions]:
@@ -76,8 +75,7 @@ class ThrustRow:
     """The phantom thrust of one member."""
 
     member: int
-    thrust: Estimate
-    """[m/s²]"""
+    thrust: Estimate  # [m/s²]
 
 
 def compute_members(job: Job[AnalysisItemSpec[MembersSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
@@ -108,12 +106,9 @@ class FilmRow:
     member: int
     trial: int
     displacement: float
-    disagreement: float
-    """Mean over steps and links [m/s²]."""
-    share_novel: float
-    """Share of steps and links with a novelty above 1."""
-    thrust: tuple[float, ...]
-    """(n_members,) mean departure along x [m/s²]."""
+    disagreement: float  # mean over steps and links [m/s²]
+    share_novel: float  # share of steps and links with a novelty above 1
+    thrust: tuple[float, ...]  # (n_members,) mean departure along x [m/s²]
 
 
 def compute_arm(job: Job[AnalysisItemSpec[InstrumentsSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:

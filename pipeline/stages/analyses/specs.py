@@ -28,11 +28,9 @@ class AnalysisSpec:
     """What all analyses have in common."""
 
     seed: int
-    trials: tuple[TrialId, ...]
-    """Trials whose champions are analysed."""
+    trials: tuple[TrialId, ...]  # trials whose champions are analysed
     n_rollouts: int
-    environment: EnvironmentName
-    """Where most of the rollouts are, for their cost."""
+    environment: EnvironmentName  # where most of the rollouts are, for their cost
 
 
 @dataclass(frozen=True)
@@ -95,9 +93,6 @@ class AnalysisItemSpec(Generic[SpecT]):
     """An analysis, and why some of what it reads is missing."""
 
     analysis: SpecT
-    failed: Mapping[str, str] = field(default_factory=dict)
-    """Reasons of trials without scores, by label."""
-    not_assessed: str = ""
-    """Why there are no predictions; "" if there are."""
-    no_networks: str = ""
-    """Why there are no networks; "" if there are."""
+    failed: Mapping[str, str] = field(default_factory=dict)  # reasons of trials without scores, by label
+    not_assessed: str = ""  # why there are no predictions; "" if there are
+    no_networks: str = ""  # why there are no networks; "" if there are

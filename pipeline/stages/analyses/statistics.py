@@ -45,14 +45,10 @@ class ScoreRow:
     environment: str
     depth: float
     trial: int
-    predicted: float
-    """Fitness where it evolved."""
-    zero_shot: float
-    """Displacement of the root in True Slush."""
-    zero_shot_com: float
-    """Displacement of the centre of mass in True Slush."""
-    zero_shot_reach: float
-    """The difference of the two."""
+    predicted: float  # fitness where it evolved
+    zero_shot: float  # displacement of the root in True Slush
+    zero_shot_com: float  # displacement of the centre of mass in True Slush
+    zero_shot_reach: float  # the difference of the two
     adapted: float
     adapted_com: float
     adapted_reach: float
@@ -132,10 +128,8 @@ class HistogramRow:
 
     name: str
     n_outside: int
-    edges: tuple[float, ...]
-    """(n_bins + 1,) of both axes [m]."""
-    counts: tuple[int, ...]
-    """(n_bins²,), predicted by true."""
+    edges: tuple[float, ...]  # (n_bins + 1,) of both axes [m]
+    counts: tuple[int, ...]  # (n_bins²,), predicted by true
 
 
 def _drawn(predicted: Float64, true: Float64) -> list[HistogramRow]:

@@ -17,8 +17,7 @@ from pipeline.workflow.stage import Files
 from tasks.analysis import Attribution, Crossing, Regression, Row, Tank
 from tasks.analysis.prediction import mean_less_deviations
 
-Highlights = tuple[list[str], dict[str, float]]
-"""Lines for the terminal, and metrics."""
+Highlights = tuple[list[str], dict[str, float]]  # lines for the terminal, and metrics
 
 _AGGREGATE_METRICS = {mean_less_deviations(0): "mean", mean_less_deviations(1): "mean_less_1_sd"}
 

@@ -18,8 +18,7 @@ from tasks.analysis import Crossing, crossings, nearest_the_mean
 from tasks.design.genes import concatenate
 from tasks.world import DryLand, Environment
 
-_CHAMPIONS_AT_ONCE = 16
-"""Champions whose traces are in memory at the same time: 35,000 steps of one are 5 MB."""
+_CHAMPIONS_AT_ONCE = 16  # champions whose traces are in memory at the same time: 35,000 steps of one are 5 MB
 
 
 def compute(job: Job[AnalysisItemSpec[TankSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:

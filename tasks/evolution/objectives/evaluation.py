@@ -20,8 +20,7 @@ class Objective:
     """Maps rollouts to one score for each, in the unit and in the shape of ``rollouts.displacement``."""
 
 
-OBJECTIVES: dict[str, Objective] = {}
-"""Objectives by name."""
+OBJECTIVES: dict[str, Objective] = {}  # objectives by name
 
 
 def register_objective(objective: Objective) -> None:
@@ -39,10 +38,8 @@ def register_objective(objective: Objective) -> None:
 class Evaluation:
     """Scores of n_designs designs; environments without an ensemble have one member."""
 
-    fitness: Float64
-    """(n_designs,) in the objective's unit; -inf where any rollout diverged."""
-    displacement: Float64
-    """(n_designs, n_members) displacement of the root [m]; NaN where diverged."""
+    fitness: Float64  # (n_designs,) in the objective's unit; -inf where any rollout diverged
+    displacement: Float64  # (n_designs, n_members) displacement of the root [m]; NaN where diverged
     com_displacement: Float64
     """(n_designs, n_members) displacement of the whole robot's centre of mass [m]; NaN where diverged."""
 

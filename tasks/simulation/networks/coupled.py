@@ -26,31 +26,21 @@ from tasks.simulation.trees import layout
 class LinkCopies(NamedTuple):
     """Copies between links of robots and samples of networks, of as many links at once as the blocks have lanes."""
 
-    rows: Int64
-    """(n_copies, 3) rows of a copy's first number in ``robots``, ``x`` and ``out``."""
-    robots: Block
-    """Blocks of the engine."""
-    x: Block
-    """Inputs of the networks."""
-    out: Block
-    """Outputs of the networks: changes of vx, vy, omega, and padding."""
-    quantity: int
-    """Rows of ``robots`` between two quantities of a link."""
-    number: int
-    """Rows of ``x`` and ``out`` between two numbers of a sample."""
+    rows: Int64  # (n_copies, 3) rows of a copy's first number in ``robots``, ``x`` and ``out``
+    robots: Block  # blocks of the engine
+    x: Block  # inputs of the networks
+    out: Block  # outputs of the networks: changes of vx, vy, omega, and padding
+    quantity: int  # rows of ``robots`` between two quantities of a link
+    number: int  # rows of ``x`` and ``out`` between two numbers of a sample
 
 
 class Coupling(NamedTuple):
     """Robots, and the networks of their members."""
 
-    whole: LinkCopies
-    """Copies of N_LANES links that are neighbours in both."""
-    single: LinkCopies
-    """Copies of all other links."""
-    observed: Int64
-    """(n_inputs,) first rows of the quantities that networks read."""
-    layers: Int64
-    """This field and those below are arguments of the networks' kernel, in inference.py."""
+    whole: LinkCopies  # copies of N_LANES links that are neighbours in both
+    single: LinkCopies  # copies of all other links
+    observed: Int64  # (n_inputs,) first rows of the quantities that networks read
+    layers: Int64  # this field and those below are arguments of the networks' kernel, in inference.py
     sizes: Int64
     x: Float32
     out: Float32

@@ -26,17 +26,14 @@ from tasks.compiled import compiled
 from tasks.simulation.simd import lanes
 from tasks.simulation.simd.lanes import aligned, widest
 
-Pointer = int
-"""Address of float32 numbers in memory."""
+Pointer = int  # address of float32 numbers in memory
 
-N_LANES = widest() // 2
-"""Lanes of a vector register."""
+N_LANES = widest() // 2  # lanes of a vector register
 TILE_VECTORS = 2
 TILE_UNITS = 8 if N_LANES == 16 else 4
 """Outputs of a tile: the most that leave registers for samples and weights. Layers are padded to half as many."""
 TILE_ROWS = TILE_VECTORS * N_LANES
-_NUMBER = 4
-"""Size of a float32 [bytes]."""
+_NUMBER = 4  # size of a float32 [bytes]
 
 
 def _tile(builder: ir.IRBuilder, pointers: Sequence[Any], sizes: Sequence[Any], relu: Any, n_units: int) -> None:

@@ -13,10 +13,8 @@ from tasks.simulation.rigid_bodies.layout import BodyRecord, FixtureRecord, Robo
 from tasks.simulation.rigid_bodies.polygons import update
 from tasks.simulation.rigid_bodies.transform import rotate, transform
 
-_AABB_EXTENSION = float32(0.1)
-"""b2_aabbExtension [m]."""
-_AABB_MULTIPLIER = float32(2.0)
-"""b2_aabbMultiplier: steps that a fat AABB looks ahead."""
+_AABB_EXTENSION = float32(0.1)  # b2_aabbExtension [m]
+_AABB_MULTIPLIER = float32(2.0)  # b2_aabbMultiplier: steps that a fat AABB looks ahead
 
 
 @inline

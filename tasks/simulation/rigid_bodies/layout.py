@@ -13,8 +13,7 @@ from numpy import float32
 
 from tasks.design.genes import N_JOINTS, N_LINKS
 
-GROUND = N_LINKS
-"""The ground's index among the bodies and among the fixtures."""
+GROUND = N_LINKS  # the ground's index among the bodies and among the fixtures
 N_BODIES = N_LINKS + 1
 MAX_CONTACTS = N_LINKS + N_LINKS * (N_LINKS - 1) // 2 - N_JOINTS
 """Every link with the ground, and every two links except those that a joint ties."""
@@ -224,8 +223,7 @@ class RobotRecord:
     stack: Annotated[list[int], N_BODIES]
 
 
-Records = npt.NDArray[np.record]
-"""Records of one of these classes."""
+Records = npt.NDArray[np.record]  # records of one of these classes
 
 
 def record_dtype(record: type) -> np.dtype[Any]:

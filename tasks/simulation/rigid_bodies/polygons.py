@@ -13,8 +13,7 @@ from tasks.simulation.rigid_bodies.transform import rotate, rotate_back
 _RELATIVE_TOLERANCE, _ABSOLUTE_TOLERANCE = float32(0.98), float32(0.001)
 _ZERO, _HALF = float32(0), float32(0.5)
 
-_TOP = 2
-"""The upper edge of the ground."""
+_TOP = 2  # the upper edge of the ground
 
 # A b2ContactID as a whole number: the indices of A's and B's features, and whether they are faces.
 INDEX_B, FACE_OF_A, FACE_OF_B = 4, 16, 32
@@ -87,8 +86,7 @@ def _find_incident_edge(box_1: FixtureRecord, edge: int, body_2: BodyRecord, box
     return incident
 
 
-ClipVertex = tuple[float32, float32, int]
-"""b2ClipVertex: x, y [m] and the contact's id."""
+ClipVertex = tuple[float32, float32, int]  # b2ClipVertex: x, y [m] and the contact's id
 
 
 @inline

@@ -15,8 +15,7 @@ from tasks.simulation.rigid_bodies.transform import rotate, transform
 from tasks.simulation.simd.rotation import scalar_sincos
 from tasks.simulation.trees.step import Scene, immersion, motor_speed, slush_change
 
-TEAM = 4
-"""Robots that take a step together (see island.py): their records fit the L1 cache."""
+TEAM = 4  # robots that take a step together (see island.py): their records fit the L1 cache
 
 _ZERO = float32(0)
 

@@ -6,8 +6,7 @@ from tasks.compiled import inline
 from tasks.simulation.rigid_bodies.layout import BodyRecord
 from tasks.simulation.simd.rotation import scalar_sincos
 
-Vector = tuple[float32, float32]
-"""b2Vec2."""
+Vector = tuple[float32, float32]  # b2Vec2
 
 
 @inline

@@ -24,17 +24,12 @@ import numpy.typing as npt
 
 from tasks.arrays import Bools, Float32
 
-Lanes = npt.NDArray[Any]
-"""A vector with one number per lane: a SIMD register under the compiler, a NumPy array without."""
-Uniform = float | np.floating
-"""A number that is the same in all lanes."""
-Numeric = Any
-"""Lanes, or one number in code that the rigid-body engine shares; mypy can't relate the two."""
-Mask = Bools
-"""A vector with one flag per lane."""
+Lanes = npt.NDArray[Any]  # A vector with one number per lane: a SIMD register under the compiler, a NumPy array without
+Uniform = float | np.floating  # A number that is the same in all lanes
+Numeric = Any  # lanes, or one number in code that the rigid-body engine shares; mypy can't relate the two
+Mask = Bools  # A vector with one flag per lane
 
-ALIGNMENT = 64
-"""Size of an AVX-512 register and of a cache line [bytes]."""
+ALIGNMENT = 64  # size of an AVX-512 register and of a cache line [bytes]
 
 
 class Block:

@@ -24,8 +24,7 @@ from tasks.simulation.simd.lanes import (
     with_lane,
 )
 
-NEAR = 120.0
-"""Angles below this [rad] are reduced by one multiply-add, others by integer arithmetic."""
+NEAR = 120.0  # angles below this [rad] are reduced by one multiply-add, others by integer arithmetic
 _TWO_OVER_PI_SCALED = float.fromhex("0x1.45F306DC9C883p+23")  # 2/π · 2^24
 _HALF_PI = float.fromhex("0x1.921FB54442D18p0")
 _PI_63 = float.fromhex("0x1.921FB54442D18p-62")  # 2π · 2^-64

@@ -45,8 +45,7 @@ from tasks.simulation.trees import layout as at
 from tasks.simulation.trees.joint import clamp
 
 NO_VERTEX = -1.0
-_CLEARLY_APART = 0.1
-"""Estimated gap [m] beyond which there is no contact; far more than the estimate's rounding."""
+_CLEARLY_APART = 0.1  # estimated gap [m] beyond which there is no contact; far more than the estimate's rounding
 
 
 @inline

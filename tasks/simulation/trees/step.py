@@ -45,30 +45,20 @@ MAX_GROUPS_AT_ONCE = 2
 class Scene(NamedTuple):
     """Constants that all robots of a call share, rounded once to float32."""
 
-    dt: np.float32
-    """[s]"""
-    dt_ratio: np.float32
-    """Box2D's dtRatio of a constant time step: 1, up to rounding."""
-    fall: np.float32
-    """Gain of vy by gravity in a step [m/s]."""
-    ground: np.float32
-    """Height of the ground's top [m]."""
+    dt: np.float32  # [s]
+    dt_ratio: np.float32  # box2D's dtRatio of a constant time step: 1, up to rounding
+    fall: np.float32  # gain of vy by gravity in a step [m/s]
+    ground: np.float32  # height of the ground's top [m]
     friction: np.float32
     restitution: np.float32
-    motor_gain: np.float32
-    """[1/s]"""
+    motor_gain: np.float32  # [1/s]
     velocity_iterations: int
     position_iterations: int
-    n_links: int
-    """Always 6, but known at run time only: otherwise loops are unrolled and outgrow the instruction cache."""
-    slush: bool
-    """Whether the built-in slush fills the region below y = 0; its factors follow."""
-    drag: np.float32
-    """½ ρ C_dl dt"""
-    angular_drag: np.float32
-    """ρ C_dr dt"""
-    lift: np.float32
-    """ρ g dt"""
+    n_links: int  # always 6, but known at run time only: otherwise loops are unrolled and outgrow the instruction cache
+    slush: bool  # whether the built-in slush fills the region below y = 0; its factors follow
+    drag: np.float32  # ½ ρ C_dl dt
+    angular_drag: np.float32  # ρ C_dr dt
+    lift: np.float32  # ρ g dt
 
 
 @inline
