@@ -1,7 +1,8 @@
 """A study may die, or lose power, at any effect on the disk, and the next run still ends in the same bytes.
 
-The study has two parts, which differ in how they write: evolution and transfer commit items; the report also replaces a
-folder of copies. Every point of both is tried, always. A process that dies leaves on the disk what it has written, and
+The study has three parts: evolution and transfer, the analyses, and the report, which also replaces a folder of copies.
+Every point of the first and the last is tried, always; of the analyses, which commit as evolution does, with --torture.
+A process that dies leaves on the disk what it has written, and
 nothing else matters to the next one. So one run is surveyed for the disks that every fault at every point would leave,
 and a real driver continues from each distinct disk. That processes which really die leave the disks that the survey
 predicts is tested too: at random points, and with --torture at all of them.
@@ -35,12 +36,8 @@ def undisturbed(fork_server, tmp_path_factory):
     return answer
 
 
-@pytest.fixture(scope="module")
-def analysed(fork_server, tmp_path_factory):
-    """A store in which only the report is missing."""
-    root = tmp_path_factory.mktemp("analysed") / "store"
-    fork_server.finish([root], last="analyse", inspect=False)
-    return root
+PARTS = {"science": (None, LAST, 4), "analyses": (LAST, "analyse", 5), "report": ("analyse", "report", 3)}
+"""Parts of the study: the last stage before it, its own last stage, and the number of items that it computes."""
 
 
 def survey(fork_server, top: Path, kinds: list[str], seed: int, points: list[int] | None = None, **command) -> dict:
@@ -69,21 +66,24 @@ def resume(fork_server, undisturbed, stores: list[Path], committed: list[list[st
             shutil.rmtree(store.parent)
 
 
-@pytest.mark.parametrize("part", ["science", "report"])
-def test_the_next_driver_continues_from_any_disk_that_a_fault_leaves(torture, fork_server, analysed, new_folder, part):
+@pytest.mark.parametrize("part", PARTS)
+def test_the_next_driver_continues_from_any_disk_that_a_fault_leaves(torture, fork_server, new_folder, part):
+    if part == "analyses" and not torture.large:
+        pytest.skip("with --torture")
     n_faults = n_disks = 0
-    last = {"last": LAST} if part == "science" else {}
+    before, last, n_items = PARTS[part]
     for rng in torture.attempts(1, 20):  # each attempt loses other data at random
         top = new_folder()
-        if part == "report":
-            shutil.copytree(analysed, top / "disk" / "store")
-        found = survey(fork_server, top, KINDS, int(rng.integers(2**32)), **last)
-        assert len(found["computed"]) == {"science": 4, "report": 3}[part] and len(found["effects"]) > 80
+        if before:
+            (top / "disk").mkdir()
+            fork_server.finish([top / "disk" / "store"], last=before, inspect=False)
+        found = survey(fork_server, top, KINDS, int(rng.integers(2**32)), last=last)
+        assert len(found["computed"]) == n_items and len(found["effects"]) > 80
         n_writes = found["effects"].count("write")
         faults = [tuple(fault) for disk in found["disks"] for fault in disk["faults"]]
         assert len(set(faults)) == len(faults) == (len(KINDS) - 1) * len(found["effects"]) + n_writes
         stores = [top / "found" / str(number) / "store" for number in range(len(found["disks"]))]
-        resume(fork_server, found, stores, [disk["committed"] for disk in found["disks"]], **last)
+        resume(fork_server, found, stores, [disk["committed"] for disk in found["disks"]], last=last)
         n_faults, n_disks = n_faults + len(faults), n_disks + len(stores)
         shutil.rmtree(top)
     torture.note(
