@@ -2,14 +2,26 @@
 
 VENV := .venv
 PUDDLE := $(VENV)/bin/puddle
-READY := $(VENV)/.ready
+PIP := $(VENV)/bin/python -m pip
+INSTALLED := $(VENV)/.installed
+INSTALLED_DEV := $(VENV)/.installed-dev
+
 PRESET ?= laptop
 MINUTES ?= 60
+EXTRAS ?=
+TORCH ?= cpu
 TORCH_INDEX ?=
 
 # The first Python that runs and is one of 3.11 to 3.13; override with `make PYTHON=...`.
 PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(shell \
 	$(p) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' 2>/dev/null && echo $(p))))
+
+# $(call install,PACKAGES,TORCH OPTIONS OF PIP,TORCH OPTIONS OF UV). uv is several times as fast as pip and knows where
+# torch's builds are. It reads none of pip's settings, so where pip has an index or a folder of its own, pip installs.
+UV = $(or $(shell command -v uv),$(VENV)/bin/uv)
+install = if [ -n "$(TORCH_INDEX)" ] || $(PIP) config list | grep -Eq 'index-url|find-links|no-index'; \
+	then $(PIP) install --quiet --no-compile $(2) $(1); \
+	else [ -x "$(UV)" ] || $(PIP) install --quiet uv; $(UV) pip install --quiet --python $(VENV)/bin/python $(3) $(1); fi
 
 .DEFAULT_GOAL := help
 .PHONY: help setup study test torture lint ui bench clean
@@ -17,40 +29,48 @@ PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(she
 help: ## list the targets
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-7s %s\n", $$1, $$2}'
 
-setup: $(READY) ## make .venv and install everything, at the versions of constraints.txt
+setup: $(INSTALLED) $(EXTRAS:%=$(VENV)/.installed-%) ## install what a study needs (TORCH=cpu or cuda; EXTRAS=cad, dev, server)
 
-# torch comes first and by its exact version, from TORCH_INDEX if that is given: torch's page "Get started" has them.
-# Without it pip takes its own index's build, which on x86 Linux is gigabytes larger: it holds CUDA.
-$(READY): pyproject.toml constraints.txt
+# torch comes first and by its exact version: its builds for the CPU and for CUDA differ by gigabytes. TORCH_INDEX is the
+# index that pip takes it from, if not pip's own; torch's page "Get started" has the address of each build's.
+$(VENV)/.torch-%: constraints.txt
 	@if [ -z "$(PYTHON)" ]; then echo "puddle needs Python 3.11, 3.12 or 3.13; found none. Install one, or name it: make PYTHON=/path/to/python" >&2; exit 2; fi
-	@echo "Setting up $(VENV) with $$($(PYTHON) --version): 2 to 5 minutes; about 2 GB, or more where torch holds CUDA."
-	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet $(if $(TORCH_INDEX),--index-url "$(TORCH_INDEX)") "$$(grep '^torch==' constraints.txt)"
-	$(VENV)/bin/python -m pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	@echo "Setting up $(VENV) with $$($(PYTHON) --version) and torch for $*: 1 to 3 minutes."
+	@[ -x $(VENV)/bin/python ] || $(PYTHON) -m venv $(VENV)
+	@rm -f $(VENV)/.torch-*
+	@$(call install,"$$(grep '^torch==' constraints.txt)",$(if $(TORCH_INDEX),--index-url "$(TORCH_INDEX)"),--torch-backend=$(if $(filter cuda,$*),auto,$*))
 	@touch $@
 
-study: $(READY) ## run the whole study (PRESET=laptop; also smoke, row, paper, pontoon)
+$(INSTALLED): $(VENV)/.torch-$(TORCH) pyproject.toml constraints.txt
+	@$(call install,--constraint constraints.txt --editable .)
+	@touch $@
+
+$(VENV)/.installed-%: $(INSTALLED)
+	@$(call install,--constraint constraints.txt --editable ".[$*]")
+	@touch $@
+
+study: $(INSTALLED) ## run the whole study (PRESET=laptop; also smoke, row, paper, pontoon)
 	$(PUDDLE) study --preset $(PRESET)
 
-test: $(READY) ## check style, format, types and layers, and run the tests
+test: $(INSTALLED_DEV) ## check style, format, types and layers, and run the tests
 	$(VENV)/bin/ruff check --quiet .
 	$(VENV)/bin/ruff format --check --quiet .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/python -m pytest --numprocesses 3 --dist loadfile --no-loadscope-reorder --durations 5 --durations-min 10
 
-torture: $(READY) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=60)
+torture: $(INSTALLED_DEV) ## faults in large numbers: kills, full disks, flipped bits (MINUTES=60)
 	$(VENV)/bin/python -m pytest tests/torture --torture --minutes $(MINUTES)
 
-lint: $(READY) ## check style, format, types and layers alone
+lint: $(INSTALLED_DEV) ## check style, format, types and layers alone
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 
-ui: $(READY) ## open the MLflow UI on this machine's loopback
+ui: $(INSTALLED) ## open the MLflow UI on this machine's loopback
 	$(PUDDLE) ui
 
-bench: $(READY) ## measure the engines against their peers
+bench: $(INSTALLED_DEV) ## measure the engines against their peers
 	$(VENV)/bin/python -m benchmarks
 
 clean: ## remove .venv and caches (never a store)

@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, get_args
 
@@ -21,8 +22,8 @@ from pydantic import BaseModel, ValidationError
 
 from pipeline.errors import PuddleError
 
-PRESETS = Path(__file__).resolve().parents[2] / "configs"
-"""Folder of the presets, in the checkout. Only the driver reads them."""
+PRESETS = Path(str(files("pipeline") / "presets")).resolve()
+"""Folder of the presets, which a checkout has as configs/. Only the driver reads them."""
 
 _MAX_BYTES = 2**20
 _MAX_NESTING = 32
