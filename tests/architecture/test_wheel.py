@@ -29,7 +29,9 @@ def wheel(tmp_path_factory) -> Path:
 def test_the_wheel_holds_the_files_that_the_command_reads(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     presets = {f"pipeline/presets/{path.name}" for path in (ROOT / "configs").glob("*.yaml")}
-    templates = {str(path.relative_to(ROOT)) for kind in ("html", "css", "js") for path in ROOT.glob(f"pipeline/*/*.{kind}")}
+    templates = {
+        str(path.relative_to(ROOT)) for kind in ("html", "css", "js") for path in ROOT.glob(f"pipeline/*/*.{kind}")
+    }
     assert presets and templates
     assert {"pipeline/constraints.txt", "pipeline/py.typed", "tasks/py.typed", *presets, *templates} <= names
     assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"pipeline", "tasks"}
@@ -50,12 +52,12 @@ def test_the_smoke_study_runs_from_an_installed_wheel_in_an_empty_folder(wheel, 
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")], check=True)
     python = tmp_path / "venv" / "bin" / "python"
     (site,) = (tmp_path / "venv").glob("lib/python*/site-packages")
-    install = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet", "--no-deps"]
-    subprocess.run([*install, str(wheel)], check=True)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    install = [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet", "--no-deps", str(wheel)]
+    subprocess.run(install, env=environment, check=True)
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
     empty = tmp_path / "empty"
     empty.mkdir()
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
     def puddle(*arguments: str) -> str:
         command = [str(tmp_path / "venv" / "bin" / "puddle"), *arguments]
@@ -64,7 +66,9 @@ def test_the_smoke_study_runs_from_an_installed_wheel_in_an_empty_folder(wheel, 
         return ran.stdout
 
     where = "import pipeline, tasks; print(pipeline.__file__, tasks.__file__)"
-    shown = subprocess.run([str(python), "-c", where], cwd=empty, env=environment, capture_output=True, text=True, check=True)
+    shown = subprocess.run(
+        [str(python), "-c", where], cwd=empty, env=environment, capture_output=True, text=True, check=True
+    )
     assert shown.stdout.count(str(site)) == 2
     puddle("study", "--preset", "smoke", "--workers", "0")
     assert (empty / "store" / "studies" / "smoke" / "report" / "index.html").stat().st_size > 100_000
