@@ -23,6 +23,13 @@ install = if [ -n "$(TORCH_INDEX)" ] || $(PIP) config list | grep -Eq 'index-url
 	then $(PIP) install --quiet --no-compile $(2) $(1); \
 	else [ -x "$(UV)" ] || $(PIP) install --quiet uv; $(UV) pip install --quiet --python $(VENV)/bin/python $(3) $(1); fi
 
+ifneq ($(filter-out cpu cuda,$(TORCH)),)
+$(error TORCH is cpu or cuda, got $(TORCH))
+endif
+ifneq ($(filter-out cad dev server,$(EXTRAS)),)
+$(error EXTRAS are cad, dev and server, got $(EXTRAS))
+endif
+
 .DEFAULT_GOAL := help
 .PHONY: help setup study test torture lint ui bench clean
 
