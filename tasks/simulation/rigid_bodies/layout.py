@@ -1,11 +1,11 @@
 """The records of a robot: Box2D's objects with named fields, all in one block of memory.
 
-Each class describes a record twice: to mypy, and to :func:`record_dtype`, which makes the NumPy dtype. numba passes a
-record as its address, so ``robot.bodies[b].v_x`` is a single load. Names follow Box2D's members. Quantities are in SI
-units and in the world's frame, those named local_… in a body's.
+A class describes a record to mypy by an example of each field, and :func:`_record_dtype` makes the NumPy dtype from the
+examples. numba passes a record as its address, so ``robot.bodies[b].v_x`` is a single load. Names follow Box2D's
+members. Quantities are in SI units and in the world's frame, those named local_… in a body's.
 """
 
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,12 @@ from numpy import float32
 from tasks.design.genes import N_JOINTS, N_LINKS
 
 GROUND = N_LINKS  # the ground's index among the bodies and among the fixtures
-N_BODIES = N_LINKS + 1
+_N_BODIES = N_LINKS + 1
 MAX_CONTACTS = N_LINKS + N_LINKS * (N_LINKS - 1) // 2 - N_JOINTS
 """Every link with the ground, and every two links except those that a joint ties."""
 
-OfCorners = Annotated[list[float32], 4]
-"""A quantity of a box's four corners or edges; edge i goes from corner i to corner i + 1."""
+_FLOAT = float32()
+_OF_CORNERS = [_FLOAT] * 4  # a quantity of a box's corners or edges; edge i goes from corner i to corner i + 1
 
 
 class LinkRecord:
@@ -28,34 +28,13 @@ class LinkRecord:
     The lever is the link's centre less the body's centre of mass; change_… is the velocity change by the medium.
     """
 
-    x: float32
-    y: float32
-    angle: float32
-    vx: float32
-    vy: float32
-    omega: float32
-    cos: float32
-    sin: float32
-    length_scale: float32
-    width: float32
-    mass: float32
-    inertia: float32
-    change_vx: float32
-    change_vy: float32
-    change_omega: float32
-    lever_x: float32
-    lever_y: float32
-    body: int
-    local_x: float32
-    local_y: float32
-    local_angle: float32
-    local_cos: float32
-    local_sin: float32
-    local_lever_x: float32
-    local_lever_y: float32
-    mass_share: float32
-    inertia_share: float32
-    mass_over_inertia: float32
+    x, y, angle, vx, vy, omega, cos, sin = [_FLOAT] * 8
+    length_scale, width, mass, inertia = [_FLOAT] * 4
+    change_vx, change_vy, change_omega = [_FLOAT] * 3
+    lever_x, lever_y = [_FLOAT] * 2
+    body = 0
+    local_x, local_y, local_angle, local_cos, local_sin, local_lever_x, local_lever_y = [_FLOAT] * 7
+    mass_share, inertia_share, mass_over_inertia = [_FLOAT] * 3
 
 
 class BodyRecord:
@@ -64,50 +43,20 @@ class BodyRecord:
     start_p is p at the start of the step, local_center the centre of mass in the body's frame.
     """
 
-    c_x: float32
-    c_y: float32
-    a: float32
-    v_x: float32
-    v_y: float32
-    w: float32
-    p_x: float32
-    p_y: float32
-    cos: float32
-    sin: float32
-    start_p_x: float32
-    start_p_y: float32
-    inv_mass: float32
-    inv_inertia: float32
-    local_center_x: float32
-    local_center_y: float32
+    c_x, c_y, a, v_x, v_y, w = [_FLOAT] * 6
+    p_x, p_y, cos, sin, start_p_x, start_p_y = [_FLOAT] * 6
+    inv_mass, inv_inertia, local_center_x, local_center_y = [_FLOAT] * 4
 
 
 class FixtureRecord:
     """b2Fixture, b2PolygonShape and b2FixtureProxy: a box, its AABB (lower, upper), and its fat AABB."""
 
-    body: int
-    fat_lower_x: float32
-    fat_lower_y: float32
-    fat_upper_x: float32
-    fat_upper_y: float32
-    lower_x: float32
-    lower_y: float32
-    upper_x: float32
-    upper_y: float32
-    local_centroid_x: float32
-    local_centroid_y: float32
-    centroid_x: float32
-    centroid_y: float32
-    local_vertex_x: OfCorners
-    local_vertex_y: OfCorners
-    local_normal_x: OfCorners
-    local_normal_y: OfCorners
-    local_tangent_x: OfCorners
-    local_tangent_y: OfCorners
-    vertex_x: OfCorners
-    vertex_y: OfCorners
-    normal_x: OfCorners
-    normal_y: OfCorners
+    body = 0
+    fat_lower_x, fat_lower_y, fat_upper_x, fat_upper_y = [_FLOAT] * 4
+    lower_x, lower_y, upper_x, upper_y = [_FLOAT] * 4
+    local_centroid_x, local_centroid_y, centroid_x, centroid_y = [_FLOAT] * 4
+    local_vertex_x, local_vertex_y, local_normal_x, local_normal_y = [_OF_CORNERS] * 4
+    local_tangent_x, local_tangent_y, vertex_x, vertex_y, normal_x, normal_y = [_OF_CORNERS] * 6
 
 
 class ContactPointRecord:
@@ -116,18 +65,10 @@ class ContactPointRecord:
     local is the point in the frame of the body whose edge was clipped, ra and rb from the bodies' centres of mass.
     """
 
-    local_x: float32
-    local_y: float32
-    id: int
-    normal_impulse: float32
-    tangent_impulse: float32
-    ra_x: float32
-    ra_y: float32
-    rb_x: float32
-    rb_y: float32
-    normal_mass: float32
-    tangent_mass: float32
-    velocity_bias: float32
+    local_x, local_y = [_FLOAT] * 2
+    id = 0
+    normal_impulse, tangent_impulse = [_FLOAT] * 2
+    ra_x, ra_y, rb_x, rb_y, normal_mass, tangent_mass, velocity_bias = [_FLOAT] * 7
 
 
 class ContactRecord:
@@ -139,27 +80,11 @@ class ContactRecord:
     ill-conditioned. k is the matrix K of both normal impulses, m its inverse.
     """
 
-    fixture_a: int
-    fixture_b: int
-    body_a: int
-    body_b: int
-    exists: int
-    point_count: int
-    flipped: int
-    local_normal_x: float32
-    local_normal_y: float32
-    local_point_x: float32
-    local_point_y: float32
-    normal_x: float32
-    normal_y: float32
-    solved_count: int
-    k11: float32
-    k12: float32
-    k22: float32
-    m11: float32
-    m12: float32
-    m22: float32
-    points: Annotated[list[ContactPointRecord], 2]
+    fixture_a, fixture_b, body_a, body_b, exists, point_count, flipped = [0] * 7
+    local_normal_x, local_normal_y, local_point_x, local_point_y, normal_x, normal_y = [_FLOAT] * 6
+    solved_count = 0
+    k11, k12, k22, m11, m12, m22 = [_FLOAT] * 6
+    points = [ContactPointRecord()] * 2
 
 
 class JointRecord:
@@ -168,31 +93,11 @@ class JointRecord:
     ra and rb are the joint seen from the bodies' centres of mass; max_motor_impulse is 0 where there is no motor.
     """
 
-    body_a: int
-    body_b: int
-    parent: int
-    child: int
-    phase_turns: float32
-    motion_range: float32
-    rest_angle: float32
-    motor_speed: float32
-    max_motor_impulse: float32
-    local_ra_x: float32
-    local_ra_y: float32
-    local_rb_x: float32
-    local_rb_y: float32
-    ra_x: float32
-    ra_y: float32
-    rb_x: float32
-    rb_y: float32
-    impulse_x: float32
-    impulse_y: float32
-    motor_impulse: float32
-    k_xx: float32
-    k_xy: float32
-    k_yy: float32
-    k_inverse_det: float32
-    motor_mass: float32
+    body_a, body_b, parent, child = [0] * 4
+    phase_turns, motion_range, rest_angle, motor_speed, max_motor_impulse = [_FLOAT] * 5
+    local_ra_x, local_ra_y, local_rb_x, local_rb_y, ra_x, ra_y, rb_x, rb_y = [_FLOAT] * 8
+    impulse_x, impulse_y, motor_impulse = [_FLOAT] * 3
+    k_xx, k_xy, k_yy, k_inverse_det, motor_mass = [_FLOAT] * 5
 
 
 class RobotRecord:
@@ -204,36 +109,30 @@ class RobotRecord:
     them. divergence is NaN from where the robot diverged, 0 before.
     """
 
-    links: Annotated[list[LinkRecord], N_LINKS]
-    bodies: Annotated[list[BodyRecord], N_BODIES]
-    fixtures: Annotated[list[FixtureRecord], N_BODIES]
-    contacts: Annotated[list[ContactRecord], MAX_CONTACTS]
-    joints: Annotated[list[JointRecord], N_JOINTS]
-    frequency: float32
-    divergence: float32
-    n_bodies: int
-    n_joints: int
-    n_pairs: int
-    n_contacts: int
-    n_island_contacts: int
-    n_island_joints: int
-    contact_list: Annotated[list[int], MAX_CONTACTS]
-    island_contacts: Annotated[list[int], MAX_CONTACTS]
-    island_joints: Annotated[list[int], N_JOINTS]
-    stack: Annotated[list[int], N_BODIES]
+    links = [LinkRecord()] * N_LINKS
+    bodies = [BodyRecord()] * _N_BODIES
+    fixtures = [FixtureRecord()] * _N_BODIES
+    contacts = [ContactRecord()] * MAX_CONTACTS
+    joints = [JointRecord()] * N_JOINTS
+    frequency, divergence = [_FLOAT] * 2
+    n_bodies, n_joints, n_pairs, n_contacts, n_island_contacts, n_island_joints = [0] * 6
+    contact_list, island_contacts = [[0] * MAX_CONTACTS] * 2
+    island_joints = [0] * N_JOINTS
+    stack = [0] * _N_BODIES
 
 
 Records = npt.NDArray[np.record]  # records of one of these classes
 
 
-def record_dtype(record: type) -> np.dtype[Any]:
+def _record_dtype(record: type) -> np.dtype[Any]:
     """Make the dtype of a class above: float32, int32 for int, and nested records; scalars are np.record."""
     fields: list[Any] = []
-    for name, hint in get_type_hints(record, include_extras=True).items():
-        shape = getattr(hint, "__metadata__", ())
-        element = get_args(get_args(hint)[0])[0] if shape else hint
-        fields.append((name, {float32: "f4", int: "i4"}.get(element) or record_dtype(element), shape))
+    for name, example in vars(record).items():
+        if not name.startswith("__"):
+            element, shape = (example[0], (len(example),)) if isinstance(example, list) else (example, ())
+            scalar = {float32: "f4", int: "i4"}.get(type(element))
+            fields.append((name, scalar or _record_dtype(type(element)), shape))
     return np.dtype((np.record, fields))
 
 
-ROBOT = record_dtype(RobotRecord)
+ROBOT = _record_dtype(RobotRecord)
