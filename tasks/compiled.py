@@ -63,15 +63,12 @@ class ByContent(UserProvidedCacheLocator):  # type: ignore[misc]
 
 
 def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:
-    """Compile a kernel on its first call, or load it from the cache.
+    """Return a kernel that is compiled on its first call, or loaded from the cache.
 
     Args:
         function: kernel; no closure, because numba's cache never finds a closure again.
         sources: modules whose code or constants the kernel is compiled from.
         seconds: about how long compilation takes, for the announcement.
-
-    Returns:
-        Compiled kernel.
 
     Raises:
         ValueError: the kernel is a closure.

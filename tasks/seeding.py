@@ -11,15 +11,12 @@ _encode = json.JSONEncoder(allow_nan=False).encode
 
 
 def generator(seed: int, *identity: str | int | float) -> Generator:
-    """Create the generator of one work item.
+    """Return the generator of one work item.
 
     Args:
         seed: seed of the study, at least 0.
         identity: parts that distinguish the work item from all others, such as stage, depth, environment, trial,
             generation. Types matter: 1 and 1.0 are different identities.
-
-    Returns:
-        Generator.
 
     Raises:
         ValueError: the seed is negative.

@@ -45,14 +45,7 @@ centres of parent and link [m], 0 for the root."""
 
 
 def hang_links(table: DesignTable) -> Float64:
-    """Place links by their rest angles, the root upright at the origin.
-
-    Args:
-        table: (n_designs, N_COLUMNS) valid designs.
-
-    Returns:
-        (n_designs, 7, n_links) quantities listed above.
-    """
+    """Return (n_designs, 7, n_links) quantities listed above, the root upright at the origin."""
     rest = np.zeros((len(table), 7, N_LINKS))
     for design in range(len(table)):
         genes_of, links = table[design], rest[design]
@@ -76,9 +69,6 @@ _hang_links = compiled(hang_links, [genes], seconds=1)  # slow in NumPy for 64 d
 def rest_pose(designs: Designs) -> tuple[Float64, Float64, Float64]:
     """Place the links by their rest angles, the root upright with its centre at the origin.
 
-    Args:
-        designs: n_designs valid designs.
-
     Returns:
         x [m], y [m] and angle [rad] of every link, each (n_designs, n_links). Angles add up along the tree, unwrapped.
     """
@@ -87,15 +77,7 @@ def rest_pose(designs: Designs) -> tuple[Float64, Float64, Float64]:
 
 
 def spawn_links(table: DesignTable, density: float) -> Float32:
-    """Spawn links.
-
-    Args:
-        table: (n_designs, N_COLUMNS) valid designs.
-        density: density of every link [kg/m²].
-
-    Returns:
-        (9, n_designs, n_links) fields of KinematicTrees after ``parent``, in their order.
-    """
+    """Return (9, n_designs, n_links) fields of KinematicTrees after ``parent``, in their order; density in [kg/m²]."""
     rest, single = _hang_links(table), np.empty((9, len(table), N_LINKS), np.float32)
     for design in range(len(table)):
         lowest = np.inf

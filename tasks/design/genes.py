@@ -251,11 +251,7 @@ IS_FLAG = np.array([gene.kind == "flag" for gene in GENES])  # (n_genes,) whethe
 
 
 def find_fault(table: DesignTable) -> tuple[int, int]:
-    """Find the first invalid number: in the trees, then gene by gene.
-
-    Returns:
-        Row and column; -1 and -1 if all numbers are valid.
-    """
+    """Return row and column of the first invalid number, trees first, then gene by gene; -1 and -1 if there is none."""
     for design in range(len(table)):
         for link in range(N_LINKS):
             parent = table[design, PARENT_COLUMN + link]

@@ -98,7 +98,7 @@ def until_apart(
     max_draws: int = MAX_DRAWS,
     otherwise: DesignTable | None = None,
 ) -> Drawn:
-    """Sample designs until none has unconnected links that overlap.
+    """Return samples of designs, drawn until none has unconnected links that overlap.
 
     In each round every remaining design gets twice as many samples as before; the first that is apart is accepted.
 
@@ -107,9 +107,6 @@ def until_apart(
         draw: returns a sample for each index that it is given; an index may be repeated.
         max_draws: most samples per design.
         otherwise: (n_designs, N_COLUMNS) designs to return after that many rejections.
-
-    Returns:
-        Accepted designs.
 
     Raises:
         DesignError: all samples of a design were rejected, and ``otherwise`` is None.

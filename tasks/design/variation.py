@@ -3,11 +3,11 @@
 Every operator maps valid designs to valid designs. With ``body`` given, only controllers vary: the paper's controller
 adaptation.
 
-Designs that a morphology does not allow are rejected and drawn anew; functions named ``draw_...`` return the number of
-draws, too. variation_kernels.py has the compiled operators.
+Designs that a morphology does not allow are rejected and drawn anew. variation_kernels.py has the compiled operators.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -36,12 +36,12 @@ class Mutation(Parameters):
 
 _MUTATION = Mutation()
 
-VARIATION_SOURCES = [genes, variation_kernels]  # modules that the operators' kernels are compiled from
-random_kernel = compiled(variation_kernels.random_table, VARIATION_SOURCES, seconds=3)
-mutate_kernel = compiled(variation_kernels.mutate_table, VARIATION_SOURCES, seconds=6)
-recombine_kernel = compiled(variation_kernels.recombine_tables, VARIATION_SOURCES, seconds=3)
+_SOURCES = [genes, variation_kernels]  # modules that the operators' kernels are compiled from
+random_kernel = compiled(variation_kernels.random_table, _SOURCES, seconds=3)
+mutate_kernel = compiled(variation_kernels.mutate_table, _SOURCES, seconds=6)
+recombine_kernel = compiled(variation_kernels.recombine_tables, _SOURCES, seconds=3)
 
-NO_DESIGNS = Designs.from_table(np.zeros((0, N_COLUMNS)))
+MAX_RECOMBINATIONS = 256  # most draws of a child; there are 62 choices of links
 
 
 def variation_of(
@@ -51,16 +51,13 @@ def variation_of(
     parts: tuple[GenePart, ...] = ("body", "control"),
     body: Designs | None = None,
 ) -> Variation:
-    """Describe variation for the kernels.
+    """Return the argument of the kernels that describes variation.
 
     Args:
         morphology: constraints on bodies.
         mutation: rates and step size.
         parts: parts that mutation may change; ("control",) preserves bodies.
         body: one design whose body all random designs get.
-
-    Returns:
-        Argument of the kernels.
     """
     variation = _variation(morphology.n_actuated, mutation, parts)
     return variation if body is None else variation._replace(body=body.table)
@@ -69,7 +66,7 @@ def variation_of(
 @cache
 def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart, ...]) -> Variation:
     return Variation(
-        body=NO_DESIGNS.table,
+        body=Designs.from_table(np.zeros((0, N_COLUMNS))).table,
         body_columns=_body_columns(n_actuated),
         n_actuated=ANY_NUMBER if n_actuated is None else n_actuated,
         numbers=_numbers(parts, n_actuated),
@@ -105,10 +102,67 @@ def _numbers(parts: tuple[GenePart, ...], n_actuated: int | None) -> Numbers:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class Sampler:
+    """The operators on tables of designs, with rejection sampling where unconnected links must not overlap.
+
+    An operator accepts the first draws, if they exist already.
+    """
+
+    rng: Generator
+    variation: Variation
+    apart: bool  # whether a design whose unconnected links overlap is drawn anew
+
+    def random(self, n_designs: int, first: DesignTable | None = None) -> Drawn:
+        """Draw random designs."""
+
+        def draw(which: Int64) -> DesignTable:
+            table: DesignTable = random_kernel(len(which), self.rng, self.variation)
+            return table
+
+        return self._draw(draw, n_designs, first)
+
+    def mutants(self, parents: DesignTable, first: DesignTable | None = None) -> Drawn:
+        """Draw one mutant of each parent."""
+
+        def draw(which: Int64) -> DesignTable:
+            mutants = parents[which]
+            mutate_kernel(mutants, self.rng, self.variation)
+            return mutants
+
+        return self._draw(draw, len(parents), first)
+
+    def recombinations(self, parents: tuple[DesignTable, DesignTable], first: DesignTable | None = None) -> Drawn:
+        """Draw one child of each pair; see :func:`crossover` about pairs without a child that is allowed."""
+        one, other = parents
+        otherwise = other.copy()
+        otherwise[:, self.variation.body_columns] = one[:, self.variation.body_columns]
+
+        def draw(which: Int64) -> DesignTable:
+            child = one[which]
+            recombine_kernel(child, other[which], self.rng, self.variation)
+            return child
+
+        return self._draw(draw, len(one), first, MAX_RECOMBINATIONS, otherwise)
+
+    def _draw(
+        self,
+        draw: Callable[[Int64], DesignTable],
+        n_designs: int,
+        first: DesignTable | None,
+        max_draws: int = MAX_DRAWS,
+        otherwise: DesignTable | None = None,
+    ) -> Drawn:
+        table = draw(np.arange(n_designs)) if first is None else first
+        if self.apart:
+            return until_apart(table, draw, max_draws=max_draws, otherwise=otherwise)
+        return Drawn(table, np.ones(n_designs, dtype=np.int64))
+
+
 def random_designs(
     n_designs: int, rng: Generator, *, body: Designs | None = None, morphology: Morphology = ANY_BODY
 ) -> Designs:
-    """Draw designs uniformly within the genes' bounds and the morphology.
+    """Return random designs, uniform within the genes' bounds and the morphology.
 
     Unless the morphology gives the number of motors, each is on with probability 1/2.
 
@@ -118,56 +172,11 @@ def random_designs(
         body: one design whose body all designs get; only controllers are drawn then.
         morphology: constraints on bodies.
 
-    Returns:
-        n_designs designs.
-
     Raises:
         DesignError: the morphology can't be satisfied.
     """
-    return draw_random(n_designs, rng, body=body, morphology=morphology).designs
-
-
-def draw_random(
-    n_designs: int,
-    rng: Generator,
-    *,
-    body: Designs | None = None,
-    morphology: Morphology = ANY_BODY,
-    first: DesignTable | None = None,
-) -> Drawn:
-    """Draw random designs as :func:`random_designs` does, and count the draws.
-
-    Args:
-        n_designs: number of designs.
-        rng: source of randomness.
-        body: one design whose body all designs get.
-        morphology: constraints on bodies.
-        first: (n_designs, N_COLUMNS) first draws, if they exist already.
-
-    Returns:
-        Designs and numbers of draws.
-    """
-    variation = variation_of(morphology, body=body)
-
-    def draw(which: Int64) -> DesignTable:
-        table: DesignTable = random_kernel(len(which), rng, variation)
-        return table
-
-    return _drawn(draw, n_designs, first, body is None and morphology.unjoined_links == "apart")
-
-
-def _drawn(
-    draw: Callable[[Int64], DesignTable],
-    n_designs: int,
-    first: DesignTable | None,
-    apart: bool,
-    max_draws: int = MAX_DRAWS,
-    otherwise: DesignTable | None = None,
-) -> Drawn:
-    table = draw(np.arange(n_designs)) if first is None else first
-    if apart:
-        return until_apart(table, draw, max_draws=max_draws, otherwise=otherwise)
-    return Drawn(table, np.ones(n_designs, dtype=np.int64))
+    apart = body is None and morphology.unjoined_links == "apart"
+    return Sampler(rng, variation_of(morphology, body=body), apart).random(n_designs).designs
 
 
 def mutate(
@@ -178,7 +187,7 @@ def mutate(
     parts: tuple[GenePart, ...] = ("body", "control"),
     morphology: Morphology = ANY_BODY,
 ) -> Designs:
-    """Copy designs and change some genes, at least one in each.
+    """Return copies of designs with some genes changed, at least one in each.
 
     Intervals and angles take a Gaussian step; an interval is clipped, an angle wraps around. A flag flips. Rewiring
     gives one link another parent and keeps its other genes. If the number of motors is given, a motor's flag swaps with
@@ -191,49 +200,16 @@ def mutate(
         parts: parts that may change; ("control",) preserves bodies.
         morphology: constraints on bodies.
 
-    Returns:
-        n_designs mutants.
-
     Raises:
         DesignError: no mutant of a parent is within the morphology.
     """
-    return draw_mutants(designs.table, rng, mutation=mutation, parts=parts, morphology=morphology).designs
-
-
-def draw_mutants(
-    table: DesignTable,
-    rng: Generator,
-    *,
-    mutation: Mutation = _MUTATION,
-    parts: tuple[GenePart, ...] = ("body", "control"),
-    morphology: Morphology = ANY_BODY,
-    first: DesignTable | None = None,
-) -> Drawn:
-    """Mutate a table of designs as :func:`mutate` does, and count the draws.
-
-    Args:
-        table: (n_designs, N_COLUMNS) parents.
-        rng: source of randomness.
-        mutation: rates and step size.
-        parts: parts that may change.
-        morphology: constraints on bodies.
-        first: (n_designs, N_COLUMNS) first draws, if they exist already.
-
-    Returns:
-        Mutants and numbers of draws.
-    """
     variation = variation_of(morphology, mutation=mutation, parts=parts)
-
-    def draw(which: Int64) -> DesignTable:
-        mutants = table[which]
-        mutate_kernel(mutants, rng, variation)
-        return mutants
-
-    return _drawn(draw, len(table), first, "body" in parts and morphology.unjoined_links == "apart")
+    apart = "body" in parts and morphology.unjoined_links == "apart"
+    return Sampler(rng, variation, apart).mutants(designs.table).designs
 
 
 def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morphology = ANY_BODY) -> Designs:
-    """Recombine pairs of designs: each link's genes, including its parent's index, come from one of the two.
+    """Return recombinations of pairs: each link's genes, including its parent's index, come from one of two designs.
 
     A link's parent has a lower index, so every choice makes a tree. The frequency is one more choice. At least one link
     comes from each design.
@@ -247,44 +223,6 @@ def crossover(one: Designs, other: Designs, rng: Generator, *, morphology: Morph
         rng: source of randomness.
         morphology: constraints on bodies. After MAX_RECOMBINATIONS rejections a child gets the body of one and the
             controller of the other, which the morphology always allows.
-
-    Returns:
-        n_designs children.
     """
-    return draw_recombinations(one.table, other.table, rng, morphology=morphology).designs
-
-
-MAX_RECOMBINATIONS = 256  # most draws of a child; there are 62 choices of links
-
-
-def draw_recombinations(
-    one: DesignTable,
-    other: DesignTable,
-    rng: Generator,
-    *,
-    morphology: Morphology = ANY_BODY,
-    first: DesignTable | None = None,
-) -> Drawn:
-    """Recombine tables of designs as :func:`crossover` does, and count the draws.
-
-    Args:
-        one: (n_designs, N_COLUMNS) designs.
-        other: (n_designs, N_COLUMNS) designs.
-        rng: source of randomness.
-        morphology: constraints on bodies.
-        first: (n_designs, N_COLUMNS) first draws, if they exist already.
-
-    Returns:
-        Children and numbers of draws.
-    """
-    variation = variation_of(morphology)
-
-    def draw(which: Int64) -> DesignTable:
-        child = one[which]
-        recombine_kernel(child, other[which], rng, variation)
-        return child
-
-    apart, columns = morphology.unjoined_links == "apart", variation.body_columns
-    otherwise = other.copy()
-    otherwise[:, columns] = one[:, columns]
-    return _drawn(draw, len(one), first, apart, MAX_RECOMBINATIONS, otherwise)
+    apart = morphology.unjoined_links == "apart"
+    return Sampler(rng, variation_of(morphology), apart).recombinations((one.table, other.table)).designs

@@ -14,22 +14,8 @@ from numpy.random import Generator
 
 from tasks.arrays import Bools, Float64, Int64
 from tasks.compiled import inline
-from tasks.design.genes import (
-    COLUMNS,
-    END,
-    FIRST,
-    HIGH,
-    IS_FLAG,
-    LINK_OF_COLUMN,
-    LOW,
-    N_COLUMNS,
-    N_JOINTS,
-    N_LINKS,
-    OF_ROOT,
-    PARENT_COLUMN,
-    ROOT_PARENT,
-    DesignTable,
-)
+from tasks.design import genes
+from tasks.design.genes import COLUMNS, N_COLUMNS, N_JOINTS, N_LINKS, DesignTable
 
 MOTOR = "motor_on"
 MOTORS = COLUMNS[MOTOR].start + 1  # column of the first joint's motor, followed by those of the other joints
@@ -62,7 +48,7 @@ class Variation(NamedTuple):
 
 
 def random_table(n_designs: int, rng: Generator, variation: Variation) -> DesignTable:
-    """Draw designs uniformly within the genes' bounds.
+    """Return (n_designs, N_COLUMNS) designs, uniform within the genes' bounds.
 
     A motor is on with probability 1/2; if their number is given, all sets of joints are equally likely.
 
@@ -70,25 +56,22 @@ def random_table(n_designs: int, rng: Generator, variation: Variation) -> Design
         n_designs: number of designs.
         rng: source of randomness.
         variation: constraints, and the body if it is given.
-
-    Returns:
-        (n_designs, N_COLUMNS) designs.
     """
     table = np.zeros((n_designs, N_COLUMNS))
-    for gene in range(len(FIRST)):
+    for gene in range(len(genes.FIRST)):
         for design in range(n_designs):
-            for column in range(FIRST[gene], END[gene]):
+            for column in range(genes.FIRST[gene], genes.END[gene]):
                 drawn = rng.random()
-                if IS_FLAG[gene]:
+                if genes.IS_FLAG[gene]:
                     table[design, column] = 1.0 if drawn < 0.5 else 0.0
                 else:
-                    table[design, column] = LOW[gene] + (HIGH[gene] - LOW[gene]) * drawn
-            if not OF_ROOT[gene]:
-                table[design, FIRST[gene]] = 0.0  # designs that behave alike are equal
-    table[:, PARENT_COLUMN] = ROOT_PARENT
+                    table[design, column] = genes.LOW[gene] + (genes.HIGH[gene] - genes.LOW[gene]) * drawn
+            if not genes.OF_ROOT[gene]:
+                table[design, genes.FIRST[gene]] = 0.0  # designs that behave alike are equal
+    table[:, genes.PARENT_COLUMN] = genes.ROOT_PARENT
     for link in range(1, N_LINKS):
         for design in range(n_designs):
-            table[design, PARENT_COLUMN + link] = rng.integers(0, link)
+            table[design, genes.PARENT_COLUMN + link] = rng.integers(0, link)
     if variation.n_actuated != ANY_NUMBER:
         for design in range(n_designs):
             _switch_on_highest(table[design, MOTORS : MOTORS + N_JOINTS], rng.random(N_JOINTS), variation.n_actuated)
@@ -187,7 +170,7 @@ def _rewire(table: DesignTable, rng: Generator, probability: float) -> None:
     for design in range(n_designs):
         if chosen[design] < probability:
             other = np.floor(share[design] * (link[design] - 1))
-            column = PARENT_COLUMN + link[design]
+            column = genes.PARENT_COLUMN + link[design]
             table[design, column] = other + (other >= table[design, column])  # skips its parent
 
 
@@ -218,7 +201,7 @@ def recombine_tables(child: DesignTable, other: DesignTable, rng: Generator, var
         for joint in range(N_JOINTS):
             on_in[joint] = motors[joint] + other[design, MOTORS + joint]
         for column in range(N_COLUMNS):
-            if not stays[design, LINK_OF_COLUMN[column]]:
+            if not stays[design, genes.LINK_OF_COLUMN[column]]:
                 child[design, column] = other[design, column]
         if variation.n_actuated != ANY_NUMBER:
             # 3: on in both parents, 2: inherited, 1: on in the other parent, 0: off in both; ties are random.

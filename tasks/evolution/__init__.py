@@ -1,24 +1,5 @@
 """How designs improve: age-fitness Pareto optimisation (AFPO), its objectives, and trials."""
 
-from tasks.evolution.afpo import EMPTY_POPULATION, OPERATORS, Afpo, Children, Population, ask, select, tell
+from tasks.evolution.afpo import EMPTY_POPULATION, OPERATORS, Afpo, Population, ask, select, tell
 from tasks.evolution.objectives import OBJECTIVES, Evaluation, evaluate, penalised_mean
 from tasks.evolution.trial import HISTORY_UNITS, History, Trial, evolve
-
-__all__ = [
-    "EMPTY_POPULATION",
-    "HISTORY_UNITS",
-    "OBJECTIVES",
-    "OPERATORS",
-    "Afpo",
-    "Children",
-    "Evaluation",
-    "History",
-    "Population",
-    "Trial",
-    "ask",
-    "evaluate",
-    "evolve",
-    "penalised_mean",
-    "select",
-    "tell",
-]

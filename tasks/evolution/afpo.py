@@ -25,9 +25,9 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from tasks.arrays import Float64, Int64
-from tasks.design import ANY_BODY, Designs, Morphology, Mutation, draw_mutants, draw_random, draw_recombinations
+from tasks.design import ANY_BODY, Designs, Morphology, Mutation
 from tasks.design.genes import N_COLUMNS, DesignTable, GenePart
-from tasks.design.variation import mutate_kernel, random_kernel, recombine_kernel, variation_of
+from tasks.design.variation import Sampler, mutate_kernel, random_kernel, recombine_kernel, variation_of
 from tasks.parameters import Parameters
 
 OPERATORS = ("random", "mutation", "crossover")  # operators that make a child, in the order of their codes
@@ -138,7 +138,7 @@ def ask(
     body: Designs | None = None,
     morphology: Morphology = ANY_BODY,
 ) -> Children:
-    """Draw a generation of children; all are random if the population is empty.
+    """Return a generation of children, all of them random if the population is empty.
 
     Each child draws its operator independently, so the shares hold on average.
 
@@ -148,9 +148,6 @@ def ask(
         afpo: the algorithm's parameters.
         body: one design whose body all children get; only controllers evolve then.
         morphology: constraints on bodies.
-
-    Returns:
-        ``afpo.population_size`` children.
     """
     n_children, n_parents = afpo.population_size, len(population.age)
     parts: tuple[GenePart, ...] = ("body", "control") if body is None else ("control",)
@@ -182,28 +179,26 @@ def ask(
         n_draws=np.ones(n_children, dtype=np.int64),
     )
     if body is None and morphology.unjoined_links == "apart":
-        _draw_until_apart(children, population.table, parent, rng, afpo.mutation, morphology)
+        _draw_until_apart(children, population.table, parent, Sampler(rng, variation, apart=True))
     return children
 
 
-def _draw_until_apart(
-    children: Children, parents: DesignTable, parent: Int64, rng: Generator, mutation: Mutation, morphology: Morphology
-) -> None:
+def _draw_until_apart(children: Children, parents: DesignTable, parent: Int64, sampler: Sampler) -> None:
     """Replace, in place, children whose links overlap by further draws of the same operator from the same parents."""
     for code in range(len(OPERATORS)):
         chosen = np.flatnonzero(children.operator == code)
         drawn, (one, other) = children.table[chosen], parent[chosen].T
         if code == RANDOM:
-            again = draw_random(len(chosen), rng, morphology=morphology, first=drawn)
+            again = sampler.random(len(chosen), first=drawn)
         elif code == MUTATION:
-            again = draw_mutants(parents[one], rng, mutation=mutation, morphology=morphology, first=drawn)
+            again = sampler.mutants(parents[one], first=drawn)
         else:
-            again = draw_recombinations(parents[one], parents[other], rng, morphology=morphology, first=drawn)
+            again = sampler.recombinations((parents[one], parents[other]), first=drawn)
         children.table[chosen], children.n_draws[chosen] = again.table, again.n_draws
 
 
 def tell(population: Population, children: Children, fitness: Float64, rng: Generator, afpo: Afpo) -> Population:
-    """Select the survivors of parents and children, and age them by one generation.
+    """Return the survivors of parents and children, aged by one generation.
 
     Args:
         population: the parents; they keep their fitness, because the simulation is deterministic.
@@ -211,9 +206,6 @@ def tell(population: Population, children: Children, fitness: Float64, rng: Gene
         fitness: (n_children,) their fitness [m]; a design whose fitness is not finite is never selected.
         rng: source of randomness.
         afpo: the algorithm's parameters.
-
-    Returns:
-        The survivors.
 
     Raises:
         ValueError: fitness does not have one value for each child.
@@ -233,16 +225,13 @@ def tell(population: Population, children: Children, fitness: Float64, rng: Gene
 
 
 def select(fitness: Float64, age: Int64, rng: Generator, n_survivors: int) -> Int64:
-    """Choose survivors: the Pareto front on (age, fitness), the fittest first, then a sample of the dominated.
+    """Return the indices of the survivors: the Pareto front on (age, fitness), then a sample of the dominated.
 
     Args:
         fitness: (n_designs,) [m]; a design whose fitness is not finite does not survive.
         age: (n_designs,) [generations].
         rng: source of randomness.
         n_survivors: number of designs to choose; fewer are chosen only if fewer have a finite fitness.
-
-    Returns:
-        Indices of the survivors.
     """
     finite = np.flatnonzero(np.isfinite(fitness))
     fitness, age = fitness[finite], age[finite]

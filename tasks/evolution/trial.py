@@ -58,7 +58,7 @@ def evolve(
     afpo: Afpo,
     morphology: Morphology = ANY_BODY,
 ) -> list[tuple[Population, History]]:
-    """Advance a batch of trials by some generations.
+    """Return, for each trial of a batch, its survivors after some generations and the history of these.
 
     Args:
         trials: the trials' states before.
@@ -67,9 +67,6 @@ def evolve(
         n_generations: number of generations to run.
         afpo: the algorithm's parameters.
         morphology: constraints on bodies.
-
-    Returns:
-        For each trial, its survivors and the history of these generations.
 
     Raises:
         ValueError: n_generations is less than 1.

@@ -7,19 +7,4 @@ This package imports no torch, so that reading a settings file is fast. :mod:`ta
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.observation import OBSERVATION, STATE, observe
-from tasks.residual.throws import Starts, Throws, Transitions, initial_states, simulate_throws
-
-__all__ = [
-    "OBSERVATION",
-    "STATE",
-    "Architecture",
-    "ErrorRow",
-    "Starts",
-    "Throws",
-    "Training",
-    "Transitions",
-    "error_rows",
-    "initial_states",
-    "observe",
-    "simulate_throws",
-]
+from tasks.residual.throws import Throws, Transitions, initial_states, simulate_throws

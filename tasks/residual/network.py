@@ -99,7 +99,7 @@ class ResidualNetwork(nn.Module):
 
 
 def dropout_mask(shape: torch.Size, p: float, device: torch.device) -> Tensor:
-    """Draw factors that are 0 with probability p and 1 / (1 - p) otherwise, independently.
+    """Return factors that are 0 with probability p and 1 / (1 - p) otherwise, independently.
 
     Gaps between dropped units are geometric, so only the few gaps are drawn. torch's dropout draws a number for every
     unit, which took half the training time of a small network at the paper's p.
@@ -108,9 +108,6 @@ def dropout_mask(shape: torch.Size, p: float, device: torch.device) -> Tensor:
         shape: shape of the mask.
         p: probability of 0.
         device: device of the mask.
-
-    Returns:
-        A tensor of the shape.
     """
     n = shape.numel()
     # Enough gaps to pass the end: the mean plus ten deviations falls short with a probability below 1e-20.

@@ -96,16 +96,13 @@ def initial_states(throws: Throws, rng: np.random.Generator) -> Starts:
 
 
 def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physics) -> Transitions:
-    """Simulate throws in E and, from each state, one step in E'.
+    """Return (len(starts) · n_steps) transitions, ordered by throw and step: a step in E and one in E' from each state.
 
     Args:
         starts: initial states of all throws, or of a chunk.
         n_steps: number of steps of each throw.
         medium: the medium of E; E' has none.
         physics: the base simulator's constants.
-
-    Returns:
-        (len(starts) * n_steps) transitions, ordered by throw and step.
     """
     links = FreeLinks(starts.length_scale, physics)
     n = len(starts)

@@ -118,7 +118,7 @@ def train_member(
     member: int,
     on_progress: Callable[[int, float], None] | None = None,
 ) -> TrainedMember:
-    """Train one network on one CPU thread or one CUDA device; the data stay on the device.
+    """Return one network, trained on one CPU thread or one CUDA device; the data stay on the device.
 
     Args:
         transitions: the data set.
@@ -127,9 +127,6 @@ def train_member(
         seed: the study's seed; it determines the held-out throws.
         member: index in the ensemble; with the seed, it determines all other randomness.
         on_progress: called after each iteration with the number of iterations done and the minibatch's loss.
-
-    Returns:
-        The trained network and its errors.
 
     Raises:
         NoDevice: torch finds no CUDA device.

@@ -1,5 +1,3 @@
 """Simulation of designs in an environment, step by step."""
 
 from tasks.simulation.rollout import DIVERGED, OK, Rollouts, simulate
-
-__all__ = ["DIVERGED", "OK", "Rollouts", "simulate"]

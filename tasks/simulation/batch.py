@@ -72,7 +72,7 @@ def roll_out(
     trace: bool,
     n_lanes: int | None = None,
 ) -> Motion:
-    """Simulate designs in an environment.
+    """Return the motion of designs in an environment.
 
     The kernels compute slush themselves, and networks that a medium offers as its attribute ``networks``; they take all
     steps in one call. Any other medium is called in each step, for all links of all robots together.
@@ -86,9 +86,6 @@ def roll_out(
         trace: whether to record the states after each step.
         n_lanes: lanes of a group; results do not depend on them. The default suits the machine: half as many would take
             0.7 of the time for few robots, but another 20 s to compile.
-
-    Returns:
-        Motion of the links.
     """
     medium = environment.medium
     n_members = environment.n_members

@@ -44,15 +44,7 @@ class FreeLinks:
         self._inertia = (mass * (width**2 + length_scale**2) / 12).astype(np.float32)
 
     def step(self, state: Float32, medium: Medium | None) -> Float32:
-        """Take one step from the given states, independent of earlier calls.
-
-        Args:
-            state: (n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s].
-            medium: medium around the links, or None.
-
-        Returns:
-            (n_links, 6) states after the step.
-        """
+        """Return (n_links, 6) states one step after the given ones, both in the order of :class:`Column`."""
         velocity = state[:, Column.VX :]
         if medium is not None:
             sin, cos = sines_and_cosines(state[:, Column.ANGLE])

@@ -28,7 +28,7 @@ class PlacedLinks:
 
 
 def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> PlacedLinks:
-    """Compute the states of links from those of their bodies.
+    """Return the states of links by those of their bodies.
 
     With (c, s) the rotation of the body, R = (c, -s; s, c), p the link's centre and d its lever in the body's frame:
 
@@ -39,9 +39,6 @@ def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> 
         body: (n_members, n_designs, n_links, 6) state of each link's body.
         cos: (n_members, n_designs, n_links) cosine of the body's angle, with Box2D's bits.
         sin: (n_members, n_designs, n_links) sine of the body's angle.
-
-    Returns:
-        States of all links.
     """
     lever_x = cos * rigid.lever_x - sin * rigid.lever_y
     lever_y = sin * rigid.lever_x + cos * rigid.lever_y
@@ -62,7 +59,7 @@ def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> 
 
 
 def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: VelocityChange) -> VelocityChange:
-    """Add the momentum changes of each body's links.
+    """Return the velocity changes of bodies by those of their links: each at its first link, 0 at all others.
 
     A link i of mass m_i and inertia I_i whose velocities change by dv_i and dω_i, at r_i from the body's centre of
     mass, changes the body of mass M and inertia I by
@@ -76,9 +73,6 @@ def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: Ve
         lever_x: (n_members, n_designs, n_links) r_x of :class:`PlacedLinks` [m].
         lever_y: (n_members, n_designs, n_links) r_y [m].
         change: velocity changes of the links, of the same shape.
-
-    Returns:
-        Arrays of the links' shape: for a body's first link the body's change, 0 for all others.
     """
     turn = rigid.mass_over_inertia * (lever_x * change.vy - lever_y * change.vx) + rigid.inertia_share * change.omega
     return VelocityChange(

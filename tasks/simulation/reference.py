@@ -14,7 +14,7 @@ from typing import Any
 import Box2D
 import numpy as np
 
-from tasks.arrays import Float32, Floats, Int64
+from tasks.arrays import Float32, Int64
 from tasks.design.body import KinematicTrees, RigidBodies, kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, GROUND_HALF_WIDTH, Column, Motion
@@ -27,76 +27,21 @@ _COLLIDES_WITH_GROUND_ONLY = {"groupIndex": -1}
 GROUND_BIT = 1 << N_LINKS  # collision category of the ground; a link's category is the bit of its number
 
 
-class _Bodies:
-    """Many Box2D bodies, with their states as arrays."""
-
-    def __init__(self, bodies: list[Any]) -> None:
-        self._bodies = bodies
-        # Views of Box2D's memory: they always read the present state.
-        self._views = [(b, b.position, b.linearVelocity, b.transform.q) for b in bodies]
-
-    def states(self) -> Float32:
-        """Read (n_bodies, 6) states."""
-        flat: list[float] = []
-        for body, position, velocity, _ in self._views:
-            flat += (position.x, position.y, body.angle, velocity.x, velocity.y, body.angularVelocity)
-        return np.array(flat, dtype=np.float32).reshape(len(self._views), 6)
-
-    def rotations(self) -> Float32:
-        """Read (n_bodies, 2) cosines and sines of the angles, as Box2D computed them."""
-        flat: list[float] = []
-        for _, _, _, rotation in self._views:
-            flat += (rotation.c, rotation.s)
-        return np.array(flat, dtype=np.float32).reshape(len(self._views), 2)
-
-    def set_velocities(self, vx: Float32, vy: Float32, omega: Float32) -> None:
-        """Write (n_bodies,) velocities."""
-        for body, x, y, spin in zip(self._bodies, vx.tolist(), vy.tolist(), omega.tolist(), strict=True):
-            body.linearVelocity = (x, y)
-            body.angularVelocity = spin
-
-    def set_states(self, states: Float32) -> None:
-        """Write (n_bodies, 6) states."""
-        for body, (x, y, angle, vx, vy, omega) in zip(self._bodies, states.tolist(), strict=True):
-            body.transform = ((x, y), angle)
-            body.linearVelocity = (vx, vy)
-            body.angularVelocity = omega
-
-
-def _empty_world(physics: Physics) -> Any:
+def empty_world(physics: Physics) -> Any:
+    """Make a world without bodies."""
     world = Box2D.b2World(gravity=(0.0, -physics.gravity), doSleep=False)
     world.continuousPhysics = False  # the ground is thick; nothing tunnels
     world.warmStarting = True
     return world
 
 
-def _body(world: Any, pose: tuple[float, float, float]) -> Any:
-    x, y, angle = pose
-    return world.CreateDynamicBody(position=(x, y), angle=angle, allowSleep=False)
-
-
-def _add_link(body: Any, box: tuple[Any, ...], physics: Physics, collides: dict[str, int]) -> None:
-    """Add a link to a body; ``box`` is half width, half height and, unless they are 0, centre and angle."""
-    body.CreatePolygonFixture(
-        box=box, density=physics.link_density, friction=physics.friction, restitution=physics.restitution, **collides
-    )
-
-
-def _link(world: Any, half_width: float, half_height: float, pose: tuple[float, float, float], physics: Physics) -> Any:
-    """Create a link that is a body by itself and passes through all others."""
-    body = _body(world, pose)
-    _add_link(body, (half_width, half_height), physics, _COLLIDES_WITH_GROUND_ONLY)
-    return body
-
-
 def _collides(parents: Int64, link: int, physics: Physics) -> dict[str, int]:
     """Return the filter of a link: it collides with the ground and, if links do, with all that no joint ties to it."""
     if not physics.link_collisions:
         return _COLLIDES_WITH_GROUND_ONLY
-    unjoined = (
-        other for other in range(N_LINKS) if other != link and parents[other] != link and parents[link] != other
-    )
-    return {"categoryBits": 1 << link, "maskBits": GROUND_BIT | sum(1 << other for other in unjoined)}
+    joined = (link, parents[link], *np.flatnonzero(parents == link))
+    unjoined = sum(1 << other for other in range(N_LINKS) if other not in joined)
+    return {"categoryBits": 1 << link, "maskBits": GROUND_BIT | unjoined}
 
 
 class _Robot:
@@ -111,7 +56,7 @@ class _Robot:
         depth: float,
         physics: Physics,
     ) -> None:
-        self.world = _empty_world(physics)
+        self.world = empty_world(physics)
         ground = self.world.CreateStaticBody(position=(0.0, -depth - GROUND_HALF_HEIGHT))
         ground.CreatePolygonFixture(
             box=(GROUND_HALF_WIDTH, GROUND_HALF_HEIGHT),
@@ -123,16 +68,21 @@ class _Robot:
         body_of: dict[int, Any] = {}
         for first in reversed(np.unique(first_link).tolist()):
             pose = (float(trees.x[design, first]), float(trees.y[design, first]), float(trees.angle[design, first]))
-            body_of[first] = _body(self.world, pose)
+            body_of[first] = self.world.CreateDynamicBody(position=pose[:2], angle=pose[2], allowSleep=False)
             for link in np.flatnonzero(first_link == first).tolist():
                 box: tuple[Any, ...] = (float(trees.half_width[design, link]), float(trees.half_height[design, link]))
                 if link != first:
                     centre = (float(rigid.x[design, link]), float(rigid.y[design, link]))
                     box = (*box, centre, float(rigid.angle[design, link]))
-                _add_link(body_of[first], box, physics, _collides(parents, link, physics))
-        self.bodies = [body_of[first] for first in sorted(body_of)]
-        """Bodies in the order of their first links."""
-        self.joints = {
+                body_of[first].CreatePolygonFixture(
+                    box=box,
+                    density=physics.link_density,
+                    friction=physics.friction,
+                    restitution=physics.restitution,
+                    **_collides(parents, link, physics),
+                )
+        self.bodies = [body_of[first] for first in sorted(body_of)]  # in the order of their first links
+        self.joints = {  # by their child links
             link: self.world.CreateRevoluteJoint(
                 bodyA=body_of[first_link[parents[link]]],
                 bodyB=body_of[link],
@@ -146,7 +96,6 @@ class _Robot:
             for link in sorted(body_of)
             if link > 0
         }
-        """Joints by their child links."""
 
 
 class _Links:
@@ -154,35 +103,37 @@ class _Links:
 
     def __init__(self, robots: list[_Robot], rigid: RigidBodies, n_members: int) -> None:
         self._rigid = rigid
-        self._bodies = _Bodies([body for robot in robots for body in robot.bodies])
+        bodies = [body for robot in robots for body in robot.bodies]
+        # Views of Box2D's memory: they always read the present state.
+        self._views = [(b, b.position, b.linearVelocity, b.transform.q) for b in bodies]
         shape = (n_members, len(rigid.first_link), N_LINKS)
         self._is_first = np.broadcast_to(rigid.is_first, shape)
         number = np.cumsum(self._is_first.ravel()).reshape(shape) - 1
         self._body_of_link = np.take_along_axis(number, np.broadcast_to(rigid.first_link, shape), axis=2)
-        self._state = self._bodies.states()
 
     def place(self) -> PlacedLinks:
-        """Read the present states of all links."""
-        self._state = self._bodies.states()
-        rotation = self._bodies.rotations()[self._body_of_link]
+        """Read the present states of all links, with cosines and sines as Box2D computed them."""
+        read = [(x.x, x.y, b.angle, v.x, v.y, b.angularVelocity, q.c, q.s) for b, x, v, q in self._views]
+        of_link = np.array(read, dtype=np.float32).reshape(-1, 8)[self._body_of_link]
         with np.errstate(invalid="ignore", over="ignore"):  # of worlds that have diverged
-            return place_links(self._rigid, self._state[self._body_of_link], rotation[..., 0], rotation[..., 1])
+            return place_links(self._rigid, of_link[..., :6], of_link[..., 6], of_link[..., 7])
 
     def push(self, links: PlacedLinks, change: VelocityChange) -> None:
         """Change the velocities of all bodies by the changes of their links."""
         with np.errstate(invalid="ignore", over="ignore"):  # of worlds that have diverged
             of_body = body_change(self._rigid, links.lever_x, links.lever_y, change)
-            vx, vy, omega = (
-                (self._state[:, column] + added[self._is_first]).astype(np.float32)
-                for column, added in ((Column.VX, of_body.vx), (Column.VY, of_body.vy), (Column.OMEGA, of_body.omega))
-            )
-        self._bodies.set_velocities(vx, vy, omega)
+            added = np.stack((of_body.vx, of_body.vy, of_body.omega), axis=-1)[self._is_first]
+            read = [(v.x, v.y, body.angularVelocity) for body, _, v, _ in self._views]
+            velocities = (np.array(read, dtype=np.float32).reshape(-1, 3) + added).astype(np.float32)
+        for (body, *_), (vx, vy, omega) in zip(self._views, velocities.tolist(), strict=True):
+            body.linearVelocity = (vx, vy)
+            body.angularVelocity = omega
 
 
 def roll_out(
     designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool
 ) -> Motion:
-    """Simulate designs in an environment.
+    """Return the motion of designs in an environment.
 
     Args:
         designs: n_designs designs.
@@ -191,12 +142,8 @@ def roll_out(
         n_settle: steps before the displacement is measured.
         n_measure: steps over which it is measured.
         trace: whether to record states and motor torques of each step.
-
-    Returns:
-        Motion of the links.
     """
-    n_members = environment.n_members
-    n_designs, n_steps = len(designs), n_settle + n_measure
+    n_members, n_designs, n_steps = environment.n_members, len(designs), n_settle + n_measure
     trees = kinematic_trees(designs, density=physics.link_density)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
     controllers = Controllers.of(designs)
@@ -262,61 +209,10 @@ def _push(
     links: _Links, medium: Medium, designs: Designs, trees: KinematicTrees, placed: PlacedLinks, physics: Physics
 ) -> None:
     """Change the velocities of all bodies by the medium's push on their links."""
-    state = placed.state
-    shape = state.shape[:3]
-    states = LinkStates(
-        length_scale=np.broadcast_to(designs.length_scale.astype(np.float32), shape),
-        mass=np.broadcast_to(trees.mass, shape),
-        inertia=np.broadcast_to(trees.inertia, shape),
-        y=state[..., Column.Y],
-        cos=placed.cos,
-        sin=placed.sin,
-        vx=state[..., Column.VX],
-        vy=state[..., Column.VY],
-        omega=state[..., Column.OMEGA],
+    _, y, _, vx, vy, omega = np.moveaxis(placed.state, -1, 0)
+    length, mass, inertia = (
+        np.broadcast_to(of_design, y.shape)
+        for of_design in (designs.length_scale.astype(np.float32), trees.mass, trees.inertia)
     )
+    states = LinkStates(length, mass, inertia, y, placed.cos, placed.sin, vx, vy, omega)
     links.push(placed, medium.velocity_change(states, physics))
-
-
-class ReferenceFreeLinks:
-    """Single links without ground or joints, to be thrown, in pybox2d. Paper, "Dataset Collection"."""
-
-    def __init__(self, length_scale: Floats, physics: Physics) -> None:
-        """Create (n_links,) links with the given long axes [m]."""
-        self._physics = physics
-        self._world = _empty_world(physics)
-        width = 1.0 / length_scale
-        mass = physics.link_density * width * length_scale
-        self._length_scale = length_scale.astype(np.float32)
-        self._mass = mass.astype(np.float32)
-        self._inertia = (mass * (width**2 + length_scale**2) / 12).astype(np.float32)
-        self._bodies = _Bodies(
-            [
-                _link(self._world, w / 2, a / 2, (0.0, 0.0, 0.0), physics)
-                for w, a in zip(width, length_scale, strict=True)
-            ]
-        )
-
-    def step(self, state: Float32, medium: Medium | None) -> Float32:
-        """Take one step from the given states, as :meth:`tasks.simulation.free_links.FreeLinks.step` does."""
-        self._bodies.set_states(state)
-        if medium is not None:
-            rotation = self._bodies.rotations()
-            links = LinkStates(
-                length_scale=self._length_scale,
-                mass=self._mass,
-                inertia=self._inertia,
-                y=state[:, Column.Y],
-                cos=rotation[:, 0],
-                sin=rotation[:, 1],
-                vx=state[:, Column.VX],
-                vy=state[:, Column.VY],
-                omega=state[:, Column.OMEGA],
-            )
-            change = medium.velocity_change(links, self._physics)
-            velocities = (links.vx + change.vx, links.vy + change.vy, links.omega + change.omega)
-            self._bodies.set_velocities(*(velocity.astype(np.float32) for velocity in velocities))
-        physics = self._physics
-        self._world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)
-        self._world.ClearForces()
-        return self._bodies.states()

@@ -10,26 +10,9 @@ from tasks.world.dry_land import DryLand
 from tasks.world.environment import Environment
 from tasks.world.medium import EnsembleMedium, LinkStates, Medium, VelocityChange
 from tasks.world.physics import Physics, froude_time
-from tasks.world.registry import ENVIRONMENTS, EnvironmentKind, EnvironmentName
+from tasks.world.registry import ENVIRONMENTS, EnvironmentName
 from tasks.world.residual_slush import ResidualSlush
 from tasks.world.slush import Slush, TrueSlush
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")  # a medium registers its environment when imported
-
-__all__ = [
-    "ENVIRONMENTS",
-    "DryLand",
-    "EnsembleMedium",
-    "Environment",
-    "EnvironmentKind",
-    "EnvironmentName",
-    "LinkStates",
-    "Medium",
-    "Physics",
-    "ResidualSlush",
-    "Slush",
-    "TrueSlush",
-    "VelocityChange",
-    "froude_time",
-]

@@ -84,15 +84,12 @@ class EnvironmentKind:
     def environment(
         self, depth: float, settings: Mapping[str, Any], ensemble: EnsembleMedium | None = None
     ) -> Environment:
-        """Build the environment.
+        """Return the environment at a depth.
 
         Args:
             depth: depth of the ground below the surface [m].
             settings: settings groups by name, as models or as dictionaries.
             ensemble: trained networks; required if ``networks`` is not "none".
-
-        Returns:
-            Environment.
 
         Raises:
             ValueError: the environment requires networks and there are none.

@@ -6,9 +6,10 @@ import numba
 import numpy as np
 import pytest
 from both_engines import OTHER_CONSTANTS, STRONG_MOTORS, Slushes, assert_equal, golden_digest, networks, wild
+from links_in_box2d import ReferenceFreeLinks
 
 from tasks.design import random_designs
-from tasks.simulation import batch, free_links, reference
+from tasks.simulation import batch, free_links
 from tasks.simulation.box2d import Column
 from tasks.simulation.simd import rotation
 from tasks.simulation.simd.lanes import widest
@@ -94,7 +95,7 @@ def test_throws(speed: float, medium: Slush | None, same_libm: None, seed: int) 
     state = rng.uniform(-1, 1, (n, 6)) * (0.2, 6, np.pi, speed, speed, speed)
     state = theirs = state.astype(np.float32)
     our_links = free_links.FreeLinks(length_scale, Physics())
-    their_links = reference.ReferenceFreeLinks(length_scale, Physics())
+    their_links = ReferenceFreeLinks(length_scale, Physics())
     for _ in range(200):
         state, theirs = our_links.step(state, medium), their_links.step(theirs, medium)
         np.testing.assert_array_equal(state, theirs)

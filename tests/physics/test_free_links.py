@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from links_in_box2d import ReferenceFreeLinks
 
-from tasks.simulation.reference import ReferenceFreeLinks
 from tasks.world import LinkStates, Medium, Physics, Slush, TrueSlush, VelocityChange
 from tasks.world.slush import submerged_part
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from links_in_box2d import add_link
 
 from tasks.simulation import reference
 from tasks.world import Physics
@@ -13,11 +14,11 @@ G, DT = 9.8, 1 / 60
 @pytest.mark.parametrize("theta0", [0.05, 0.8])
 def test_the_period_of_a_pendulum(a: float, theta0: float) -> None:
     physics = Physics()
-    world = reference._empty_world(physics)
+    world = reference.empty_world(physics)
     hinge = world.CreateStaticBody(position=(0.0, 0.0))
     # Hung by its upper end; its long axis points along (-sin θ, cos θ).
     x, y = a / 2 * np.sin(theta0), -a / 2 * np.cos(theta0)
-    link = reference._link(world, 0.5 / a, a / 2, (float(x), float(y), theta0), physics)
+    link = add_link(world, 0.5 / a, a / 2, physics, position=(float(x), float(y)), angle=theta0)
     world.CreateRevoluteJoint(bodyA=hinge, bodyB=link, localAnchorA=(0.0, 0.0), localAnchorB=(0.0, a / 2))
 
     # T = 2π √(I_hinge / (m g a / 2)) for small swings; for others times the mean of an elliptic integral, of which

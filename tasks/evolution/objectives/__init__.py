@@ -14,5 +14,3 @@ from tasks.evolution.objectives.evaluation import (
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")  # an objective registers itself when imported
-
-__all__ = ["OBJECTIVES", "Evaluation", "Objective", "evaluate", "penalised_mean", "register_objective"]

@@ -45,15 +45,12 @@ class Evaluation:
 
 
 def evaluate(rollouts: Rollouts, *, disagreement_penalty: float, objective: str = "displacement") -> Evaluation:
-    """Score rollouts; in an environment without an ensemble, the fitness is the score itself.
+    """Return the scores of rollouts; in an environment without an ensemble, the fitness is the score itself.
 
     Args:
         rollouts: rollouts of n_designs designs.
         disagreement_penalty: k in μ - k σ over members.
         objective: name of the objective.
-
-    Returns:
-        Fitness and displacements of the designs.
     """
     return Evaluation(
         fitness=penalised_mean(
@@ -65,14 +62,9 @@ def evaluate(rollouts: Rollouts, *, disagreement_penalty: float, objective: str 
 
 
 def penalised_mean(scores: Float64, *, disagreement_penalty: float) -> Float64:
-    """Aggregate scores over members: μ - k σ, where σ is the population deviation of these members.
+    """Return (n_designs,) fitness: μ - k σ, where σ is the population deviation of the members. The paper's k is 1.
 
-    Args:
-        scores: (n_designs, n_members), in the objective's unit.
-        disagreement_penalty: k; the paper's is 1.
-
-    Returns:
-        (n_designs,) fitness; -inf where a member's rollout diverged.
+    Scores are (n_designs, n_members), in the objective's unit. The fitness is -inf where a member's rollout diverged.
     """
     finite = np.asarray(np.isfinite(scores).all(axis=1))
     known = np.where(finite[:, None], scores, 0.0)

@@ -54,7 +54,7 @@ def couple(
     quantities: Mapping[str, int] = layout.QUANTITIES,
     link_stride: int = 1,
 ) -> Coupling:
-    """Couple robots with the networks of their members.
+    """Return the coupling of robots with the networks of their members, for :func:`push`.
 
     Args:
         networks: networks of all members.
@@ -63,9 +63,6 @@ def couple(
         n_robots: number of robots, n_designs for each member; robot number member · n_designs + design.
         quantities: first row of each quantity of :class:`tasks.world.LinkStates`.
         link_stride: rows between the same quantity of two links.
-
-    Returns:
-        Coupling for :func:`push`.
     """
     n_designs = n_robots // networks.n_members
     x, out = networks.allocate(n_designs * N_LINKS)

@@ -211,21 +211,16 @@ class PackedNetworks:
         return out.swapaxes(2, 3).reshape(self.n_members, -1, out.shape[2])[:, :n_rows, : self._n_out]
 
     def allocate(self, n_rows: int) -> tuple[Float32, Float32]:
-        """Allocate inputs and padded outputs for n_rows samples per member.
-
-        Returns:
-            (n_members, n_vectors, inputs, N_LANES) and (n_members, n_vectors, padded outputs, N_LANES).
-        """
+        """Allocate inputs (n_members, n_vectors, n_in, N_LANES) and padded outputs for n_rows samples per member."""
         n_vectors = -(-n_rows // TILE_ROWS) * TILE_VECTORS
         shape = self.n_members, n_vectors
         return aligned((*shape, self._n_in, N_LANES)), aligned((*shape, int(self.sizes[-1]), N_LANES))
 
 
 def _panels(weight: Float32, n_in: int, n_out: int) -> Float32:
-    """Cut weights, padded with zeros, into panels that follow one another in memory.
+    """Cut weights, padded with zeros, into panels that follow one another in memory: (n_members, n_in · n_out).
 
-    Returns:
-        (n_members, n_in · n_out): (n_in, TILE_UNITS) numbers per panel, or half as many for the last.
+    A panel has (n_in, TILE_UNITS) numbers, the last one perhaps half as many.
     """
     n_members = len(weight)
     filled = np.zeros((n_members, n_in, n_out), np.float32)

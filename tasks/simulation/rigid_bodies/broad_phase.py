@@ -43,11 +43,7 @@ def create_proxy(box: FixtureRecord) -> None:
 
 @inline
 def synchronize(body: BodyRecord, box: FixtureRecord) -> bool:
-    """b2Fixture::Synchronize and b2DynamicTree::MoveProxy.
-
-    Returns:
-        Whether the box left its fat AABB and has a new one.
-    """
+    """b2Fixture::Synchronize and b2DynamicTree::MoveProxy; return whether the box has a new fat AABB."""
     lower_x, lower_y, upper_x, upper_y = box.lower_x, box.lower_y, box.upper_x, box.upper_y
     orient(body, box)
     lower_x = lower_x if lower_x < box.lower_x else box.lower_x

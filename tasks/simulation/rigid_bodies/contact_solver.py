@@ -14,14 +14,7 @@ x (Cdot - bias) = 0; friction stays within ± μ x. Two points share a matrix K,
 from numpy import float32
 
 from tasks.compiled import inline
-from tasks.simulation.box2d import (
-    BAUMGARTE,
-    LINEAR_SLOP,
-    MAX_CONDITION_NUMBER,
-    MAX_LINEAR_CORRECTION,
-    POLYGON_RADIUS,
-    VELOCITY_THRESHOLD,
-)
+from tasks.simulation import box2d
 from tasks.simulation.rigid_bodies.layout import GROUND, BodyRecord, ContactPointRecord, ContactRecord, RobotRecord
 from tasks.simulation.rigid_bodies.transform import place, rotate, transform
 from tasks.simulation.trees.joint import clamp
@@ -67,9 +60,9 @@ def initialize_velocity_constraint(robot: RobotRecord, contact: ContactRecord, r
         # The point lies midway between the surfaces of both skins.
         point = contact.points[j]
         clip_x, clip_y = transform(incident, (point.local_x, point.local_y))
-        on_face = POLYGON_RADIUS - ((clip_x - plane_x) * n_x + (clip_y - plane_y) * n_y)
-        x = _HALF * ((clip_x + on_face * n_x) + (clip_x - POLYGON_RADIUS * n_x))
-        y = _HALF * ((clip_y + on_face * n_y) + (clip_y - POLYGON_RADIUS * n_y))
+        on_face = box2d.POLYGON_RADIUS - ((clip_x - plane_x) * n_x + (clip_y - plane_y) * n_y)
+        x = _HALF * ((clip_x + on_face * n_x) + (clip_x - box2d.POLYGON_RADIUS * n_x))
+        y = _HALF * ((clip_y + on_face * n_y) + (clip_y - box2d.POLYGON_RADIUS * n_y))
         rA_x, rA_y, rB_x, rB_y = x - body_a.c_x, y - body_a.c_y, x - body_b.c_x, y - body_b.c_y
         point.ra_x, point.ra_y, point.rb_x, point.rb_y = rA_x, rA_y, rB_x, rB_y
 
@@ -79,7 +72,7 @@ def initialize_velocity_constraint(robot: RobotRecord, contact: ContactRecord, r
         point.tangent_mass = _ONE / _effective_mass(body_a, body_b, rtA, rtB, rtA, rtB)
         dv_x, dv_y = _relative_velocity(point, body_a.v_x, body_a.v_y, body_a.w, body_b.v_x, body_b.v_y, body_b.w)
         v_rel = normal_x * dv_x + normal_y * dv_y
-        point.velocity_bias = -(restitution * v_rel) if v_rel < -VELOCITY_THRESHOLD else _ZERO
+        point.velocity_bias = -(restitution * v_rel) if v_rel < -box2d.VELOCITY_THRESHOLD else _ZERO
 
     contact.solved_count = contact.point_count
     if contact.point_count == 2:
@@ -97,7 +90,7 @@ def _initialize_block(contact: ContactRecord, body_a: BodyRecord, body_b: BodyRe
     k22 = _effective_mass(body_a, body_b, rn2A, rn2B, rn2A, rn2B)
     k12 = _effective_mass(body_a, body_b, rn1A, rn1B, rn2A, rn2B)
     determinant = k11 * k22 - k12 * k12
-    if k11 * k11 < MAX_CONDITION_NUMBER * determinant:
+    if k11 * k11 < box2d.MAX_CONDITION_NUMBER * determinant:
         inverse_det = _ONE / determinant if determinant != 0.0 else determinant
         contact.k11, contact.k12, contact.k22 = k11, k12, k22
         contact.m11, contact.m12, contact.m22 = inverse_det * k22, -inverse_det * k12, inverse_det * k11
@@ -265,10 +258,8 @@ def _solve_block(contact: ContactRecord, a1: float32, a2: float32, b1: float32, 
 def solve_position_constraint(robot: RobotRecord, contact: ContactRecord) -> float32:
     """b2ContactSolver::SolvePositionConstraints and b2PositionSolverManifold.
 
-    A fraction of the separation beyond the slop is corrected: P = -C / K with C = clamp(β (separation + slop)).
-
-    Returns:
-        The least separation before the correction [m], at most 0.
+    A fraction of the separation beyond the slop is corrected: P = -C / K with C = clamp(β (separation + slop)). Returns
+    the least separation before the correction [m], at most 0.
     """
     body_a, body_b = robot.bodies[contact.body_a], robot.bodies[contact.body_b]
     mA, iA, mB, iB = body_a.inv_mass, body_a.inv_inertia, body_b.inv_mass, body_b.inv_inertia
@@ -280,9 +271,9 @@ def solve_position_constraint(robot: RobotRecord, contact: ContactRecord) -> flo
         n_x, n_y = rotate(reference, (contact.local_normal_x, contact.local_normal_y))
         plane_x, plane_y = transform(reference, (contact.local_point_x, contact.local_point_y))
         clip_x, clip_y = transform(incident, (point.local_x, point.local_y))
-        separation = (clip_x - plane_x) * n_x + (clip_y - plane_y) * n_y - POLYGON_RADIUS - POLYGON_RADIUS
+        separation = (clip_x - plane_x) * n_x + (clip_y - plane_y) * n_y - box2d.POLYGON_RADIUS - box2d.POLYGON_RADIUS
         least = least if least < separation else separation
-        C = clamp(BAUMGARTE * (separation + LINEAR_SLOP), -MAX_LINEAR_CORRECTION, _ZERO)
+        C = clamp(box2d.BAUMGARTE * (separation + box2d.LINEAR_SLOP), -box2d.MAX_LINEAR_CORRECTION, _ZERO)
         if C == 0.0:
             continue  # nothing moves
         if flipped:

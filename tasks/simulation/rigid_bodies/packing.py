@@ -29,14 +29,9 @@ def _rotated(vectors: Float32, cos: Float32, sin: Float32) -> Float32:
 
 
 def compute_mass(vertices: Float32, density: float) -> tuple[Float32, Float32, Float32]:
-    """b2PolygonShape::ComputeMass, operation by operation in float32.
+    """b2PolygonShape::ComputeMass, operation by operation in float32; density in [kg/m²], (..., 4, 2) vertices in [m].
 
-    Args:
-        vertices: (..., 4, 2) in the body's frame [m].
-        density: [kg/m²]
-
-    Returns:
-        (...) mass [kg], (..., 2) centre [m], (...) moment of inertia about the frame's origin [kg·m²].
+    Returns (...) mass [kg], (..., 2) centre [m], (...) moment of inertia about the frame's origin [kg·m²].
     """
     single = np.float32
     half, quarter, one = single(0.5), single(0.25), single(1)
@@ -73,15 +68,8 @@ def reset_mass_data(
 ) -> tuple[Float32, Float32, Float32]:
     """b2Body::ResetMassData: add up the fixtures, of which Box2D lists the last one first.
 
-    Args:
-        rigid: which links make up a body.
-        mass: (n_designs, n_links) of the fixtures [kg].
-        center: (n_designs, n_links, 2) in their bodies' frames [m].
-        inertia: (n_designs, n_links) about the frames' origins [kg·m²].
-
-    Returns:
-        (n_designs, n_links) inverse mass, inverse inertia and (n_designs, n_links, 2) centre of mass of the bodies, at
-        their first links.
+    Returns (n_designs, n_links) inverse mass, inverse inertia and (n_designs, n_links, 2) centre of mass of the bodies,
+    at their first links.
     """
     design = np.arange(len(mass))
     total, moment = np.zeros_like(mass), np.zeros_like(inertia)
@@ -106,7 +94,7 @@ def body_index(rigid: RigidBodies) -> Int64:
 
 
 def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tuple[Int64, Int64, Int64]:
-    """List the pairs of fixtures that may collide, ordered by their proxies.
+    """Return (n_designs, MAX_CONTACTS) fixtures A and B that may collide, ordered by their proxies, and how many count.
 
     Proxies are numbered as the fixtures are created: the ground's, then those of each body's links, from the body with
     the last first link to the root's. A is the fixture with the lower proxy.
@@ -115,9 +103,6 @@ def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tup
         designs: n_designs designs.
         rigid: of these designs.
         physics: whether links collide.
-
-    Returns:
-        (n_designs, MAX_CONTACTS) fixtures A, the same of fixtures B, (n_designs,) number of pairs that count.
     """
     n_designs = len(designs)
     created = np.argsort((N_LINKS - rigid.first_link) * N_LINKS + np.arange(N_LINKS), axis=1)
@@ -135,7 +120,7 @@ def fixture_pairs(designs: Designs, rigid: RigidBodies, physics: Physics) -> tup
 
 
 def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: float, physics: Physics) -> Records:
-    """Make the records of robots as Box2D creates their bodies, fixtures and joints.
+    """Return (n_designs,) records of robots, with bodies, fixtures and joints as Box2D creates them.
 
     Args:
         designs: n_designs designs.
@@ -143,9 +128,6 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
         rigid: of these designs.
         depth: of the ground [m].
         physics: the base simulator's constants.
-
-    Returns:
-        (n_designs,) records, to be spawned by the kernel.
     """
     robots = np.zeros(len(designs), ROBOT)
     index = body_index(rigid)

@@ -93,12 +93,9 @@ ClipVertex = tuple[float32, float32, int]  # b2ClipVertex: x, y [m] and the cont
 def _clip_segment_to_line(
     v0: ClipVertex, v1: ClipVertex, normal_x: float32, normal_y: float32, offset: float32, vertex: int
 ) -> tuple[bool, ClipVertex, ClipVertex]:
-    """b2ClipSegmentToLine (b2Collision.cpp): clip a segment to the half-plane behind a line.
+    """b2ClipSegmentToLine (b2Collision.cpp): clip a segment to the half-plane behind a line of a unit normal.
 
-    The line's normal is a unit vector; vertex is the index of the reference box's corner on the line.
-
-    Returns:
-        Whether a part with two ends is left, and its ends.
+    ``vertex`` is the reference box's corner on the line. Returns whether a part with two ends is left, and its ends.
     """
     x0, y0, id0 = v0
     x1, y1, _ = v1

@@ -93,15 +93,12 @@ def part(block: Block, index: int) -> Block:
 
 
 def select(mask: Numeric, yes: Numeric, no: Numeric) -> Numeric:
-    """Choose between two values in each lane; two Python numbers make float32.
+    """Return ``yes`` in lanes where the mask holds, and ``no`` elsewhere; two Python numbers make float32.
 
     Args:
         mask: lanes that take ``yes``.
         yes: values where the mask holds.
         no: values elsewhere.
-
-    Returns:
-        Chosen values.
     """
     if isinstance(yes, float) and isinstance(no, float):
         yes, no = np.float32(yes), np.float32(no)
@@ -140,15 +137,12 @@ def truncate(lanes: Any) -> Any:
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """Compute a · b + c of float64 lanes, rounded once.
+    """Return a · b + c of float64 lanes, rounded once.
 
     Args:
         a: factors.
         b: factors.
         c: summands.
-
-    Returns:
-        Sums.
     """
 
     def one(a: float, b: float, c: float) -> float:
@@ -163,15 +157,12 @@ def lane(lanes: Any, index: int) -> Any:
 
 
 def with_lane(lanes: Any, index: int, number: Any) -> Any:
-    """Replace the number in one lane.
+    """Return lanes with the number in one of them replaced.
 
     Args:
         lanes: numbers.
         index: lane.
         number: its new number.
-
-    Returns:
-        Lanes with the number replaced.
     """
     replaced = lanes.copy()
     replaced[index] = number

@@ -11,18 +11,7 @@ from typing import Any
 import numpy as np
 
 from tasks.compiled import inline
-from tasks.simulation.simd.lanes import (
-    Lanes,
-    any_lane,
-    count_lanes,
-    fma,
-    lane,
-    select,
-    to_double,
-    to_single,
-    truncate,
-    with_lane,
-)
+from tasks.simulation.simd import lanes
 
 NEAR = 120.0  # angles below this [rad] are reduced by one multiply-add, others by integer arithmetic
 _TWO_OVER_PI_SCALED = float.fromhex("0x1.45F306DC9C883p+23")  # 2/π · 2^24
@@ -56,9 +45,9 @@ def _reduce_large(angle: Any) -> Any:
 
 @inline
 def _reduce(angle: Any) -> Any:
-    """Reduce float64 angles below NEAR to the rest in [-π/4, π/4] and the quadrant."""
-    n = (truncate(angle * _TWO_OVER_PI_SCALED) + 0x800000) >> 24
-    return fma(to_double(n), -_HALF_PI, angle), n
+    """Reduce float64 angles below NEAR as well."""
+    n = (lanes.truncate(angle * _TWO_OVER_PI_SCALED) + 0x800000) >> 24
+    return lanes.fma(lanes.to_double(n), -_HALF_PI, angle), n
 
 
 @inline
@@ -74,28 +63,28 @@ def _evaluate(x: Any, n: Any, signs: Any) -> Any:
     x2 = x * x
     x3 = x2 * x
     x4 = x2 * x2
-    s = to_single(fma(x3 * x2, fma(x2, _S3, _S2), fma(x3, _S1, x)))
-    c = to_single(fma(x4 * x2, fma(x2, _C4, _C3), fma(x4, _C2, fma(x2, _C1, 1.0))))
-    s = select(((signs + 1) & 2) == 2, -s, s)
-    c = select((signs & 2) == 2, -c, c)
+    s = lanes.to_single(lanes.fma(x3 * x2, lanes.fma(x2, _S3, _S2), lanes.fma(x3, _S1, x)))
+    c = lanes.to_single(lanes.fma(x4 * x2, lanes.fma(x2, _C4, _C3), lanes.fma(x4, _C2, lanes.fma(x2, _C1, 1.0))))
+    s = lanes.select(((signs + 1) & 2) == 2, -s, s)
+    c = lanes.select((signs & 2) == 2, -c, c)
     odd = (n & 1) == 1
-    return select(odd, c, s), select(odd, s, c)
+    return lanes.select(odd, c, s), lanes.select(odd, s, c)
 
 
 @inline
-def sincos(angle: Lanes) -> tuple[Lanes, Lanes]:
+def sincos(angle: lanes.Lanes) -> tuple[lanes.Lanes, lanes.Lanes]:
     """Compute sine and cosine of angles [rad]."""
     near = abs(angle) < NEAR
-    x, n = _reduce(to_double(select(near, angle, 0.0)))
+    x, n = _reduce(lanes.to_double(lanes.select(near, angle, 0.0)))
     signs = n
-    if any_lane(~near):
-        for i in range(count_lanes(angle)):
-            one = lane(angle, i)
+    if lanes.any_lane(~near):
+        for i in range(lanes.count_lanes(angle)):
+            one = lanes.lane(angle, i)
             if not abs(one) < NEAR:
                 rest, quadrant, sign = _reduce_far(one)
-                x = with_lane(x, i, rest)
-                n = with_lane(n, i, quadrant)
-                signs = with_lane(signs, i, sign)
+                x = lanes.with_lane(x, i, rest)
+                n = lanes.with_lane(n, i, quadrant)
+                signs = lanes.with_lane(signs, i, sign)
     sin, cos = _evaluate(x, n, signs)
     return sin, cos
 
@@ -104,7 +93,7 @@ def sincos(angle: Lanes) -> tuple[Lanes, Lanes]:
 def scalar_sincos(angle: np.float32) -> tuple[np.float32, np.float32]:
     """Compute sine and cosine of one angle [rad]."""
     if abs(angle) < NEAR:
-        x, n = _reduce(to_double(angle))
+        x, n = _reduce(lanes.to_double(angle))
         signs = n
     else:
         x, n, signs = _reduce_far(angle)

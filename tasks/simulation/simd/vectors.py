@@ -9,6 +9,7 @@ vectors, which LLVM splits or widens to the registers of the machine.
 
 from __future__ import annotations
 
+import functools
 import math
 import operator
 from collections.abc import Callable
@@ -20,44 +21,26 @@ from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.extending import NativeValue, intrinsic, models, overload, register_model, type_callable, typeof_impl, unbox
 
-from tasks.simulation.simd.lanes import (
-    ALIGNMENT,
-    Block,
-    any_lane,
-    count_lanes,
-    count_parts,
-    floor,
-    fma,
-    from_row,
-    lane,
-    n_parts,
-    part,
-    select,
-    sqrt,
-    to_double,
-    to_single,
-    truncate,
-    with_lane,
-)
+from tasks.simulation.simd import lanes as simd
+from tasks.simulation.simd.lanes import ALIGNMENT, Block
 
-FLOAT, DOUBLE, INT, BIT = ir.FloatType(), ir.DoubleType(), ir.IntType(32), ir.IntType(1)
-_ELEMENTS = {"float32": FLOAT, "float64": DOUBLE, "int32": INT, "bool": BIT}
+_FLOAT, _INT = ir.FloatType(), ir.IntType(32)
+_ELEMENTS = {"float32": _FLOAT, "float64": ir.DoubleType(), "int32": _INT, "bool": ir.IntType(1)}
 _SCALARS = {"float32": types.float32, "float64": types.float64, "int32": types.int32}
 
 
-class LanesType(types.Type):
+class _LanesType(types.Type):
     """numba's type of a vector."""
 
     def __init__(self, element: str, count: int) -> None:
         self.element, self.count = element, count
         super().__init__(name=f"Lanes({element}, {count})")
 
-    def of(self, element: str) -> LanesType:
-        """Return the type of as many lanes of another element."""
-        return LanesType(element, self.count)
+    def of(self, element: str) -> _LanesType:  # as many lanes of another element
+        return _LanesType(element, self.count)
 
 
-class BlockType(types.Type):
+class _BlockType(types.Type):
     """numba's type of a :class:`Block` with a given number of lanes, or of some lanes of a wider one."""
 
     def __init__(self, count: int, apart: int = 1) -> None:
@@ -66,39 +49,34 @@ class BlockType(types.Type):
         super().__init__(name=f"Block({count}, {apart})")
 
     @property
-    def n_parts(self) -> int:
-        """Number of parts."""
-        return n_parts(self.count)
-
-    @property
-    def part(self) -> BlockType:
-        """Type of a part."""
-        return BlockType(self.count // self.n_parts, self.apart * self.n_parts)
+    def part(self) -> _BlockType:
+        n_parts = simd.n_parts(self.count)
+        return _BlockType(self.count // n_parts, self.apart * n_parts)
 
 
-def _vector(lanes: LanesType) -> ir.VectorType:
+def _vector(lanes: _LanesType) -> ir.VectorType:
     return ir.VectorType(_ELEMENTS[lanes.element], lanes.count)
 
 
-@register_model(LanesType)
+@register_model(_LanesType)
 class _LanesModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: LanesType) -> None:
+    def __init__(self, dmm: Any, fe_type: _LanesType) -> None:
         super().__init__(dmm, fe_type, _vector(fe_type))
 
 
-@register_model(BlockType)
+@register_model(_BlockType)
 class _BlockModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: BlockType) -> None:
-        super().__init__(dmm, fe_type, ir.VectorType(FLOAT, fe_type.count).as_pointer())
+    def __init__(self, dmm: Any, fe_type: _BlockType) -> None:
+        super().__init__(dmm, fe_type, ir.VectorType(_FLOAT, fe_type.count).as_pointer())
 
 
 @typeof_impl.register(Block)
-def _typeof_block(block: Block, context: Any) -> BlockType:
-    return BlockType(block.n_lanes, block.rows.strides[0] // (4 * block.n_lanes))
+def _typeof_block(block: Block, context: Any) -> _BlockType:
+    return _BlockType(block.n_lanes, block.rows.strides[0] // (4 * block.n_lanes))
 
 
-@unbox(BlockType)
-def _unbox_block(block_type: BlockType, block: Any, c: Any) -> NativeValue:
+@unbox(_BlockType)
+def _unbox_block(block_type: _BlockType, block: Any, c: Any) -> NativeValue:
     address = c.pyapi.object_getattr_string(block, "address")
     pointer = c.pyapi.long_as_voidptr(address)
     c.pyapi.decref(address)
@@ -109,15 +87,14 @@ def _unbox_block(block_type: BlockType, block: Any, c: Any) -> NativeValue:
 def _splat(builder: ir.IRBuilder, number: ir.Value, vector: ir.VectorType) -> ir.Value:
     if isinstance(number, ir.Constant):
         return ir.Constant(vector, [number.constant] * vector.count)
-    first = builder.insert_element(ir.Constant(vector, ir.Undefined), number, ir.Constant(INT, 0))
-    return builder.shuffle_vector(
-        first, ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(INT, vector.count), [0] * vector.count)
-    )
+    undefined, of_first = ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(_INT, vector.count), None)
+    first = builder.insert_element(undefined, number, ir.Constant(_INT, 0))
+    return builder.shuffle_vector(first, undefined, of_first)
 
 
-def _as_lanes(context: Any, builder: ir.IRBuilder, value: ir.Value, of: types.Type, lanes: LanesType) -> ir.Value:
+def _as_lanes(context: Any, builder: ir.IRBuilder, value: ir.Value, of: types.Type, lanes: _LanesType) -> ir.Value:
     """Convert a number, or lanes, to the type of some lanes."""
-    if isinstance(of, LanesType):
+    if isinstance(of, _LanesType):
         return value
     scalar = _SCALARS[lanes.element]
     return _splat(builder, context.cast(builder, value, of, scalar), _vector(lanes))
@@ -127,11 +104,11 @@ def _is_number(of: Any) -> bool:
     return isinstance(of, types.Number | types.Boolean)
 
 
-def _common(a: Any, b: Any) -> LanesType | None:
+def _common(a: Any, b: Any) -> _LanesType | None:
     """Return the type of lanes that two operands have in common, None if they are of other types."""
-    if isinstance(a, LanesType) and (a == b or _is_number(b)):
+    if isinstance(a, _LanesType) and (a == b or _is_number(b)):
         return a
-    if isinstance(b, LanesType) and _is_number(a):
+    if isinstance(b, _LanesType) and _is_number(a):
         return b
     return None
 
@@ -155,7 +132,7 @@ def _binary(function: Any, emit: dict[str, _Emit], *, compares: bool = False) ->
         return emit[lanes.element](builder, left, right)
 
     type_callable(function)(lambda context: typer)
-    for operands in ((LanesType, LanesType), (LanesType, types.Number), (types.Number, LanesType)):
+    for operands in ((_LanesType, _LanesType), (_LanesType, types.Number), (types.Number, _LanesType)):
         lower_builtin(function, *operands)(lower)
 
 
@@ -185,86 +162,77 @@ _binary(operator.truediv, _floats("fdiv"))
 _binary(operator.and_, _integers("and_") | _integers("and_", "bool"))
 _binary(operator.or_, _integers("or_") | _integers("or_", "bool"))
 _binary(operator.rshift, _integers("ashr"))
-for _function, _sign in (
-    (operator.lt, "<"),
-    (operator.le, "<="),
-    (operator.gt, ">"),
-    (operator.ge, ">="),
-    (operator.eq, "=="),
-    (operator.ne, "!="),
-):
-    _binary(_function, _comparison(_sign), compares=True)
+for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}.items():
+    _binary(getattr(operator, _name), _comparison(_sign), compares=True)
 
 
-def _unary(function: Any, emit: Callable[[ir.IRBuilder, ir.Value, LanesType], ir.Value], gives: dict[str, str]) -> None:
+_EmitUnary = Callable[[ir.IRBuilder, ir.Value, _LanesType], ir.Value]
+
+
+def _unary(function: Any, emit: _EmitUnary, gives: dict[str, str]) -> None:
     """Teach numba a function of one operand; ``gives`` maps elements of the operand to elements of the result."""
 
     def typer(a: Any) -> Any:
-        return a.of(gives[a.element]) if isinstance(a, LanesType) and a.element in gives else None
+        return a.of(gives[a.element]) if isinstance(a, _LanesType) and a.element in gives else None
 
     type_callable(function)(lambda context: typer)
 
-    @lower_builtin(function, LanesType)
+    @lower_builtin(function, _LanesType)
     def _lower(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         return emit(builder, args[0], signature.return_type)
 
 
-def _call_intrinsic(builder: ir.IRBuilder, name: str, lanes: LanesType, values: list[ir.Value]) -> ir.Value:
+def _call_intrinsic(builder: ir.IRBuilder, name: str, lanes: _LanesType, values: list[ir.Value]) -> ir.Value:
     vector = _vector(lanes)
     full_name = f"llvm.{name}.v{lanes.count}{_ELEMENTS[lanes.element].intrinsic_name}"
     function_type = ir.FunctionType(vector, [vector] * len(values))
     return builder.call(cgutils.get_or_insert_function(builder.module, function_type, full_name), values)
 
 
-def _intrinsic(name: str) -> Callable[[ir.IRBuilder, ir.Value, LanesType], ir.Value]:
+def _intrinsic(name: str) -> _EmitUnary:
     return lambda builder, value, gives: _call_intrinsic(builder, name, gives, [value])
 
 
 _SAME_FLOAT = {"float32": "float32", "float64": "float64"}
 _unary(abs, _intrinsic("fabs"), _SAME_FLOAT)
-_unary(sqrt, _intrinsic("sqrt"), _SAME_FLOAT)
-_unary(floor, _intrinsic("floor"), _SAME_FLOAT)
+_unary(simd.sqrt, _intrinsic("sqrt"), _SAME_FLOAT)
+_unary(simd.floor, _intrinsic("floor"), _SAME_FLOAT)
 _unary(operator.neg, lambda builder, value, gives: builder.fneg(value), _SAME_FLOAT)
 _unary(operator.invert, lambda builder, value, gives: builder.not_(value), {"bool": "bool"})
-_unary(to_single, lambda builder, value, gives: builder.fptrunc(value, _vector(gives)), {"float64": "float32"})
-_unary(truncate, lambda builder, value, gives: builder.fptosi(value, _vector(gives)), {"float64": "int32"})
+_unary(simd.to_single, lambda builder, value, gives: builder.fptrunc(value, _vector(gives)), {"float64": "float32"})
+_unary(simd.truncate, lambda builder, value, gives: builder.fptosi(value, _vector(gives)), {"float64": "int32"})
 
 
-def _widen(builder: ir.IRBuilder, value: ir.Value, gives: LanesType) -> ir.Value:
-    convert = builder.sitofp if value.type.element == INT else builder.fpext
+def _widen(builder: ir.IRBuilder, value: ir.Value, gives: _LanesType) -> ir.Value:
+    convert = builder.sitofp if value.type.element == _INT else builder.fpext
     return convert(value, _vector(gives))
 
 
-_unary(to_double, _widen, {"float32": "float64", "int32": "float64"})
+_unary(simd.to_double, _widen, {"float32": "float64", "int32": "float64"})
 
 
-def _teaches(function: Any, *operands: Any, typer: Callable[..., Any]) -> Callable[[Any], Any]:
-    """Decorate the lowering of a function: teach numba the function for some types of operands.
+def _teaches(function: Any, *operands: Any, gives: Callable[..., Any]) -> Callable[[Any], Any]:
+    """Decorate the lowering of a function or operator: teach numba it for some types of operands.
 
-    Args:
-        function: function of lanes.py, or an operator.
-        operands: types of the operands.
-        typer: maps the operands' types to the type of the result, None if they do not fit.
+    ``gives`` maps the operands' types to the type of the result, None if they do not fit.
     """
+
+    @functools.wraps(gives)  # numba reads the names of the parameters
+    def typer(*of: Any) -> Any:
+        fits = all(kind is types.Any or isinstance(one, kind) for one, kind in zip(of, operands, strict=True))
+        return gives(*of) if fits else None
+
     type_callable(function)(lambda context: typer)
     return lower_builtin(function, *operands)
 
 
-def _is_mask(of: Any) -> bool:
-    return isinstance(of, LanesType) and of.element == "bool"
-
-
-def _is_row(block: Any, row: Any) -> bool:
-    return isinstance(block, BlockType) and isinstance(row, types.Integer)
-
-
 def _type_select(mask: Any, yes: Any, no: Any) -> Any:
-    if not _is_mask(mask):
+    if mask.element != "bool":
         return None
     return mask.of("float32") if _is_number(yes) and _is_number(no) else _common(yes, no)
 
 
-@_teaches(select, LanesType, types.Any, types.Any, typer=_type_select)
+@_teaches(simd.select, _LanesType, types.Any, types.Any, gives=_type_select)
 def _lower_select(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     yes, no = (
         _as_lanes(context, builder, value, of, signature.return_type)
@@ -273,43 +241,35 @@ def _lower_select(context: Any, builder: ir.IRBuilder, signature: Any, args: Any
     return builder.select(args[0], yes, no)
 
 
-@_teaches(any_lane, LanesType, typer=lambda mask: types.boolean if _is_mask(mask) else None)
+@_teaches(simd.any_lane, _LanesType, gives=lambda mask: types.boolean if mask.element == "bool" else None)
 def _lower_any(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     bits = ir.IntType(signature.args[0].count)
     return builder.icmp_unsigned("!=", builder.bitcast(args[0], bits), ir.Constant(bits, 0))
 
 
 def _type_fma(a: Any, b: Any, c: Any) -> Any:
-    return a if isinstance(a, LanesType) and all(x == a or _is_number(x) for x in (b, c)) else None
+    return a if all(x == a or _is_number(x) for x in (b, c)) else None
 
 
-@_teaches(fma, LanesType, types.Any, types.Any, typer=_type_fma)
+@_teaches(simd.fma, _LanesType, types.Any, types.Any, gives=_type_fma)
 def _lower_fma(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     lanes = signature.return_type
     values = [_as_lanes(context, builder, x, of, lanes) for x, of in zip(args, signature.args, strict=True)]
     return _call_intrinsic(builder, "fma", lanes, values)
 
 
-def _type_lane(lanes: Any, index: Any) -> Any:
-    return _SCALARS[lanes.element] if isinstance(lanes, LanesType) else None
-
-
-@_teaches(lane, LanesType, types.Integer, typer=_type_lane)
+@_teaches(simd.lane, _LanesType, types.Integer, gives=lambda lanes, index: _SCALARS[lanes.element])
 def _lower_lane(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     return builder.extract_element(args[0], args[1])
 
 
-def _type_with_lane(lanes: Any, index: Any, number: Any) -> Any:
-    return lanes if isinstance(lanes, LanesType) else None
-
-
-@_teaches(with_lane, LanesType, types.Integer, types.Number, typer=_type_with_lane)
+@_teaches(simd.with_lane, _LanesType, types.Integer, types.Number, gives=lambda lanes, index, number: lanes)
 def _lower_with_lane(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     number = context.cast(builder, args[2], signature.args[2], _SCALARS[signature.args[0].element])
     return builder.insert_element(args[0], number, args[1])
 
 
-@_teaches(count_lanes, LanesType, typer=lambda lanes: types.intp if isinstance(lanes, LanesType) else None)
+@_teaches(simd.count_lanes, _LanesType, gives=lambda lanes: types.intp)
 def _lower_count(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     return context.get_constant(types.intp, signature.args[0].count)
 
@@ -320,50 +280,45 @@ def _align(n_lanes: int) -> int:
     return min(ALIGNMENT, n_bytes & -n_bytes)
 
 
-def _row(builder: ir.IRBuilder, of: BlockType, block: ir.Value, row: ir.Value) -> ir.Value:
-    """Point at a row of a block."""
+def _row(builder: ir.IRBuilder, of: _BlockType, block: ir.Value, row: ir.Value) -> ir.Value:
     return builder.gep(block, [builder.mul(row, ir.Constant(row.type, of.apart))])
 
 
-def _type_load(block: Any, row: Any) -> Any:
-    return LanesType("float32", block.count) if _is_row(block, row) else None
-
-
-@_teaches(operator.getitem, BlockType, types.Integer, typer=_type_load)
+@_teaches(operator.getitem, _BlockType, types.Integer, gives=lambda block, row: _LanesType("float32", block.count))
 def _lower_load(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     of = signature.args[0]
     return builder.load(_row(builder, of, *args), align=_align(of.count))
 
 
 def _type_store(block: Any, row: Any, lanes: Any) -> Any:
-    return types.none if _is_row(block, row) and _common(LanesType("float32", block.count), lanes) else None
+    return types.none if _common(_LanesType("float32", block.count), lanes) else None
 
 
-@_teaches(operator.setitem, BlockType, types.Integer, types.Any, typer=_type_store)
+@_teaches(operator.setitem, _BlockType, types.Integer, types.Any, gives=_type_store)
 def _lower_store(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     of = signature.args[0]
-    value = _as_lanes(context, builder, args[2], signature.args[2], LanesType("float32", of.count))
+    value = _as_lanes(context, builder, args[2], signature.args[2], _LanesType("float32", of.count))
     builder.store(value, _row(builder, of, *args[:2]), align=_align(of.count))
     return context.get_dummy_value()
 
 
-@_teaches(from_row, BlockType, types.Integer, typer=lambda block, row: block if _is_row(block, row) else None)
+@_teaches(simd.from_row, _BlockType, types.Integer, gives=lambda block, row: block)
 def _lower_from_row(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     return _row(builder, signature.args[0], *args)
 
 
-@_teaches(count_parts, BlockType, typer=lambda block: types.intp if isinstance(block, BlockType) else None)
+@_teaches(simd.count_parts, _BlockType, gives=lambda block: types.intp)
 def _lower_count_parts(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    return context.get_constant(types.intp, signature.args[0].n_parts)
+    return context.get_constant(types.intp, simd.n_parts(signature.args[0].count))
 
 
-@_teaches(part, BlockType, types.Integer, typer=lambda block, index: block.part if _is_row(block, index) else None)
+@_teaches(simd.part, _BlockType, types.Integer, gives=lambda block, index: block.part)
 def _lower_part(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     halves = builder.bitcast(args[0], context.get_value_type(signature.return_type))
     return builder.gep(halves, [args[1]])
 
 
-@lower_cast(LanesType, LanesType)
+@lower_cast(_LanesType, _LanesType)
 def _cast_lanes(context: Any, builder: ir.IRBuilder, from_type: Any, to_type: Any, value: ir.Value) -> ir.Value:
     return value
 
@@ -371,7 +326,7 @@ def _cast_lanes(context: Any, builder: ir.IRBuilder, from_type: Any, to_type: An
 # The same functions of numbers, for formulas that scalar code shares with the lanes.
 
 
-@overload(select, strict=False)
+@overload(simd.select, strict=False)
 def _select_number(mask: Any, yes: Any, no: Any) -> Any:
     return (lambda mask, yes, no: yes if mask else no) if isinstance(mask, types.Boolean) else None
 
@@ -384,12 +339,12 @@ def _of_number(function: Any, of_number: Callable[[Any], Any]) -> None:
         return of_number if _is_number(number) else None
 
 
-_of_number(any_lane, lambda mask: mask)
-_of_number(sqrt, lambda number: math.sqrt(number))
-_of_number(floor, lambda number: np.floor(number))
-_of_number(to_double, lambda number: np.float64(number))
-_of_number(to_single, lambda number: np.float32(number))
-_of_number(truncate, lambda number: np.int32(number))
+_of_number(simd.any_lane, lambda mask: mask)
+_of_number(simd.sqrt, lambda number: math.sqrt(number))
+_of_number(simd.floor, lambda number: np.floor(number))
+_of_number(simd.to_double, lambda number: np.float64(number))
+_of_number(simd.to_single, lambda number: np.float32(number))
+_of_number(simd.truncate, lambda number: np.int32(number))
 
 
 @intrinsic
@@ -400,6 +355,6 @@ def _fused(context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), lower
 
 
-@overload(fma, strict=False)
+@overload(simd.fma, strict=False)
 def _fma_number(a: Any, b: Any, c: Any) -> Any:
     return (lambda a, b, c: _fused(a, b, c)) if _is_number(a) else None

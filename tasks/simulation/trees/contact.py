@@ -29,16 +29,7 @@ Position correction of a point, by β of the error and as a Newton step with the
 """
 
 from tasks.compiled import inline
-from tasks.simulation.box2d import (
-    BAUMGARTE,
-    LEAST_SEPARATION,
-    LINEAR_SLOP,
-    MAX_CONDITION_NUMBER,
-    MAX_LINEAR_CORRECTION,
-    POLYGON_RADIUS,
-    TOTAL_RADIUS,
-    VELOCITY_THRESHOLD,
-)
+from tasks.simulation import box2d
 from tasks.simulation.simd.lanes import Block, Lanes, Mask, Numeric, Uniform, any_lane, select
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import layout as at
@@ -50,15 +41,12 @@ _CLEARLY_APART = 0.1  # estimated gap [m] beyond which there is no contact; far 
 
 @inline
 def collide(block: Block, link: int, ground: Uniform) -> bool:
-    """b2CollidePolygons and b2Contact::Update: find the points that touch, with their impulses of the last step.
+    """Return whether a link touches the ground in any lane: b2CollidePolygons and b2Contact::Update.
 
     Args:
         block: group of robots.
         link: number of the link.
         ground: height of the ground [m].
-
-    Returns:
-        Whether the link touches the ground in any lane.
     """
     x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
     hx, hy = block[at.HALF_WIDTH + link], block[at.HALF_HEIGHT + link]
@@ -89,9 +77,9 @@ def collide(block: Block, link: int, ground: Uniform) -> bool:
     # b2EdgeSeparation at the support vertex, which is on that edge; of equals the one with the lower index.
     dot_1, dot_2 = v1_x * s + v1_y * c, v2_x * s + v2_y * c
     second_supports = (dot_2 < dot_1) | ((dot_2 == dot_1) & left)
-    near = ~(select(second_supports, p2_y, p1_y) - ground > TOTAL_RADIUS)
-    touches_1 = near & (p1_y - ground <= TOTAL_RADIUS)
-    touches_2 = near & (p2_y - ground <= TOTAL_RADIUS)
+    near = ~(select(second_supports, p2_y, p1_y) - ground > box2d.TOTAL_RADIUS)
+    touches_1 = near & (p1_y - ground <= box2d.TOTAL_RADIUS)
+    touches_2 = near & (p2_y - ground <= box2d.TOTAL_RADIUS)
     both = touches_1 & touches_2
 
     # b2MulT(xf, p): back to the link's frame, with its rounding. A second point that touches alone becomes the first.
@@ -120,15 +108,15 @@ def _lever(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: Unif
     """b2WorldManifold::Initialize: r of a point midway between the surfaces of both skins."""
     x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
     clip_x, clip_y = (c * local_x - s * local_y) + x, (s * local_x + c * local_y) + y
-    on_ground = clip_y + (POLYGON_RADIUS - (clip_y - ground))
-    on_link = clip_y - POLYGON_RADIUS
+    on_ground = clip_y + (box2d.POLYGON_RADIUS - (clip_y - ground))
+    on_link = clip_y - box2d.POLYGON_RADIUS
     return clip_x - x, 0.5 * (on_ground + on_link) - y
 
 
 @inline
 def _bounce(v_rel: Lanes, restitution: Uniform) -> Numeric:
     """b2VelocityConstraintPoint's velocityBias."""
-    return select(v_rel < -VELOCITY_THRESHOLD, -(restitution * v_rel), 0.0)
+    return select(v_rel < -box2d.VELOCITY_THRESHOLD, -(restitution * v_rel), 0.0)
 
 
 @inline
@@ -177,7 +165,7 @@ def _init_second_point(
     k22 = mB + iB * r_x * r_x
     k12 = mB + iB * r1_x * r_x
     det = k11 * k22 - k12 * k12
-    in_block = (block[at.VERTEX_2 + link] != NO_VERTEX) & (k11 * k11 < MAX_CONDITION_NUMBER * det)
+    in_block = (block[at.VERTEX_2 + link] != NO_VERTEX) & (k11 * k11 < box2d.MAX_CONDITION_NUMBER * det)
     block[at.K_11 + link], block[at.K_12 + link], block[at.K_22 + link] = k11, k12, k22
     block[at.K_INVERSE_DETERMINANT + link] = select(det != 0.0, 1.0 / det, det)
     block[at.R_X_2 + link], block[at.R_Y_2 + link] = r_x, r_y
@@ -294,8 +282,8 @@ def _push_out(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: U
     mB, iB = block[at.INVERSE_MASS + link], block[at.INVERSE_INERTIA + link]
     x, y, c, s = block[at.X + link], block[at.Y + link], block[at.COS + link], block[at.SIN + link]
     clip_x, clip_y = (c * local_x - s * local_y) + x, (s * local_x + c * local_y) + y
-    separation: Lanes = clip_y - ground - POLYGON_RADIUS - POLYGON_RADIUS
-    C = clamp(BAUMGARTE * (separation + LINEAR_SLOP), -MAX_LINEAR_CORRECTION, 0.0)
+    separation: Lanes = clip_y - ground - box2d.POLYGON_RADIUS - box2d.POLYGON_RADIUS
+    C = clamp(box2d.BAUMGARTE * (separation + box2d.LINEAR_SLOP), -box2d.MAX_LINEAR_CORRECTION, 0.0)
     pushed = pushed & (C != 0.0)
     if any_lane(pushed):
         r_x = clip_x - x
@@ -309,24 +297,21 @@ def _push_out(block: Block, link: int, local_x: Lanes, local_y: Lanes, ground: U
 
 @inline
 def solve_position_constraint(block: Block, link: int, ground: Uniform, unsolved: Mask) -> Mask:
-    """b2ContactSolver::SolvePositionConstraints.
+    """Return the lanes in which a link was not too deep before b2ContactSolver::SolvePositionConstraints.
 
     Args:
         block: group of robots.
         link: number of the link.
         ground: height of the ground [m].
         unsolved: lanes to correct; the others stay as they are.
-
-    Returns:
-        Lanes in which the link was not too deep.
     """
     touches = block[at.VERTEX_1 + link] != NO_VERTEX
     local_x, local_y = block[at.LOCAL_X_1 + link], block[at.LOCAL_Y_1 + link]
     separation = _push_out(block, link, local_x, local_y, ground, unsolved & touches)
-    shallow: Mask = ~touches | (separation >= LEAST_SEPARATION)
+    shallow: Mask = ~touches | (separation >= box2d.LEAST_SEPARATION)
     both = block[at.VERTEX_2 + link] != NO_VERTEX
     if any_lane(both):
         local_x, local_y = block[at.LOCAL_X_2 + link], block[at.LOCAL_Y_2 + link]
         separation = _push_out(block, link, local_x, local_y, ground, unsolved & both)
-        shallow = shallow & (~both | (separation >= LEAST_SEPARATION))
+        shallow = shallow & (~both | (separation >= box2d.LEAST_SEPARATION))
     return shallow

@@ -34,15 +34,12 @@ from tasks.simulation.trees import layout as at
 
 @inline
 def clamp(a: Numeric, low: Numeric, high: Numeric) -> Numeric:
-    """b2Clamp.
+    """Return values within their bounds, as b2Clamp does.
 
     Args:
         a: values.
         low: lower bounds.
         high: upper bounds.
-
-    Returns:
-        Values within their bounds.
     """
     least = select(a < high, a, high)
     return select(low > least, low, least)
@@ -50,15 +47,12 @@ def clamp(a: Numeric, low: Numeric, high: Numeric) -> Numeric:
 
 @inline
 def of_parent(links: Block, parent: Lanes, joint: int) -> Lanes:
-    """Gather a quantity of each lane's parent.
+    """Return a quantity of each lane's parent.
 
     Args:
         links: block from the quantity's row of link 0 on.
         parent: number of the parent link.
         joint: number of the joint; its parent is one of links 0 to ``joint``.
-
-    Returns:
-        Quantity of the parents.
     """
     gathered = links[0]
     for link in range(1, joint + 1):
@@ -163,15 +157,12 @@ def solve_velocity_constraint(block: Block, joint: int) -> None:
 
 @inline
 def solve_position_constraint(block: Block, joint: int, unsolved: Mask) -> Mask:
-    """b2RevoluteJoint::SolvePositionConstraints.
+    """Return the lanes in which a joint was within the tolerance before b2RevoluteJoint::SolvePositionConstraints.
 
     Args:
         block: group of robots.
         joint: number of the joint.
         unsolved: lanes to correct; the others stay as they are.
-
-    Returns:
-        Lanes in which the joint was within the tolerance.
     """
     child = joint + 1
     parent = block[at.PARENT + joint]

@@ -30,15 +30,14 @@ _LENGTH, _REST_ANGLE, _FREQUENCY, _PHASE, _MOTION_RANGE, _MOTOR_ON = (
 
 @inline
 def inverse_mass_and_inertia(half_width: Uniform, half_height: Uniform, density: Uniform) -> tuple[Uniform, Uniform]:
-    """b2PolygonShape::ComputeMass and b2Body::ResetMassData of a box, operation by operation in float32.
+    """Return inverse mass [1/kg] and inertia [1/(kg·m²)] of a box, as Box2D computes them in float32.
+
+    Follows b2PolygonShape::ComputeMass and b2Body::ResetMassData, operation by operation.
 
     Args:
         half_width: half the short axis [m].
         half_height: half the long axis [m].
         density: density [kg/m²].
-
-    Returns:
-        Inverse mass [1/kg] and inverse moment of inertia [1/(kg·m²)].
     """
     x, y = half_width, half_height
     corner_x, corner_y = (-x, x, x, -x), (-y, -y, y, y)

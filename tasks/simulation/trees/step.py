@@ -15,18 +15,7 @@ from tasks.compiled import inline
 from tasks.design.genes import N_JOINTS
 from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION
 from tasks.simulation.controller import SINE_OF_TURNS
-from tasks.simulation.simd.lanes import (
-    Block,
-    Numeric,
-    Uniform,
-    any_lane,
-    count_parts,
-    floor,
-    from_row,
-    part,
-    select,
-    sqrt,
-)
+from tasks.simulation.simd.lanes import Block, Numeric, any_lane, count_parts, floor, from_row, part, select, sqrt
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import contact, joint
 from tasks.simulation.trees import layout as at
@@ -63,9 +52,9 @@ class Scene(NamedTuple):
 
 @inline
 def motor_speed(
-    turns: Numeric, rest_angle: Numeric, motion_range: Numeric, joint_angle: Numeric, gain: Uniform
+    turns: Numeric, rest_angle: Numeric, motion_range: Numeric, joint_angle: Numeric, gain: np.float32
 ) -> Numeric:
-    """Compute the motor speed gain · (θ* - θ) of lanes or numbers; see tasks/simulation/controller.py.
+    """Return the motor speed gain · (θ* - θ) of lanes or numbers [rad/s]; see tasks/simulation/controller.py.
 
     Args:
         turns: phase at the present time [turns].
@@ -73,9 +62,6 @@ def motor_speed(
         motion_range: amplitude [rad].
         joint_angle: angle θ of the joint [rad].
         gain: motor gain [1/s].
-
-    Returns:
-        Speed [rad/s].
     """
     r = turns - floor(turns + _HALF)
     folded = _QUARTER - abs(abs(r) - _QUARTER)
@@ -86,7 +72,7 @@ def motor_speed(
 
 
 @inline
-def _command_motor(block: Block, j: int, time: Uniform, gain: Uniform) -> None:
+def _command_motor(block: Block, j: int, time: np.float32, gain: np.float32) -> None:
     parent = block[at.PARENT + j]
     joint_angle = block[at.ANGLE + j + 1] - of_parent(from_row(block, at.ANGLE), parent, j)
     turns = block[at.FREQUENCY] * time + block[at.PHASE + j]
@@ -104,7 +90,7 @@ def _share(share: Numeric) -> Numeric:
 
 @inline
 def immersion(length: Numeric, width: Numeric, y: Numeric, cos: Numeric, sin: Numeric) -> tuple[Numeric, ...]:
-    """Compute half the rises of a link's edges and the depth of its lowest corner; see tasks/world/slush.py.
+    """Return half the rises of a link's short and long edge, and the depth of its lowest corner [m]; as in slush.py.
 
     Args:
         length: long axis [m].
@@ -112,9 +98,6 @@ def immersion(length: Numeric, width: Numeric, y: Numeric, cos: Numeric, sin: Nu
         y: height of the centre over the surface [m].
         cos: cosine of the angle.
         sin: sine of the angle.
-
-    Returns:
-        Half the rise of the short and of the long edge, depth [m].
     """
     rise_short, rise_long = abs(sin) * width / _TWO, abs(cos) * length / _TWO
     return rise_short, rise_long, rise_short + rise_long - y
@@ -132,7 +115,7 @@ def slush_change(
     depth: Numeric,
     scene: Scene,
 ) -> tuple[Numeric, ...]:
-    """Compute the velocity change by the slush's drag and buoyancy over one step; see tasks/world/slush.py.
+    """Return the changes of vx, vy [m/s] and omega [rad/s] by the slush in one step; see tasks/world/slush.py.
 
     Args:
         length: long axis of the link [m].
@@ -144,9 +127,6 @@ def slush_change(
         rise_long: half the rise of the long edge [m].
         depth: depth of the lowest corner [m], above 0.
         scene: shared constants.
-
-    Returns:
-        Changes of vx, vy [m/s] and omega [rad/s].
     """
     per_short = _HALF / select(rise_short > _TINY, rise_short, _TINY)
     per_long = _HALF / select(rise_long > _TINY, rise_long, _TINY)
@@ -184,7 +164,7 @@ def _submerge(block: Block, link: int, scene: Scene) -> None:
 
 
 @inline
-def _integrate_position(block: Block, link: int, dt: Uniform) -> None:
+def _integrate_position(block: Block, link: int, dt: np.float32) -> None:
     """b2Island::Solve: limit the velocities, then move."""
     vx, vy, w = block[at.VX + link], block[at.VY + link], block[at.OMEGA + link]
     translation_x, translation_y, rotation = dt * vx, dt * vy, dt * w
@@ -218,7 +198,7 @@ def _part_of_groups(groups: Block, index: int) -> Block:
 
 
 @inline
-def _start_joint(groups: Block, n_groups: int, j: int, dt_ratio: Uniform) -> None:
+def _start_joint(groups: Block, n_groups: int, j: int, dt_ratio: np.float32) -> None:
     for k in range(n_groups):
         joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, dt_ratio)
 
@@ -296,8 +276,7 @@ def _push_links(block: Block, scene: Scene, step: int) -> None:
 def _start_contacts(block: Block, scene: Scene) -> tuple[int, int]:
     """Find, initialize and warm-start the contacts with the ground.
 
-    Returns:
-        Links that touch the ground in any lane, and those that touch it with two points, as the bits of two integers.
+    Returns the links that touch the ground in any lane, and those that touch it with two points, as bits of integers.
     """
     touching, on_two_points = 0, 0
     for link in range(scene.n_links):

@@ -16,16 +16,18 @@ from tasks.design import (
     Mutation,
     check,
     crossover,
-    draw_random,
-    draw_recombinations,
     links_apart,
     mutate,
     random_designs,
 )
 from tasks.design.genes import N_GENES, concatenate
-from tasks.design.variation import MAX_DRAWS, MAX_RECOMBINATIONS
+from tasks.design.variation import MAX_DRAWS, MAX_RECOMBINATIONS, Sampler, variation_of
 
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
+
+
+def sampler(rng: np.random.Generator) -> Sampler:
+    return Sampler(rng, variation_of(BUILDABLE), apart=True)
 
 
 def keeps_to_it(designs: Designs) -> bool:
@@ -154,7 +156,7 @@ def test_parents_without_a_common_child_give_the_body_of_one_and_the_controller_
     rng = np.random.default_rng(31)
     pairs = rng.permuted(np.tile(np.arange(48), (60, 1)), axis=1)[:, :2]
     one, other = buildable[pairs[:, 0]], buildable[pairs[:, 1]]
-    drawn = draw_recombinations(one.table, other.table, rng, morphology=BUILDABLE)
+    drawn = sampler(rng).recombinations((one.table, other.table))
     assert keeps_to_it(drawn.designs)
     hopeless = drawn.n_draws > MAX_RECOMBINATIONS
     assert hopeless.any()
@@ -165,7 +167,7 @@ def test_parents_without_a_common_child_give_the_body_of_one_and_the_controller_
 
 
 def test_draws_are_counted() -> None:
-    drawn = draw_random(2, np.random.default_rng(32), morphology=BUILDABLE)
+    drawn = sampler(np.random.default_rng(32)).random(2)
     assert links_apart(drawn.designs).all()
     # About one random design in 1,100 is apart: one that is found within three draws is a matter of 0.3 %.
     assert (drawn.n_draws > 3).all()
@@ -175,7 +177,7 @@ def test_a_first_draw_that_is_allowed_stays(buildable: Designs) -> None:
     overlapping = random_designs(1, np.random.default_rng(33))
     first = concatenate([buildable[[3]], overlapping, buildable[[5]]])
     assert links_apart(first).tolist() == [True, False, True]
-    drawn = draw_random(3, np.random.default_rng(34), morphology=BUILDABLE, first=first.table)
+    drawn = sampler(np.random.default_rng(34)).random(3, first=first.table)
     assert keeps_to_it(drawn.designs)
     assert drawn.n_draws[[0, 2]].tolist() == [1, 1]
     assert drawn.n_draws[1] > 1

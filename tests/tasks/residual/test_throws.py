@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from links_in_box2d import ReferenceFreeLinks
 from pydantic import ValidationError
 
 from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
 from tasks.residual.observation import VELOCITIES
-from tasks.simulation.reference import ReferenceFreeLinks
 from tasks.world import LinkStates, Physics, Slush
 
 PHYSICS = Physics()
