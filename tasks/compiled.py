@@ -15,7 +15,6 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from types import ModuleType
 from typing import Any, TypeVar, cast
 
@@ -26,15 +25,8 @@ from numba.core.event import Listener, register
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-@dataclass(frozen=True)
-class _Cached:
-    """Cache folder of a kernel, and about how long it takes to compile."""
-
-    folder: str
-    seconds: int
-
-
-_KERNELS: dict[Callable[..., Any], _Cached] = {}  # kernels by their Python functions
+_KERNELS: dict[Callable[..., Any], tuple[str, int]] = {}
+"""Cache folder of each kernel, by its Python function, and about how long it takes to compile [s]."""
 
 
 class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
@@ -43,8 +35,8 @@ class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
     def on_start(self, event: Any) -> None:
         function = event.data["dispatcher"].py_func
         if function in _KERNELS:
-            about = f"once, about {_KERNELS[function].seconds} s"
-            print(f"compiling {function.__module__} ({about})", file=sys.stderr, flush=True)
+            _, seconds = _KERNELS[function]
+            print(f"compiling {function.__module__} (once, about {seconds} s)", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
         pass
@@ -88,7 +80,7 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
     finally:
         numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = before
 
-    _KERNELS[function] = _Cached(folder, seconds)
+    _KERNELS[function] = folder, seconds
     return cast(Callable[..., Any], kernel)
 
 
@@ -97,8 +89,8 @@ def is_cached(kernel: Callable[..., Any]) -> bool:
     function = getattr(kernel, "py_func", None)
     if function not in _KERNELS:
         return True  # there is no compiler
-    found = glob.glob(os.path.join(_KERNELS[function].folder, "*", f"*.{function.__name__}-*.nbc"))
-    return bool(found)
+    folder, _ = _KERNELS[function]
+    return bool(glob.glob(os.path.join(folder, "*", f"*.{function.__name__}-*.nbc")))
 
 
 def inline(function: F) -> F:

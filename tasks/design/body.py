@@ -172,20 +172,7 @@ def rigid_bodies(designs: Designs, *, passive_joints: PassiveJoints) -> RigidBod
     body_mass = over_body(mass)
     lever_x, lever_y = x - over_body(mass * x) / body_mass, y - over_body(mass * y) / body_mass
     body_inertia = over_body(inertia + mass * (lever_x**2 + lever_y**2))  # the parallel-axis theorem
-    single = np.float32
-    rounded_angle = angle.astype(single)
-    return RigidBodies(
-        first_link=first_link,
-        x=x.astype(single),
-        y=y.astype(single),
-        angle=rounded_angle,
-        cos=np.cos(rounded_angle.astype(np.float64)).astype(single),
-        sin=np.sin(rounded_angle.astype(np.float64)).astype(single),
-        lever_x=lever_x.astype(single),
-        lever_y=lever_y.astype(single),
-        mass_share=(mass / body_mass).astype(single),
-        inertia_share=(inertia / body_inertia).astype(single),
-        mass_over_inertia=(mass / body_inertia).astype(single),
-        joint_x=joint_x.astype(single),
-        joint_y=joint_y.astype(single),
-    )
+    rounded_angle = angle.astype(np.float32).astype(np.float64)
+    pose = x, y, angle, np.cos(rounded_angle), np.sin(rounded_angle), lever_x, lever_y
+    shares = mass / body_mass, inertia / body_inertia, mass / body_inertia
+    return RigidBodies(first_link, *(quantity.astype(np.float32) for quantity in (*pose, *shares, joint_x, joint_y)))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from tasks.arrays import Bools, Float64, Int64
 from tasks.compiled import compiled
 
 N_LINKS = 6
@@ -24,8 +25,7 @@ N_JOINTS = N_LINKS - 1
 
 ROOT_PARENT = -1  # parent of the root
 
-DesignTable = npt.NDArray[np.float64]
-"""(n_designs, N_COLUMNS) table of designs, which variation and selection operate on."""
+DesignTable = Float64  # (n_designs, N_COLUMNS) table of designs, which variation and selection operate on
 
 GenePart = Literal["body", "control"]
 Kind = Literal["interval", "angle", "flag"]
@@ -88,32 +88,21 @@ class DesignError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Designs:
-    """Designs as a struct of arrays; axis 0 is the design.
-
-    Attributes:
-        length_scale: (n_designs, n_links) long axis of a link, its height [m]; the width is the reciprocal.
-        parent: (n_designs, n_links) index of the parent link, less than the link's own; -1 for the root.
-        parent_attachment: (n_designs, n_links) position of the joint on the parent's long axis [half heights].
-        child_attachment: (n_designs, n_links) position of the joint on the link's own long axis [half heights].
-        rest_angle: (n_designs, n_links) angle relative to the parent at rest [rad].
-        phase: (n_designs, n_links) phase of the joint's oscillation [rad].
-        motion_range: (n_designs, n_links) amplitude of the joint's oscillation [rad].
-        motor_on: (n_designs, n_links) whether the joint's motor is on; otherwise the joint is passive.
-        frequency: (n_designs,) frequency of all joints' oscillations [Hz].
+    """Designs as a struct of arrays, (n_designs, n_links) except for the frequency.
 
     Raises:
         DesignError: the shapes do not agree. :func:`check` checks values.
     """
 
-    length_scale: npt.NDArray[np.float64]
-    parent: npt.NDArray[np.int64]
-    parent_attachment: npt.NDArray[np.float64]
-    child_attachment: npt.NDArray[np.float64]
-    rest_angle: npt.NDArray[np.float64]
-    phase: npt.NDArray[np.float64]
-    motion_range: npt.NDArray[np.float64]
-    motor_on: npt.NDArray[np.bool_]
-    frequency: npt.NDArray[np.float64]
+    length_scale: Float64  # long axis of a link, its height [m]; the width is the reciprocal
+    parent: Int64  # index of the parent link, less than the link's own; -1 for the root
+    parent_attachment: Float64  # position of the joint on the parent's long axis [half heights]
+    child_attachment: Float64  # position of the joint on the link's own long axis [half heights]
+    rest_angle: Float64  # angle relative to the parent at rest [rad]
+    phase: Float64  # phase of the joint's oscillation [rad]
+    motion_range: Float64  # amplitude of the joint's oscillation [rad]
+    motor_on: Bools  # whether the joint's motor is on; otherwise the joint is passive
+    frequency: Float64  # (n_designs,) frequency of all joints' oscillations [Hz]
 
     def __post_init__(self) -> None:
         for name, dtype in DTYPES.items():
@@ -210,21 +199,13 @@ DTYPES: dict[str, type[np.generic]] = {
 """Dtype of each field of Designs, in the order of declaration."""
 
 
-def _columns() -> dict[str, slice]:
-    columns, first = {}, 0
-    for name in DTYPES:
-        n = 1 if name in PER_DESIGN else N_LINKS
-        columns[name] = slice(first, first + n)
-        first += n
-    return columns
-
-
-COLUMNS = _columns()  # columns of each field in a table of designs, link by link
+_ENDS = np.cumsum([1 if name in PER_DESIGN else N_LINKS for name in DTYPES]).tolist()
+COLUMNS = dict(zip(DTYPES, map(slice, [0, *_ENDS], _ENDS), strict=True))
+"""Columns of each field in a table of designs, link by link."""
+N_COLUMNS = _ENDS[-1]  # columns of a table of designs: 49, including the ignored genes of roots
 PARENT_COLUMN = COLUMNS["parent"].start  # column of the root's parent, followed by those of the other links
 LINK_OF_COLUMN = np.concatenate([[N_LINKS] if name in PER_DESIGN else np.arange(N_LINKS) for name in COLUMNS])
 """(N_COLUMNS,) link of each column; N_LINKS for columns of the whole design."""
-N_COLUMNS = max(columns.stop for columns in COLUMNS.values())
-"""Columns of a table of designs: 49, including the ignored genes of roots."""
 
 
 def _converted(name: str, values: npt.ArrayLike, dtype: type[np.generic]) -> npt.NDArray[Any]:

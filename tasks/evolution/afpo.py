@@ -104,13 +104,8 @@ class Population(NamedTuple):
         )
 
 
-EMPTY_POPULATION = Population(
-    table=np.zeros((0, N_COLUMNS)),
-    fitness=np.zeros(0),
-    age=np.zeros(0, dtype=np.int64),
-    identity=np.zeros(0, dtype=np.int64),
-    n_evaluated=0,
-)
+_NONE = np.zeros(0, dtype=np.int64)
+EMPTY_POPULATION = Population(np.zeros((0, N_COLUMNS)), np.zeros(0), age=_NONE, identity=_NONE, n_evaluated=0)
 """The population before the first generation."""
 
 

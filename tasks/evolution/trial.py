@@ -5,7 +5,7 @@ same as if it ran alone.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -93,14 +93,8 @@ def evolve(
 
 def _split_by_trial(evaluation: Evaluation, asked: Sequence[Children]) -> list[Evaluation]:
     ends = np.cumsum([len(children.age) for children in asked])
-    return [
-        Evaluation(
-            fitness=evaluation.fitness[first:end],
-            displacement=evaluation.displacement[first:end],
-            com_displacement=evaluation.com_displacement[first:end],
-        )
-        for first, end in zip((0, *ends[:-1]), ends, strict=True)
-    ]
+    arrays = [np.split(getattr(evaluation, field.name), ends[:-1]) for field in fields(Evaluation)]
+    return [Evaluation(*of_trial) for of_trial in zip(*arrays, strict=True)]
 
 
 def _record(first_generation: int, generations: Sequence[_Generation]) -> History:

@@ -114,9 +114,7 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physi
         now = links.step(now, medium)
         in_slush[:, step] = now
 
-    x = state.reshape(-1, len(STATE))
-    E = in_slush.reshape(x.shape)
-    E_dry = on_dry_land.reshape(x.shape)
+    x, E, E_dry = (states.reshape(-1, len(STATE)) for states in (state, in_slush, on_dry_land))
     length_scale = np.repeat(starts.length_scale, n_steps)
     _, y, angle, vx, vy, omega = x.T
     return Transitions(

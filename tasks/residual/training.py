@@ -75,13 +75,13 @@ def mean_loss(training: Training, predicted: Tensor, true: Tensor) -> Tensor:
     return training.focal_alpha * (weight * L_mse).mean()
 
 
-def held_out_rows(throw: Int64, share: float, rng: np.random.Generator) -> Bools:
-    """Return a mask of the transitions of randomly chosen throws, at least one and not all.
+def validation_rows(throw: Int64, share: float, *, seed: int) -> Bools:
+    """Return a mask of the transitions of randomly chosen throws, at least one and not all, the same for all members.
 
     Args:
         throw: (n_transitions,) throw of each transition.
-        share: share of the throws to choose.
-        rng: source of randomness.
+        share: share of the throws to hold out.
+        seed: the study's seed.
 
     Raises:
         ValueError: there are fewer than two throws.
@@ -90,18 +90,7 @@ def held_out_rows(throw: Int64, share: float, rng: np.random.Generator) -> Bools
     if len(throws) < 2:
         raise ValueError(f"transitions of {len(throws)} throws, expected at least 2: one to train on, one held out")
     n_held_out = min(max(round(share * len(throws)), 1), len(throws) - 1)
-    return np.isin(throw, rng.permutation(throws)[:n_held_out])
-
-
-def validation_rows(throw: Int64, share: float, *, seed: int) -> Bools:
-    """Return a mask of the transitions that a study holds out, the same for all members.
-
-    Args:
-        throw: (n_transitions,) throw of each transition.
-        share: share of the throws to hold out.
-        seed: the study's seed.
-    """
-    return held_out_rows(throw, share, generator(seed, "held out"))
+    return np.isin(throw, generator(seed, "held out").permutation(throws)[:n_held_out])
 
 
 def n_cuda_devices() -> int:

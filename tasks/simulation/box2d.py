@@ -6,19 +6,15 @@ import numpy as np
 
 from tasks.arrays import Float32
 
-GROUND_HALF_WIDTH = 10_000.0
-"""[m]. Far wider than any robot gets in a rollout."""
-GROUND_HALF_HEIGHT = 10.0
-"""[m]. Far thicker than any link moves in a step (Box2D allows 2 m), so nothing tunnels."""
+GROUND_HALF_WIDTH = 10_000.0  # [m]; far wider than any robot gets in a rollout
+GROUND_HALF_HEIGHT = 10.0  # [m]; far thicker than any link moves in a step (Box2D allows 2 m), so nothing tunnels
 
 LINEAR_SLOP = np.float32(0.005)  # b2_linearSlop [m]: error of a position constraint that is tolerated
-LEAST_SEPARATION = np.float32(-3.0) * LINEAR_SLOP
-"""Least separation at which b2ContactSolver is done with positions [m]."""
+LEAST_SEPARATION = np.float32(-3.0) * LINEAR_SLOP  # at which b2ContactSolver is done with positions [m]
 POLYGON_RADIUS = np.float32(0.01)  # b2_polygonRadius [m]: skin of a polygon
 TOTAL_RADIUS = np.float32(0.02)  # skins of two polygons [m]: vertices nearer than this are contact points
 VELOCITY_THRESHOLD = np.float32(1.0)  # b2_velocityThreshold [m/s]: nothing slower bounces
-MAX_CONDITION_NUMBER = np.float32(1000.0)
-"""k_maxConditionNumber: worse conditioned pairs of contact points are not solved as a block."""
+MAX_CONDITION_NUMBER = np.float32(1000.0)  # k_maxConditionNumber: of two contact points that are solved as a block
 BAUMGARTE = np.float32(0.2)  # b2_baumgarte: share of a position error that one sweep removes
 MAX_LINEAR_CORRECTION = np.float32(0.2)  # b2_maxLinearCorrection [m]: most that one sweep removes
 MAX_TRANSLATION = np.float32(2.0)  # b2_maxTranslation [m]: farthest that a body moves in a step

@@ -39,26 +39,17 @@ class FreeLinks:
         width = 1.0 / length_scale
         mass = physics.link_density * width * length_scale
         self._physics = physics
-        self._length_scale = length_scale.astype(np.float32)
-        self._mass = mass.astype(np.float32)
-        self._inertia = (mass * (width**2 + length_scale**2) / 12).astype(np.float32)
+        inertia = mass * (width**2 + length_scale**2) / 12
+        self._constants = [quantity.astype(np.float32) for quantity in (length_scale, mass, inertia)]
 
     def step(self, state: Float32, medium: Medium | None) -> Float32:
         """Return (n_links, 6) states one step after the given ones, both in the order of :class:`Column`."""
         velocity = state[:, Column.VX :]
         if medium is not None:
             sin, cos = sines_and_cosines(state[:, Column.ANGLE])
-            links = LinkStates(
-                length_scale=self._length_scale,
-                mass=self._mass,
-                inertia=self._inertia,
-                y=state[:, Column.Y],
-                cos=cos,
-                sin=sin,
-                vx=state[:, Column.VX],
-                vy=state[:, Column.VY],
-                omega=state[:, Column.OMEGA],
-            )
+            length, mass, inertia = self._constants
+            vx, vy, omega = velocity.T
+            links = LinkStates(length, mass, inertia, state[:, Column.Y], cos, sin, vx, vy, omega)
             change = medium.velocity_change(links, self._physics)
             velocity = (velocity + np.stack((change.vx, change.vy, change.omega), axis=1)).astype(np.float32)
         dt = np.float32(self._physics.time_step)

@@ -1,51 +1,8 @@
 """The registry of environments: names, media, settings groups and how each is drawn.
 
-To add a medium, write one file in ``tasks/world``; the package imports every module that it contains. For instance
-``tasks/world/tar.py``::
-
-    class Tar(Parameters):
-        '''A current that carries along everything below y = 0.'''
-
-        pull: float = Field(default=3.0, ge=0.0, le=10.0)
-        '''Acceleration to the right [m/s²].'''
-
-        def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
-            zero = np.zeros_like(links.y)
-            return VelocityChange(np.where(links.y < 0, self.pull * physics.time_step, zero), zero, zero)
-
-
-    @dataclass(frozen=True)
-    class TarPit(Environment):
-        '''Dry Land filled with tar below y = 0.'''
-
-        tar: Tar = field(default_factory=Tar)
-
-        @property
-        def medium(self) -> Medium:
-            '''Tar.'''
-            return self.tar
-
-
-    register(
-        EnvironmentKind(
-            name="tar_pit",
-            build=TarPit,
-            settings_group="tar",
-            settings=Tar,
-            label="Tar Pit",
-            symbol="T",
-            evolved="in the Tar Pit",
-            marker="v",
-            color="#333333",
-            adapted_color="#999999",
-            dark_color="#cccccc",
-            dark_adapted_color="#666666",
-        )
-    )
-
-Both engines call ``velocity_change`` of any medium. The true medium is the one that the registration of ``true_slush``
-names: networks learn it, and champions are transferred to it. To learn tar, register ``true_slush`` with
-``build=TarPit``, ``settings_group="tar"`` and ``settings=Tar``.
+To add a medium, write one file in ``tasks/world``, as docs/extending.md shows; the package imports every module that it
+contains. The true medium is the one that the registration of ``true_slush`` names: networks learn it, and champions are
+transferred to it.
 """
 
 from collections.abc import Callable, Mapping

@@ -80,9 +80,8 @@ GENE = {
             '    Gene("frequency", ',
         ),
         (
-            "    motor_on: npt.NDArray[np.bool_]\n",
-            "    motor_on: npt.NDArray[np.bool_]\n    bend: npt.NDArray[np.float64]\n"
-            "    hollow: npt.NDArray[np.bool_]\n    girth: npt.NDArray[np.float64]\n",
+            "    frequency: Float64  #",
+            "    bend: Float64\n    hollow: Bools\n    girth: Float64\n    frequency: Float64  #",
         ),
     ],
     "pipeline/stages/evolve.py": [("    version=2,\n", "    version=3,\n")],

@@ -45,25 +45,16 @@ _ROWS = {name: (_FIRST_LINK + offset) // 4 for name, (_, offset, *_) in (_LINKS.
 _CHANGE_VX, _CHANGE_VY, _CHANGE_OMEGA = (_ROWS[f"change_{name}"] for name in ("vx", "vy", "omega"))
 
 
-def advance_robots_among_networks(
+def _advance_robots_with_networks(
     robots: Records, scene: Scene, first_step: int, end_step: int, coupling: Coupling, trace: Float32
 ) -> None:
-    """Take steps with robots, each in its member's medium, as tasks.simulation.batch does on lanes.
-
-    Args:
-        robots: (n_robots,) records.
-        scene: what all robots share.
-        first_step: number of the first step since the spawn.
-        end_step: number of the step before which to stop.
-        coupling: of these robots.
-        trace: empty.
-    """
+    """Take steps with robots, each in its member's medium; ``trace`` is empty."""
     for number in range(first_step, end_step):
         coupled.push(coupling, _CHANGE_VX, _CHANGE_VY, _CHANGE_OMEGA)
         _advance(robots, scene, number, number + 1, trace)
 
 
-_advance_among_networks = compiled(advance_robots_among_networks, [*_SOURCES, inference, coupled], seconds=30)
+_advance_with_networks = compiled(_advance_robots_with_networks, [*_SOURCES, inference, coupled], seconds=30)
 
 
 class Robots:
@@ -116,7 +107,7 @@ class Robots:
         coupling = coupled.couple(networks, rows, self.n_robots, _ROWS, _LINKS.itemsize // 4)
         no_trace = np.empty((0, 0, N_LINKS, 6), np.float32)
         with np.errstate(all="ignore"):
-            _advance_among_networks(self.records, scene, first_step, first_step + n_steps, coupling, no_trace)
+            _advance_with_networks(self.records, scene, first_step, first_step + n_steps, coupling, no_trace)
 
     def push(self, medium: Medium) -> None:
         """Let a medium act on every link, and the links on their bodies, as the reference engine does."""

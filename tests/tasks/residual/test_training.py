@@ -10,13 +10,12 @@ from tasks.residual.error_report import LOW_SPEED
 from tasks.residual.training import (
     NoDevice,
     TrainingDiverged,
-    held_out_rows,
     learning_rate,
     mean_loss,
     n_cuda_devices,
     train_member,
+    validation_rows,
 )
-from tasks.seeding import generator
 from tasks.world import Physics, Slush
 
 SMALL = Architecture(hidden_layers=2, width=16)
@@ -87,14 +86,14 @@ def test_learning_rate_rises_to_its_peak_and_decays_exponentially_to_its_least()
 
 def test_whole_throws_are_held_out():
     throw = np.random.default_rng(0).permutation(np.repeat(np.arange(50), 7))
-    rows = held_out_rows(throw, 0.1, np.random.default_rng(1))
+    rows = validation_rows(throw, 0.1, seed=1)
     assert len(set(throw[rows])) == 5 and rows.sum() == 35
     assert set(throw[rows]).isdisjoint(throw[~rows])
-    assert set(throw[held_out_rows(throw, 0.1, np.random.default_rng(2))]) != set(throw[rows])
-    assert held_out_rows(np.array([3, 9]), 0.01, np.random.default_rng(0)).sum() == 1
-    assert held_out_rows(np.array([3, 9]), 0.99, np.random.default_rng(0)).sum() == 1
+    assert set(throw[validation_rows(throw, 0.1, seed=2)]) != set(throw[rows])
+    assert validation_rows(np.array([3, 9]), 0.01, seed=0).sum() == 1
+    assert validation_rows(np.array([3, 9]), 0.99, seed=0).sum() == 1
     with pytest.raises(ValueError, match="of 1 throws, expected at least 2"):
-        held_out_rows(np.array([3, 3]), 0.1, np.random.default_rng(0))
+        validation_rows(np.array([3, 3]), 0.1, seed=0)
 
 
 def test_a_second_run_gives_the_same_bytes_and_leaves_torch_as_it_was(thrown):
@@ -126,7 +125,7 @@ def test_members_differ_in_their_networks_and_share_their_hold_out(thrown):
 
 def test_standardisation_knows_the_training_set_alone(thrown):
     member = train_member(thrown, SMALL, SHORT, seed=3, member=0)
-    held_out = held_out_rows(thrown.throw, SHORT.held_out, generator(3, "held out"))
+    held_out = validation_rows(thrown.throw, SHORT.held_out, seed=3)
     learned = thrown.residual[~held_out].mean(axis=0, dtype=float).astype(np.float32)
     assert (member.standardisation.residual_mean == learned).all()
     assert {row.n_rows for row in member.validation if row.band == "all"} == {held_out.sum()} == {4 * 200}
