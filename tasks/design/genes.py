@@ -19,8 +19,7 @@ import numpy.typing as npt
 from tasks.arrays import Bools, Float64, Int64
 from tasks.compiled import compiled
 
-N_LINKS = 6
-"""Links of a design, including the root. The sweeps in tasks/simulation/trees/step.py list its joints."""
+N_LINKS = 6  # links of a design, including the root; tasks/simulation/trees/step.py lists its joints
 N_JOINTS = N_LINKS - 1
 
 ROOT_PARENT = -1  # parent of the root
@@ -78,8 +77,7 @@ GENES: tuple[Gene, ...] = (
 
 N_GENES = sum(gene.n_numbers for gene in GENES)  # numbers of a design without its tree: 37
 
-PER_DESIGN = tuple(gene.name for gene in GENES if not gene.per_link)
-"""Fields of Designs with one number per design; the others have one per link."""
+PER_DESIGN = tuple(gene.name for gene in GENES if not gene.per_link)  # fields with one number per design
 
 
 class DesignError(ValueError):
@@ -200,8 +198,7 @@ DTYPES: dict[str, type[np.generic]] = {
 
 
 _ENDS = np.cumsum([1 if name in PER_DESIGN else N_LINKS for name in DTYPES]).tolist()
-COLUMNS = dict(zip(DTYPES, map(slice, [0, *_ENDS], _ENDS), strict=True))
-"""Columns of each field in a table of designs, link by link."""
+COLUMNS = dict(zip(DTYPES, map(slice, [0, *_ENDS], _ENDS), strict=True))  # columns of each field, link by link
 N_COLUMNS = _ENDS[-1]  # columns of a table of designs: 49, including the ignored genes of roots
 PARENT_COLUMN = COLUMNS["parent"].start  # column of the root's parent, followed by those of the other links
 LINK_OF_COLUMN = np.concatenate([[N_LINKS] if name in PER_DESIGN else np.arange(N_LINKS) for name in COLUMNS])

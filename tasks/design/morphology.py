@@ -20,8 +20,7 @@ from tasks.parameters import Parameters
 
 _TOLERANCE = 1e-9  # overlap that counts as touching [m]: the rounding of positions within some metres
 
-MAX_DRAWS = 1 << 17
-"""Most samples for one design. About 1,100 are rejected for each accepted random design; all fail once in 10^50."""
+MAX_DRAWS = 1 << 17  # most samples of a design: about 1,100 are rejected per random design, all once in 10^50
 MAX_BATCH = 4096  # most samples that are drawn together; more overflow the cache
 
 

@@ -66,8 +66,7 @@ class Afpo(Parameters):
 class Population(NamedTuple):
     """The survivors of a generation; axis 0 is the design."""
 
-    table: DesignTable
-    """Genes (n_designs, N_COLUMNS); n_designs is below the population's size only if too many designs diverged."""
+    table: DesignTable  # genes; n_designs is below the population's size only if too many designs diverged
     fitness: Float64  # (n_designs,) [m], finite
     age: Int64  # (n_designs,) generations since the oldest ancestor was drawn at random
     identity: Int64  # (n_designs,) running number within the trial, in order of evaluation

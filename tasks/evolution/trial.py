@@ -17,8 +17,7 @@ from tasks.design import ANY_BODY, Designs, Morphology
 from tasks.evolution.afpo import EMPTY_POPULATION, OPERATORS, Afpo, Children, Population, ask, tell
 from tasks.evolution.objectives import OBJECTIVES, Evaluation
 
-History = dict[str, npt.NDArray[Any]]
-"""Columns of equal length, with one row for each evaluated design; see :data:`HISTORY_UNITS`."""
+History = dict[str, npt.NDArray[Any]]  # columns of equal length, one row per evaluated design; see HISTORY_UNITS
 
 HISTORY_UNITS: Mapping[str, str] = {
     "generation": "",
@@ -39,14 +38,12 @@ HISTORY_UNITS: Mapping[str, str] = {
 class Trial:
     """State of a trial between two generations."""
 
-    generator_of: Callable[[int], Generator]
-    """Maps a generation to its own generator, so that a trial can be cut after any generation."""
+    generator_of: Callable[[int], Generator]  # generator of a generation, so that a trial can be cut after any of them
     population: Population = EMPTY_POPULATION
     body: Designs | None = None  # one design whose body stays fixed; only controllers evolve then
 
 
-_Generation = tuple[Children, Evaluation, Population]
-"""A generation of a trial: its children, their evaluation and the survivors."""
+_Generation = tuple[Children, Evaluation, Population]  # its children, their evaluation and the survivors
 
 
 def evolve(

@@ -25,8 +25,7 @@ from tasks.simulation.networks.inference import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
 N_OUT = len(STATE[VELOCITIES])
-_SCALES = ("observation_mean", "observation_deviation", "residual_mean", "residual_deviation")
-"""A member's standardisation."""
+_SCALES = ("observation_mean", "observation_deviation", "residual_mean", "residual_deviation")  # standardisation
 
 
 class WeightsError(ValueError):

@@ -7,13 +7,11 @@ import numpy as np
 
 from tasks.arrays import Float32, Floats
 
-STATE = ("x", "y", "angle", "vx", "vy", "omega")
-"""Components of a link's state, and of the residual of one step [m, m, rad, m/s, m/s, rad/s]."""
+STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
 OBSERVATION = ("a", "y", "cos_angle", "vx", "vy", "omega")  # components of a network's input [m, m, 1, m/s, m/s, rad/s]
 
-OBSERVED = ("length_scale", "y", "cos", "vx", "vy", "omega")
-"""The same components as fields of :class:`tasks.world.LinkStates`."""
+OBSERVED = ("length_scale", "y", "cos", "vx", "vy", "omega")  # the same as fields of LinkStates
 
 VELOCITIES = slice(3, 6)  # components of a residual that are applied; positions follow by integration
 

@@ -38,8 +38,7 @@ class NoDevice(RuntimeError):  # noqa: N818 (what is the case)
 class TrainedMember:
     """One network, its learning curve, and its errors on held-out throws."""
 
-    weights: dict[str, Float32]
-    """weight_i (n_in, n_out) and bias_i (n_out,) of each layer i, for standardised quantities."""
+    weights: dict[str, Float32]  # weight_i (n_in, n_out), bias_i (n_out,) of each layer i, for standardised quantities
     standardisation: Standardisation  # standardisation of the training set
     learning_curve: Float64  # (n_points, 3) iteration, mean training loss since the previous point, validation loss
     validation: tuple[ErrorRow, ...]  # errors on the held-out throws, in SI units

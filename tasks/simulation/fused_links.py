@@ -12,7 +12,6 @@ import numpy as np
 from tasks.arrays import Float32, Floats
 from tasks.design.body import RigidBodies
 from tasks.design.genes import N_LINKS
-from tasks.simulation.box2d import Column
 from tasks.world import VelocityChange
 
 
@@ -42,20 +41,12 @@ def place_links(rigid: RigidBodies, body: Float32, cos: Floats, sin: Floats) -> 
     """
     lever_x = cos * rigid.lever_x - sin * rigid.lever_y
     lever_y = sin * rigid.lever_x + cos * rigid.lever_y
-    state = np.empty_like(body)
-    state[..., Column.X] = body[..., Column.X] + (cos * rigid.x - sin * rigid.y)
-    state[..., Column.Y] = body[..., Column.Y] + (sin * rigid.x + cos * rigid.y)
-    state[..., Column.ANGLE] = body[..., Column.ANGLE] + rigid.angle
-    state[..., Column.VX] = body[..., Column.VX] - body[..., Column.OMEGA] * lever_y
-    state[..., Column.VY] = body[..., Column.VY] + body[..., Column.OMEGA] * lever_x
-    state[..., Column.OMEGA] = body[..., Column.OMEGA]
-    return PlacedLinks(
-        state=state,
-        cos=cos * rigid.cos - sin * rigid.sin,
-        sin=sin * rigid.cos + cos * rigid.sin,
-        lever_x=lever_x,
-        lever_y=lever_y,
-    )
+    x, y, angle, vx, vy, omega = np.moveaxis(body, -1, 0)
+    x, y = x + (cos * rigid.x - sin * rigid.y), y + (sin * rigid.x + cos * rigid.y)
+    velocity = vx - omega * lever_y, vy + omega * lever_x, omega
+    state = np.stack((x, y, angle + rigid.angle, *velocity), axis=-1, dtype=np.float32)
+    link_cos, link_sin = cos * rigid.cos - sin * rigid.sin, sin * rigid.cos + cos * rigid.sin
+    return PlacedLinks(state, link_cos, link_sin, lever_x, lever_y)
 
 
 def body_change(rigid: RigidBodies, lever_x: Floats, lever_y: Floats, change: VelocityChange) -> VelocityChange:

@@ -26,8 +26,7 @@ OK, DIVERGED = "ok", "diverged"
 class Rollouts:
     """Results of n_designs designs; in Residual Slush every array has a leading axis of n_members."""
 
-    displacement: Float64
-    """(n_designs,) displacement of the root along x, from the end of settling to the end [m]; NaN where diverged."""
+    displacement: Float64  # (n_designs,) of the root along x, from the end of settling on [m]; NaN where diverged
     com_displacement: Float64  # (n_designs,) the same of the whole robot's centre of mass [m]; NaN where diverged
     status: npt.NDArray[np.str_]  # (n_designs,) "ok", or "diverged" where a state became non-finite
     trace: Float32 | None

@@ -23,8 +23,7 @@ class EnvironmentKind:
     """An environment as settings name it and as figures show it."""
 
     name: str  # name in settings, tables and files, such as ``true_slush``
-    build: Callable[..., Environment]
-    """Class of the environment, called with the depth [m] and the medium, if it has one."""
+    build: Callable[..., Environment]  # class, called with the depth [m] and the medium, if it has one
     settings_group: str | None = None  # group of settings that states the medium's parameters
     settings: type[Parameters] | None = None  # class of these settings, which is also the medium
     networks: Literal["none", "one", "all"] = "none"  # trained ensemble members that the medium consists of

@@ -16,8 +16,7 @@ class Objective:
     name: str
     label: str
     unit: str
-    score: Callable[[Rollouts], Float64]
-    """Maps rollouts to one score for each, in the unit and in the shape of ``rollouts.displacement``."""
+    score: Callable[[Rollouts], Float64]  # a score for each, in the shape of ``rollouts.displacement``
 
 
 OBJECTIVES: dict[str, Objective] = {}  # objectives by name
@@ -40,8 +39,7 @@ class Evaluation:
 
     fitness: Float64  # (n_designs,) in the objective's unit; -inf where any rollout diverged
     displacement: Float64  # (n_designs, n_members) displacement of the root [m]; NaN where diverged
-    com_displacement: Float64
-    """(n_designs, n_members) displacement of the whole robot's centre of mass [m]; NaN where diverged."""
+    com_displacement: Float64  # (n_designs, n_members) the same of the whole robot's centre of mass
 
 
 def evaluate(rollouts: Rollouts, *, disagreement_penalty: float, objective: str = "displacement") -> Evaluation:

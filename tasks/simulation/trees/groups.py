@@ -65,8 +65,7 @@ class Groups:
         self._block = Block(self.n_groups * layout.N_ROWS, n_lanes)
         self._no_trace = _no_trace(n_lanes)
         self.blocks = self._block.rows.reshape(self.n_groups, layout.N_ROWS, n_lanes)
-        self._number = np.empty((len(designs), N_LINKS), np.int64)
-        """(n_designs, n_links) the engine's numbers of the designs' links."""
+        self._number = np.empty((len(designs), N_LINKS), np.int64)  # the engine's numbers of the designs' links
         max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
         _pack_robots(
             designs.table, n_members, n_lanes, physics.link_density, max_motor_impulse, self.blocks, self._number

@@ -27,8 +27,7 @@ _C1, _C3, _C5, _C7, _C9 = (np.float32(c) for c in SINE_OF_TURNS)
 _ZERO, _QUARTER, _HALF, _ONE, _TWO, _FOUR, _TWENTY_FOUR = (np.float32(x) for x in (0, 0.25, 0.5, 1, 2, 4, 24))
 _TINY = np.float32(TINY)
 
-MAX_GROUPS_AT_ONCE = 2
-"""Groups that are stepped together; what the velocity solver uses of two still fits a core's L1 cache."""
+MAX_GROUPS_AT_ONCE = 2  # of two, what the velocity solver uses still fits a core's L1 cache
 
 
 class Scene(NamedTuple):
