@@ -97,7 +97,7 @@ def until_apart(
     max_draws: int = MAX_DRAWS,
     otherwise: DesignTable | None = None,
 ) -> Drawn:
-    """Return samples of designs, drawn until none has unconnected links that overlap.
+    """Return designs, sampled until none has unconnected links that overlap.
 
     In each round every remaining design gets twice as many samples as before; the first that is apart is accepted.
 

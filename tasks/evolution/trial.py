@@ -55,7 +55,7 @@ def evolve(
     afpo: Afpo,
     morphology: Morphology = ANY_BODY,
 ) -> list[tuple[Population, History]]:
-    """Return, for each trial of a batch, its survivors after some generations and the history of these.
+    """Return the survivors of each trial of a batch after some generations, and the history of these.
 
     Args:
         trials: the trials' states before.

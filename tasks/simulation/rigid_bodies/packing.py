@@ -63,7 +63,7 @@ def _dot(a: Float32, b: Float32) -> Float32:
     return product
 
 
-def reset_mass_data(
+def _reset_mass_data(
     rigid: RigidBodies, mass: Float32, center: Float32, inertia: Float32
 ) -> tuple[Float32, Float32, Float32]:
     """b2Body::ResetMassData: add up the fixtures, of which Box2D lists the last one first.
@@ -136,7 +136,7 @@ def pack(designs: Designs, trees: KinematicTrees, rigid: RigidBodies, depth: flo
     cos, sin = turn.reshape(rigid.angle.shape), spin.reshape(rigid.angle.shape)
     centroid = np.stack([rigid.x, rigid.y], axis=-1)
     vertices, normals = _rotated(vertices, cos, sin) + centroid[..., None, :], _rotated(normals, cos, sin)
-    inverse_mass, inverse_inertia, center = reset_mass_data(rigid, *compute_mass(vertices, physics.link_density))
+    inverse_mass, inverse_inertia, center = _reset_mass_data(rigid, *compute_mass(vertices, physics.link_density))
 
     _pack_links(robots["links"], designs, trees, rigid)
     robots["n_bodies"] = rigid.is_first.sum(axis=1)
