@@ -31,21 +31,14 @@ class Done:
 
 
 class TaskFailed(PuddleError):  # noqa: N818 (an outcome as much as an exception)
-    """A call that returned no result.
-
-    Attributes:
-        name: the name under which the call was submitted.
-        reason: the exception's type and message.
-        remote_traceback: the worker's traceback, as text.
-        infrastructure: whether the worker, its node or its memory failed rather than the function.
-    """
+    """A call that returned no result."""
 
     def __init__(self, name: str, reason: str, remote_traceback: str, infrastructure: bool) -> None:
         super().__init__(name, reason, remote_traceback, infrastructure)  # so that it survives pickling
         self.name = name
-        self.reason = reason
+        self.reason = reason  # the exception's type and message
         self.remote_traceback = remote_traceback
-        self.infrastructure = infrastructure
+        self.infrastructure = infrastructure  # whether the worker, its node or its memory failed, not the function
 
     def __str__(self) -> str:
         return f"{self.name}: {self.reason}"
@@ -75,7 +68,7 @@ class Cluster(Protocol):
     def submit(
         self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
-        """Queue ``function(*args)``.
+        """Queue ``function(*args)``, and return its ticket.
 
         Args:
             function: a pure function that can be pickled.
@@ -84,9 +77,6 @@ class Cluster(Protocol):
                 each such call is a process, so the caller limits their number by memory.
             n_gpus: GPUs that the call occupies.
             name: shown in messages; by default the function's name.
-
-        Returns:
-            The call's ticket.
         """
 
     def next_done(self, timeout: float | None = None) -> tuple[Ticket, Outcome] | None:
@@ -103,15 +93,12 @@ class Cluster(Protocol):
 
 
 def failure(name: str, cause: BaseException, remote_traceback: str) -> TaskFailed:
-    """Build the outcome of a call that raised.
+    """Return the outcome of a call that raised.
 
     Args:
         name: the call's name.
         cause: the exception.
         remote_traceback: the worker's traceback.
-
-    Returns:
-        The failure, with ``cause`` as its cause.
     """
     if isinstance(cause, TaskFailed):  # raised by an item of a spread, whose traceback is the informative one
         failed = TaskFailed(name, str(cause), cause.remote_traceback, cause.infrastructure)

@@ -33,11 +33,8 @@ from pipeline.cluster.started_calls import recorded_as_started, started_keys
 from pipeline.cluster.watchdog import CHECK_INTERVAL, NODE_DIED, RAY_DIED, end_if_unreachable
 from pipeline.errors import PuddleError
 
-N_INFRASTRUCTURE_RETRIES = 1
-"""Retries of a task after its worker, node or memory failed; an exception of its own is never retried."""
-
-_PACKAGES = ("tasks", "pipeline")
-"""Packages sent to the workers of an existing cluster, which need not have them on disk."""
+_N_INFRASTRUCTURE_RETRIES = 1  # retries of a task after its worker, node or memory failed, not after its own exception
+_PACKAGES = ("tasks", "pipeline")  # sent to the workers of an existing cluster, which need not have them on disk
 
 
 @dataclass(frozen=True)
@@ -93,18 +90,18 @@ class _Ray:
 
     @property
     def n_cores(self) -> float:
+        return self._resource("CPU")
+
+    @property
+    def n_gpus(self) -> float:
+        return self._resource("GPU")
+
+    def _resource(self, name: str) -> float:
         import ray
 
         self._check_alive()
         with self._calling:
-            return float(ray.cluster_resources().get("CPU", 0.0))
-
-    @property
-    def n_gpus(self) -> float:
-        import ray
-
-        with self._calling:
-            return float(ray.cluster_resources().get("GPU", 0.0))
+            return float(ray.cluster_resources().get(name, 0.0))
 
     @property
     def n_running(self) -> int:
@@ -180,7 +177,9 @@ def _local(n_workers: int | None) -> Iterator[_Connection]:
         try:
             ours = stack.enter_context(session(n_workers))
             stack.enter_context(_environment({"RAY_AUTH_TOKEN_PATH": str(ours.token)}))
-            stack.enter_context(_attribute(ray._private.ray_constants, "ENABLE_RAY_CLUSTER", False))
+            constants = ray._private.ray_constants
+            stack.callback(setattr, constants, "ENABLE_RAY_CLUSTER", constants.ENABLE_RAY_CLUSTER)
+            constants.ENABLE_RAY_CLUSTER = False
             stack.callback(_shut_down, ours.calling)
             with ours.calling:
                 _connect(address=ours.address)
@@ -244,11 +243,10 @@ def _folder_of(package: str) -> str:
 def spread(
     function: Callable[..., Any], items: Sequence[Any], *shared: Any, n_cores: float = 1.0, name: str = ""
 ) -> list[Any]:
-    """Run ``function(item, *shared)`` for every item, on other workers if this is a Ray worker.
+    """Return ``function(item, *shared)`` of every item, in order, computed on other workers if this is a Ray worker.
 
-    Evolution has two grains. Where a generation is cheap, a segment of a trial is one task that never calls this. Where
-    a generation costs core-seconds, or cores outnumber trials, the segment is a task without a core of its own that
-    spreads each generation's designs over the cluster. Outside a Ray worker this is a plain loop.
+    Where a generation of evolution costs core-seconds, or cores outnumber trials, a segment is a task without a core of
+    its own that spreads each generation's designs over the cluster. Outside a Ray worker this is a plain loop.
 
     Args:
         function: a pure function.
@@ -257,9 +255,6 @@ def spread(
         n_cores: cores for each call.
         name: shown in messages.
 
-    Returns:
-        The results, in the order of the items.
-
     Raises:
         TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
     """
@@ -267,11 +262,10 @@ def spread(
         return [function(item, *shared) for item in items]
     import ray
 
-    name = name or name_of(function)
-    put = [ray.put(value) for value in shared]
+    name, put = name or name_of(function), [ray.put(value) for value in shared]
     remote = _remote_call(n_cores, name)
     references = [remote.remote(None, function, item, *put) for item in items]
-    results = []
+    results: list[Any] = []
     try:
         for index, reference in enumerate(references):
             outcome = _outcome(f"{name}, item {index}", reference)
@@ -279,8 +273,7 @@ def spread(
                 raise outcome
             results.append(outcome.result)
     finally:
-        if len(results) < len(references):
-            _cancel(references[len(results) :])
+        _cancel(references[len(results) :])
     return results
 
 
@@ -301,7 +294,7 @@ def _remote_call(n_cores: float, name: str, n_gpus: float = 0.0) -> Any:
         num_cpus=n_cores,
         num_gpus=n_gpus,
         name=name,
-        max_retries=N_INFRASTRUCTURE_RETRIES,
+        max_retries=_N_INFRASTRUCTURE_RETRIES,
         retry_exceptions=False,
         # To Ray a task without a core weighs nothing, so it would place all of them on the driver's machine.
         scheduling_strategy="DEFAULT" if n_cores else "SPREAD",
@@ -343,7 +336,7 @@ def _environment(changes: Mapping[str, str | None]) -> Iterator[None]:
     always = {
         "RAY_USAGE_STATS_ENABLED": "0",
         "RAY_IGNORE_UNHANDLED_ERRORS": "1",  # a cancelled call's error is never collected
-        "RAY_task_oom_retries": str(N_INFRASTRUCTURE_RETRIES),  # unlimited by default
+        "RAY_task_oom_retries": str(_N_INFRASTRUCTURE_RETRIES),  # unlimited by default
         "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # Ray's future default; without it Ray prints a warning
     }
     changes = always | dict(changes)
@@ -353,16 +346,6 @@ def _environment(changes: Mapping[str, str | None]) -> Iterator[None]:
         yield
     finally:
         _set_environment(before)
-
-
-@contextlib.contextmanager
-def _attribute(module: Any, name: str, value: Any) -> Iterator[None]:
-    before = getattr(module, name)
-    setattr(module, name, value)
-    try:
-        yield
-    finally:
-        setattr(module, name, before)
 
 
 def _set_environment(values: Mapping[str, str | None]) -> None:

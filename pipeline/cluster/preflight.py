@@ -6,15 +6,13 @@ import subprocess
 import sys
 import tempfile
 from subprocess import PIPE
-from typing import IO
 from urllib.parse import urlsplit
 
 from pipeline.cluster import preflight_probe
 from pipeline.errors import PuddleError
 
 CONNECT_SECONDS = 15.0  # time that an existing cluster has to answer [s]
-
-PROBE_START_SECONDS = 120.0  # time that the probe has to start on a busy machine [s]; one second is usual
+_PROBE_START_SECONDS = 120.0  # time that the probe has to start on a busy machine [s]; one second is usual
 
 
 def check_reachable(address: str) -> None:
@@ -44,14 +42,16 @@ def check_reachable(address: str) -> None:
             probe.kill()
         if reason is not None:
             probe.wait()
-            raise unusable(address, f"{reason}. Ray's last message: {_last_line(errors)}")
+            errors.seek(0)
+            message = (errors.read().decode(errors="replace").strip() or "none").splitlines()[-1]
+            raise unusable(address, f"{reason}. Ray's last message: {message}")
 
 
 def _refusal(probe: subprocess.Popen[bytes]) -> str | None:
     """Wait for the probe to end; return why the cluster refused it, or None."""
     assert probe.stdout is not None
-    if not select.select([probe.stdout], [], [], PROBE_START_SECONDS)[0]:
-        return f"the process that tries to join did not start within {PROBE_START_SECONDS:.0f} s"
+    if not select.select([probe.stdout], [], [], _PROBE_START_SECONDS)[0]:
+        return f"the process that tries to join did not start within {_PROBE_START_SECONDS:.0f} s"
     probe.stdout.readline()  # Ray is imported; from here on the cluster's own time counts
     try:
         return "it refused the connection" if probe.wait(CONNECT_SECONDS) else None
@@ -59,17 +59,8 @@ def _refusal(probe: subprocess.Popen[bytes]) -> str | None:
         return f"it did not admit us within {CONNECT_SECONDS:.0f} s"
 
 
-def _last_line(errors: IO[bytes]) -> str:
-    errors.seek(0)
-    return (errors.read().decode(errors="replace").strip() or "none").splitlines()[-1]
-
-
 def server_of(address: str) -> tuple[str, int]:
-    """Split an address into host and port.
-
-    Raises:
-        PuddleError: the address is not host:port.
-    """
+    """Split an address into host and port; refuse any other."""
     parts = urlsplit(f"//{address}")
     try:
         port = parts.port

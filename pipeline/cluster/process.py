@@ -15,10 +15,8 @@ PINNED_THREADS = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_
 """One thread per process: torch's results change in their last bits with the number of threads, and a study's results
 must not depend on the number of cores."""
 
-DEFERRED_SECONDS = 2.0  # longest time that a signal is deferred [s]
-
-SHARE_OF_FREE_MEMORY = 0.9  # share of the free memory that one task may take
-
+_DEFERRED_SECONDS = 2.0  # longest time that a signal is deferred [s]
+_SHARE_OF_FREE_MEMORY = 0.9  # share of the free memory that one task may take
 _SHOW_CURSOR = b"\x1b[?25h"  # the progress display hides it
 
 
@@ -31,9 +29,8 @@ def pin_threads() -> None:
 def memory_bounded() -> Iterator[None]:
     """Make a task that allocates without end fail with a MemoryError before the machine runs out of memory.
 
-    A task may take nine tenths of the memory that is free when it begins. If several together take too much, Ray's
-    memory monitor ends the newest, which is retried a finite number of times. Other systems than Linux have only
-    that monitor.
+    If several together take too much, Ray's memory monitor ends the newest, which is retried a finite number of times.
+    Other systems than Linux have only that monitor.
     """
     if sys.platform != "linux":
         yield
@@ -41,7 +38,7 @@ def memory_bounded() -> Iterator[None]:
     import psutil
 
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    bound = psutil.Process().memory_info().data + int(SHARE_OF_FREE_MEMORY * free_memory())
+    bound = psutil.Process().memory_info().data + int(_SHARE_OF_FREE_MEMORY * free_memory())
     limits = [limit for limit in (bound, *before) if limit != resource.RLIM_INFINITY]
     resource.setrlimit(resource.RLIMIT_DATA, (min(limits), before[1]))
     try:
@@ -96,8 +93,8 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
 def signals_deferred() -> Iterator[None]:
     """Defer SIGINT, SIGTERM and SIGHUP until the end of a block that must not be interrupted.
 
-    The block has :data:`DEFERRED_SECONDS` from the first signal. After that the process ends at once, for which the
-    store and the supervisor of Ray's processes are designed. An ignored signal stays ignored.
+    The block has two seconds from the first signal. After that the process ends at once, for which the store and the
+    supervisor of Ray's processes are designed. An ignored signal stays ignored.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -113,7 +110,7 @@ def signals_deferred() -> Iterator[None]:
         message = "Stopped while Ray was starting. Committed results are safe: the same command resumes."
         end_at_once(message, 128 + received[0])
 
-    last_resort = threading.Timer(DEFERRED_SECONDS, end)
+    last_resort = threading.Timer(_DEFERRED_SECONDS, end)
     last_resort.daemon = True
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.getsignal(number) for number in numbers}

@@ -1,7 +1,4 @@
-"""A private Ray for one driver: a folder that only this user can enter, a token, and a supervisor process.
-
-Linux and macOS.
-"""
+"""A private Ray for one driver on Linux or macOS: a folder of this user's alone, a token, and a supervisor process."""
 
 import contextlib
 import fcntl
@@ -27,19 +24,14 @@ from pipeline.cluster.process import PINNED_THREADS
 from pipeline.cluster.watchdog import end_if_stuck
 from pipeline.errors import PuddleError
 
-OBJECT_STORE_BYTES = 512 * 2**20
-"""Shared memory of a local cluster. Ensembles and results take megabytes; Ray's default is a third of the machine."""
+OBJECT_STORE_BYTES = 512 * 2**20  # shared memory of a local cluster; ensembles and results take megabytes
+SESSIONS_FOLDER = Path("/tmp")  # short, because the path of a Unix socket has at most 107 bytes
 
-SESSIONS_FOLDER = Path("/tmp")
-"""Parent of the sessions' folders; short, because the path of a Unix socket has at most 107 bytes."""
-
-SESSION_PREFIX = "puddle-"
-
+_SESSION_PREFIX = "puddle-"
+_START_SECONDS = 120.0  # time that Ray has to start on a busy machine [s]; ten seconds are usual
 _WORKERS_ON_DEMAND = {"RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0"}
 """Ray makes its first driver wait for all workers that it starts in advance: for ever, if one is killed meanwhile
 (ray-project/ray, issue 40131)."""
-
-START_SECONDS = 120.0  # time that Ray has to start on a busy machine [s]; ten seconds are usual
 
 
 @dataclass(frozen=True)
@@ -58,19 +50,16 @@ def session(n_cores: int | None) -> Iterator[Session]:
     """Start Ray on this machine's loopback for this user alone; none of its processes outlives this one.
 
     The environment must already hold everything that Ray reads from it, except for the token's path.
-
-    Raises:
-        PuddleError: Ray did not start.
     """
     sweep()
     # A private folder: /tmp/ray may belong to another user, and Ray makes its folder accessible to all.
-    folder = Path(tempfile.mkdtemp(prefix=SESSION_PREFIX, dir=SESSIONS_FOLDER))
+    folder = Path(tempfile.mkdtemp(prefix=_SESSION_PREFIX, dir=SESSIONS_FOLDER))
     lock = _lock(folder)
     child: subprocess.Popen[str] | None = None
     calling, over = threading.RLock(), threading.Event()
     environment = {**os.environ, **PINNED_THREADS}  # inherited by the supervisor, Ray and its workers
     try:
-        token = token_of(folder)
+        token = _token_of(folder)
         with os.fdopen(os.open(token, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
             file.write(secrets.token_hex(32))
         arguments = [str(folder), str(n_cores or 0), str(OBJECT_STORE_BYTES), str(lock)]
@@ -87,7 +76,8 @@ def session(n_cores: int | None) -> Iterator[Session]:
             )
         address = _address(child, folder)
         threading.Thread(target=end_if_stuck, args=(child.wait, calling, over), daemon=True).start()
-        yield Session(address, token, is_alive=functools.partial(_is_running, child), calling=calling)
+        poll = child.poll
+        yield Session(address, token, is_alive=lambda: poll() is None, calling=calling)
     finally:
         over.set()
         if child is not None:
@@ -97,19 +87,15 @@ def session(n_cores: int | None) -> Iterator[Session]:
         os.close(lock)
 
 
-def _is_running(process: subprocess.Popen[str]) -> bool:
-    return process.poll() is None
-
-
-def token_of(folder: Path) -> Path:
+def _token_of(folder: Path) -> Path:
     """Return the path of a session's token, by which a process's environment shows the session it belongs to."""
     return folder / "token"
 
 
 def _address(child: subprocess.Popen[str], folder: Path) -> str:
     assert child.stdout is not None
-    if not select.select([child.stdout], [], [], START_SECONDS)[0]:
-        raise PuddleError(f"it did not start within {START_SECONDS:.0f} s")
+    if not select.select([child.stdout], [], [], _START_SECONDS)[0]:
+        raise PuddleError(f"it did not start within {_START_SECONDS:.0f} s")
     answer = json.loads(child.stdout.readline() or "{}")
     if "address" in answer:
         return str(answer["address"])
@@ -134,7 +120,7 @@ def sweep() -> None:
 
 def abandoned_sessions() -> Iterator[Path]:
     """Yield the folders of this user's sessions that no driver has locked; each is locked while it is visited."""
-    for folder in SESSIONS_FOLDER.glob(f"{SESSION_PREFIX}*"):
+    for folder in SESSIONS_FOLDER.glob(f"{_SESSION_PREFIX}*"):
         try:
             if folder.is_symlink() or folder.stat().st_uid != os.getuid():
                 continue
@@ -151,10 +137,9 @@ def abandoned_sessions() -> Iterator[Path]:
 
 
 def _processes_of(folder: Path) -> list[psutil.Process]:
-    """Find the processes that hold a session's token."""
     found = []
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
-            if process.environ().get("RAY_AUTH_TOKEN_PATH") == str(token_of(folder)):
+            if process.environ().get("RAY_AUTH_TOKEN_PATH") == str(_token_of(folder)):
                 found.append(process)
     return found

@@ -32,15 +32,10 @@ import psutil
 if TYPE_CHECKING:
     from ray._private.node import Node
 
-LOOPBACK = "127.0.0.1"
-
-PR_SET_CHILD_SUBREAPER = 36  # from Linux's <sys/prctl.h>
-
-KILL_SECONDS = 10.0  # time to kill all descendants [s]; one may hang in the kernel
-
-SERVERS = {"gcs_server", "raylet"}  # ray's names for the processes without which it is dead
-
-SERVER_CHECK_INTERVAL = 0.2  # time between two checks of the servers [s]
+_PR_SET_CHILD_SUBREAPER = 36  # from Linux's <sys/prctl.h>
+_KILL_SECONDS = 10.0  # time to kill all descendants [s]; one may hang in the kernel
+_SERVERS = {"gcs_server", "raylet"}  # ray's names for the processes without which it is dead
+_SERVER_CHECK_INTERVAL = 0.2  # time between two checks of the servers [s]
 
 
 def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:
@@ -55,7 +50,7 @@ def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:
     os.set_inheritable(lock, False)  # otherwise Ray's processes would hold the lock too
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     waiting = threading.Thread(target=_end_with_driver, args=(folder,), daemon=True)
     waiting.start()
     ray: Node | None = None
@@ -66,8 +61,8 @@ def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:
         answer = {"error": f"{type(error).__name__}: {error}"}
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(answer), flush=True)
-    while ray is None or not SERVERS & {kind for kind, _ in ray.dead_processes()}:
-        waiting.join(SERVER_CHECK_INTERVAL)
+    while ray is None or not _SERVERS & {kind for kind, _ in ray.dead_processes()}:
+        waiting.join(_SERVER_CHECK_INTERVAL)
     _end(folder)
 
 
@@ -78,14 +73,10 @@ def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> Node:
 
     class Quiet(Node):  # type: ignore[misc]  # Ray has no types
         def start_api_server(self, **_: object) -> None:
-            """Skip the dashboard's process, which Ray starts even without a dashboard.
-
-            Without one it only reports to Ray's makers that usage statistics are disabled, and queries the metadata
-            servers of three cloud providers.
-            """
+            """Skip a process that, without a dashboard, only queries the metadata servers of three cloud providers."""
 
     parameters = RayParams(
-        node_ip_address=LOOPBACK,  # all of Ray's servers listen on this address alone
+        node_ip_address="127.0.0.1",  # all of Ray's servers listen on this address alone
         gcs_server_port=0,
         num_cpus=n_cores or None,
         object_store_memory=object_store_bytes,
@@ -98,13 +89,11 @@ def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> Node:
 
 
 def _end_with_driver(folder: str) -> None:
-    """Wait for the end of the pipe."""
     sys.stdin.buffer.read()
     _end(folder)
 
 
 def _end(folder: str) -> None:
-    """Leave nothing."""
     kill_all(lambda: psutil.Process().children(recursive=True))
     shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
@@ -112,7 +101,7 @@ def _end(folder: str) -> None:
 
 def kill_all(find: Callable[[], list[psutil.Process]]) -> None:
     """Kill processes until no more are found; some may start children meanwhile."""
-    deadline = time.monotonic() + KILL_SECONDS
+    deadline = time.monotonic() + _KILL_SECONDS
     while time.monotonic() < deadline:
         n_killed = 0
         for process in find():

@@ -1,7 +1,4 @@
-"""The watchdog: end a driver whose Ray is gone, with a message.
-
-Once Ray is gone, a call into it may never return, or may end the process without a word.
-"""
+"""The watchdog: end a driver whose Ray is gone, with a message. A call into Ray may then never return."""
 
 import contextlib
 import socket
@@ -11,16 +8,11 @@ from collections.abc import Callable
 
 from pipeline.cluster.process import end_at_once
 
-STUCK_SECONDS = 10.0
-"""Time that a call into Ray may last once Ray is dead [s]. Ray itself gives up after a minute."""
-
-GONE_SECONDS = 45.0
-"""Time that an existing cluster may be silent [s]; it may return. Ray ends the process after a minute."""
-
-ANSWER_SECONDS = 5.0
-"""Time that an existing cluster has to answer one check [s]. Together with the above it stays below Ray's minute."""
-
+STUCK_SECONDS = 10.0  # time that a call into Ray may last once Ray is dead [s]
+GONE_SECONDS = 45.0  # time that an existing cluster may be silent [s]; Ray ends the process after a minute
 CHECK_INTERVAL = 1.0  # time between two checks [s]
+
+_ANSWER_SECONDS = 5.0  # time for the answer to one check [s]; with GONE_SECONDS it stays below Ray's minute
 
 RAY_DIED = (
     "Ray on this machine died: its raylet or its GCS is gone (killed, or out of memory).\n"
@@ -57,14 +49,13 @@ def end_if_unreachable(address: str, host: str, port: int, over: threading.Event
 
     Args:
         address: the cluster's address, for the message.
-        host: the host of its GCS server.
-        port: the port of its GCS server.
+        host, port: its GCS server.
         over: set when the cluster is no longer needed.
     """
     answered = time.monotonic()
     while not over.wait(CHECK_INTERVAL):
         with contextlib.suppress(OSError):
-            socket.create_connection((host, port), timeout=ANSWER_SECONDS).close()
+            socket.create_connection((host, port), timeout=_ANSWER_SECONDS).close()
             answered = time.monotonic()
         if time.monotonic() - answered > GONE_SECONDS and not over.is_set():
             end_at_once(f"puddle: {UNREACHABLE.format(address=address, seconds=GONE_SECONDS)}", 2)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.commands.cost_model import CostKind, Sample, kind_of
+from pipeline.commands.cost_model import CostKind, Sample, bytes_of, kind_of
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
@@ -66,21 +66,18 @@ class _Run:
         entries = {name: FileEntry(digest(data), len(data)) for name, data in files.items()}
         manifest = Manifest(stage.name, items[0].key, items[0].identity, entries, {}, {})
         self.files[manifest.key] = files
-        return manifest, Sample.of(manifest, chains[0].units[index] * chains[0].weight, seconds)
+        return manifest, Sample(chains[0].units[index] * chains[0].weight, seconds, bytes_of(manifest))
 
 
 def calibrate(
     settings: Settings, wanted: Collection[CostKind], *, say: Callable[[str], None]
 ) -> dict[CostKind, list[Sample]]:
-    """Compute and time items of some kinds.
+    """Return samples of every wanted kind of chains, of one size or of two and more.
 
     Args:
         settings: the study's settings.
         wanted: kinds of chains to time. Others are computed where these need them.
         say: shows what is being timed.
-
-    Returns:
-        Samples of every wanted kind, of one size or of two and more.
 
     Raises:
         PuddleError: torch finds no GPU, and the settings ask for one.
@@ -112,21 +109,19 @@ def calibrate(
 def _small_study(settings: Settings) -> Settings:
     depth = statistics.median_low(settings.grid.depths)
     single = any(environment == "single_member" for environment, _, _ in settings.grid.trials())
-    return _changed(
-        settings,
-        {
-            "grid.depths": (depth,),
-            "grid.single_member_depths": (depth,) if single else (),
-            "grid.n_trials": min(_N_TRIALS, settings.grid.n_trials),
-            "throws.n_throws": _full_size("collect", settings),
-            "work.throws_per_item": _full_size("collect", settings),
-            "training.n_iterations": min(_N_FIRST_ITERATIONS, settings.training.n_iterations),
-            "evolution.n_generations": 1,
-            "transfer.n_generations": 1,
-            "work.generations_per_item": 1,
-            "assess.n_designs": _full_size("assess", settings),
-        },
-    )
+    changes = {
+        "grid.depths": (depth,),
+        "grid.single_member_depths": (depth,) if single else (),
+        "grid.n_trials": min(_N_TRIALS, settings.grid.n_trials),
+        "throws.n_throws": _full_size("collect", settings),
+        "work.throws_per_item": _full_size("collect", settings),
+        "training.n_iterations": min(_N_FIRST_ITERATIONS, settings.training.n_iterations),
+        "evolution.n_generations": 1,
+        "transfer.n_generations": 1,
+        "work.generations_per_item": 1,
+        "assess.n_designs": _full_size("assess", settings),
+    }
+    return _changed(settings, changes)
 
 
 def _changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
@@ -162,13 +157,10 @@ def _by_kind(stage: AnyStage, plan: Sequence[Chain[Any]]) -> dict[CostKind, list
 def _compute_chain(
     run: _Run, stage: AnyStage, settings: Settings, chain: Chain[Any]
 ) -> tuple[tuple[Manifest, ...], Sample]:
-    manifests: list[Manifest] = []
-    samples: list[Sample] = []
-    for index in range(chain.n_items):
-        manifest, sample = run.compute(stage, settings, [chain], index, manifests[-1] if manifests else None)
-        manifests.append(manifest)
-        samples.append(sample)
-    return tuple(manifests), samples[0]
+    done = [run.compute(stage, settings, [chain], 0, None)]
+    for index in range(1, chain.n_items):
+        done.append(run.compute(stage, settings, [chain], index, done[-1][0]))
+    return tuple(manifest for manifest, _ in done), done[0][1]
 
 
 def _timed(

@@ -6,10 +6,10 @@ settings as far as these decide the cost of a unit. Where the store has none, a 
 
 A stage takes its core-seconds divided by the number of cores, but not less than its longest chain.
 
-On an AMD EPYC with compiled kernels, a calibration run forecast the processor time of real studies with these ratios
-of forecast to study: in smoke and in a small laptop (2 depths, 2 trials, 100 generations) collect 1.12 and 1.03, train
-1.22 and 0.92, evolve 1.15 and 1.09, transfer 0.94 and 1.08, assess 1.28 and 1.24 (at one depth, with 400 designs),
-analyse 0.91 and 0.74, report 1.01 and 1.00. Bytes were within a factor of 2, except in analyse of smoke (0.48).
+On an AMD EPYC with compiled kernels, the ratio of forecast to real processor time in smoke and in a small laptop (2
+depths, 2 trials, 100 generations) was: collect 1.12 and 1.03, train 1.22 and 0.92, evolve 1.15 and 1.09, transfer 0.94
+and 1.08, assess 1.28 and 1.24 (at one depth, with 400 designs), analyse 0.91 and 0.74, report 1.01 and 1.00. Bytes were
+within a factor of 2, except in analyse of smoke (0.48).
 """
 
 from __future__ import annotations
@@ -55,18 +55,11 @@ class Sample:
     seconds: float
     n_bytes: float
 
-    @classmethod
-    def of(cls, manifest: Manifest, size: float, seconds: float) -> Sample:
-        """Return the sample of a committed item.
 
-        Args:
-            manifest: the item's manifest, which states its bytes.
-            size: weighted units.
-            seconds: processor time of the item [s].
-        """
-        n_bytes = len(encode_manifest(manifest)) + sum(entry.n_bytes for entry in manifest.files.values())
-        copies = 2 if manifest.stage == "report" else 1  # people open a copy of the report
-        return cls(size, seconds, copies * n_bytes)
+def bytes_of(manifest: Manifest) -> int:
+    """Return the disk space that an item takes [bytes]."""
+    n_bytes = len(encode_manifest(manifest)) + sum(entry.n_bytes for entry in manifest.files.values())
+    return 2 * n_bytes if manifest.stage == "report" else n_bytes  # people open a copy of the report
 
 
 @dataclass(frozen=True)
@@ -153,9 +146,6 @@ def remaining_chains(settings: Settings, upstream: Upstream) -> list[Remaining]:
     return [one for one in found if one.units]
 
 
-# -- samples from the store --------------------------------------------------------------------------------------------
-
-
 def _survey(
     settings: Settings, store: Store, say: Callable[[str], None]
 ) -> tuple[Upstream, dict[CostKind, list[Sample]]]:
@@ -169,7 +159,8 @@ def _survey(
         for progress in chains:
             for manifest, units in zip(progress.manifests, progress.chain.units, strict=False):
                 if _is_comparable(manifest, settings):
-                    sample = Sample.of(manifest, units * weights[progress.chain.identity], manifest.record["seconds"])
+                    size = units * weights[progress.chain.identity]
+                    sample = Sample(size, manifest.record["seconds"], bytes_of(manifest))
                     samples.setdefault(kind_of(stage, progress.chain), []).append(sample)
     return upstream, samples
 
@@ -205,22 +196,16 @@ def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], No
     return samples
 
 
-# -- forecast ----------------------------------------------------------------------------------------------------------
-
-
 def forecast_stages(
     settings: Settings, remaining: Sequence[Remaining], costs: Mapping[CostKind, Cost], calibrated: Iterable[CostKind]
 ) -> list[StageForecast]:
-    """Add up what the remaining work costs.
+    """Return the cost of the remaining work of every stage, in order.
 
     Args:
         settings: the study's settings.
         remaining: its unfinished chains.
         costs: the cost of each of their kinds.
         calibrated: kinds whose samples come from the calibration run, not from the store.
-
-    Returns:
-        A forecast for every stage, in order.
     """
     calibrated = set(calibrated)
     forecasts = []
@@ -254,9 +239,6 @@ def forecast_lines(
         root: the store's folder; it need not exist.
         cores: further numbers of cores to forecast for.
         say: shows what is being timed.
-
-    Raises:
-        PuddleError: the store can't be read, or `puddle gc` is running.
     """
     from pipeline.commands.calibration_run import calibrate
 

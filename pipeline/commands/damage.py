@@ -1,6 +1,5 @@
 """Damage: hash a whole store again, name what is damaged or missing and what will be computed again."""
 
-import contextlib
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 
@@ -16,15 +15,12 @@ def find_damage(
     checked: Callable[[int], None] = lambda n_bytes: None,
     say: Callable[[str], None] = lambda line: None,
 ) -> list[PuddleError]:
-    """Hash everything in a store, and look for items that its studies list and the store lacks.
+    """Return what is wrong in a store; damage to an item, or its loss, is a DamagedArtifact with its stage and key.
 
     Args:
         store: the store to verify.
         checked: called with the number of bytes checked, file by file.
         say: called with a line about what was skipped.
-
-    Returns:
-        What is wrong; empty if the store is intact. Damage to an item is a DamagedArtifact with its stage and key.
     """
     wrong = store.verify(checked=checked)
     if not store.links():
@@ -52,22 +48,17 @@ def _missing(store: Store, name: str, say: Callable[[str], None]) -> Iterator[Pu
 def _check_item(store: Store, name: str, item: StudyItem, *, with_report: bool) -> Iterator[PuddleError]:
     manifest = store.listing(item.stage, item.key)
     if manifest is None:
-        yield DamagedArtifact(
-            f"{store.manifest_path(item.stage, item.key)}: expected the manifest of study {name}'s {item.stage} "
-            f"{item.label}, found no file. {store.computed_again()}",
-            stage=item.stage,
-            key=item.key,
-        )
+        path = store.manifest_path(item.stage, item.key)
+        lost = f"{path}: expected the manifest of study {name}'s {item.stage} {item.label}, found no file"
+        yield DamagedArtifact(f"{lost}. {store.computed_again()}", stage=item.stage, key=item.key)
     elif item.stage == "report" and with_report:
         for file, entry in manifest.files.items():
             path = disk.inside(store.export_path(name), file)
             with disk.explained("reading the report", path):
                 found = disk.digest_of(path, at_most=entry.n_bytes) if path.is_file() else "no file"
             if found != entry.sha256:
-                yield DamagedArtifact(
-                    f"{path}: expected SHA-256 {entry.sha256}, found {found}. It is a copy of a file in the store: "
-                    f"running study {name} restores it."
-                )
+                advice = f"It is a copy of a file in the store: running study {name} restores it."
+                yield DamagedArtifact(f"{path}: expected SHA-256 {entry.sha256}, found {found}. {advice}")
 
 
 def _items(store: Store, name: str) -> Sequence[StudyItem]:
@@ -99,27 +90,14 @@ def _uncommitted_lines(store: Store, wrong: Sequence[PuddleError]) -> Iterator[s
 def verify_lines(
     store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
 ) -> tuple[list[str], bool]:
-    """Verify a store, and describe the result.
+    """Return what was skipped, unfinished and wrong, and how to repair it; and whether the store is intact.
 
     Args:
-        store: the store to verify.
+        store: the store, which the caller has locked: an item being removed would look damaged.
         discard: whether to remove the damaged items. The caller then holds the store alone.
         progress: the progress display.
         how_to_run: returns the command line that runs a command, for messages.
-
-    Returns:
-        Lines that name what was skipped, unfinished and wrong, and how to repair it; and whether the store is intact.
-
-    Raises:
-        PuddleError: `puddle gc` is running.
     """
-    with contextlib.nullcontext() if discard else store.lock_to_read():  # an item being removed would look damaged
-        return _verify_lines(store, discard=discard, progress=progress, how_to_run=how_to_run)
-
-
-def _verify_lines(
-    store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
-) -> tuple[list[str], bool]:
     n_bytes = store.bytes_to_verify()
     lines: list[str] = []
 

@@ -99,12 +99,9 @@ def _versions() -> Check:
     if missing:
         return Check("fail", "versions", f"{', '.join(missing)} are not installed", "make setup installs them.")
     if other:
-        return Check(
-            "warn",
-            "versions",
-            ", ".join(other[:5]) + (f" and {len(other) - 5} more" if len(other) > 5 else ""),
-            "Untested versions may change results in their last bits. make clean setup installs the tested ones.",
-        )
+        named = ", ".join(other[:5]) + (f" and {len(other) - 5} more" if len(other) > 5 else "")
+        advice = "Untested versions may change results in their last bits. make clean setup installs the tested ones."
+        return Check("warn", "versions", named, advice)
     return Check("ok", "versions", f"{len(wanted)} packages as in {_CONSTRAINTS.name}")
 
 
@@ -142,10 +139,8 @@ def examine_store(root: Path, settings: Settings) -> Iterator[Check]:
         yield Check("fail", "store", f"{error}")
         return
     needed = _SPARE_BYTES + bytes_left_of_study(settings, done)
-    found = (
-        f"{free / 1e9:.1f} GB free at {existing}, at most {needed / 1e9:.1f} GB needed for the rest of study "
-        f"{settings.name}"
-    )
+    needs = f"at most {needed / 1e9:.1f} GB needed for the rest of study {settings.name}"
+    found = f"{free / 1e9:.1f} GB free at {existing}, {needs}"
     if free < needed:
         yield Check("fail", "disk", found, "Free some space (`puddle gc`), or put the store elsewhere: --store.")
     else:
@@ -153,12 +148,8 @@ def examine_store(root: Path, settings: Settings) -> Iterator[Check]:
     try:
         seconds = _try_commit(existing)
     except (OSError, PuddleError) as error:
-        yield Check(
-            "fail",
-            "store",
-            f"{existing}: a file can't be committed there: {error}",
-            "The store needs a disk with working file locks, and permission to write: --store.",
-        )
+        advice = "The store needs a disk with working file locks, and permission to write: --store."
+        yield Check("fail", "store", f"{existing}: a file can't be committed there: {error}", advice)
         return
     found = f"{root}: a commit takes {1e3 * seconds:.0f} ms"
     if not store_exists:
@@ -168,11 +159,7 @@ def examine_store(root: Path, settings: Settings) -> Iterator[Check]:
 
 
 def _done(root: Path, settings: Settings) -> tuple[dict[str, Results], list[str]]:
-    """Survey the study in its store, damaged items counting as missing, and name the drivers of the store's studies.
-
-    Raises:
-        PuddleError: the store can't be read, or `puddle gc` is running.
-    """
+    """Survey the study in its store, damaged items counting as missing, and name the drivers of the store's studies."""
     store = Store.open(root, create=False)
     with store.lock_to_read():
         drivers = [f"study {name} is driven by {who}" for name in store.studies() if (who := store.driver_of(name))]
@@ -251,13 +238,9 @@ def _engine(settings: Settings) -> Check:
     start, rng, afpo = time.perf_counter(), np.random.default_rng(0), Afpo(population_size=2)
     try:
         children = ask(EMPTY_POPULATION, rng, afpo)
+        engine, physics = settings.work.engine, settings.physics
         rollouts = simulate(
-            children.designs,
-            DryLand(depth=1.0),
-            n_settle=0,
-            n_measure=10,
-            engine=settings.work.engine,
-            physics=settings.physics,
+            children.designs, DryLand(depth=1.0), n_settle=0, n_measure=10, engine=engine, physics=physics
         )
         tell(EMPTY_POPULATION, children, evaluate(rollouts, disagreement_penalty=0.0).fitness, rng, afpo)
     except Exception as error:  # a study would fail in the same way

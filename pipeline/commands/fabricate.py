@@ -32,21 +32,18 @@ def fabricate(
     from pipeline.config.loading import load, parse
     from pipeline.fabrication.choices import FabricationSettings
     from pipeline.fabrication.make_kit import fabricate as make
-    from pipeline.tracking.mirror import open_tracker
+    from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.record import settings_of
 
     if (design is None) == (study is None):
         raise PuddleError("expected either a design file or --study NAME: `puddle fabricate design.json`")
     if study is not None and preset is not None:
-        raise PuddleError(
-            f"--preset: expected with a design file, got with --study {study}, whose champion is simulated with the "
-            f"study's own settings"
-        )
-    of_kit = (
-        load(FabricationSettings, settings, overrides or ())
-        if settings is not None
-        else parse(FabricationSettings, "", name="the kit's settings", overrides=overrides or ())
-    )
+        why = "whose champion is simulated with the study's own settings"
+        raise PuddleError(f"--preset: expected with a design file, got with --study {study}, {why}")
+    if settings is not None:
+        of_kit = load(FabricationSettings, settings, overrides or ())
+    else:
+        of_kit = parse(FabricationSettings, "", name="the kit's settings", overrides=overrides or ())
     options = StudyOptions(preset=preset or "pontoon", store=store)
     opened = options.open_store(create=study is None)
     if study is None:
@@ -56,7 +53,7 @@ def fabricate(
     else:
         of_study = settings_of(record)
     with interruptible():
-        tracker = open_tracker(opened.root, tracking_uri, say=to_stderr)
+        tracker = Tracker(opened.root, tracking_uri, say=to_stderr)
         made = make(design, of_study, of_kit, out, store=opened, tracker=tracker)
     for line in made.lines:
         typer.echo(line)

@@ -9,7 +9,7 @@ it can't be determined what a study needs.
 """
 
 import contextlib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,10 +30,9 @@ from pipeline.workflow.stage import AnyStage, Results
 class Garbage:
     """What can be removed from a store and from /tmp."""
 
-    items: tuple[tuple[str, str], ...]
-    """Stage and key of items that no study needs, each before the items that it was made from."""
-    uncommitted: tuple[tuple[str, str], ...]  # stage and key of items whose commit never finished
-    temporary: tuple[Path, ...]  # temporary files of studies, left by a process that died; see :meth:`Store.temporary`
+    items: tuple[tuple[str, str], ...]  # (stage, key) that no study needs, each before the items that it was made from
+    uncommitted: tuple[tuple[str, str], ...]  # (stage, key) whose commit never finished
+    temporary: tuple[Path, ...]  # temporary files of studies, left by a process that died
     sessions: tuple[Path, ...]  # ray's folders in /tmp whose driver is dead
 
 
@@ -82,10 +81,10 @@ def _made_from(manifest: Manifest) -> list[str]:
 
 def _behind_gaps(committed: Sequence[Manifest]) -> list[Manifest]:
     """Return the items that were made, directly or indirectly, from an item that is gone."""
-    users: dict[str, list[Manifest]] = {}
+    users: dict[str, list[Manifest]] = defaultdict(list)
     for one in committed:
         for digest in _made_from(one):
-            users.setdefault(digest, []).append(one)
+            users[digest].append(one)
     gone = list(users.keys() - {one.digest for one in committed})
     behind: dict[tuple[str, str], Manifest] = {}
     while gone:
@@ -102,15 +101,15 @@ def _users_first(garbage: Sequence[Manifest]) -> list[Manifest]:
     Removal in this order never creates a gap: if this process dies, the next one finds the rest of the garbage.
     """
     n_users = Counter(digest for one in garbage for digest in _made_from(one))
-    of_digest: dict[str, list[Manifest]] = {}
+    of_digest: dict[str, list[Manifest]] = defaultdict(list)
     for one in garbage:
-        of_digest.setdefault(one.digest, []).append(one)
+        of_digest[one.digest].append(one)
     ordered = [one for one in garbage if not n_users[one.digest]]
     for one in ordered:  # the loop appends to it
         for digest in _made_from(one):
             n_users[digest] -= 1
             if not n_users[digest]:
-                ordered += of_digest.get(digest, [])
+                ordered += of_digest[digest]
     return ordered
 
 
@@ -120,13 +119,12 @@ def _in_reach(stage: AnyStage, chains: Sequence[ChainProgress], behind_gaps: Seq
     Their keys can't be computed while their inputs are gone, but an item's specification contains its chain's.
     """
     unfinished = [to_json(progress.chain.spec) for progress in chains if not progress.finished]
-    of_stage = [one for one in behind_gaps if (one.stage, one.identity.get("version")) == (stage.name, stage.version)]
-    specified = [(one, one.identity.get("spec")) for one in of_stage]
-    return [
-        one
-        for one, spec in specified
-        if isinstance(spec, dict) and any(of_chain in (spec, *spec.values()) for of_chain in unfinished)
-    ]
+    found = []
+    for one in behind_gaps:
+        spec = one.identity.get("spec")
+        if (one.stage, one.identity.get("version")) == (stage.name, stage.version) and isinstance(spec, dict):
+            found += [one] if any(of_chain in (spec, *spec.values()) for of_chain in unfinished) else []
+    return found
 
 
 def _needs(store: Store, name: str, behind_gaps: Sequence[Manifest]) -> Iterator[tuple[str, str]]:
@@ -166,21 +164,17 @@ def garbage_lines(store: Store, garbage: Garbage, *, removed: bool, command: str
         removed: whether it will be removed now.
         command: the command line that removes it.
     """
-    total = 0
-    names = store.studies()
-    yield f"{store.root}: {len(names)} studies{': ' if names else ''}{', '.join(names)}"
+    found: list[tuple[str, int]] = []
     for what, items in (("that no study needs", garbage.items), ("whose commit never ended", garbage.uncommitted)):
         for stage in sorted({stage for stage, _ in items}):
             sizes = [store.item_bytes(stage, key) for one, key in items if one == stage]
-            total += sum(sizes)
-            yield f"  {stage}: {len(sizes):,} items {what}, {sum(sizes) / 1e6:,.1f} MB"
-    for path in garbage.temporary:
-        total += path.lstat().st_size
-        yield f"  {path}: temporary file of a process that died, {path.lstat().st_size / 1e6:,.1f} MB"
-    for folder in garbage.sessions:
-        total += disk.size_bytes(folder)
-        yield f"  {folder}: left by a driver that is dead, {disk.size_bytes(folder) / 1e6:,.1f} MB"
-    if not any((garbage.items, garbage.uncommitted, garbage.temporary, garbage.sessions)):
+            found.append((f"{stage}: {len(sizes):,} items {what}", sum(sizes)))
+    found += [(f"{path}: temporary file of a process that died", path.lstat().st_size) for path in garbage.temporary]
+    found += [(f"{folder}: left by a driver that is dead", disk.size_bytes(folder)) for folder in garbage.sessions]
+    names, total = store.studies(), sum(n_bytes for _, n_bytes in found)
+    yield f"{store.root}: {len(names)} studies{': ' if names else ''}{', '.join(names)}"
+    yield from (f"  {what}, {n_bytes / 1e6:,.1f} MB" for what, n_bytes in found)
+    if not found:
         yield "Everything in it is needed."
     elif removed:
         yield f"Removed: {total / 1e6:,.1f} MB are free again."

@@ -37,7 +37,7 @@ def simulate_design(
     open_store: Callable[[], Store],
     how_to_run: Callable[[str], str],
 ) -> list[str]:
-    """Simulate the design in a file, and show it if asked to.
+    """Return lines that state the displacement of the design in a file, and show it if asked to.
 
     A page shows the members' disagreement at each link and the distance of each state from the throws, in any
     environment, as long as the store holds networks for these settings.
@@ -51,12 +51,8 @@ def simulate_design(
         open_store: opens the store that holds the networks.
         how_to_run: returns the command line that runs a command, for messages.
 
-    Returns:
-        Lines that state the design's displacement.
-
     Raises:
-        PuddleError: an argument is invalid, the networks are missing, the rollout diverges, or the file can't be
-            written.
+        PuddleError: an argument is invalid, networks are missing, the rollout diverges, or a file can't be written.
     """
     design = read_design(path)
     if environment not in _ENVIRONMENTS:
@@ -69,10 +65,10 @@ def simulate_design(
         raise PuddleError(f"--out: expected a file name that ends in {suffixes}, in an existing folder, got {out}")
     simulation = environments.simulation_spec(settings, environment)
     files: dict[InputName, Files] = {}
-    why = ""
-    if environment == "residual_slush" or kind == _PAGE_SUFFIX:
+    why, is_page = "", kind == _PAGE_SUFFIX
+    if environment == "residual_slush" or is_page:
         try:
-            files = _networks(settings, open_store, throws=kind == _PAGE_SUFFIX)
+            files = _networks(settings, open_store, throws=is_page)
         except PuddleError as missing:
             advice = f". `{how_to_run('study')}` computes it." if isinstance(missing, MissingInputs) else ""
             why = f"{missing}{advice}"
@@ -90,7 +86,8 @@ def simulate_design(
     if not (rollouts.status == OK).all():
         raise PuddleError(f"{path}: the rollout diverged: a state is not finite, so there is no displacement.")
     measured_seconds = settings.rollout.n_measure * settings.physics.time_step
-    lines = [f"{ENVIRONMENTS[environment].label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
+    label = ENVIRONMENTS[environment].label
+    lines = [f"{label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
     evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
@@ -100,28 +97,23 @@ def simulate_design(
     if out is not None and rollouts.trace is not None:
         member = median_member(rollouts.displacement[:, 0]) if environment == "residual_slush" else NO_MEMBER
         trace = rollouts.trace if member == NO_MEMBER else rollouts.trace[member]
+        held_out, seed = settings.training.held_out, settings.seed
         replay = replay_of(
             design,
             trace[0],
             title=path.stem,
             environment=environment,
-            seen_in=ENVIRONMENTS[environment].label
-            if member == NO_MEMBER
-            else f"{ENVIRONMENTS[environment].label} (member {member})",
+            seen_in=label if member == NO_MEMBER else f"{label} (member {member})",
             depth=depth,
             surroundings=surroundings_in(environment),
             n_settle=settings.rollout.n_settle,
             time_step=settings.physics.time_step,
-            overlays=looked_at(
-                simulation, design, trace, files, held_out=settings.training.held_out, seed=settings.seed
-            )
-            if kind == _PAGE_SUFFIX and files
+            overlays=looked_at(simulation, design, trace, files, held_out=held_out, seed=seed)
+            if is_page and files
             else (),
-            push=push_of(simulation, Arm(environment, depth), member, design, trace, files)
-            if kind == _PAGE_SUFFIX
-            else None,
+            push=push_of(simulation, Arm(environment, depth), member, design, trace, files) if is_page else None,
         )
-        if kind == _PAGE_SUFFIX and why:
+        if is_page and why:
             lines.append(f"  shown without the networks' view: {why}")
         content = _RENDERERS[kind]([replay]) if kind in _RENDERERS else render_robot(replay, lines).encode()
         try:
@@ -133,12 +125,7 @@ def simulate_design(
 
 
 def _networks(settings: Settings, open_store: Callable[[], Store], *, throws: bool) -> dict[InputName, Files]:
-    """Read every member of the ensemble, and the throws that they learned from if asked to.
-
-    Raises:
-        MissingInputs: names what the store lacks.
-        PuddleError: these settings train no networks, one is damaged, or `puddle gc` is running.
-    """
+    """Read every member of the ensemble, and the throws that they learned from if asked to."""
     if not settings.needs_ensemble:
         raise PuddleError(
             f"study {settings.name} trains no networks: expected one of {', '.join(RESIDUAL_ENVIRONMENTS)} in "

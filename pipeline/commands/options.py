@@ -42,9 +42,7 @@ class StudyOptions:
     preset: Annotated[
         str, typer.Option("--preset", help="A file in configs/: smoke, laptop, row, paper or pontoon.")
     ] = _DEFAULT_PRESET
-    settings_file: Annotated[Path | None, typer.Option("--settings", help="A settings file, instead of a preset.")] = (
-        None
-    )
+    settings_file: Annotated[Path | None, typer.Option("--settings", help="A settings file, not a preset.")] = None
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting, for example evolution.n_generations=50.")
     ] = None
@@ -92,19 +90,16 @@ class ExecutionOptions:
         source = context.get_parameter_source("address")
         explicit = source is not None and source.name == "COMMANDLINE"
         if self.workers is not None and self.address not in (None, "local") and explicit:
-            raise PuddleError(
-                f"--workers chooses cores of this machine: expected --workers or --address, got "
-                f"--workers {self.workers} with --address {self.address}"
-            )
+            got = f"--workers {self.workers} with --address {self.address}"
+            raise PuddleError(f"--workers chooses cores of this machine: expected --workers or --address, got {got}")
 
-    def cluster(self, on_ray: Callable[..., AbstractContextManager[Cluster]] = ray_cluster) -> _Opener:
+    def cluster(
+        self, on_ray: Callable[..., AbstractContextManager[Cluster]] = ray_cluster
+    ) -> Callable[[], AbstractContextManager[Cluster]]:
         """Return the function that starts or joins the cluster. --workers overrides an address in the environment."""
         if self.workers == 0:
             return serial_cluster
         return lambda: on_ray(address=self.address if self.workers is None else "local", n_workers=self.workers)
-
-
-_Opener = Callable[[], AbstractContextManager[Cluster]]
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -1,5 +1,6 @@
 """puddle simulate: how far one design gets."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -24,14 +25,9 @@ def simulate(
     """
     from pipeline.commands.one_design import simulate_design
 
-    lines = simulate_design(
-        design,
-        environment,
-        depth,
-        out,
-        settings=options.settings(),
-        open_store=lambda: options.open_store(create=False),
-        how_to_run=options.command,
-    )
-    for line in lines:
+    settings, how_to_run = options.settings(), options.command
+    open_store = partial(options.open_store, create=False)
+    for line in simulate_design(
+        design, environment, depth, out, settings=settings, open_store=open_store, how_to_run=how_to_run
+    ):
         typer.echo(line)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,9 +13,7 @@ from pipeline.errors import DamagedArtifact
 
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
-    from pipeline.store.store import Store
-    from pipeline.workflow.identity import ChainId
-    from pipeline.workflow.stage import AnyStage, Results
+    from pipeline.store.store import FailedChain, Store
 
 
 @with_options
@@ -24,21 +23,14 @@ def status(
 ) -> None:
     """Print what of a study is done, running, failed and missing."""
     lines = digest_lines if digests else status_lines
-    for line in lines(options.settings(), options.open_store(create=False)):
-        typer.echo(line)
+    settings, store = options.settings(), options.open_store(create=False)
+    with store.lock_to_read():
+        for line in lines(settings, store):
+            typer.echo(line)
 
 
 def status_lines(settings: Settings, store: Store) -> Iterator[str]:
-    """Describe the study and each stage, each failed chain, and each trial whose designs diverged.
-
-    Raises:
-        PuddleError: `puddle gc` is running.
-    """
-    with store.lock_to_read():
-        yield from _status_lines(settings, store)
-
-
-def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
+    """Describe the study and each stage, each failed chain, and each trial whose designs diverged."""
     from pipeline.stages import STAGES
     from pipeline.workflow.graph import survey
 
@@ -67,55 +59,39 @@ def _status_lines(settings: Settings, store: Store) -> Iterator[str]:
             f"{found.seconds:.0f} core-seconds"
         )
         done_labels = {chain.label for chain in found.done}
-        for label, why in failed.get(stage.name, {}).items():
-            if label not in done_labels:
-                yield f"    {label}: {why}"
-        diverged = _diverged(stage, settings, found, store, notes)
+        yield from (f"    {one.label}: {one.why}" for one in failed[stage.name] if one.label not in done_labels)
+        try:
+            diverged = stage.diverged(settings, found, store)
+        except DamagedArtifact as damage:
+            notes.append(str(damage))
+            diverged = {}
         any_diverged = any_diverged or bool(diverged)
-        for identity, what in diverged.items():
-            yield f"    {identity.label}: {what}"
+        yield from (f"    {identity.label}: {what}" for identity, what in diverged.items())
     if any_diverged:
         yield "Designs that diverged would diverge again with the same settings; everything else is safe."
-    if any(set(of_stage) - {chain.label for chain in upstream[name].done} for name, of_stage in failed.items()):
+    if any({one.label for one in of} - {chain.label for chain in upstream[name].done} for name, of in failed.items()):
         yield "Failed work items are tried again by the next `puddle study`; everything else is safe."
     yield from notes
 
 
-def _failed(settings: Settings, store: Store) -> dict[str, dict[str, str]]:
-    """Return why chains failed in the study's last run, by stage and label; empty if that had other settings."""
+def _failed(settings: Settings, store: Store) -> dict[str, list[FailedChain]]:
+    """Return the chains that failed in the study's last run, by stage; none if that had other settings."""
     record = store.read_study(settings.name)
-    failed: dict[str, dict[str, str]] = {}
-    if record is not None and record.settings == settings.model_dump(mode="json"):
-        for one in record.failed:
-            failed.setdefault(one.stage, {})[one.label] = one.why
+    failed: dict[str, list[FailedChain]] = defaultdict(list)
+    for one in record.failed if record and record.settings == settings.model_dump(mode="json") else ():
+        failed[one.stage].append(one)
     return failed
-
-
-def _diverged(
-    stage: AnyStage, settings: Settings, found: Results, store: Store, notes: list[str]
-) -> Mapping[ChainId, str]:
-    """Describe what diverged in a stage, by label; damage met on the way is added to the notes."""
-    try:
-        return stage.diverged(settings, found, store)
-    except DamagedArtifact as damage:
-        notes.append(str(damage))
-        return {}
 
 
 def digest_lines(settings: Settings, store: Store) -> Iterator[str]:
     """Give the SHA-256 of every item of the study that is done, and of its files, in the order of the study's plan.
 
     An item's digest covers the list of its files with their digests; the report and MLflow show the same one.
-
-    Raises:
-        PuddleError: `puddle gc` is running.
     """
     from pipeline.stages import STAGES
     from pipeline.workflow.graph import survey
 
-    with store.lock_to_read():
-        upstream = survey(settings, STAGES, store, say=lambda line: None)
-    for results in upstream.values():
+    for results in survey(settings, STAGES, store, say=lambda line: None).values():
         for chain, manifests in results.done.items():
             for index, manifest in enumerate(manifests):
                 yield f"{manifest.digest}  {results.stage}/{chain.label}/{index}"

@@ -1,7 +1,7 @@
 """An upper estimate of a study's size on the disk, for `puddle doctor`, which has no time for a calibration run."""
 
+from pipeline.commands.cost_model import remaining_chains
 from pipeline.config.settings import Settings
-from pipeline.stages import STAGES
 from pipeline.workflow.stage import Upstream
 
 _BYTES = {
@@ -19,19 +19,11 @@ _BYTES_PER_DESIGN = 200.0
 
 
 def bytes_left_of_study(settings: Settings, upstream: Upstream) -> float:
-    """Return about how many bytes the rest of a study will take, rather more than fewer.
-
-    Args:
-        settings: the study's settings.
-        upstream: what the store holds already, by stage; a stage that is missing has nothing done.
-    """
+    """Return about how many bytes the rest of a study will take, rather more than fewer."""
     total = 0.0
-    for stage in STAGES:
-        n_done = upstream[stage.name].n_done if stage.name in upstream else {}
-        per_item, per_unit = _BYTES.get(stage.unit, (1e6, 0.0))
-        if stage.unit == "generations":
+    for one in remaining_chains(settings, upstream):
+        per_item, per_unit = _BYTES.get(one.stage.unit, (1e6, 0.0))
+        if one.stage.unit == "generations":
             per_unit = _BYTES_PER_DESIGN * settings.evolution.afpo.population_size
-        for chain in stage.plan(settings):
-            units = chain.units[n_done.get(chain.identity, 0) :]
-            total += per_item * len(units) + per_unit * sum(units)
+        total += per_item * len(one.units) + per_unit * sum(one.units)
     return total

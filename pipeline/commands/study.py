@@ -43,20 +43,16 @@ def run_stages(
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
     tracking_uri: str | None = None,
 ) -> None:
-    """Run stages, and name what failed or diverged.
+    """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE.
 
     Args:
         options: the study.
         stages: names of the stages to run; all of them if empty.
         open_cluster: starts or joins the cluster, once there is something to compute.
         tracking_uri: an MLflow server; the store's own database by default.
-
-    Raises:
-        PuddleError: the settings, the store or the cluster can't be used.
-        typer.Exit: with INCOMPLETE where work items failed or designs diverged.
     """
     from pipeline.stages import STAGES
-    from pipeline.tracking.mirror import open_tracker
+    from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.driver import drive
     from pipeline.workflow.progress import progress
 
@@ -69,14 +65,13 @@ def run_stages(
             stages=STAGES,
             store=store,
             open_cluster=open_cluster,
-            tracker=open_tracker(store.root, tracking_uri, say=show.say),
+            tracker=Tracker(store.root, tracking_uri, say=show.say),
             progress=show,
             how_to_run=options.command,
         )
-    failed = [f"{name}: {of.label}: {why}" for name, results in upstream.items() for of, why in results.failed.items()]
-    diverged = [
-        f"{name}: {of.label}: {what}" for name, results in upstream.items() for of, what in results.diverged.items()
-    ]
+    found = upstream.items()
+    failed = [f"{name}: {of.label}: {why}" for name, results in found for of, why in results.failed.items()]
+    diverged = [f"{name}: {of.label}: {what}" for name, results in found for of, what in results.diverged.items()]
     if failed:
         to_stderr("\n".join([f"{len(failed)} chains of work failed; the rest is done:", *failed]))
     if diverged:

@@ -1,6 +1,5 @@
 """puddle verify: check every byte of a store."""
 
-import contextlib
 from typing import Annotated
 
 import typer
@@ -21,7 +20,7 @@ def verify(
     from pipeline.workflow.progress import progress
 
     store = options.open_store(create=False)
-    with interruptible(), store.lock_all() if discard else contextlib.nullcontext(), progress() as show:
+    with interruptible(), store.lock_all() if discard else store.lock_to_read(), progress() as show:
         lines, intact = verify_lines(store, discard=discard, progress=show, how_to_run=options.command)
     typer.echo("\n".join(lines))
     if not intact:

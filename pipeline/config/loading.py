@@ -42,9 +42,6 @@ class Value:
     where: str
 
 
-# -- presets ---------------------------------------------------------------------------------------------------------
-
-
 def preset_names() -> list[str]:
     """Return the names of the presets in configs/."""
     return sorted(path.stem for path in PRESETS.glob("*.yaml"))
@@ -63,19 +60,13 @@ def preset_path(name: str) -> Path:
     return PRESETS / f"{name}.yaml"
 
 
-# -- from text to a model --------------------------------------------------------------------------------------------
-
-
 def load(model: type[M], path: Path, overrides: Sequence[str] = ()) -> M:
-    """Load a settings file.
+    """Return the settings in a file.
 
     Args:
         model: class of the settings.
         path: a YAML file with the settings that differ from the model's defaults.
         overrides: assignments ``a.b=c``, where c is YAML on one line; later ones win.
-
-    Returns:
-        The settings.
 
     Raises:
         PuddleError: one line per mistake, with its file and line or its override, what was expected and what was found.
@@ -96,16 +87,13 @@ def load(model: type[M], path: Path, overrides: Sequence[str] = ()) -> M:
 
 
 def parse(model: type[M], text: str, *, name: str, overrides: Sequence[str] = ()) -> M:
-    """Parse settings from YAML text.
+    """Return the settings in YAML text.
 
     Args:
         model: class of the settings.
         text: YAML with the settings that differ from the model's defaults.
         name: what error messages call the text.
         overrides: assignments ``a.b=c``; later ones win.
-
-    Returns:
-        The settings.
 
     Raises:
         PuddleError: as in :func:`load`.
@@ -124,8 +112,7 @@ def parse(model: type[M], text: str, *, name: str, overrides: Sequence[str] = ()
         # If pydantic refuses an element of a list, it also reports that the list is too short.
         faulty = {error["loc"][:depth] for error in found for depth in range(len(error["loc"]))}
         found = [error for error in found if error["type"] != "too_short" or error["loc"] not in faulty]
-        lines = [_explain(model, root, error) for error in found]
-        raise PuddleError("\n".join(lines)) from None
+        raise PuddleError("\n".join(_explain(model, root, error) for error in found)) from None
 
 
 # -- YAML to values --------------------------------------------------------------------------------------------------
@@ -138,14 +125,16 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
-        line = event.start_mark
-        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
-            raise yaml.MarkedYAMLError(problem="expected plain values, got an anchor or an alias", problem_mark=line)
-        if getattr(event, "tag", None) is not None:
-            raise yaml.MarkedYAMLError(problem=f"expected plain values, got the tag {event.tag}", problem_mark=line)
         self.depth += 1
-        if self.depth > _MAX_NESTING:
-            raise yaml.MarkedYAMLError(problem=f"expected at most {_MAX_NESTING} levels of nesting", problem_mark=line)
+        problem = None
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
+            problem = "expected plain values, got an anchor or an alias"
+        elif getattr(event, "tag", None) is not None:
+            problem = f"expected plain values, got the tag {event.tag}"
+        elif self.depth > _MAX_NESTING:
+            problem = f"expected at most {_MAX_NESTING} levels of nesting"
+        if problem:
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
         node: yaml.Node | None = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -160,10 +149,8 @@ _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 
 def _compose(text: str, name: str, where: str | None = None) -> Value:
     """Parse YAML text, null if empty. Values are located at ``NAME:LINE``, or all at ``where``."""
-    loader = None
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
+        node = yaml.compose(text, _Loader)
         return Value(None, where or name) if node is None else _value(node, name, where)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -173,9 +160,6 @@ def _compose(text: str, name: str, where: str | None = None) -> Value:
     except yaml.reader.ReaderError as error:
         at = where or f"{name}:{text.count(chr(10), 0, error.position) + 1}"
         raise PuddleError(f"{at}: expected text, got the character {chr(error.character)!r}") from None
-    finally:
-        if loader is not None:
-            loader.dispose()
 
 
 def _value(node: yaml.Node, name: str, where: str | None) -> Value:
@@ -216,7 +200,6 @@ def _scalar(node: yaml.ScalarNode, at: str) -> Scalar:
 
 
 def _plain(value: Value) -> Any:
-    """Return a value without locations."""
     if isinstance(value.content, dict):
         return {name: _plain(inner) for name, inner in value.content.items()}
     if isinstance(value.content, list):
@@ -256,40 +239,37 @@ def _replaced(group: Value, names: Sequence[str], value: Value, above: str = "")
 # -- mistakes --------------------------------------------------------------------------------------------------------
 
 
+_EXPECTATIONS = {
+    "Input should be a valid array": "expected a list",
+    "Input should be an object": "expected a group of settings",
+    "Input should be a valid boolean": "expected true or false",
+    "Input should be a valid string": "expected text",
+    "Input should be a valid integer": "expected a whole number",
+    "Input should be a valid number": "expected a number",
+    "Input should be greater": "expected a number greater",
+    "Input should be less": "expected a number less",
+    "Input should be ": "expected ",
+    "Input should ": "expected to ",
+    "String should match pattern": "expected text of the pattern",
+}  # beginnings of pydantic's messages, and what to write
+
+
 def _explain(model: type[BaseModel], root: Value, error: Any) -> str:
     """Describe one mistake in one line: its location, what was expected, what was found."""
     location: Location = error["loc"]
     value, field = _place(root, location)
-    where = value.where
-    kind: str = error["type"]
-    said: str = error["msg"]
+    where, kind, said = value.where, error["type"], error["msg"]
     if kind == "extra_forbidden":
         known = sorted({name for group in _groups(model, location[:-1]) for name in group.model_fields})
         return f"{where}: {field}: unknown setting{_did_you_mean(str(location[-1]), known)}; known: {', '.join(known)}"
     if kind == "missing":
         return f"{where}: {field}: expected a value, got none"
+    at = f": {field}" if field else ""
     if kind == "value_error":  # several values contradict one another; overrides may have supplied some of them
         where = " with ".join(dict.fromkeys([where, *_overrides_in(value)]))
-    start = f"{where}: {field}: " if field else f"{where}: "
-    if kind == "value_error":
-        return start + said.removeprefix("Value error, ")
-    for words, ours in (
-        ("Input should be a valid array", "expected a list"),
-        ("Input should be an object", "expected a group of settings"),
-        ("Input should be a valid boolean", "expected true or false"),
-        ("Input should be a valid string", "expected text"),
-        ("Input should be a valid integer", "expected a whole number"),
-        ("Input should be a valid number", "expected a number"),
-        ("Input should be greater", "expected a number greater"),
-        ("Input should be less", "expected a number less"),
-        ("Input should be ", "expected "),
-        ("Input should ", "expected to "),
-        ("String should match pattern", "expected text of the pattern"),
-    ):
-        if said.startswith(words):
-            said = ours + said.removeprefix(words)
-            break
-    return f"{start}{said}, got {_show(error['input'])}"
+        return f"{where}{at}: {said.removeprefix('Value error, ')}"
+    words = next((words for words in _EXPECTATIONS if said.startswith(words)), "")
+    return f"{where}{at}: {_EXPECTATIONS.get(words, '')}{said.removeprefix(words)}, got {_show(error['input'])}"
 
 
 def _place(root: Value, location: Location) -> tuple[Value, str]:
@@ -312,7 +292,6 @@ def _place(root: Value, location: Location) -> tuple[Value, str]:
 
 
 def _overrides_in(value: Value) -> Iterator[str]:
-    """Give the locations of the overrides within a value."""
     if value.where.startswith(_SET):
         yield value.where
     inner = value.content
@@ -321,7 +300,6 @@ def _overrides_in(value: Value) -> Iterator[str]:
 
 
 def _groups(model: type[BaseModel], location: Location) -> list[type[BaseModel]]:
-    """Return the models that the group at a location may be of."""
     groups = [model]
     for part in location:
         annotations = [group.model_fields[part].annotation for group in groups if part in group.model_fields]

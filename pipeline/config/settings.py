@@ -1,11 +1,7 @@
 """The settings of a study: everything that a user may choose, with type, bounds, unit and reason.
 
 The defaults are the paper's study ([P] marks its values). A file in configs/ states what it changes. Groups of
-scientific parameters are declared beside the equations that use them, in tasks/; this file declares the study around
-them.
-
-Settings are in the order of the pipeline: data, networks, environments, evolution, transfer, assessment, and how the
-work is divided, which never changes a result.
+scientific parameters are declared beside the equations that use them, in tasks/.
 """
 
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -21,8 +17,6 @@ from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush
 from tasks.world.registry import settings_groups
 
 RESIDUAL_ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kind.networks != "none")
-"""Environments that need trained networks."""
-
 DEEPEST = 1000.0  # greatest depth of the ground [m]
 
 Depth = Annotated[float, Field(ge=0.0, le=DEEPEST)]
@@ -52,24 +46,18 @@ class GridSettings(Parameters):
     """Number of independent trials of each depth and environment. [P]"""
 
     @model_validator(mode="after")
-    def _no_repeats(self) -> Self:
+    def _values_differ(self) -> Self:
         for name in ("depths", "environments", "single_member_depths"):
             values = getattr(self, name)
             if len(set(values)) != len(values):
                 raise ValueError(f"{name} repeats a value: expected each value once")
-        return self
-
-    @model_validator(mode="after")
-    def _depths_have_different_labels(self) -> Self:
         for name in ("depths", "single_member_depths"):
             called: dict[str, float] = {}
             for depth in getattr(self, name):
                 other = called.setdefault(f"{depth:g}", depth)  # as in labels
                 if other != depth:
-                    raise ValueError(
-                        f"{name} has {other!r} and {depth!r}, and both are shown as {depth:g} m: expected depths that "
-                        f"differ in their first six digits"
-                    )
+                    both = f"{other!r} and {depth!r}, and both are shown as {depth:g} m"
+                    raise ValueError(f"{name} has {both}: expected depths that differ in their first six digits")
         return self
 
     def trials(self) -> list[tuple[EnvironmentName, float, int]]:
@@ -195,16 +183,12 @@ class Settings(Parameters):
     """How the work is divided."""
 
     @model_validator(mode="after")
-    def _locked_joints_have_a_number_of_motors(self) -> Self:
+    def _groups_agree(self) -> Self:
         if self.physics.passive_joints == "locked" and self.evolution.morphology.n_actuated is None:
             raise ValueError(
                 "physics.passive_joints is locked, so motors decide which links form one body: "
                 "expected evolution.morphology.n_actuated, the number of motors"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _robots_settle_in_the_tank(self) -> Self:
         if self.tank is not None and self.rollout.n_settle < 1:
             raise ValueError(
                 "rollout.n_settle is 0, but a robot in the tank is measured from where it settles: "

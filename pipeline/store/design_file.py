@@ -23,14 +23,7 @@ def design_document(design: Designs) -> dict[str, Any]:
 
 
 def design_from(document: Any, source: str) -> Designs:
-    """Build a design from plain values.
-
-    Args:
-        document: the parsed design file.
-        source: its name in messages.
-
-    Returns:
-        One design.
+    """Return the design in a parsed design file, which messages call ``source``.
 
     Raises:
         PuddleError: the document is not a valid design; names the field.
@@ -57,14 +50,10 @@ def design_from(document: Any, source: str) -> Designs:
 
 def _field(name: str, value: Any, source: str) -> Any:
     """Check a field's type and length; its bounds are checked with the whole design."""
-    kinds: tuple[type, ...] = {np.bool_: (bool,), np.int64: (int,)}.get(DTYPES[name], (int, float))
+    special: dict[Any, tuple[set[type], str]] = {np.bool_: ({bool}, "true or false"), np.int64: ({int}, "whole number")}
+    kinds, word = special.get(DTYPES[name], ({int, float}, "number"))
     values, n_expected = ([value], 1) if name in PER_DESIGN else (value, N_LINKS)
-    word = {np.bool_: "true or false", np.int64: "whole number"}.get(DTYPES[name], "number")
-    if (
-        not isinstance(values, list)
-        or len(values) != n_expected
-        or not all(isinstance(v, kinds) and (bool in kinds or not isinstance(v, bool)) for v in values)
-    ):
+    if not isinstance(values, list) or len(values) != n_expected or not {type(v) for v in values} <= kinds:
         expected = f"one {word}" if name in PER_DESIGN else f"a list of {N_LINKS} values, each a {word}"
         raise PuddleError(f"{source}: {name}: expected {expected}, got {json.dumps(value)[:100]}")
     try:

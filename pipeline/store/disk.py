@@ -29,9 +29,6 @@ class NotAFileError(OSError):
     """A path that should name a file names something else."""
 
 
-# -- the effects -----------------------------------------------------------------------------------------------------
-
-
 def write(path: Path, data: bytes) -> None:
     """Write a whole file, replacing what is there."""
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | _OWN, 0o644), "wb") as file:
@@ -78,16 +75,16 @@ def temporary(path: Path) -> Path:
 def place(path: Path, data: bytes) -> None:
     """Write a file atomically: after a crash at any point it is complete under its name, or absent.
 
-    The caller must hold a lock on the folder. The temporary file's name is fixed, so an interrupted call leaves at
-    most one, which the next call overwrites. A file that is in place already is not written again, because there may
-    be no room for a second copy.
+    The caller must hold a lock on the folder. An interrupted call leaves at most one temporary file, which the next
+    call overwrites.
 
     Raises:
         PuddleError: the disk does not return the bytes just written.
     """
-    if _has_content(path, data):
-        fsync(path.parent)
-        return
+    with contextlib.suppress(OSError):
+        if read(path, at_most=len(data)) == data:  # there may be no room for a second copy
+            fsync(path.parent)
+            return
     write(temporary(path), data)
     fsync(temporary(path))
     if digest(read(temporary(path), at_most=len(data))) != digest(data):
@@ -97,13 +94,6 @@ def place(path: Path, data: bytes) -> None:
         )
     rename(temporary(path), path)
     fsync(path.parent)
-
-
-def _has_content(path: Path, data: bytes) -> bool:
-    try:
-        return read(path, at_most=len(data)) == data
-    except OSError:
-        return False
 
 
 def make_folders(root: Path, folder: Path) -> None:
@@ -122,7 +112,6 @@ def read(path: Path, *, at_most: int = MAX_DOCUMENT_BYTES) -> bytes:
 
     Raises:
         NotAFileError: the path is a symbolic link, a folder, a pipe or the like.
-        OSError: the file does not exist or cannot be read.
     """
     with _opened(path) as file:
         return file.read(min(at_most, os.fstat(file.fileno()).st_size) + 1)  # read() allocates its argument at once
@@ -199,15 +188,12 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def try_lock(path: Path, *, kind: int = fcntl.LOCK_EX, only_ask: bool = False) -> int | None:
-    """Try to take a lock file.
+    """Return the descriptor of a lock file, which releases the lock when closed; None if the lock is taken.
 
     Args:
         path: the lock file.
         kind: fcntl.LOCK_EX, or LOCK_SH for a shared lock.
         only_ask: do not create the file. A query holds the lock for an instant, so other callers try for half a second.
-
-    Returns:
-        The file's descriptor, which releases the lock when closed; None if the lock is taken.
     """
     flags = os.O_RDONLY if only_ask else os.O_RDWR | os.O_CREAT
     descriptor = os.open(path, flags | _OWN, 0o644)
@@ -240,13 +226,11 @@ def explained(doing: str, path: Path, *, advice: str = "run the same command aga
     except OSError as error:
         match error.errno:
             case errno.ENOSPC | errno.EDQUOT:
-                mend = f"Free some space and {advice}."
+                mend = "Free some space and"
             case errno.EROFS | errno.EACCES | errno.EPERM:
-                mend = f"Allow writing (permissions, a read-only disk) or choose another folder; then {advice}."
+                mend = "Allow writing (permissions, a read-only disk) or choose another folder; then"
             case _:
-                mend = f"Remove the cause and {advice}."
+                mend = "Remove the cause and"
         file = error.filename2 or error.filename  # for a rename, the new name
-        where = f" ({file})" if file else ""
-        raise PuddleError(
-            f"{path}: {doing} failed: {error.strerror or error}{where}. Committed results are safe. {mend}"
-        ) from error
+        problem = f"{doing} failed: {error.strerror or error}{f' ({file})' if file else ''}"
+        raise PuddleError(f"{path}: {problem}. Committed results are safe. {mend} {advice}.") from error

@@ -1,12 +1,9 @@
-"""Encoding of tables, arrays and documents as bytes, and decoding. Nothing here touches a disk.
+"""Encoding of tables (Parquet), arrays (safetensors) and documents (JSON) as bytes, and decoding. No disk access.
 
-Tables are Parquet, weights are safetensors, documents are JSON; nothing is pickled. Equal values give equal bytes
-(with the same pyarrow), so that a digest can stand for the content. Each file names its format (a schema and a version)
-and carries the SHA-256 of its values, because Parquet's page checksums do not cover its footer, safetensors has no
-checksums, and both otherwise accept a flipped bit silently.
-
-The metadata of a table or of arrays is one JSON text under the key ``puddle``: safetensors writes several keys in
-random order.
+Equal values give equal bytes (with the same pyarrow), so that a digest can stand for the content. Each file names its
+format (a schema and a version) and carries the SHA-256 of its values, because Parquet's page checksums do not cover its
+footer, safetensors has no checksums, and both otherwise accept a flipped bit silently. The metadata of a table or of
+arrays is one JSON text under the key ``puddle``: safetensors writes several keys in random order.
 """
 
 import hashlib
@@ -28,10 +25,9 @@ from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 Array: TypeAlias = npt.NDArray[Any]
 
-METADATA_KEY = "puddle"
-
 MAX_TABLE_BYTES = 2**31  # largest table in memory [bytes]; a work item produces megabytes
 
+_METADATA_KEY = "puddle"
 _INTEGERS = tuple(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
 _NUMBERS = frozenset(("bool", *_INTEGERS, "float32", "float64"))
 _RESTORE = "The file is damaged: restore it from a copy, or compute it again."
@@ -56,8 +52,7 @@ def canonical_json(value: Json) -> bytes:
     Note that 1 and 1.0 differ, as do 0.0 and -0.0.
 
     Raises:
-        TypeError: a value is not a plain None, bool, int, float, str, list, tuple or dict with text keys. Convert
-            NumPy scalars with int() or float() first.
+        TypeError: a value has another type than these; convert NumPy scalars with int() or float() first.
         ValueError: a float is not finite, or a text is not valid Unicode.
     """
     _refuse_impure(value, "")
@@ -123,8 +118,7 @@ def check_format(found: Any, *, schema: str, version: int, source: str) -> None:
 
     Args:
         found: the document, which should be a dict with ``schema`` and ``version``.
-        schema: expected name of the format.
-        version: expected version of the format.
+        schema, version: the expected format.
         source: the document's name in messages.
 
     Raises:
@@ -136,27 +130,21 @@ def check_format(found: Any, *, schema: str, version: int, source: str) -> None:
         raise PuddleError(f"{source}: {expected}, got a file that puddle did not write. Is it the right file?")
     if found["schema"] != schema:
         raise PuddleError(f"{source}: {expected}, got {found['schema']!r}. Is it the right file?")
-    if found["version"] > version:
-        raise OtherVersion(
-            f"{source}: {expected}, got version {found['version']}. A newer puddle wrote it: upgrade puddle."
+    if found["version"] != version:
+        advice = (
+            "A newer puddle wrote it: upgrade puddle."
+            if found["version"] > version
+            else "An older puddle wrote it: compute it again, or use that version of puddle."
         )
-    if found["version"] < version:
-        raise OtherVersion(
-            f"{source}: {expected}, got version {found['version']}. "
-            f"An older puddle wrote it: compute it again, or use that version of puddle."
-        )
+        raise OtherVersion(f"{source}: {expected}, got version {found['version']}. {advice}")
 
 
 def encode_sealed(value: Mapping[str, Json], *, schema: str, version: int) -> bytes:
-    """Return a document that names its format and carries the SHA-256 of its own content.
+    """Return a JSON document that names its format and carries the SHA-256 of its own content.
 
     Args:
         value: the content.
-        schema: name of the format.
-        version: version of the format.
-
-    Returns:
-        Indented canonical JSON.
+        schema, version: the format.
     """
     named = {**value, "schema": schema, "version": version}
     return encode_json({**named, "sha256": digest(canonical_json(named))})
@@ -167,12 +155,8 @@ def decode_sealed(data: bytes, *, schema: str, version: int, source: str) -> dic
 
     Args:
         data: the document.
-        schema: expected name of the format.
-        version: expected version of the format.
+        schema, version: the expected format.
         source: the document's name in messages.
-
-    Returns:
-        The content.
 
     Raises:
         PuddleError: the document has another format.
@@ -187,15 +171,11 @@ def decode_sealed(data: bytes, *, schema: str, version: int, source: str) -> dic
     except OtherVersion:
         if _seal_holds(value, data):
             raise
-        raise DamagedArtifact(
-            f"{source}: expected {schema!r} version {version}, got version {value['version']} and "
-            "a SHA-256 that does not match"
-        ) from None
+        got = f"version {value['version']} and a SHA-256 that does not match"
+        raise DamagedArtifact(f"{source}: expected {schema!r} version {version}, got {got}") from None
     if not _seal_holds(value, data):
-        unsealed = {name: inner for name, inner in value.items() if name != "sha256"}
-        raise DamagedArtifact(
-            f"{source}: expected SHA-256 {value.get('sha256')}, got {digest(canonical_json(unsealed))}"
-        )
+        found = digest(canonical_json({name: inner for name, inner in value.items() if name != "sha256"}))
+        raise DamagedArtifact(f"{source}: expected SHA-256 {value.get('sha256')}, got {found}")
     return _body(value)
 
 
@@ -214,18 +194,14 @@ def _seal_holds(document: Mapping[str, Any], data: bytes) -> bool:
 def encode_table(
     columns: Mapping[str, Array], *, schema: str, version: int, producer: str, units: Mapping[str, str] | None = None
 ) -> bytes:
-    """Encode a table as Parquet with zstd compression and a checksum on every page.
+    """Return a table as a Parquet file with zstd compression and a checksum on every page.
 
     Args:
         columns: by name, in order: numbers or flags of shape (n_rows,) or (n_rows, k), the latter stored as lists of
             k; or text of shape (n_rows,).
-        schema: name of the table's format.
-        version: version of the table's format.
+        schema, version: the table's format.
         producer: key of the work item that produced it.
         units: units of columns, by name; SI where not named.
-
-    Returns:
-        The Parquet file.
 
     Raises:
         TypeError: Parquet would not return a column's type unchanged.
@@ -241,7 +217,7 @@ def encode_table(
     label = _label(arrays, {"schema": schema, "version": version, "producer": producer, "units": dict(units or {})})
     parts = [_arrow_column(array) for array in arrays.values()]
     fields = [pa.field(name, part.type, nullable=False) for name, part in zip(arrays, parts, strict=True)]
-    table = pa.Table.from_arrays(parts, schema=pa.schema(fields, metadata={METADATA_KEY: label}))
+    table = pa.Table.from_arrays(parts, schema=pa.schema(fields, metadata={_METADATA_KEY: label}))
     sink = pa.BufferOutputStream()
     texts = [name for name, array in arrays.items() if array.dtype.kind == "U"]  # dictionaries of numbers save nothing
     pq.write_table(table, sink, compression="zstd", use_dictionary=texts, write_page_checksum=True)
@@ -249,53 +225,43 @@ def encode_table(
 
 
 def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict[str, Array]:
-    """Decode the columns of a table that :func:`encode_table` encoded.
+    """Return the columns of a table by name, as new, writable, C-contiguous arrays.
 
     Args:
         data: the Parquet file.
-        schema: expected name of the format.
-        version: expected version of the format.
+        schema, version: the expected format.
         source: the table's name in messages.
-
-    Returns:
-        The columns by name: new, writable, C-contiguous arrays.
 
     Raises:
         PuddleError: the data are damaged or have another format.
     """
     try:
         metadata = pq.read_metadata(pa.BufferReader(data))
-        label = _read_label((metadata.metadata or {}).get(METADATA_KEY.encode()), source)
+        label = _read_label((metadata.metadata or {}).get(_METADATA_KEY.encode()), source)
         check_format(label, schema=schema, version=version, source=source)
         kinds = {field.name: field.type for field in metadata.schema.to_arrow_schema()}
-        _refuse_swelling(metadata, kinds)
+        _refuse_beyond_memory(_bytes_in_memory(metadata, kinds))
         texts = [name for name, kind in kinds.items() if pa.types.is_string(kind)]
-        file = pq.ParquetFile(
-            pa.BufferReader(data),
-            metadata=metadata,
-            read_dictionary=texts,  # each distinct text once
-            page_checksum_verification=True,
-            pre_buffer=False,
-        )
+        options = {"metadata": metadata, "page_checksum_verification": True, "pre_buffer": False}
+        file = pq.ParquetFile(pa.BufferReader(data), read_dictionary=texts, **options)  # each distinct text once
         table = file.read(use_threads=False)
         _refuse_beyond_memory(sum(_text_bytes(table.column(name)) for name in texts))
         columns = {name: _pure_array(_numpy_column(table.column(name)), name) for name in table.column_names}
     except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, MemoryError) as error:
-        raise PuddleError(
-            f"{source}: expected a Parquet file of {schema!r} version {version}: {error}. {_RESTORE}"
-        ) from None
+        expected = f"expected a Parquet file of {schema!r} version {version}"
+        raise PuddleError(f"{source}: {expected}: {error}. {_RESTORE}") from None
     _check_label(columns, label, source)
     return columns
 
 
-def _refuse_swelling(metadata: pq.FileMetaData, kinds: Mapping[str, pa.DataType]) -> None:
-    """Refuse a table that would fill the memory: a few compressed kilobytes can expand to many gigabytes."""
+def _bytes_in_memory(metadata: pq.FileMetaData, kinds: Mapping[str, pa.DataType]) -> int:
     width = sum(_width(name, kind) for name, kind in kinds.items())
     groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
-    _refuse_beyond_memory(max(metadata.num_rows * width, sum(group.total_byte_size for group in groups)))
+    return int(max(metadata.num_rows * width, sum(group.total_byte_size for group in groups)))
 
 
 def _refuse_beyond_memory(n_bytes: int) -> None:
+    """Refuse a table that would fill the memory: a few compressed kilobytes can expand to many gigabytes."""
     if n_bytes > MAX_TABLE_BYTES:
         raise ValueError(f"expected at most {MAX_TABLE_BYTES} bytes in memory, got {n_bytes}")
 
@@ -342,42 +308,30 @@ def _numpy_column(column: pa.ChunkedArray) -> Array:
 def encode_arrays(
     arrays: Mapping[str, Array], metadata: Mapping[str, str] | None = None, *, schema: str, version: int, producer: str
 ) -> bytes:
-    """Encode arrays of any shape, such as a network's weights, as safetensors.
+    """Return arrays of any shape, such as a network's weights, as a safetensors file.
 
     Args:
         arrays: numbers or flags by name; the order of names does not matter.
         metadata: further text by name.
-        schema: name of the format.
-        version: version of the format.
+        schema, version: the format.
         producer: key of the work item that produced them.
-
-    Returns:
-        The safetensors file.
 
     Raises:
         TypeError: safetensors would not return an array's type unchanged.
     """
     pure = {name: _pure_array(arrays[name], name, text=False) for name in sorted(arrays)}
-    said: dict[str, Json] = {
-        "schema": schema,
-        "version": version,
-        "producer": producer,
-        "metadata": dict(metadata or {}),
-    }
-    return bytes(safetensors.numpy.save(pure, metadata={METADATA_KEY: _label(pure, said)}))
+    texts = dict(metadata or {})
+    label = _label(pure, {"schema": schema, "version": version, "producer": producer, "metadata": texts})
+    return bytes(safetensors.numpy.save(pure, metadata={_METADATA_KEY: label}))
 
 
 def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> tuple[dict[str, Array], dict[str, str]]:
-    """Decode what :func:`encode_arrays` encoded.
+    """Return new, writable arrays by sorted name, and their metadata.
 
     Args:
         data: the safetensors file.
-        schema: expected name of the format.
-        version: expected version of the format.
+        schema, version: the expected format.
         source: the file's name in messages.
-
-    Returns:
-        New, writable arrays by sorted name, and the metadata.
 
     Raises:
         PuddleError: the data are damaged or have another format.
@@ -386,11 +340,10 @@ def decode_arrays(data: bytes, *, schema: str, version: int, source: str) -> tup
         # The library's parser goes first: it bounds the header by the file's length and every tensor by its dtype.
         loaded = safetensors.numpy.load(data)
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        said = header.get("__metadata__", {}).get(METADATA_KEY)
+        said = header.get("__metadata__", {}).get(_METADATA_KEY)
     except (SafetensorError, ValueError, TypeError, KeyError, AttributeError, MemoryError, RecursionError) as error:
-        raise PuddleError(
-            f"{source}: expected a safetensors file of {schema!r} version {version}: {error}. {_RESTORE}"
-        ) from None
+        expected = f"expected a safetensors file of {schema!r} version {version}"
+        raise PuddleError(f"{source}: {expected}: {error}. {_RESTORE}") from None
     label = _read_label(None if said is None else said.encode(), source)
     check_format(label, schema=schema, version=version, source=source)
     arrays = {name: np.array(loaded[name]) for name in sorted(loaded)}  # copies: the loaded ones are read-only
@@ -416,9 +369,8 @@ def _label(arrays: Mapping[str, Array], said: dict[str, Json]) -> str:
 
 
 def _content_digest(arrays: Mapping[str, Array], said: dict[str, Json]) -> str:
-    shapes: list[Json] = [
-        [name, "text" if array.dtype.kind == "U" else array.dtype.str, array.shape] for name, array in arrays.items()
-    ]
+    kinds = ["text" if array.dtype.kind == "U" else array.dtype.str for array in arrays.values()]
+    shapes: list[Json] = [[name, kind, arrays[name].shape] for name, kind in zip(arrays, kinds, strict=True)]
     content = hashlib.sha256(canonical_json([said, shapes]))
     for array in arrays.values():
         content.update(canonical_json(array.tolist()) if array.dtype.kind == "U" else array.data)
@@ -426,7 +378,7 @@ def _content_digest(arrays: Mapping[str, Array], said: dict[str, Json]) -> str:
 
 
 def _read_label(said: bytes | None, source: str) -> dict[str, Any]:
-    label = None if said is None else decode_json(said, f"{source}, metadata {METADATA_KEY!r}")
+    label = None if said is None else decode_json(said, f"{source}, metadata {_METADATA_KEY!r}")
     return label if isinstance(label, dict) else {}
 
 

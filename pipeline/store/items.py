@@ -1,7 +1,6 @@
 """Items: results, stored under the key of the work item that produced them.
 
-An item is a folder of files and a manifest that describes them. The manifest is written last, and every read checks
-the SHA-256 that it gives, so an item is complete or it does not exist. See store.py for the folder layout.
+The manifest is written last, and every read checks the SHA-256 that it gives: an item is complete or does not exist.
 """
 
 import contextlib
@@ -14,17 +13,9 @@ from pathlib import Path
 
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store import disk
+from pipeline.store import manifest as manifests
 from pipeline.store.encoding import Json, canonical_json, decode_json, digest, key_of
-from pipeline.store.manifest import (
-    MANIFEST,
-    MAX_FILE_BYTES,
-    FileEntry,
-    Manifest,
-    are_file_names,
-    decode_manifest,
-    encode_manifest,
-    refuse_other_content,
-)
+from pipeline.store.manifest import MANIFEST, FileEntry, Manifest
 from pipeline.store.provenance import environment
 
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
@@ -76,13 +67,13 @@ class Items:
         """
         if key != key_of(identity):
             raise ValueError(f"{stage} {key}: expected the key of its identity, {key_of(identity)}")
-        if not files or not are_file_names(files):
+        if not files or not manifests.are_file_names(files):
             raise ValueError(f"{stage} {key}: expected file names like weights.safetensors, got {sorted(files)}")
         for name, data in files.items():
-            if len(data) > MAX_FILE_BYTES:
+            if len(data) > manifests.MAX_FILE_BYTES:
                 raise PuddleError(
-                    f"{stage} {key}: expected at most {MAX_FILE_BYTES} bytes of {name}, got {len(data)}. Cut the "
-                    f"study's work into smaller items."
+                    f"{stage} {key}: expected at most {manifests.MAX_FILE_BYTES} bytes of {name}, got {len(data)}. Cut "
+                    f"the study's work into smaller items."
                 )
         manifest = Manifest(
             stage=check_name(stage, "stage"),
@@ -94,34 +85,27 @@ class Items:
         )
         folder = self._item(stage, key)
         with disk.explained(f"committing {stage} {key[:12]}", self.root), disk.locked(self.root / "commit.lock"):
-            if committed := self._committed(stage, key):
-                refuse_other_content(committed, manifest)
-                return committed
+            with contextlib.suppress(DamagedArtifact):  # a damaged one counts as missing: here is its successor
+                if committed := self._verified(stage, key):
+                    manifests.refuse_other_content(committed, manifest)
+                    return committed
             disk.make_folders(self.root, folder)
             self._clear(folder)
             for name, data in sorted(files.items()):
                 disk.place(folder / name, data)
-            disk.place(folder / MANIFEST, encode_manifest(manifest))
+            disk.place(folder / MANIFEST, manifests.encode_manifest(manifest))
         return manifest
-
-    def _committed(self, stage: str, key: str) -> Manifest | None:
-        """Return the manifest of an intact item; a damaged one counts as missing, for the caller has its successor."""
-        try:
-            return self._verified(stage, key)
-        except DamagedArtifact:
-            return None
 
     def _verified(self, stage: str, key: str) -> Manifest | None:
         """Hash an item's files and return its manifest; the error names every damaged file."""
         manifest = self.listing(stage, key)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
-            wrong = list(self._bad_files(manifest)) if manifest is not None else []
-            if wrong:
+            if wrong := list(self._bad_files(manifest)) if manifest is not None else []:
                 raise DamagedArtifact("; ".join(wrong))
         return manifest
 
     def _bad_files(self, manifest: Manifest) -> Iterator[str]:
-        """Hash an item's files and describe each that differs from what was committed."""
+        """Describe each file that differs from what was committed."""
         for name, entry in manifest.files.items():
             path = disk.inside(self._item(manifest.stage, manifest.key), name)
             if problem := _other_length(path, entry):
@@ -154,7 +138,7 @@ class Items:
                 return None
             except disk.NotAFileError as error:
                 raise DamagedArtifact(f"{path}: expected a manifest, got {error.strerror}") from error
-            return decode_manifest(data, stage=stage, key=key, source=str(path))
+            return manifests.decode_manifest(data, stage=stage, key=key, source=str(path))
 
     def read(self, manifest: Manifest, name: str) -> bytes:
         """Return the verified content of a file.
@@ -201,17 +185,11 @@ class Items:
         return self._names("items")
 
     def keys(self, stage: str, *, committed: bool = True) -> Iterator[str]:
-        """Yield the keys of a stage's items in sorted order, damaged ones included.
-
-        Args:
-            stage: name of the stage.
-            committed: True for committed items, False for those whose commit was interrupted.
-        """
+        """Yield the sorted keys of a stage's items, damaged ones too; or of those whose commit was interrupted."""
         for prefix in self._names("items", check_name(stage, "stage")):
             for key in self._names("items", stage, prefix):
-                if not (KEY.fullmatch(key) and key.startswith(prefix)):
-                    continue
-                if os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
+                valid = KEY.fullmatch(key) and key.startswith(prefix)
+                if valid and os.path.lexists(self._item(stage, key) / MANIFEST) == committed:
                     yield key
 
     def item_bytes(self, stage: str, key: str) -> int:
@@ -219,7 +197,7 @@ class Items:
         return disk.size_bytes(self._item(stage, key))
 
     def computed_again(self) -> str:
-        """Return advice for a damaged or missing item: what is safe, and how to compute the item again."""
+        """Return advice for a damaged or missing item."""
         discard = shlex.join(["puddle", "verify", "--discard", "--store", str(self.root)])
         return (
             f"It must be computed again; nothing else is lost. A study that needs it does so itself; otherwise "
@@ -258,10 +236,8 @@ class Items:
 
 def _other_length(path: Path, entry: FileEntry) -> str | None:
     """Describe a file that does not have the expected length; None if it does."""
-    n_bytes = path.stat().st_size if path.is_file() else None
-    if n_bytes == entry.n_bytes:
-        return None
-    return f"{path}: expected {entry.n_bytes} bytes, got {'no file' if n_bytes is None else f'{n_bytes} bytes'}"
+    expected, found = f"{entry.n_bytes} bytes", f"{path.stat().st_size} bytes" if path.is_file() else "no file"
+    return None if found == expected else f"{path}: expected {expected}, got {found}"
 
 
 def _is_folder(path: Path) -> bool:

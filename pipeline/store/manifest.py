@@ -12,8 +12,7 @@ from pipeline.store.encoding import Json, canonical_json, decode_sealed, digest,
 MANIFEST_SCHEMA, MANIFEST_VERSION = "puddle.manifest", 1
 
 MANIFEST = "manifest.json"
-MAX_FILE_BYTES = 2**30
-"""Largest file of an item [bytes]. Files are read into memory whole; a work item produces megabytes."""
+MAX_FILE_BYTES = 2**30  # largest file of an item [bytes]; files are read into memory whole
 
 _FILE_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}(\.[a-z0-9]{1,16})?")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -29,23 +28,14 @@ class FileEntry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Description of an item.
-
-    Attributes:
-        stage: stage that the item belongs to.
-        key: SHA-256 of its identity.
-        identity: everything that determines it: stage, version, settings used, digests of its inputs, seed.
-        files: its files by name.
-        environment: versions, commit and CPU with which it was computed.
-        record: further facts, such as the seconds that it took; part of no key and no digest.
-    """
+    """Description of an item."""
 
     stage: str
-    key: str
-    identity: Mapping[str, Any]
+    key: str  # SHA-256 of its identity
+    identity: Mapping[str, Any]  # what determines it: stage, version, settings used, digests of its inputs, seed
     files: Mapping[str, FileEntry]
-    environment: Mapping[str, str]
-    record: Mapping[str, Any]
+    environment: Mapping[str, str]  # versions, commit and CPU with which it was computed
+    record: Mapping[str, Any]  # further facts, such as the seconds that it took; part of no key and no digest
 
     @property
     def digest(self) -> str:
@@ -54,41 +44,24 @@ class Manifest:
 
 
 def are_file_names(names: Iterable[str]) -> bool:
-    """Check file names of an item: 1 to 64 of a-z, 0-9, _ and -, and at most one suffix."""
+    """Check an item's file names: 1 to 64 of a-z, 0-9, _ and -, and at most one suffix."""
     return all(_FILE_NAME.fullmatch(name) and name != MANIFEST for name in names)
 
 
 def encode_manifest(manifest: Manifest) -> bytes:
     """Encode a manifest as a sealed document."""
-    files: dict[str, Json] = {
-        name: {"sha256": entry.sha256, "bytes": entry.n_bytes} for name, entry in manifest.files.items()
-    }
-    return encode_sealed(
-        {
-            "stage": manifest.stage,
-            "key": manifest.key,
-            "identity": manifest.identity,
-            "files": files,
-            "digest": manifest.digest,
-            "environment": manifest.environment,
-            "record": manifest.record,
-        },
-        schema=MANIFEST_SCHEMA,
-        version=MANIFEST_VERSION,
-    )
+    files: Json = {name: {"sha256": entry.sha256, "bytes": entry.n_bytes} for name, entry in manifest.files.items()}
+    body: dict[str, Json] = {**vars(manifest), "files": files, "digest": manifest.digest}
+    return encode_sealed(body, schema=MANIFEST_SCHEMA, version=MANIFEST_VERSION)
 
 
 def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manifest:
-    """Decode the manifest of an item.
+    """Return the manifest of an item.
 
     Args:
         data: the document.
-        stage: the item's stage.
-        key: the item's key.
+        stage, key: the item.
         source: the document's name in messages.
-
-    Returns:
-        The manifest.
 
     Raises:
         DamagedArtifact: the document was changed, or describes another item.
@@ -104,7 +77,9 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
         files = {name: _entry(name, entry) for name, entry in body["files"].items()}
         for name in ("identity", "environment", "record"):
             body[name].items()
-        _check_seconds(body["record"].get("seconds", 0.0))
+        seconds = body["record"].get("seconds", 0.0)
+        if type(seconds) not in (int, float) or not 0 <= seconds <= sys.float_info.max:
+            raise ValueError(f"expected at least 0 seconds, got {seconds!s:.80}")
         manifest = Manifest(body["stage"], body["key"], body["identity"], files, body["environment"], body["record"])
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise DamagedArtifact(f"{source}: expected a manifest's fields: {error!r}") from None
@@ -116,18 +91,12 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
 
 
 def _entry(name: str, said: Mapping[str, Any]) -> FileEntry:
-    """Check and return a manifest's entry for a file."""
     sha256, n_bytes = said["sha256"], said["bytes"]
     if not (isinstance(sha256, str) and _SHA256.fullmatch(sha256)):
         raise ValueError(f"expected a SHA-256 of {name:.80} in 64 hexadecimal digits, got {sha256!s:.80}")
     if type(n_bytes) is not int or not 0 <= n_bytes <= MAX_FILE_BYTES:
         raise ValueError(f"expected 0 to {MAX_FILE_BYTES} bytes of {name:.80}, got {n_bytes!s:.80}")
     return FileEntry(sha256, n_bytes)
-
-
-def _check_seconds(said: Any) -> None:
-    if type(said) not in (int, float) or not 0 <= said <= sys.float_info.max:
-        raise ValueError(f"expected at least 0 seconds, got {said!s:.80}")
 
 
 def refuse_other_content(committed: Manifest, new: Manifest) -> None:
@@ -139,13 +108,12 @@ def refuse_other_content(committed: Manifest, new: Manifest) -> None:
     if committed.digest == new.digest:
         return
     names = sorted({*committed.files, *new.files})
-    differ = [name for name in names if committed.files.get(name) != new.files.get(name)]
-    origins = [
+    differ = ", ".join(name for name in names if committed.files.get(name) != new.files.get(name))
+    expected, got = (
         f"{one.digest} ({one.environment.get('cpu')}, commit {one.environment.get('commit')})"
         for one in (committed, new)
-    ]
+    )
     raise Irreproducible(
-        f"{new.stage} {new.key}: computing this item again gave other bytes in {', '.join(differ)}: expected digest "
-        f"{origins[0]}, got {origins[1]}. The committed item stays. This is a defect of puddle or of a machine: please "
-        f"report it."
+        f"{new.stage} {new.key}: computing this item again gave other bytes in {differ}: expected digest {expected}, "
+        f"got {got}. The committed item stays. This is a defect of puddle or of a machine: please report it."
     )

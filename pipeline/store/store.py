@@ -11,9 +11,7 @@
     studies/<name>/driver.lock                    held and signed by the process that drives the study
     studies/<name>/report/                        the exported report; other files in it are left alone
 
-A file is written under a temporary name, flushed, read back and renamed, so that a process may die at any point. Every
-read checks the SHA-256 in the manifest. Several processes may use one store, and so may several computers if the locks
-of their common file system work.
+Several processes may use one store, and so may several computers if the locks of their common file system work.
 """
 
 from __future__ import annotations
@@ -25,10 +23,10 @@ import functools
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.store import disk
@@ -39,14 +37,10 @@ from pipeline.store.manifest import MAX_FILE_BYTES, are_file_names
 STORE_SCHEMA, STORE_VERSION = "puddle.store", 1
 STUDY_SCHEMA, STUDY_VERSION = "puddle.study", 1
 
-WRITTEN_ANEW = "Its results are safe; running the study again rewrites the file."
-"""Advice for a damaged or missing record of a study."""
-
-_GC_IS_RUNNING = "`puddle gc` is removing what no study needs. Wait until it ends."
+WRITTEN_ANEW = "Its results are safe; running the study again rewrites the file."  # advice for a study's record
 
 
-@dataclass(frozen=True)
-class StudyItem:
+class StudyItem(NamedTuple):
     """One item of a study: stage, label and key."""
 
     stage: str
@@ -54,8 +48,7 @@ class StudyItem:
     key: str
 
 
-@dataclass(frozen=True)
-class FailedChain:
+class FailedChain(NamedTuple):
     """A chain of a study that failed: stage, label and reason."""
 
     stage: str
@@ -89,10 +82,8 @@ class Store(Items):
         with disk.explained("opening the store", root):
             if not (root / "store.json").exists():
                 if not create:
-                    raise PuddleError(
-                        f"{root}: expected a store (a folder with store.json), found none. "
-                        f"Name the folder of an existing store, or run a study to create one."
-                    )
+                    advice = "Name the folder of an existing store, or run a study to create one."
+                    raise PuddleError(f"{root}: expected a store (a folder with store.json), found none. {advice}")
                 cls._create(root)
             for name in ("mlflow.db", "mlflow.lock", "mlartifacts"):  # MLflow would follow a link
                 disk.inside(root, name)
@@ -129,9 +120,9 @@ class Store(Items):
             checked: called with the length of each item or record after it has been verified [bytes].
 
         Returns:
-            One error for each problem. Damage to an item is a :class:`DamagedArtifact` that names its stage and key. A
-            symbolic link, or a file of a newer puddle, is a plain PuddleError, because discarding would not mend it;
-            if there are links, nothing else is verified.
+            One error for each problem. Damage to an item is a DamagedArtifact with its stage and key. A symbolic link,
+            or a file of a newer puddle, is a plain PuddleError, because discarding would not mend it; if there are
+            links, nothing else is verified.
         """
         wrong = []
         for path, check in self._checks():
@@ -148,8 +139,7 @@ class Store(Items):
 
     def _checks(self) -> list[tuple[Path, Callable[[], object]]]:
         """List the paths to verify, each with its check."""
-        links = self.links()
-        if links:
+        if links := self.links():
             return [(self.root / link, functools.partial(disk.inside, self.root, *link.parts)) for link in links]
         items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
         return [
@@ -167,27 +157,18 @@ class Store(Items):
 
     # -- studies -------------------------------------------------------------------------------------------------------
 
-    def write_study(
-        self, name: str, settings: Mapping[str, Json], items: Sequence[StudyItem], failed: Sequence[FailedChain] = ()
-    ) -> None:
+    def write_study(self, record: StudyRecord) -> None:
         """Write the record of a study, replacing the earlier one.
-
-        Args:
-            name: name of the study.
-            settings: its settings, as plain values.
-            items: its committed items.
-            failed: its failed chains.
 
         Raises:
             PuddleError: the study has too many items, or the disk refuses.
         """
-        folder = self.study_path(name)
-        listed: list[Json] = [[item.stage, item.label, item.key] for item in items]
-        failures: list[Json] = [[chain.stage, chain.label, chain.why] for chain in failed]
-        body: dict[str, Json] = {"name": name, "settings": settings, "items": listed, "failed": failures}
+        name, folder = record.name, self.study_path(record.name)
+        rows = {"items": list(map(list, record.items)), "failed": list(map(list, record.failed))}
+        body: dict[str, Json] = {"name": name, "settings": record.settings, **rows}
         data = encode_sealed(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
         if len(data) > disk.MAX_DOCUMENT_BYTES:
-            raise PuddleError(f"study {name}: {len(items)} items are too many. Cut its work into larger ones.")
+            raise PuddleError(f"study {name}: {len(record.items)} items are too many. Cut its work into larger ones.")
         with disk.explained(f"writing the record of study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
             path = disk.inside(folder, "study.json")
@@ -209,16 +190,15 @@ class Store(Items):
             except FileNotFoundError:
                 return None
             except disk.NotAFileError as error:
-                raise DamagedArtifact(
-                    f"{path}: expected a study's record, got {error.strerror}. {WRITTEN_ANEW}"
-                ) from error
+                problem = f"{path}: expected a study's record, got {error.strerror}"
+                raise DamagedArtifact(f"{problem}. {WRITTEN_ANEW}") from error
         try:
             body = decode_sealed(data, schema=STUDY_SCHEMA, version=STUDY_VERSION, source=str(path))
             items = tuple(StudyItem(*item) for item in body["items"])
             failed = tuple(FailedChain(*chain) for chain in body.get("failed", ()))  # early stores have none
             if not isinstance(body["settings"], dict) or not all(_is_item(item) for item in items):
                 raise DamagedArtifact("the seal is valid, but the fields are not")  # anyone can seal a document
-            if not all(isinstance(word, str) for chain in failed for word in (chain.stage, chain.label, chain.why)):
+            if not all(isinstance(word, str) for chain in failed for word in chain):
                 raise DamagedArtifact("the seal is valid, but a failed chain has no label")
             if body["name"] != name:
                 raise DamagedArtifact(f"got those of study {body['name']}")
@@ -226,9 +206,8 @@ class Store(Items):
         except OtherVersion:
             raise
         except (PuddleError, KeyError, TypeError) as error:  # damaged, or some other document in its place
-            raise DamagedArtifact(
-                f"{path}: expected a study's name, settings and items: {error}. {WRITTEN_ANEW}"
-            ) from None
+            problem = f"{path}: expected a study's name, settings and items: {error}"
+            raise DamagedArtifact(f"{problem}. {WRITTEN_ANEW}") from None
 
     def studies(self, *, recorded: bool = True) -> list[str]:
         """Return the names of the studies that have a record, or of those that have lost it."""
@@ -246,10 +225,7 @@ class Store(Items):
         """
         folder = self.study_path(name)
         with disk.explained(f"locking study {name}", self.root), contextlib.ExitStack() as held:
-            in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH)
-            if in_use is None:
-                raise PuddleError(f"{self.root}: {_GC_IS_RUNNING}")
-            held.callback(os.close, in_use)
+            self._share(held)
             disk.make_folders(self.root, folder)
             descriptor = disk.try_lock(disk.inside(folder, "driver.lock"))
             if descriptor is None:
@@ -276,13 +252,16 @@ class Store(Items):
         """
         with disk.explained("locking the store", self.root), contextlib.ExitStack() as held:
             with contextlib.suppress(FileNotFoundError):
-                in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH, only_ask=True)
-                if in_use is None:
-                    raise PuddleError(f"{self.root}: {_GC_IS_RUNNING}")
-                held.callback(os.close, in_use)
+                self._share(held, only_ask=True)
             until_the_end = held.pop_all()
         with until_the_end:
             yield
+
+    def _share(self, held: contextlib.ExitStack, *, only_ask: bool = False) -> None:
+        in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH, only_ask=only_ask)
+        if in_use is None:
+            raise PuddleError(f"{self.root}: `puddle gc` is removing what no study needs. Wait until it ends.")
+        held.callback(os.close, in_use)
 
     @contextlib.contextmanager
     def lock_all(self) -> Iterator[None]:
@@ -338,17 +317,14 @@ class Store(Items):
             disk.make_folders(self.root, folder)
             for file, data in sorted(files.items()):
                 disk.place(disk.inside(folder, file), data)
-            for path in self._exported_before([path for path in folder.iterdir() if path.name not in files]):
-                disk.unlink(path)
-                disk.fsync(folder)
+            others = sorted(path for path in folder.iterdir() if path.name not in files and _is_file(path))
+            reported = self._reported() if others else set()
+            names = {file for file, _ in reported}
+            for path in (path for path in others if path.name in names):
+                if (path.name, disk.digest_of(path, at_most=MAX_FILE_BYTES)) in reported:
+                    disk.unlink(path)
+                    disk.fsync(folder)
         return folder
-
-    def _exported_before(self, paths: Sequence[Path]) -> list[Path]:
-        """Select the files that equal a file of the same name of some report in the store."""
-        reported = self._reported() if paths else set()
-        names = {file for file, _ in reported}
-        files = [path for path in sorted(paths) if path.name in names and _is_file(path)]
-        return [path for path in files if (path.name, disk.digest_of(path, at_most=MAX_FILE_BYTES)) in reported]
 
     def _reported(self) -> set[tuple[str, str]]:
         """Return the names and SHA-256s of the files of every report in the store."""
@@ -360,10 +336,7 @@ class Store(Items):
         return reported
 
     def temporary(self) -> list[Path]:
-        """Return the temporary files that a process left in the folders of studies when it died.
-
-        They are recognised by their names; any other file there is the user's.
-        """
+        """Return the temporary files, known by their names, that a killed process left in the folders of studies."""
         reported = sorted({file for file, _ in self._reported()})
         found: list[Path] = []
         for name in self._names("studies"):
@@ -385,14 +358,11 @@ def _is_file(path: Path) -> bool:
 
 
 def _is_item(item: StudyItem) -> bool:
-    """Check the fields of a listed item."""
-    if not all(isinstance(word, str) for word in (item.stage, item.label, item.key)):
-        return False
-    return NAME.fullmatch(item.stage) is not None and KEY.fullmatch(item.key) is not None
+    words = all(isinstance(word, str) for word in item)
+    return words and bool(NAME.fullmatch(item.stage) and KEY.fullmatch(item.key))
 
 
 def _signature() -> bytes:
-    """Return a description of this process for the lock that it holds."""
     started = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     command = " ".join(sys.argv).encode(errors="backslashreplace").decode()  # a path need not be valid text
     return encode_json({"pid": os.getpid(), "host": platform.node(), "started": started, "command": command})

@@ -53,7 +53,7 @@ def _typed_fields(kind: type) -> Iterator[tuple[Field[Any], Any]]:
     return ((field, types[field.name]) for field in fields(kind))
 
 
-def _is_nested(of: Any) -> bool:
+def _is_nested(of: Any) -> bool:  # not a TypeGuard, as is_dataclass is
     return is_dataclass(of)
 
 

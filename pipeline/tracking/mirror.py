@@ -4,7 +4,7 @@ Every run carries puddle's own keys as tags and is found by them, and only what 
 mirroring twice changes nothing, a mirror that fell behind catches up, and one that was deleted is rebuilt by running
 the same command again. If MLflow fails, the study goes on: one warning, and the next call sends what is pending.
 
-Only the driver tracks. MLflow takes two seconds to import, so it is imported with the first stage to mirror.
+MLflow takes two seconds to import, so it is imported with the first stage to mirror.
 """
 
 from __future__ import annotations
@@ -45,56 +45,34 @@ _MLFLOW_ENVIRONMENT = {
 
 @dataclass(frozen=True)
 class Run:
-    """A run in MLflow: a study, one of its stages, or a trial of a stage.
-
-    Attributes:
-        name: display name.
-        key: identity, unique among its siblings.
-        params: settings used; nested mappings become dotted names.
-        metrics: single numbers. Values that are not finite are omitted, also in curves: MLflow cannot store them.
-        curves: metrics by generation, from generation 0.
-        steps: generations of the curves' points, if they are not 0, 1, 2, ...
-        tags: further text to search by.
-        inputs: digests of the inputs, by name.
-        outputs: digests of the results, by name.
-        artifacts: contents of files to open from the UI, by path.
-        status: final status; None leaves it unchanged, which for a new run is running.
-    """
+    """A run in MLflow: a study, one of its stages, or a trial of a stage."""
 
     name: str
-    key: str
-    params: Mapping[str, Any] = field(default_factory=dict)
-    metrics: Mapping[str, float] = field(default_factory=dict)
-    curves: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    steps: Sequence[int] | None = None
-    tags: Mapping[str, str] = field(default_factory=dict)
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    outputs: Mapping[str, str] = field(default_factory=dict)
-    artifacts: Mapping[str, bytes] = field(default_factory=dict)
-    status: Literal["FINISHED", "FAILED"] | None = None
-
-
-def open_tracker(store: Path, uri: str | None = None, *, say: Callable[[str], None]) -> Tracker:
-    """Return the tracker of a store, which opens nothing until there is something to mirror.
-
-    Args:
-        store: the store's folder, which holds the database and the artifacts unless a URI is given.
-        uri: URI of an MLflow server or database; defaults to MLFLOW_TRACKING_URI.
-        say: shows a line to the user.
-
-    Returns:
-        The tracker.
-    """
-    return Tracker(store, uri or os.environ.get("MLFLOW_TRACKING_URI") or None, say)
+    key: str  # identity, unique among its siblings
+    params: Mapping[str, Any] = field(default_factory=dict)  # settings used; nested mappings become dotted names
+    metrics: Mapping[str, float] = field(default_factory=dict)  # MLflow cannot store infinities and NaN
+    curves: Mapping[str, Sequence[float]] = field(default_factory=dict)  # metrics by generation
+    steps: Sequence[int] | None = None  # generations of the curves' points, if they are not 0, 1, 2, ...
+    tags: Mapping[str, str] = field(default_factory=dict)  # further text to search by
+    inputs: Mapping[str, str] = field(default_factory=dict)  # digests by name
+    outputs: Mapping[str, str] = field(default_factory=dict)  # digests by name
+    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # contents of files to open from the UI, by path
+    status: Literal["FINISHED", "FAILED"] | None = None  # None leaves it unchanged, which for a new run is running
 
 
 class Tracker:
-    """Mirrors studies to MLflow."""
+    """Mirrors studies to MLflow. It opens nothing until there is something to mirror."""
 
-    def __init__(self, store: Path, uri: str | None, say: Callable[[str], None]) -> None:
-        self._store = store
-        self._uri = uri
-        self._say = say
+    def __init__(self, store: Path, uri: str | None = None, *, say: Callable[[str], None]) -> None:
+        """Prepare.
+
+        Args:
+            store: the store's folder, which holds the database and the artifacts unless a URI is given.
+            uri: URI of an MLflow server or database; defaults to MLFLOW_TRACKING_URI.
+            say: shows a line to the user.
+        """
+        self._store, self._say = store, say
+        self._uri = uri or os.environ.get("MLFLOW_TRACKING_URI") or None
         self._warned = False
         self._pending: dict[tuple[str, str], tuple[Run, Run, Sequence[Run]]] = {}
         self._experiment: _Experiment | None = None
@@ -127,10 +105,10 @@ class Tracker:
 
 
 def database_uri(store: Path) -> str:
-    """Return the URI of a store's own MLflow database.
+    """Return the URI of a store's own MLflow database; refuse a path that MLflow would read as another one.
 
     Raises:
-        PuddleError: MLflow would read the path as another one, outside the store.
+        PuddleError: MLflow would write outside the store.
     """
     from sqlalchemy import make_url  # installed with MLflow
 
@@ -139,8 +117,7 @@ def database_uri(store: Path) -> str:
     if make_url(uri).database != database or not database.isprintable():  # bytes that are not text are not printable
         raise PuddleError(
             f"{store}: expected a path that MLflow accepts unchanged, got one with ?, % or bytes that are not text. "
-            f"Nothing was written elsewhere. Use a plainer path for the store, or an MLflow of your own with "
-            f"--tracking-uri."
+            f"Nothing was written elsewhere. Use a plainer path for the store, or your own MLflow with --tracking-uri."
         )
     return uri
 
@@ -174,37 +151,30 @@ class _Experiment:
 
     def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
         existing = self._runs(study.key)
-        parent = self._update(study, ("study", study.key), study, None, existing)
-        child = self._update(stage, ("stage", stage.key), study, parent, existing)
+        shared = {"puddle.study": study.name, "puddle.study_key": study.key}
+        parent = self._update(study, ("study", study.key), shared, existing)
+        shared["mlflow.parentRunId"] = parent
+        child = self._update(stage, ("stage", stage.key), shared, existing)
+        shared["mlflow.parentRunId"] = child
         for trial in trials:
-            self._update(trial, ("trial", f"{stage.key}/{trial.key}"), study, child, existing)
+            self._update(trial, ("trial", f"{stage.key}/{trial.key}"), shared, existing)
 
     def _runs(self, study_key: str) -> dict[tuple[str, str], Any]:
         """Find a study's runs, by kind and key."""
         runs: dict[tuple[str, str], Any] = {}
-        token = None
-        while True:
+        page = None
+        while page is None or page.token:
+            token = page.token if page else None
             page = self.client.search_runs([self.id], f"tags.`puddle.study_key` = '{study_key}'", page_token=token)
-            for run in page:
-                runs[run.data.tags["puddle.kind"], run.data.tags["puddle.key"]] = run
-            token = page.token
-            if not token:
-                return runs
+            runs |= {(run.data.tags["puddle.kind"], run.data.tags["puddle.key"]): run for run in page}
+        return runs
 
     def _update(
-        self,
-        wanted: Run,
-        slot: tuple[str, str],
-        study: Run,
-        parent: str | None,
-        existing: Mapping[tuple[str, str], Any],
+        self, wanted: Run, slot: tuple[str, str], shared: Mapping[str, str], existing: Mapping[tuple[str, str], Any]
     ) -> str:
         """Send what MLflow lacks of a run, its status last; return MLflow's ID of the run."""
-        kind, key = slot
-        tags = {f"puddle.output.{name}": digest for name, digest in wanted.outputs.items()} | dict(wanted.tags)
-        tags |= {"puddle.kind": kind, "puddle.key": key, "puddle.study": study.name, "puddle.study_key": study.key}
-        if parent is not None:
-            tags["mlflow.parentRunId"] = parent
+        tags = {f"puddle.output.{name}": digest for name, digest in wanted.outputs.items()}
+        tags |= {**wanted.tags, **shared, "puddle.kind": slot[0], "puddle.key": slot[1]}
         run = existing.get(slot)
         if run is None:
             run = self.client.create_run(self.id, run_name=wanted.name, tags=tags)
@@ -288,14 +258,6 @@ def _flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield f"{prefix}{name}", value
 
 
-def ui_command(store: Path, port: int) -> tuple[list[str], dict[str, str]]:
-    """Return the command line and environment of the MLflow UI on a store's database, on the loopback alone."""
-    words = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", database_uri(store)]
-    words += ["--default-artifact-root", (store.resolve() / "mlartifacts").as_uri()]
-    words += ["--host", "127.0.0.1", "--port", str(port), "--workers", "1"]
-    return words, _MLFLOW_ENVIRONMENT | os.environ
-
-
 def serve_ui(store: Path, port: int) -> NoReturn:
     """Replace this process by the MLflow UI's server, so that signals reach the server itself.
 
@@ -321,9 +283,9 @@ def serve_ui(store: Path, port: int) -> NoReturn:
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
-            raise PuddleError(
-                f"port {port} is not available ({error.strerror}). Choose another with --port."
-            ) from error
-    words, environment = ui_command(store, port)
+            raise PuddleError(f"port {port} is not available ({error.strerror}). Choose another: --port.") from error
+    words = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", database_uri(store)]
+    words += ["--default-artifact-root", (store.resolve() / "mlartifacts").as_uri()]
+    words += ["--host", "127.0.0.1", "--port", str(port), "--workers", "1"]
     print(f"MLflow's UI: http://127.0.0.1:{port} (Ctrl-C stops it)", flush=True)
-    os.execve(words[0], words, environment)
+    os.execve(words[0], words, _MLFLOW_ENVIRONMENT | os.environ)

@@ -17,10 +17,7 @@ class Background:
     """
 
     def __init__(self, what: str, say: Callable[[str], None]) -> None:
-        """Prepare; the thread starts with the first call.
-
-        ``say`` shows the line ``what`` to the user if the end has to wait.
-        """
+        """Prepare to show the line ``what`` if the end has to wait; the thread starts with the first call."""
         self._what, self._say = what, say
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None

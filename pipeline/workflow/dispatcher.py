@@ -19,22 +19,15 @@ from pipeline.workflow.identity import InputName, to_json
 from pipeline.workflow.progress import Bar
 from pipeline.workflow.stage import Files, Input, Inputs, Item, Job
 
-N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
-
-QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no core waits for this process
-
+_N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
+_QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no core waits for this process
 _SECONDS_BETWEEN_CHECKS = 5.0  # how often this process looks for hanging items and for the number of cores
-
 _CHECKS_WITHOUT_CORES = 3  # consecutive checks after which this process reports that the cluster has no cores
 
 
 @dataclass(frozen=True)
 class Limits:
-    """How long items may run before they count as hanging.
-
-    The limits are generous: machines differ and weights are estimates, and stopping an item that works costs more than
-    waiting for one that does not.
-    """
+    """How long items may run before they count as hanging: generous, because stopping an item that works costs more."""
 
     factor: float = 20.0  # times the slowest item of the stage so far, by weighted units
     least_seconds: float = 600.0  # what any item may take, however fast the others were
@@ -51,9 +44,8 @@ class Limits:
         if not slowest:
             reason = ", the limit while no item of its stage has ended"
             return max(self.unknown_least_seconds, self.unknown_seconds_per_unit * cost), reason
-        expected = slowest * cost
-        reason = f", where the slowest item of its stage took {expected:.0f} s for as much work"
-        return max(self.least_seconds, self.factor * expected), reason
+        reason = f", where the slowest item of its stage took {slowest * cost:.0f} s for as much work"
+        return max(self.least_seconds, self.factor * slowest * cost), reason
 
 
 def run_stage(
@@ -81,8 +73,7 @@ def run_stage(
     _Dispatcher(run, cluster, bar, limits, clock).run(chains)
 
 
-Batch = list[tuple[ChainProgress, Item[Any]]]
-"""Next items of several chains that are computed in one call, or of one chain."""
+_Batch = list[tuple[ChainProgress, Item[Any]]]  # next items of one or several chains, computed in one call
 
 
 class _Dispatcher:
@@ -92,11 +83,9 @@ class _Dispatcher:
         self._run, self._stage = run, run.stage
         self._cluster, self._bar, self._limits, self._clock = cluster, bar, limits, clock
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
-        self._running: dict[Ticket, Batch] = {}
-        self._started: dict[Ticket, float] = {}
-        """When each batch was first seen to run: a batch that waits for a core does not hang."""
-        self._slowest = 0.0
-        """Seconds per weighted unit of the slowest item; an item of a batch counts with the time of the whole batch."""
+        self._running: dict[Ticket, _Batch] = {}
+        self._started: dict[Ticket, float] = {}  # when each was first seen to run: a batch that waits does not hang
+        self._slowest = 0.0  # seconds per weighted unit of the slowest item, with the time of its whole batch
         self._checks_without_cores = 0
 
     def run(self, chains: Sequence[ChainProgress]) -> None:
@@ -104,16 +93,12 @@ class _Dispatcher:
         ready: list[tuple[float, int]] = []
         numbers = {id(progress): number for number, progress in enumerate(chains)}
 
-        def make_ready(progress: ChainProgress) -> None:
-            if progress.open:
-                heapq.heappush(ready, (-progress.left.cost, numbers[id(progress)]))
+        def make_ready(some: Sequence[ChainProgress]) -> None:
+            for progress in some:
+                if progress.open:
+                    heapq.heappush(ready, (-progress.left.cost, numbers[id(progress)]))
 
-        def finish(ticket: Ticket, outcome: Outcome) -> None:
-            for progress in self._finish(ticket, outcome):
-                make_ready(progress)
-
-        for progress in chains:
-            make_ready(progress)
+        make_ready(chains)
         next_check = -float("inf")
         while ready or self._running:
             if self._clock() >= next_check:
@@ -121,16 +106,15 @@ class _Dispatcher:
                 self._check_cores(n_cores)
                 for ticket, failed in self._hanging():
                     self._cluster.cancel(ticket)
-                    finish(ticket, failed)
+                    make_ready(self._finish(ticket, failed))
                 next_check = self._clock() + _SECONDS_BETWEEN_CHECKS
-            queue = max(1, round(QUEUED_PER_CORE * n_cores))
+            queue = max(1, round(_QUEUED_PER_CORE * n_cores))
             while ready and len(self._running) < queue:
                 # Batches must not drain the queue: a core without work is worse than empty lanes.
                 n_to_spare = len(ready) + len(self._running) - queue if self._stage.compute_batch else 0
                 self._submit([chains[number] for number in _take_batch(ready, chains, n_to_spare)])
-            finished = self._cluster.next_done(timeout=_SECONDS_BETWEEN_CHECKS)
-            if finished is not None:
-                finish(*finished)
+            if (finished := self._cluster.next_done(timeout=_SECONDS_BETWEEN_CHECKS)) is not None:
+                make_ready(self._finish(*finished))
 
     def _check_cores(self, n_cores: float) -> None:
         """Report, once, that the cluster has had no cores for a while: Ray would wait forever in silence."""
@@ -153,7 +137,7 @@ class _Dispatcher:
                 f"other low bits, so other networks)."
             )
         ticket = self._cluster.submit(
-            compute_items,
+            _compute_items,
             self._stage.compute,
             self._stage.compute_batch,
             [item.job for item in items],
@@ -176,7 +160,6 @@ class _Dispatcher:
         return self._shared[slot]
 
     def _hanging(self) -> list[tuple[Ticket, TaskFailed]]:
-        """Find batches that have run for longer than their limit."""
         now, started = self._clock(), self._cluster.started()
         hanging = []
         for ticket, batch in self._running.items():
@@ -206,8 +189,8 @@ class _Dispatcher:
         if batched:  # which item is at fault is unknown, so none is blamed
             return
         progress.n_failures += 1
-        if progress.n_failures >= N_ATTEMPTS:
-            progress.failed = f"failed after {N_ATTEMPTS} attempts at {item.label}: {failure.reason}"
+        if progress.n_failures >= _N_ATTEMPTS:
+            progress.failed = f"failed after {_N_ATTEMPTS} attempts at {item.label}: {failure.reason}"
             self._run.say(f"{self._stage.name}: {progress.chain.label} {progress.failed}")
 
     def _commit(self, progress: ChainProgress, item: Item[Any], files: Files, seconds: float) -> None:
@@ -237,24 +220,16 @@ def _take_batch(ready: list[tuple[float, int]], chains: Sequence[ChainProgress],
     return [number, *(other for _, other in others)]
 
 
-def compute_items(
+def _compute_items(
     compute: Callable[[Job[Any], Inputs], Files],
     compute_batch: Callable[[Sequence[Job[Any]], Sequence[Inputs]], Sequence[Files]] | None,
     jobs: Sequence[Job[Any]],
     names: Sequence[tuple[InputName, ...]],
     *contents: Files,
 ) -> tuple[Sequence[Files], float]:
-    """Compute items on a worker, several as one batch, and time them.
+    """Compute items on a worker, several as one batch; return each item's files, and the seconds that all took.
 
-    Args:
-        compute: computes one item.
-        compute_batch: computes several; a stage without it never has several.
-        jobs: the items' jobs.
-        names: names of each item's inputs.
-        contents: contents of the inputs of all items, in the same order.
-
-    Returns:
-        Files of each item, and the seconds that all took.
+    ``names`` are those of each item's inputs, ``contents`` those of all inputs in the same order.
     """
     start = time.perf_counter()
     left = iter(contents)

@@ -36,8 +36,8 @@ def drive(
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
 
-    The cluster is opened only once there is something to compute, so that a complete study ends at once. A stage is
-    mirrored to MLflow while the next one computes: a study of hundreds of trials has hundreds of thousands of points.
+    The cluster is opened only once there is something to compute. A stage is mirrored to MLflow while the next one
+    computes: a study of hundreds of trials has hundreds of thousands of points.
 
     Args:
         settings: the study's settings.

@@ -27,10 +27,8 @@ class ChainProgress:
     manifests: list[Manifest] = field(default_factory=list)
     n_failures: int = 0  # consecutive failures of the next item, computed by itself
     failed: str | None = None  # why the chain can't go on, if it can't
-    alone: bool = False
-    """Whether the next item has failed: it is tried again by itself, so that no other item fails with it."""
-    slowest: float = 0.0
-    """Seconds per weighted unit of the slowest committed item that was computed under the same execution options."""
+    alone: bool = False  # whether the next item has failed: it is tried again by itself, so that no other fails with it
+    slowest: float = 0.0  # seconds per weighted unit of the slowest committed item with the same execution options
 
     @property
     def finished(self) -> bool:
@@ -109,9 +107,8 @@ class StageRun:
                 return
             # Another engine may be a hundred times as fast, and the time of split items depends on the cores there are.
             if manifest.record.get("execution") == to_json(item.execution) and not is_split(item):
-                # The record has an item's share of its batch.
-                seconds = float(manifest.record.get("seconds", 0.0)) * progress.chain.batch_size
-                progress.slowest = max(progress.slowest, seconds / progress.next_cost)
+                batch_seconds = float(manifest.record.get("seconds", 0.0)) * progress.chain.batch_size
+                progress.slowest = max(progress.slowest, batch_seconds / progress.next_cost)
             progress.manifests.append(manifest)
 
     def _committed(self, item: Item[Any]) -> Manifest | None:
@@ -131,7 +128,7 @@ def _evenly_weighted(chains: Sequence[Chain[Any]]) -> list[Chain[Any]]:
 
 
 def results_of(stage: AnyStage, chains: Sequence[ChainProgress]) -> Results:
-    """Sum up how far a stage has got."""
+    """Return how far a stage has got."""
     by_id = {progress.chain.identity: progress for progress in chains}
     return Results(
         stage=stage.name,
@@ -146,21 +143,17 @@ def results_of(stage: AnyStage, chains: Sequence[ChainProgress]) -> Results:
 def survey(
     settings: Settings, stages: Sequence[AnyStage], store: Store, *, say: Callable[[str], None]
 ) -> dict[str, Results]:
-    """Find what the store holds of a study, without computing anything.
+    """Return what the store holds of each stage of a study, by name, without computing anything.
 
     Args:
         settings: the study's settings.
         stages: its first stages, in order.
         store: where results are committed.
         say: shows a line to the user.
-
-    Returns:
-        Results of each stage, by name.
     """
     upstream: dict[str, Results] = {}
     for stage in stages:
-        run = StageRun(stage, settings, upstream, store, say)
-        upstream[stage.name] = results_of(stage, run.chains())
+        upstream[stage.name] = results_of(stage, StageRun(stage, settings, upstream, store, say).chains())
     return upstream
 
 
@@ -172,10 +165,7 @@ def require(
     *,
     how_to_run: Callable[[str], str],
 ) -> None:
-    """Refuse to start a stage whose inputs are missing.
-
-    All stages upstream are checked: where the input of an input is missing, the input itself can't be specified, and
-    counts as not possible rather than as missing.
+    """Refuse to start a stage if any result upstream is missing.
 
     Args:
         settings: the study's settings.
@@ -192,8 +182,7 @@ def require(
         if earlier.name in needed:
             needed.update(earlier.reads(settings))
     for name in (earlier.name for earlier in stages if earlier.name in needed):
-        missing = upstream[name].unfinished
-        if missing:
+        if missing := upstream[name].unfinished:
             raise PuddleError(
                 f"{stage.name} needs the results of {name}, and {len(missing)} of them are missing "
                 f"(the first: {missing[0].label}).\n"

@@ -1,8 +1,4 @@
-"""Identities: what tells the chains, items and inputs of a study from one another.
-
-They are frozen dataclasses with labels for display. Labels are never parsed. A specification, too, is a frozen
-dataclass; :func:`to_json` turns it into the JSON that an item's key is the hash of.
-"""
+"""Identities: what tells the chains, items and inputs of a study from one another. Their labels are never parsed."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import timedelta
 from typing import Protocol
 
@@ -19,10 +19,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-SECONDS_BETWEEN_LINES = 10.0  # least time between two lines where there is no terminal [s]
-
 _BAR_FPS, _BAR_WIDTH = 4.0, 30
-
 _ROUNDING = 1e-9  # relative error of a sum of costs
 
 
@@ -58,16 +55,13 @@ class Progress(Protocol):
 
     @contextmanager
     def stage(self, name: str, *, unit: str, total: Work, done: Work = NOTHING) -> Iterator[Bar]:
-        """Show a stage while it runs.
+        """Return a context manager that shows a stage while it runs, and gives the bar to advance.
 
         Args:
             name: the stage's name.
             unit: unit of work, in the plural.
             total: work of the whole stage, including what is done.
             done: work that the store already has.
-
-        Returns:
-            A context manager that gives the bar to advance.
         """
 
 
@@ -80,12 +74,9 @@ class Pace:
     total: Work
     found: Work  # work done before the stage started
     clock: Callable[[], float] = time.monotonic
-    done: Work = field(init=False)
-    start: float = field(init=False)
 
     def __post_init__(self) -> None:
-        self.done = self.found
-        self.start = self.clock()
+        self.done, self.start = self.found, self.clock()
 
     @property
     def seconds(self) -> float:
@@ -126,9 +117,7 @@ def _duration(seconds: float) -> str:
 
 
 @contextmanager
-def progress(
-    console: Console | None = None, *, seconds_between_lines: float = SECONDS_BETWEEN_LINES
-) -> Iterator[Progress]:
+def progress(console: Console | None = None, *, seconds_between_lines: float = 10.0) -> Iterator[Progress]:
     """Show progress on a console, standard error by default: bars if it is a terminal, else lines now and then."""
     console = console or Console(stderr=True, highlight=False)
     if not console.is_interactive:  # no terminal, or one that can't move its cursor
@@ -152,7 +141,7 @@ class _Bars:
         pace = Pace(name, unit, total, done)
         self._live.update(_Drawing(pace))
         try:
-            yield _Counter(pace, lambda: None)  # the live display draws by itself
+            yield _Counter(pace)  # the live display draws by itself
         finally:
             self._live.update(Group())
             self.say(f"{name}: {pace}")
@@ -199,7 +188,7 @@ class _Lines:
 @dataclass(frozen=True)
 class _Counter:
     pace: Pace
-    changed: Callable[[], None]
+    changed: Callable[[], None] = lambda: None
 
     def advance(self, work: Work) -> None:
         self.pace.done += work

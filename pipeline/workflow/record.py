@@ -22,17 +22,9 @@ class DrivenStudy:
     """
 
     def __init__(self, settings: Settings, store: Store, say: Callable[[str], None]) -> None:
-        """Read the record.
-
-        Args:
-            settings: the study's settings.
-            store: where the record is.
-            say: shows a line to the user, such as that the name had other settings.
-        """
         self._store = store
         self._new = StudyRecord(settings.name, settings.model_dump(mode="json"), ())
-        self._record: StudyRecord | None = None
-        """The record of these settings; None while the store has that of others."""
+        self._record: StudyRecord | None = None  # of these settings; None while the store has that of others
         try:
             before = store.read_study(settings.name)
         except DamagedArtifact as damage:
@@ -57,12 +49,9 @@ class DrivenStudy:
             self._write(self._new)
 
     def update(self, upstream: Upstream, *, finished: bool) -> None:
-        """Record what stages made and lack; later stages keep what the record says of them.
+        """Record what the stages so far made and lack; later stages keep what the record says of them.
 
-        Args:
-            upstream: results of the stages up to the current one.
-            finished: whether the last stage that is asked for has ended; until then, settings without a result are not
-                put on record.
+        Settings without a result are put on record only once the last stage that is asked for has ``finished``.
         """
         if self._record is None and not finished:
             return
@@ -83,7 +72,7 @@ class DrivenStudy:
         self._write(replace(before, items=tuple(items), failed=tuple(failed)))
 
     def _write(self, record: StudyRecord) -> None:
-        self._store.write_study(record.name, record.settings, record.items, record.failed)
+        self._store.write_study(record)
         self._record = record
 
 
@@ -116,15 +105,11 @@ def settings_of(record: StudyRecord) -> Settings:
 
 
 def differences(old: Any, new: Any, name: str = "") -> list[str]:
-    """List the settings that differ, with both values.
+    """Return one line per setting that differs, with both values.
 
     Args:
-        old: settings before, as JSON values.
-        new: settings now.
+        old, new: settings as JSON values.
         name: name of the settings group, for nested groups.
-
-    Returns:
-        One line per setting.
     """
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         names = [*new, *(gone for gone in old if gone not in new)]

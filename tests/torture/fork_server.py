@@ -37,7 +37,7 @@ from pipeline.stages.report import PAGE
 from pipeline.store import disk
 from pipeline.store.encoding import digest
 from pipeline.store.store import Store
-from pipeline.tracking.mirror import Tracker, open_tracker
+from pipeline.tracking.mirror import Tracker
 from pipeline.workflow.driver import drive
 from pipeline.workflow.progress import Work
 from pipeline.workflow.stage import AnyStage
@@ -265,7 +265,7 @@ def drive_study(
             terminal,
             stages=STAGES[: 1 + names.index(last)] if last else STAGES,
             open_cluster=lambda: cache.cluster(answer["computed"]),
-            tracker=open_tracker(root, None, say=terminal.say) if mlflow else None,
+            tracker=Tracker(root, None, say=terminal.say) if mlflow else None,
         )
     except PuddleError as error:
         answer["error"] = str(error)

@@ -199,7 +199,7 @@ MEASURED = ("displacement", "com_displacement", "status")
 def test_divergence_is_named_and_the_rest_completes(monkeypatch, tmp_path, capsys):
     """All designs of one trial diverge, and some of another one, in evolution and in the adaptation."""
     some_in_a_wild_medium(monkeypatch)
-    monkeypatch.setattr(pipeline.tracking.mirror, "open_tracker", lambda *_, **__: NoTracker())
+    monkeypatch.setattr(pipeline.tracking.mirror, "Tracker", lambda *_, **__: NoTracker())
     (tmp_path / "tiny.yaml").write_text(TINY)
     options = ("--settings", str(tmp_path / "tiny.yaml"), "--store", str(tmp_path / "store"))
     options += ("--set", "grid.environments=[dry_land]", "--set", "grid.n_trials=2")

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.commands.damage import damaged_items, find_damage
-from pipeline.store.store import Store
+from pipeline.store.store import Store, StudyRecord
 
 pytestmark = pytest.mark.timeout(1800)  # the machine may be busy
 
@@ -202,7 +202,7 @@ def test_a_gc_that_dies_leaves_an_intact_store(torture, fork_server, undisturbed
     store = Store.open(root, create=False)
     longer = store.read_study("tiny").settings
     shorter = {**longer, "evolution": {**longer["evolution"], "n_generations": 2}}
-    store.write_study("tiny", shorter, ())  # it needs the first work item of evolution, and nothing after it
+    store.write_study(StudyRecord("tiny", shorter, ()))  # it needs only the first work item of evolution
     half = root / "items" / "evolve" / "00" / ("0" * 64)
     half.mkdir(parents=True)
     for path in (half / ".history.parquet.tmp", store.study_path("tiny") / ".study.json.tmp"):

@@ -32,7 +32,7 @@ from pipeline.errors import Irreproducible, PuddleError
 from pipeline.store.design_file import read_design
 from pipeline.store.encoding import decode_arrays, decode_table, encode_sealed, encode_table, key_of
 from pipeline.store.manifest import MANIFEST_SCHEMA, MAX_FILE_BYTES, Manifest, decode_manifest, refuse_other_content
-from pipeline.store.store import STUDY_SCHEMA, Store
+from pipeline.store.store import STUDY_SCHEMA, Store, StudyRecord
 
 ROOT = Path(__file__).parents[2]
 MEGABYTE = 2**20
@@ -378,7 +378,7 @@ def test_no_hostile_name_is_written_or_removed(pristine, new_folder, canary):
             with pytest.raises(PuddleError, match="expected"):
                 remove_garbage(store, Garbage(items=(item,), uncommitted=(), temporary=(), sessions=()))
         for write in (
-            lambda name=name: store.write_study(name, {}, ()),
+            lambda name=name: store.write_study(StudyRecord(name, {}, ())),
             lambda name=name: store.export(name, {"index.html": b""}),
             lambda name=name: store.lock_study(name).__enter__(),
         ):

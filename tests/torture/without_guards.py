@@ -135,7 +135,7 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
     ),
     "equality of what is computed twice": (
         STORE + "a_result_computed_twice_must_be_equal",
-        lambda patch: patch.setattr("pipeline.store.items.refuse_other_content", lambda kept, new: None),
+        lambda patch: patch.setattr("pipeline.store.manifest.refuse_other_content", lambda kept, new: None),
     ),
     "check that a training's loss is finite": (
         "tests/tasks/residual/test_training.py::test_data_that_are_not_finite_end_a_training_by_name[nan]",

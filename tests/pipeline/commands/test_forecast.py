@@ -9,7 +9,7 @@ from pipeline.commands.cost_model import Cost, Sample, forecast_lines, forecast_
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
-from pipeline.store.store import Store
+from pipeline.store.store import Store, StudyRecord
 
 
 def sample(size: float, seconds: float) -> Sample:
@@ -66,7 +66,7 @@ def test_a_finished_study_costs_nothing(study, settings):
 def test_items_of_another_study_are_samples_if_their_units_cost_the_same(study, settings, tmp_path):
     """No calibration run is needed for more trials and generations, only for other costs per unit."""
     store = Store.open(shutil.copytree(study[0].root, tmp_path / "store"), create=False)
-    store.write_study(settings.name, settings.model_dump(mode="json"), ())
+    store.write_study(StudyRecord(settings.name, settings.model_dump(mode="json"), ()))
     more = ("name=more", "seed=7", "grid.n_trials=5", "evolution.n_generations=9", "work.generations_per_item=3")
     longer = parse(Settings, settings.model_dump_json(), name="longer", overrides=more)
     lines = list(forecast_lines(longer, store.root, (8,), say=stop_calibration))

@@ -15,7 +15,7 @@ from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
 from pipeline.store.encoding import key_of
-from pipeline.store.store import Store
+from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import survey
 
 
@@ -75,7 +75,7 @@ def test_the_users_own_files_are_not_garbage_whatever_their_names(options, store
 def test_a_study_stopped_halfway_needs_its_finished_items(options, store):
     record = store.read_study("tiny")
     chosen = {**record.settings, "evolution": {**record.settings["evolution"], "n_generations": 8}}
-    store.write_study("tiny", chosen, ())  # as a driver does before the first work item
+    store.write_study(StudyRecord("tiny", chosen, ()))  # as a driver does before the first work item
     evolved = [item.key for item in record.items if item.stage == "evolve"]
     found = {key for _, key in find_garbage(store).items}
     assert evolved and not found & set(evolved)  # its first four generations are those of the longer study
@@ -87,7 +87,7 @@ def evolving(study, settings, tmp_path, monkeypatch) -> Store:
     """A copy of a store whose study has every environment and a record that lists no items, as during evolution."""
     monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)
     found = Store.open(shutil.copytree(study[0].root, tmp_path / "evolving"), create=False)
-    found.write_study(settings.name, settings.model_dump(mode="json"), ())
+    found.write_study(StudyRecord(settings.name, settings.model_dump(mode="json"), ()))
     return found
 
 
@@ -123,7 +123,7 @@ def test_items_made_with_earlier_networks_are_garbage_before_the_new_ones_exist(
     """If gc dies, the next one removes the rest: an item is removed before the items that it was made from."""
     other = settings.model_dump(mode="json")
     other["training"]["n_iterations"] += 1
-    evolving.write_study(settings.name, other, ())
+    evolving.write_study(StudyRecord(settings.name, other, ()))
     garbage = find_garbage(evolving)
     _, upstream = study
     old = [*upstream["train"].done.values(), *upstream["assess"].done.values()]
@@ -175,7 +175,7 @@ def test_other_commands_refuse_to_run_while_garbage_is_removed(options, store, c
 
 
 def test_settings_of_another_version_are_named(options, store, tmp_path, capsys):
-    store.write_study("tiny", {**store.read_study("tiny").settings, "wings": 2}, ())
+    store.write_study(StudyRecord("tiny", {**store.read_study("tiny").settings, "wings": 2}, ()))
     assert call("gc", "--remove", "--store", str(store.root)) == 2
     said = capsys.readouterr().err
     assert (

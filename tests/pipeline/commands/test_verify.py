@@ -12,7 +12,7 @@ from small_study import n_items
 
 from pipeline.errors import DamagedArtifact
 from pipeline.store.encoding import encode_sealed
-from pipeline.store.store import Store
+from pipeline.store.store import Store, StudyRecord
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def make_a_manifest_newer(store: Store) -> None:
 
 
 def make_another_record_newer(store: Store) -> None:
-    store.write_study("newer", {}, ())
+    store.write_study(StudyRecord("newer", {}, ()))
     make_newer(store.study_path("newer") / "study.json")
 
 
@@ -128,7 +128,7 @@ def test_problems_that_discarding_does_not_repair_hide_no_others(spoil, expected
 
 def test_files_without_a_manifest_are_reported_as_unfinished(options, store, capsys):
     """As in a study that was stopped, whose record lists no items, or while a driver runs."""
-    store.write_study("tiny", store.read_study("tiny").settings, ())
+    store.write_study(StudyRecord("tiny", store.read_study("tiny").settings, ()))
     assert call("verify", *options) == 0
     assert "unfinished" not in capsys.readouterr().out
     lost = next(store.root.glob("items/evolve/*/*/manifest.json"))

@@ -15,7 +15,7 @@ from one_item import FILES, IDENTITY, KEY, RECORD, commit, item, tree
 from pipeline.errors import DamagedArtifact, Irreproducible, PuddleError
 from pipeline.store.encoding import digest, encode_sealed, key_of
 from pipeline.store.manifest import Manifest
-from pipeline.store.store import Store, StudyItem
+from pipeline.store.store import Store, StudyItem, StudyRecord
 
 # -- what it is for --------------------------------------------------------------------------------------------------
 
@@ -165,7 +165,7 @@ def test_threads_that_differ_leave_one_result_whole(store: Store) -> None:
 def test_a_study_record_comes_back(store: Store) -> None:
     assert store.read_study("laptop") is None and store.studies() == []
     items = [StudyItem("collect", "throws 0..99", KEY), StudyItem("evolve", "dry_land 9 m, trial 3", KEY)]
-    store.write_study("laptop", {"seed": 1, "grid": {"depths": (0.0, 9.0)}}, items)
+    store.write_study(StudyRecord("laptop", {"seed": 1, "grid": {"depths": (0.0, 9.0)}}, items))
     record = store.read_study("laptop")
     assert record.items == tuple(items) and record.name == "laptop"
     assert record.settings == {"seed": 1, "grid": {"depths": [0.0, 9.0]}}
@@ -173,7 +173,7 @@ def test_a_study_record_comes_back(store: Store) -> None:
 
 
 def test_a_damaged_study_record_is_told(store: Store) -> None:
-    store.write_study("laptop", {"seed": 1}, [])
+    store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
     path = store.root / "studies" / "laptop" / "study.json"
     path.write_bytes(path.read_bytes().replace(b'"seed": 1', b'"seed": 2'))
     (wrong,) = store.verify()
@@ -185,7 +185,7 @@ def test_a_damaged_study_record_is_told(store: Store) -> None:
 
 @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo])
 def test_what_took_the_place_of_a_study_record_is_damage_and_gives_way(store: Store, make: Callable) -> None:
-    store.write_study("laptop", {"seed": 1}, [])
+    store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
     path = store.study_path("laptop") / "study.json"
     path.unlink()
     make(path)
@@ -193,7 +193,7 @@ def test_what_took_the_place_of_a_study_record_is_damage_and_gives_way(store: St
         DamagedArtifact, match=f"{path}: expected a study's record, got not a regular file. .* rewrites"
     ):
         store.read_study("laptop")
-    store.write_study("laptop", {"seed": 1}, [])
+    store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
     assert store.read_study("laptop").settings == {"seed": 1}
 
 
@@ -202,7 +202,7 @@ def test_a_folder_in_the_place_of_a_study_record_that_holds_something_is_left_al
     path.mkdir(parents=True)
     (path / "theirs").touch()
     with pytest.raises(PuddleError, match=f"not empty.*{path}"):
-        store.write_study("laptop", {"seed": 1}, [])
+        store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
     assert (path / "theirs").exists()
 
 
@@ -310,7 +310,7 @@ def test_reports_are_exported_in_place_of_earlier_ones(store: Store) -> None:
 def test_what_is_on_its_way_is_known_by_its_name(store: Store) -> None:
     """What else a person puts there, however it is called, is theirs."""
     commit_report(store, {"index.html": b"page"})
-    store.write_study("laptop", {"seed": 1}, [])
+    store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
     folder = store.export("laptop", {"index.html": b"page"})
     ours = [folder.parent / ".study.json.tmp", folder / ".index.html.tmp"]
     theirs = [folder.parent / ".index.html.tmp", folder / ".notes.tmp", folder / "old" / ".index.html.tmp"]

@@ -15,7 +15,7 @@ from one_item import FILES, IDENTITY, KEY, commit, item, tree
 from pipeline.errors import PuddleError
 from pipeline.store import disk
 from pipeline.store.encoding import key_of
-from pipeline.store.store import Store, StudyItem
+from pipeline.store.store import Store, StudyItem, StudyRecord
 
 EFFECTS = ("write", "fsync", "rename", "mkdir", "unlink", "rmdir")
 
@@ -134,10 +134,10 @@ def test_a_study_record_is_the_old_or_the_new_one(tmp_path: Path, monkeypatch: p
     store = Store.open(tmp_path / "store", create=True)
     seen = set()
     for call in range(5):
-        store.write_study("laptop", {"seed": 1}, old)
+        store.write_study(StudyRecord("laptop", {"seed": 1}, old))
         seam.arm(call)
         with pytest.raises(Death):
-            store.write_study("laptop", {"seed": 1}, new)
+            store.write_study(StudyRecord("laptop", {"seed": 1}, new))
         seam.arm(None)
         assert store.verify() == []
         seen.add(store.read_study("laptop").items[0].label)
@@ -191,7 +191,7 @@ def test_nothing_changes_but_under_the_commit_lock(store: Store, monkeypatch: py
         lambda: commit(store),
         lambda: store.discard("evolve", KEY),
         lambda: store.remove("evolve", KEY),
-        lambda: store.write_study("laptop", {"seed": 1}, []),
+        lambda: store.write_study(StudyRecord("laptop", {"seed": 1}, ())),
         lambda: store.export("laptop", {"index.html": b"page"}),
     )
     for change in changes:
@@ -263,7 +263,7 @@ def test_other_bytes_on_the_disk_and_links_say_what_is_safe_and_what_to_do(
         r"study\.json: expected the bytes .*committed results are safe\. Check the disk.*`puddle verify`.* same command"
     )
     with pytest.raises(PuddleError, match=said):
-        store.write_study("laptop", {"seed": 1}, [])
+        store.write_study(StudyRecord("laptop", {"seed": 1}, ()))
     assert store.verify() == [] and store.read_study("laptop") is None
 
 

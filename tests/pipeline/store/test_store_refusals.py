@@ -11,7 +11,7 @@ from one_item import FILES, IDENTITY, KEY, commit, item, tree
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store import disk
 from pipeline.store.encoding import digest, encode_sealed, key_of
-from pipeline.store.store import Store
+from pipeline.store.store import Store, StudyRecord
 
 # -- damage ----------------------------------------------------------------------------------------------------------
 
@@ -81,7 +81,7 @@ def test_every_damaged_file_of_an_item_is_named(store: Store) -> None:
 
 
 def test_a_file_that_is_too_long_to_be_read_again_is_not_kept(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.store.items.MAX_FILE_BYTES", 399)
+    monkeypatch.setattr("pipeline.store.manifest.MAX_FILE_BYTES", 399)
     with pytest.raises(PuddleError, match=r"expected at most 399 bytes of history\.parquet, got 400\. Cut"):
         commit(store)
     assert not item(store).exists()
@@ -220,7 +220,7 @@ def test_hostile_names_are_refused(store: Store, name: str) -> None:
         lambda: store.commit(name, KEY, IDENTITY, FILES, record={}),
         lambda: store.discard(name, KEY),
         lambda: list(store.keys(name)),
-        lambda: store.write_study(name, {}, []),
+        lambda: store.write_study(StudyRecord(name, {}, ())),
         lambda: store.read_study(name),
         lambda: store.driver_of(name),
         lambda: store.export(name, {"index.html": b""}),

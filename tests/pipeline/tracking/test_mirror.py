@@ -19,7 +19,7 @@ import pytest
 from mlflow.tracking import MlflowClient
 
 from pipeline.errors import PuddleError
-from pipeline.tracking.mirror import EXPERIMENT, Run, database_uri, open_tracker, serve_ui
+from pipeline.tracking.mirror import EXPERIMENT, Run, Tracker, database_uri, serve_ui
 
 STUDY = Run("smoke", "5" * 64, params={"evolution": {"n_generations": 1500}}, tags={"preset": "smoke"})
 STAGE = Run(
@@ -93,7 +93,7 @@ def everything(store: Path):
 
 
 def test_a_study_its_stage_and_its_trials(tmp_path, said):
-    open_tracker(tmp_path, say=said.append).mirror(STUDY, STAGE, TRIALS)
+    Tracker(tmp_path, say=said.append).mirror(STUDY, STAGE, TRIALS)
     assert said == []
     found = runs(tmp_path)
     study, stage, trial = found["study", "smoke"], found["stage", "evolve"], found["trial", "trial 1"]
@@ -121,7 +121,7 @@ def test_a_store_whose_name_means_another_place_in_an_address_goes_without_a_mir
     """In a URI, what follows ? is no part of the path, and %3F is a ?."""
     store = tmp_path / name
     store.mkdir()
-    open_tracker(store, say=said.append).mirror(STUDY, STAGE)
+    Tracker(store, say=said.append).mirror(STUDY, STAGE)
     (line,) = said
     assert "expected a path that MLflow accepts unchanged" in line and "The study continues" in line
     assert [path.name for path in store.iterdir()] == ["mlflow.lock"] and len(list(tmp_path.iterdir())) == 1
@@ -132,16 +132,16 @@ def test_a_store_of_an_odd_name_keeps_its_mirror_inside(tmp_path, empty_database
     store = tmp_path / name
     store.mkdir()
     shutil.copy(empty_database, store)
-    open_tracker(store, say=said.append).mirror(STUDY, STAGE)
+    Tracker(store, say=said.append).mirror(STUDY, STAGE)
     assert said == [] and set(runs(store)) == {("study", "smoke"), ("stage", "evolve")}
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def test_mirrored_twice_is_mirrored_once(store, said):
-    open_tracker(store, say=said.append).mirror(STUDY, STAGE, TRIALS)
+    Tracker(store, say=said.append).mirror(STUDY, STAGE, TRIALS)
     once = everything(store)
     for _ in range(2):
-        tracker = open_tracker(store, say=said.append)
+        tracker = Tracker(store, say=said.append)
         tracker.mirror(STUDY, STAGE, TRIALS)
         tracker.mirror(STUDY, STAGE, TRIALS)
     assert said == []
@@ -149,7 +149,7 @@ def test_mirrored_twice_is_mirrored_once(store, said):
 
 
 def test_what_changed_is_brought_up_to_date_in_place(store, said):
-    tracker = open_tracker(store, say=said.append)
+    tracker = Tracker(store, say=said.append)
     half = [replace(trial, curves={"fitness": trial.curves["fitness"][:700]}, status=None) for trial in TRIALS]
     tracker.mirror(STUDY, replace(STAGE, metrics={"best": 3.0}, inputs={}, status="FAILED"), half)
     before = runs(store)
@@ -166,7 +166,7 @@ def test_what_changed_is_brought_up_to_date_in_place(store, said):
 
 
 def test_another_key_is_another_run(store, said):
-    tracker = open_tracker(store, say=said.append)
+    tracker = Tracker(store, say=said.append)
     tracker.mirror(STUDY, STAGE)
     tracker.mirror(replace(STUDY, key="6" * 64, params={"evolution": {"n_generations": 9}}), STAGE)
     mlflow = client(store)
@@ -177,7 +177,7 @@ def test_another_key_is_another_run(store, said):
 
 def test_only_finite_values_are_sent(store, said):
     trial = Run("trial 0", "0", curves={"fitness": [1.0, math.nan, -math.inf, 4.0], "nothing": [math.nan]})
-    open_tracker(store, say=said.append).mirror(STUDY, STAGE, [trial])
+    Tracker(store, say=said.append).mirror(STUDY, STAGE, [trial])
     found = runs(store)
     assert found["stage", "evolve"].data.metrics == {"best": 9.5}
     history = client(store).get_metric_history(found["trial", "trial 0"].info.run_id, "fitness")
@@ -188,7 +188,7 @@ def test_only_finite_values_are_sent(store, said):
 
 def test_an_interrupted_mirror_is_completed_without_doubles(store, said):
     """A death between two batches of one curve leaves half of it; the next driver sends the rest."""
-    tracker = open_tracker(store, say=said.append)
+    tracker = Tracker(store, say=said.append)
     tracker.mirror(STUDY, STAGE)
     log_batch = MlflowClient.log_batch
     n_batches = 0
@@ -206,7 +206,7 @@ def test_an_interrupted_mirror_is_completed_without_doubles(store, said):
         tracker.mirror(STUDY, STAGE, TRIALS)
     sent = client(store).get_metric_history(runs(store)["trial", "trial 0"].info.run_id, "fitness")
     assert 0 < len(sent) <= 1500 and runs(store)["trial", "trial 0"].info.status == "RUNNING"
-    open_tracker(store, say=said.append).mirror(STUDY, STAGE, TRIALS)
+    Tracker(store, say=said.append).mirror(STUDY, STAGE, TRIALS)
     completed = everything(store)
     for run in completed.values():
         assert all(len(points) in (1, 1500) for points in run[3].values())
@@ -218,7 +218,7 @@ def test_a_failing_mlflow_is_said_once_and_caught_up_with(tmp_path, said, monkey
     monkeypatch.chdir(tmp_path)  # of a database that is not the store's, MLflow keeps the artifacts here
     folder = tmp_path / "elsewhere"
     folder.touch()  # a file where a folder is needed
-    tracker = open_tracker(tmp_path, f"sqlite:///{folder}/mlflow.db", say=said.append)
+    tracker = Tracker(tmp_path, f"sqlite:///{folder}/mlflow.db", say=said.append)
     tracker.mirror(STUDY, replace(STAGE, name="collect", key="c"))
     tracker.mirror(STUDY, STAGE, TRIALS)
     assert len(said) == 1
@@ -242,14 +242,14 @@ def test_a_server_that_is_away_costs_seconds(tmp_path, said, monkeypatch):
         probe.bind(("127.0.0.1", 0))
         monkeypatch.setenv("MLFLOW_TRACKING_URI", f"http://127.0.0.1:{probe.getsockname()[1]}")
     begin = time.monotonic()
-    open_tracker(tmp_path, say=said.append).mirror(STUDY, STAGE, TRIALS)
+    Tracker(tmp_path, say=said.append).mirror(STUDY, STAGE, TRIALS)
     assert time.monotonic() - begin < 120  # MLflow itself takes minutes
     assert len(said) == 1 and os.environ["MLFLOW_TRACKING_URI"] in said[0]
     assert not (tmp_path / "mlflow.db").exists()
 
 
 def test_a_store_that_cannot_be_written_does_not_stop_the_study(tmp_path, said):
-    open_tracker(tmp_path / "gone", say=said.append).mirror(STUDY, STAGE)
+    Tracker(tmp_path / "gone", say=said.append).mirror(STUDY, STAGE)
     assert len(said) == 1 and "FileNotFoundError" in said[0]
 
 
@@ -258,11 +258,11 @@ def test_two_drivers_at_once_make_one_database(tmp_path):
     script = """
 import sys
 from pathlib import Path
-from pipeline.tracking.mirror import Run, open_tracker
+from pipeline.tracking.mirror import Run, Tracker
 def say(line):
     sys.exit(line)
 name = sys.argv[2]
-open_tracker(Path(sys.argv[1]), say=say).mirror(Run(name, name), Run("collect", "c", metrics={"seconds": 1.0}))
+Tracker(Path(sys.argv[1]), say=say).mirror(Run(name, name), Run("collect", "c", metrics={"seconds": 1.0}))
 """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     drivers = [
@@ -281,7 +281,7 @@ open_tracker(Path(sys.argv[1]), say=say).mirror(Run(name, name), Run("collect", 
 
 
 def test_the_ui_serves_on_loopback_and_stops_with_its_children(store, said):
-    open_tracker(store, say=said.append).mirror(STUDY, STAGE)
+    Tracker(store, say=said.append).mirror(STUDY, STAGE)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
