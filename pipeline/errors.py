@@ -12,15 +12,12 @@ class PuddleError(Exception):
 class DamagedArtifact(PuddleError):  # noqa: N818 (a state, not a fault)
     """Something in the store is not what was committed.
 
-    Attributes:
-        stage: the damaged item's stage; None if the damage is not in an item.
-        key: the damaged item's key, likewise. If (stage, key) is discarded, the item can be computed again.
+    If the damage is in an item, and (stage, key) is discarded, the item can be computed again.
     """
 
     def __init__(self, message: str, *, stage: str | None = None, key: str | None = None) -> None:
         super().__init__(message)
-        self.stage = stage
-        self.key = key
+        self.stage, self.key = stage, key
 
 
 class OtherVersion(PuddleError):  # noqa: N818

@@ -29,7 +29,6 @@ from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFaile
 from pipeline.cluster.preflight import check_reachable, server_of, unusable
 from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_deferred, signals_unwind
 from pipeline.cluster.session import SESSIONS_FOLDER, session
-from pipeline.cluster.started_calls import recorded_as_started, started_keys
 from pipeline.cluster.watchdog import CHECK_INTERVAL, NODE_DIED, RAY_DIED, end_if_unreachable
 from pipeline.errors import PuddleError
 
@@ -42,8 +41,7 @@ class _Connection:
     """A connection to a running Ray."""
 
     is_alive: Callable[[], bool]
-    calling: AbstractContextManager[object]
-    """Held during every call into Ray, so that the watchdog sees a call that never returns."""
+    calling: AbstractContextManager[object]  # held during every call into Ray, so that the watchdog sees it hang
     death_message: str
 
 
@@ -55,9 +53,6 @@ def ray_cluster(address: str | None = None, n_workers: int | None = None) -> Ite
         address: ``host:port`` of an existing cluster that this machine is a node of, or ``auto``. Defaults to
             RAY_ADDRESS; without either, a local cluster starts.
         n_workers: number of cores for a local cluster; all by default. Ignored by an existing cluster.
-
-    Raises:
-        PuddleError: the cluster does not answer within 15 s or refuses, or a local one does not start.
     """
     if n_workers is not None and n_workers < 1:
         raise PuddleError(f"workers: expected at least 1, got {n_workers}")
@@ -143,9 +138,11 @@ class _Ray:
             return ticket, _outcome(ticket.name, ready[0], death_message=self._connection.death_message)
 
     def started(self) -> set[Ticket]:
+        from ray.experimental.internal_kv import _internal_kv_list
+
         self._check_alive()
         with self._calling:
-            found = set(started_keys(self._key_prefix))
+            found = set(_internal_kv_list(self._key_prefix))
         return {ticket for ticket in self._running.values() if self._start_key(ticket) in found}
 
     def _start_key(self, ticket: Ticket) -> bytes:
@@ -278,8 +275,23 @@ def spread(
 
 
 def _call(start_key: bytes | None, function: Callable[..., Any], *args: Any) -> Any:
-    with recorded_as_started(start_key), memory_bounded():
+    with _recorded_as_started(start_key) if start_key else contextlib.nullcontext(), memory_bounded():
         return function(*args)
+
+
+@contextlib.contextmanager
+def _recorded_as_started(key: bytes) -> Iterator[None]:
+    """Record, in the key-value store of Ray's head, that a call runs: Ray does not say which calls run and which wait.
+
+    The entry of a call whose worker was killed stays (50 bytes), so a call that Ray retries counts as started at once.
+    """
+    from ray.experimental.internal_kv import _internal_kv_del, _internal_kv_put
+
+    _internal_kv_put(key, b"")
+    try:
+        yield
+    finally:
+        _internal_kv_del(key)
 
 
 @functools.cache

@@ -20,9 +20,6 @@ def check_reachable(address: str) -> None:
 
     ``ray.init`` takes two minutes to fail, so a separate process tries it. That process ends with this one, however
     this one ends.
-
-    Raises:
-        PuddleError: nothing answers at the address, or the cluster refuses us.
     """
     if address != "auto":
         server = server_of(address)

@@ -6,7 +6,7 @@ import resource
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
@@ -66,24 +66,33 @@ def signals_unwind() -> Iterator[Callable[[], None]]:
     after a library has replaced them.
     """
     numbers = (signal.SIGTERM, signal.SIGHUP) if threading.current_thread() is threading.main_thread() else ()
-    before = {number: signal.getsignal(number) for number in numbers}
     received: list[int] = []
 
     def unwind(number: int, _frame: FrameType | None) -> NoReturn:
         received.append(number)
         raise SystemExit
 
+    with _handled(numbers, unwind) as catch:
+        try:
+            yield catch
+        except SystemExit as stop:
+            if received:
+                raise SystemExit(128 + received[0]) from stop  # ray.wait replaces the code of a SystemExit by 1
+            raise
+
+
+@contextlib.contextmanager
+def _handled(numbers: Sequence[int], handle: Callable[[int, FrameType | None], None]) -> Iterator[Callable[[], None]]:
+    """Handle signals, except ignored ones, within a block; yield a function that installs the handler again."""
+    before = {number: signal.getsignal(number) for number in numbers}
+
     def catch() -> None:
         for number, handler in before.items():
-            signal.signal(number, handler if handler == signal.SIG_IGN else unwind)
+            signal.signal(number, handler if handler == signal.SIG_IGN else handle)
 
     catch()
     try:
         yield catch
-    except SystemExit as stop:
-        if received:
-            raise SystemExit(128 + received[0]) from stop  # ray.wait replaces the code of a SystemExit by 1
-        raise
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -112,16 +121,11 @@ def signals_deferred() -> Iterator[None]:
 
     last_resort = threading.Timer(_DEFERRED_SECONDS, end)
     last_resort.daemon = True
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.getsignal(number) for number in numbers}
-    for number, handler in before.items():
-        signal.signal(number, handler if handler == signal.SIG_IGN else defer)
     try:
-        yield
+        with _handled((signal.SIGINT, signal.SIGTERM, signal.SIGHUP), defer):
+            yield
     finally:
         last_resort.cancel()
-        for number, handler in before.items():
-            signal.signal(number, handler)
         if received:
             signal.raise_signal(received[0])
 

@@ -41,8 +41,7 @@ class Session:
     address: str
     token: Path  # file with the token that its servers require
     is_alive: Callable[[], bool]
-    calling: AbstractContextManager[object]
-    """Held by the driver while it calls Ray; if Ray is dead and the call does not return, the process ends."""
+    calling: AbstractContextManager[object]  # held while the driver calls Ray; if Ray dies meanwhile, the process ends
 
 
 @contextlib.contextmanager

@@ -22,6 +22,7 @@ from pipeline.store.manifest import FileEntry, Manifest
 from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import AnyStage, Chain, Files, Results
 
+# The setting that decides the size of a stage's items. Other stages are timed at one size.
 _SIZES = {
     "collect": "throws.n_throws",
     "train": "training.n_iterations",
@@ -30,8 +31,6 @@ _SIZES = {
     "assess": "assess.n_designs",
     "analyse": "grid.n_trials",
 }
-"""The setting that decides the size of a stage's items. Other stages are timed at one size."""
-
 _N_TRIALS = 2
 _N_DISTINCT = 2  # chains of each kind that are computed: members of an ensemble have to differ
 _N_FIRST_ITERATIONS = 4

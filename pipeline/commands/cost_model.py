@@ -102,7 +102,7 @@ def _line(x0: float, x1: float, y0: float, y1: float) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class StageForecast:
+class _StageForecast:
     """The work of a stage that is left."""
 
     stage: str
@@ -114,12 +114,11 @@ class StageForecast:
     source: str  # where the samples come from
 
     def seconds(self, n_cores: int) -> float:
-        """Return the time on some cores [s]."""
         return max(self.core_seconds / n_cores, self.longest_chain_seconds)
 
 
 @dataclass(frozen=True)
-class Remaining:
+class _Remaining:
     """A chain with items left to compute."""
 
     stage: AnyStage
@@ -128,21 +127,19 @@ class Remaining:
 
     @property
     def kind(self) -> CostKind:
-        """The chain's kind."""
         return kind_of(self.stage, self.chain)
 
     @property
     def sizes(self) -> list[float]:
-        """Weighted units of each item that is left."""
         return [units * self.chain.weight for units in self.units]
 
 
-def remaining_chains(settings: Settings, upstream: Upstream) -> list[Remaining]:
+def remaining_chains(settings: Settings, upstream: Upstream) -> list[_Remaining]:
     """List the chains of a study that are not finished, with what is left of each."""
     found = []
     for stage in STAGES:
         n_done: Mapping[Any, int] = upstream[stage.name].n_done if stage.name in upstream else {}
-        found += [Remaining(stage, one, one.units[n_done.get(one.identity, 0) :]) for one in stage.plan(settings)]
+        found += [_Remaining(stage, one, one.units[n_done.get(one.identity, 0) :]) for one in stage.plan(settings)]
     return [one for one in found if one.units]
 
 
@@ -197,8 +194,8 @@ def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], No
 
 
 def forecast_stages(
-    settings: Settings, remaining: Sequence[Remaining], costs: Mapping[CostKind, Cost], calibrated: Iterable[CostKind]
-) -> list[StageForecast]:
+    settings: Settings, remaining: Sequence[_Remaining], costs: Mapping[CostKind, Cost], calibrated: Iterable[CostKind]
+) -> list[_StageForecast]:
     """Return the cost of the remaining work of every stage, in order.
 
     Args:
@@ -217,16 +214,41 @@ def forecast_stages(
         sources = {"calibration" if one.kind in calibrated else "store" for one in own}
         n_units = sum(sum(one.units) for one in own)
         source = " and ".join(sorted(sources))
-        forecasts.append(StageForecast(stage.name, stage.unit, n_units, sum(seconds), longest, n_bytes, source))
+        forecasts.append(_StageForecast(stage.name, stage.unit, n_units, sum(seconds), longest, n_bytes, source))
     return forecasts
 
 
-def _n_batches(settings: Settings, one: Remaining) -> int:
+def _n_batches(settings: Settings, one: _Remaining) -> int:
     """Return how many workers compute a generation of a chain at the same time."""
     if one.stage.unit != "generations":
         return 1
     size = environments.execution_options(settings, one.chain.spec.environment).designs_per_batch
     return math.ceil(settings.evolution.afpo.population_size / size) if size else 1
+
+
+_BYTES = {
+    "throws": (5e3, 20e3),
+    "iterations": (1.5e6, 0.0),
+    "generations": (10e3, 0.0),
+    "designs": (15e3, 500.0),
+    "analyses": (2e6, 0.0),
+    "pictures": (1e4, 8e3),
+}
+"""The storage model: bytes of an item, and of each unit of its work; about twice those of the preset row, whose
+networks are smaller than the paper's. Tables of generations are estimated by their designs."""
+
+_BYTES_PER_DESIGN = 200.0
+
+
+def bytes_left_of_study(settings: Settings, upstream: Upstream) -> float:
+    """Return an upper estimate of the rest of a study on the disk [bytes], for want of time for a calibration run."""
+    total = 0.0
+    for one in remaining_chains(settings, upstream):
+        per_item, per_unit = _BYTES.get(one.stage.unit, (1e6, 0.0))
+        if one.stage.unit == "generations":
+            per_unit = _BYTES_PER_DESIGN * settings.evolution.afpo.population_size
+        total += per_item * len(one.units) + per_unit * sum(one.units)
+    return total
 
 
 def forecast_lines(
@@ -262,7 +284,7 @@ def forecast_lines(
         yield f"The store holds {store.size_bytes() / 1e6:.0f} MB now."
 
 
-def _table(settings: Settings, stages: Sequence[StageForecast], cores: Sequence[int]) -> Iterator[str]:
+def _table(settings: Settings, stages: Sequence[_StageForecast], cores: Sequence[int]) -> Iterator[str]:
     yield f"study {settings.name}: the rest of the work"
     header = "".join(f"{f'{n:,} cores':>14}" for n in cores)
     yield f"{'stage':<10}{'work':>22}{'core-hours':>12}{header}{'disk':>12}  cost from"

@@ -11,7 +11,8 @@ import socket
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -19,9 +20,9 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.cluster import TaskFailed, ray_cluster, session
+from pipeline.cluster import Cluster, TaskFailed, ray_cluster, session
 from pipeline.cluster.process import free_memory
-from pipeline.commands.storage_model import bytes_left_of_study
+from pipeline.commands.cost_model import bytes_left_of_study
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
@@ -63,7 +64,7 @@ def examine(settings: Settings, store: Path, *, n_workers: int | None) -> Iterat
     yield _python()
     yield _versions()
     yield _processor(n_cores, n_workers)
-    yield _memory(n_workers)
+    yield _memory(n_workers, free_memory())
     yield from examine_store(store.expanduser().resolve(), settings)
     yield _temporary()
     yield _shared_memory()
@@ -117,8 +118,7 @@ def _processor(n_cores: int, n_workers: int) -> Check:
     return Check("ok", "processor", found)
 
 
-def _memory(n_workers: int) -> Check:
-    free = float(free_memory())
+def _memory(n_workers: int, free: float) -> Check:
     needed = _BYTES_OF_DRIVER + n_workers * _BYTES_PER_WORKER
     found = f"{free / 1e9:.1f} GB free, {needed / 1e9:.1f} GB needed by {n_workers} workers and the driver"
     if free < needed:
@@ -251,10 +251,10 @@ def _engine(settings: Settings) -> Check:
     return Check("ok", "engine", f"the first generation took {seconds:.1f} s")
 
 
-def _ray() -> Check:
+def _ray(on_ray: Callable[..., AbstractContextManager[Cluster]] = ray_cluster) -> Check:
     start = time.perf_counter()
     try:
-        with ray_cluster("local", n_workers=1) as cluster:
+        with on_ray("local", n_workers=1) as cluster:
             cluster.submit(os.getpid)
             done = cluster.next_done(timeout=_RAY_SECONDS)
             seconds = time.perf_counter() - start

@@ -8,8 +8,7 @@ import typer
 
 INCOMPLETE = 1  # the study ran to its end but some work items or designs failed; the message names them
 USER_ERROR = 2  # the user can correct the mistake
-DEFECT = 70
-"""A bug in puddle, shown with its traceback: EX_SOFTWARE of sysexits.h. Python itself would exit with 1."""
+DEFECT = 70  # a bug in puddle, shown with its traceback: EX_SOFTWARE of sysexits.h
 INTERRUPTED = 130  # ctrl-C
 
 _STOPPED = (128 + signal.SIGTERM, 128 + signal.SIGHUP)

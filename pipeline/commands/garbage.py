@@ -37,11 +37,7 @@ class Garbage:
 
 
 def find_garbage(store: Store) -> Garbage:
-    """Find what no study needs. The caller holds :meth:`Store.lock_all`.
-
-    Raises:
-        PuddleError: it can't be determined what a study needs; says why, and what to do.
-    """
+    """Find what no study needs, or raise a PuddleError if it can't be determined. The caller holds the whole store."""
     committed = list(_readable(store))
     behind_gaps = _behind_gaps(committed)
     needed: set[tuple[str, str]] = set()

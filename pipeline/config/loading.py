@@ -48,11 +48,7 @@ def preset_names() -> list[str]:
 
 
 def preset_path(name: str) -> Path:
-    """Return a preset's file.
-
-    Raises:
-        PuddleError: there is no such preset; lists the presets.
-    """
+    """Return a preset's file; the error for an unknown name lists the presets."""
     names = preset_names()
     if name not in names:
         known = f"one of {', '.join(names)}" if names else f"a file of {PRESETS}, which holds none"

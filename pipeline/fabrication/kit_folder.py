@@ -71,7 +71,7 @@ def write_kit(folder: Path, files: Mapping[str, bytes], manifest: Mapping[str, J
     encoded = encode_json({**manifest, "schema": _SCHEMA, "version": _VERSION, "files": digests})
     new = folder.with_name(f".{folder.name}.{os.getpid()}.new")
     old = folder.with_name(f".{folder.name}.{os.getpid()}.old")
-    with disk.explained("writing the kit", folder, advice="give the same command again"):
+    with disk.explained("writing the kit", folder, advice="run the same command again to replace it"):
         preserved, lines = _user_files(folder, files)
         try:
             for name, content in {**preserved, **files, KIT_MANIFEST: encoded}.items():

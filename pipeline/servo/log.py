@@ -45,7 +45,7 @@ class ServoLog:
         self.path = path
         self.entries: list[LogEntry] = []
         self._journal = path.with_name(path.name + JOURNAL)
-        with disk.explained("keeping the log", path, advice="give the same command again: nothing was moved"):
+        with disk.explained("writing the log", path, advice="run the same command again; nothing was moved"):
             path.parent.mkdir(parents=True, exist_ok=True)
             _recover_abandoned(path.parent)
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC

@@ -23,11 +23,7 @@ def design_document(design: Designs) -> dict[str, Any]:
 
 
 def design_from(document: Any, source: str) -> Designs:
-    """Return the design in a parsed design file, which messages call ``source``.
-
-    Raises:
-        PuddleError: the document is not a valid design; names the field.
-    """
+    """Return the design in a parsed design file, which messages call ``source``; the error names the faulty field."""
     if not isinstance(document, dict) or document.get("schema") != DESIGN_SCHEMA:
         raise PuddleError(f'{source}: not a design: expected a JSON object with "schema": "{DESIGN_SCHEMA}"')
     if document.get("version") != DESIGN_VERSION:
@@ -63,11 +59,7 @@ def _field(name: str, value: Any, source: str) -> Any:
 
 
 def read_design(path: Path) -> Designs:
-    """Read a design file.
-
-    Raises:
-        PuddleError: the file cannot be read or is not a design.
-    """
+    """Read a design file."""
     try:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)

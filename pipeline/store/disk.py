@@ -76,10 +76,7 @@ def place(path: Path, data: bytes) -> None:
     """Write a file atomically: after a crash at any point it is complete under its name, or absent.
 
     The caller must hold a lock on the folder. An interrupted call leaves at most one temporary file, which the next
-    call overwrites.
-
-    Raises:
-        PuddleError: the disk does not return the bytes just written.
+    call overwrites. The bytes are read back before the file gets its name.
     """
     with contextlib.suppress(OSError):
         if read(path, at_most=len(data)) == data:  # there may be no room for a second copy
@@ -108,11 +105,7 @@ def make_folders(root: Path, folder: Path) -> None:
 
 
 def read(path: Path, *, at_most: int = MAX_DOCUMENT_BYTES) -> bytes:
-    """Read a regular file, and of one longer than ``at_most`` one byte more than that.
-
-    Raises:
-        NotAFileError: the path is a symbolic link, a folder, a pipe or the like.
-    """
+    """Read a regular file, and of one longer than ``at_most`` one byte more; raise NotAFileError for other paths."""
     with _opened(path) as file:
         return file.read(min(at_most, os.fstat(file.fileno()).st_size) + 1)  # read() allocates its argument at once
 
@@ -134,11 +127,7 @@ def _opened(path: Path) -> BinaryIO:
 
 
 def read_document(path: Path) -> bytes:
-    """Read a JSON document; raises as :func:`read`.
-
-    Raises:
-        DamagedArtifact: the document is longer than any that puddle writes.
-    """
+    """Read a JSON document as :func:`read` does; one longer than any that puddle writes is a DamagedArtifact."""
     data = read(path)
     if len(data) > MAX_DOCUMENT_BYTES:
         raise DamagedArtifact(f"{path}: expected at most {MAX_DOCUMENT_BYTES} bytes, got {path.stat().st_size}")
@@ -162,11 +151,7 @@ def size_bytes(folder: Path) -> int:
 
 
 def inside(root: Path, *parts: str) -> Path:
-    """Return a path below a root; the parts are single names that the caller has checked.
-
-    Raises:
-        PuddleError: one of them is a symbolic link.
-    """
+    """Return a path below a root; the parts are single names that the caller has checked. Refuse symbolic links."""
     path = root
     for part in parts:
         path = path / part

@@ -66,11 +66,7 @@ def encode_json(value: Json) -> bytes:
 
 
 def decode_json(data: bytes, source: str) -> Any:
-    """Return the value of a JSON document.
-
-    Raises:
-        PuddleError: the document is not JSON, repeats a key, or holds a number that is not finite.
-    """
+    """Return the value of a JSON document; refuse a repeated key, and a number that is not finite."""
     try:
         value = json.loads(data.decode(), object_pairs_hook=_unique_keys)
         _refuse_impure(value, "")

@@ -23,11 +23,7 @@ KEY = re.compile(r"[0-9a-f]{64}")
 
 
 def check_name(name: str, what: str) -> str:
-    """Return the name of a study or stage if it is valid.
-
-    Raises:
-        PuddleError: it is not 1 to 64 of a-z, 0-9, _ and -, beginning with a letter or a digit.
-    """
+    """Return the name of a study or stage if it is valid; raise a PuddleError otherwise."""
     if not NAME.fullmatch(name):
         raise PuddleError(f"{what} {name!r}: expected 1 to 64 of a-z, 0-9, _ and -, beginning with a letter or a digit")
     return name
@@ -114,12 +110,9 @@ class Items:
                 yield f"{path}: expected SHA-256 {entry.sha256}, got {found}"
 
     def manifest(self, stage: str, key: str) -> Manifest | None:
-        """Return an item's manifest, or None if the item was never committed.
+        """Return an item's manifest, or None if the item was never committed; raise DamagedArtifact if it is damaged.
 
         This verifies the manifest and the presence and length of the files; their contents are verified when read.
-
-        Raises:
-            DamagedArtifact: names the path. Report it, discard the item and compute it again.
         """
         manifest = self.listing(stage, key)
         with disk.explained(f"reading {stage} {key[:12]}", self.root), self._damage(stage, key):
@@ -141,11 +134,7 @@ class Items:
             return manifests.decode_manifest(data, stage=stage, key=key, source=str(path))
 
     def read(self, manifest: Manifest, name: str) -> bytes:
-        """Return the verified content of a file.
-
-        Raises:
-            DamagedArtifact: the file differs from what was committed.
-        """
+        """Return the content of a file; raise DamagedArtifact if it differs from what was committed."""
         path = disk.inside(self._item(manifest.stage, manifest.key), name)
         entry = manifest.files[name]
         with disk.explained(f"reading {name}", self.root), self._damage(manifest.stage, manifest.key):

@@ -100,11 +100,7 @@ def _entry(name: str, said: Mapping[str, Any]) -> FileEntry:
 
 
 def refuse_other_content(committed: Manifest, new: Manifest) -> None:
-    """Check that computing an item again gave the same content.
-
-    Raises:
-        Irreproducible: the content differs; names the files, both digests and where each was computed.
-    """
+    """Check that computing an item again gave the same content; raise Irreproducible otherwise."""
     if committed.digest == new.digest:
         return
     names = sorted({*committed.files, *new.files})

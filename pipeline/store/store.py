@@ -72,12 +72,7 @@ class Store(Items):
 
     @classmethod
     def open(cls, root: Path, *, create: bool) -> Store:
-        """Open a store, or create one in a new or empty folder.
-
-        Raises:
-            PuddleError: there is no store, or it has a newer schema, or it cannot be created.
-            DamagedArtifact: store.json is damaged.
-        """
+        """Open a store, or create one in a new or empty folder."""
         root = root.expanduser().resolve()
         with disk.explained("opening the store", root):
             if not (root / "store.json").exists():
@@ -158,11 +153,7 @@ class Store(Items):
     # -- studies -------------------------------------------------------------------------------------------------------
 
     def write_study(self, record: StudyRecord) -> None:
-        """Write the record of a study, replacing the earlier one.
-
-        Raises:
-            PuddleError: the study has too many items, or the disk refuses.
-        """
+        """Write the record of a study, replacing the earlier one."""
         name, folder = record.name, self.study_path(record.name)
         rows = {"items": list(map(list, record.items)), "failed": list(map(list, record.failed))}
         body: dict[str, Json] = {"name": name, "settings": record.settings, **rows}
@@ -179,9 +170,7 @@ class Store(Items):
     def read_study(self, name: str) -> StudyRecord | None:
         """Return the record of a study, or None if there is no study of that name.
 
-        Raises:
-            DamagedArtifact: names the file. Running the study again rewrites it.
-            OtherVersion: another version of puddle wrote it.
+        A damaged record raises DamagedArtifact, and one of another version of puddle OtherVersion.
         """
         path = disk.inside(self.study_path(name), "study.json")
         with disk.explained(f"reading study {name}", self.root):
@@ -216,12 +205,9 @@ class Store(Items):
 
     @contextlib.contextmanager
     def lock_study(self, name: str) -> Iterator[None]:
-        """Become the only process that drives a study.
+        """Become the only process that drives a study; the error names another that does.
 
         The store is locked first, so that `puddle gc` never sees the folder of a study that has only just begun.
-
-        Raises:
-            PuddleError: another process drives the study, and is named; or `puddle gc` is running.
         """
         folder = self.study_path(name)
         with disk.explained(f"locking study {name}", self.root), contextlib.ExitStack() as held:
@@ -242,13 +228,10 @@ class Store(Items):
 
     @contextlib.contextmanager
     def lock_to_read(self) -> Iterator[None]:
-        """Prevent the removal of items while they are read.
+        """Prevent the removal of items while they are read; refuse to read while `puddle gc` runs.
 
         Nothing is written, so that a store on a read-only disk, or another user's, can be read too. A store without a
         lock file has never been driven on this machine, and nothing has been removed from it.
-
-        Raises:
-            PuddleError: `puddle gc` is running.
         """
         with disk.explained("locking the store", self.root), contextlib.ExitStack() as held:
             with contextlib.suppress(FileNotFoundError):
@@ -265,11 +248,7 @@ class Store(Items):
 
     @contextlib.contextmanager
     def lock_all(self) -> Iterator[None]:
-        """Become the only process that uses the store, so that no study is driven meanwhile.
-
-        Raises:
-            PuddleError: a study is being driven; its driver is named.
-        """
+        """Become the only process that uses the store, so that no study is driven; the error names a driver."""
         with disk.explained("locking the store", self.root):
             descriptor = disk.try_lock(self.root / "use.lock")
         if descriptor is None:
@@ -306,9 +285,6 @@ class Store(Items):
 
         Other files in the folder are removed only if they equal a file of some report in the store, because then an
         earlier export wrote them. A user's own files stay.
-
-        Raises:
-            ValueError: a file name is invalid.
         """
         if not are_file_names(files):
             raise ValueError(f"study {name}: expected file names like index.html, got {sorted(files)}")

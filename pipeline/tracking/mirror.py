@@ -105,11 +105,7 @@ class Tracker:
 
 
 def database_uri(store: Path) -> str:
-    """Return the URI of a store's own MLflow database; refuse a path that MLflow would read as another one.
-
-    Raises:
-        PuddleError: MLflow would write outside the store.
-    """
+    """Return the URI of a store's own MLflow database; refuse a path that MLflow would read as another one."""
     from sqlalchemy import make_url  # installed with MLflow
 
     database = str(store.resolve() / "mlflow.db")
@@ -259,11 +255,7 @@ def _flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def serve_ui(store: Path, port: int) -> NoReturn:
-    """Replace this process by the MLflow UI's server, so that signals reach the server itself.
-
-    Raises:
-        PuddleError: the database is missing or damaged, or the port is taken.
-    """
+    """Replace this process by the MLflow UI's server, so that signals reach the server itself."""
     database = store / "mlflow.db"
     if not database.is_file():
         raise PuddleError(f"{store}: expected mlflow.db, found none. `puddle study` creates it.")

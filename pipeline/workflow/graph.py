@@ -90,11 +90,7 @@ class StageRun:
         return found
 
     def next_item(self, progress: ChainProgress) -> Item[Any]:
-        """Specify a chain's next item.
-
-        Raises:
-            MissingInputs: an input failed or is not done.
-        """
+        """Specify a chain's next item; raise MissingInputs if an input failed or is not done."""
         previous = progress.manifests[-1] if progress.manifests else None
         return self.stage.item(self.settings, progress.chain, len(progress.manifests), previous, self.upstream)
 

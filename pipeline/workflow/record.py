@@ -89,11 +89,7 @@ class RecordingBar:
 
 
 def settings_of(record: StudyRecord) -> Settings:
-    """Return the settings of a recorded study.
-
-    Raises:
-        PuddleError: another version of puddle recorded them, with other fields; the message names the first.
-    """
+    """Return the settings of a recorded study; refuse those of another version of puddle, with other fields."""
     try:
         return Settings.model_validate(record.settings)
     except ValidationError as error:

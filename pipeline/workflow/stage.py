@@ -40,8 +40,7 @@ class Execution:
     """Execution options: how an item is computed. They never change its result."""
 
     engine: Literal["batch", "reference"] = "batch"
-    designs_per_batch: int | None = None
-    """Designs that one worker simulates at a time; None for all designs on the item's own worker."""
+    designs_per_batch: int | None = None  # that one worker simulates at a time; None for all on the item's own worker
     n_gpus: int = 0
 
 
@@ -53,8 +52,7 @@ class Chain(Generic[ChainSpecT]):
     units: tuple[float, ...]  # size of each item, in the stage's unit
     spec: ChainSpecT  # what all its items have in common: each item's specification is this one, or has it as a field
     weight: float = 1.0  # cost of a unit relative to the stage's other chains, for the order of work and the time left
-    batch_key: Arm | None = None
-    """Items of chains with the same key may be computed as one batch if they are equally far and equally long."""
+    batch_key: Arm | None = None  # chains with the same key, equally far and equally long, may form a batch
     batch_size: int = 1  # chains that make the fastest batch
 
     @property
@@ -123,15 +121,10 @@ class Results:
     unfinished: tuple[ChainId, ...] = ()  # chains that have items still to do
     n_done: Mapping[ChainId, int] = field(default_factory=dict)  # number of items done of every chain
     seconds: float = 0.0  # core-seconds that the items took, on the machines that made them
-    diverged: Mapping[ChainId, str] = field(default_factory=dict)
-    """What diverged in complete chains; the driver fills it in."""
+    diverged: Mapping[ChainId, str] = field(default_factory=dict)  # in complete chains; the driver fills it in
 
     def chain(self, identity: ChainId) -> tuple[Manifest, ...]:
-        """Return the manifests of a chain.
-
-        Raises:
-            MissingInputs: the chain is not complete; the message gives the reason.
-        """
+        """Return the manifests of a chain; raise MissingInputs, with the reason, if it is not complete."""
         if identity not in self.done:
             raise MissingInputs(f"{self.stage} of {identity.label} is {self.failed.get(identity, 'not done')}")
         return self.done[identity]
@@ -159,8 +152,7 @@ class Summary:
     metrics: Mapping[str, float] = field(default_factory=dict)
     trials: Sequence[TrialSummary] = ()
     artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files that a person may want to open, by path
-    of_study: bool = False
-    """Whether the study as a whole shows these metrics and artifacts too, so that studies can be compared by them."""
+    of_study: bool = False  # whether the study as a whole shows these metrics and artifacts too, to compare studies
 
 
 @dataclass(frozen=True)
@@ -174,8 +166,7 @@ class Stage(Generic[ChainSpecT, ItemSpecT]):
     plan: Callable[[Settings], Sequence[Chain[ChainSpecT]]]
     item: Callable[[Settings, Chain[ChainSpecT], int, Manifest | None, Upstream], Item[ItemSpecT]]
     """Specify item i of a chain from the item before it (None at the chain's start) and the stages it reads."""
-    compute: Callable[[Job[ItemSpecT], Inputs], Files]
-    """Compute an item. Runs on a worker: no store, no clock."""
+    compute: Callable[[Job[ItemSpecT], Inputs], Files]  # runs on a worker: no store, no clock
     summarise: Callable[[Settings, Results, Store], Summary]
     compute_batch: Callable[[Sequence[Job[ItemSpecT]], Sequence[Inputs]], Sequence[Files]] | None = None
     """Compute items that form a batch in one call: the same files as ``compute`` makes of each, but faster."""

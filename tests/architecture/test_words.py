@@ -84,7 +84,7 @@ FILES = {
     "rates": "cost_model",
     "reach": "preflight",
     "rows": "layout",
-    "sizes": "storage_model",
+    "sizes": "cost_model",
     "specimens": "calibration",
     "volatile": "crash_consistency_disk",
 }

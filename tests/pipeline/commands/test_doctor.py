@@ -123,22 +123,20 @@ def test_finished_work_needs_no_disk_space(store, tmp_path, monkeypatch):
         (None, "fail"),
     ],
 )
-def test_ray_passes_if_a_worker_answers(monkeypatch, done, verdict):
+def test_ray_passes_if_a_worker_answers(done, verdict):
     @contextlib.contextmanager
     def cluster(*_, **__):
         yield SimpleNamespace(submit=lambda function: None, next_done=lambda timeout: done)
 
-    monkeypatch.setattr(examination, "ray_cluster", cluster)
-    found = examination._ray()
+    found = examination._ray(cluster)
     assert (found.verdict, found.what) == (verdict, "ray")
     assert ("it died" in found.found) == (done is not None and isinstance(done[1], TaskFailed))
 
 
-def test_memory_is_what_is_free_in_the_container(monkeypatch):
-    monkeypatch.setattr(examination, "free_memory", lambda: 2 * 10**9)
-    found = examination._memory(8)
+def test_memory_limits_the_number_of_workers():
+    found = examination._memory(8, free=2e9)
     assert found.verdict == "fail" and "2.0 GB free" in found.found and "--workers 2" in found.advice
-    assert examination._memory(2).verdict == "ok"
+    assert examination._memory(2, free=2e9).verdict == "ok"
 
 
 def test_a_taken_port_is_a_warning(monkeypatch):

@@ -340,7 +340,7 @@ def test_the_next_run_converts_the_journal_of_a_killed_one(tmp_path):
 
 def test_a_log_that_cannot_be_written_is_refused_before_anything_moves(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(PuddleError, match="keeping the log"):
+    with pytest.raises(PuddleError, match="writing the log"):
         ServoLog(tmp_path / "file" / "run.parquet")
 
 
