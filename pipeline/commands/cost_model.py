@@ -73,10 +73,7 @@ class Cost:
 
     @classmethod
     def fit(cls, samples: Sequence[Sample]) -> Cost:
-        """Fit the cost to samples: medians of the smallest and the greatest size.
-
-        Medians ignore the items that waited for a compiler.
-        """
+        """Fit the medians of the smallest and of the greatest size, which ignore items that waited for a compiler."""
         sizes = [sample.size for sample in samples]
         least, most = min(sizes), max(sizes)
         small, large = ([one for one in samples if one.size == size] for size in (least, most))

@@ -61,7 +61,7 @@ def find_garbage(store: Store) -> Garbage:
 
 
 def _readable(store: Store) -> Iterator[Manifest]:
-    """Give every manifest that is neither damaged nor a newer puddle's."""
+    """Yield every manifest that is neither damaged nor a newer puddle's."""
     for stage in store.stages():
         for key in store.keys(stage):
             with contextlib.suppress(PuddleError):
@@ -124,7 +124,7 @@ def _in_reach(stage: AnyStage, chains: Sequence[ChainProgress], behind_gaps: Seq
 
 
 def _needs(store: Store, name: str, behind_gaps: Sequence[Manifest]) -> Iterator[tuple[str, str]]:
-    """Give stage and key of every item that a study needs."""
+    """Yield stage and key of every item that a study needs."""
     record = store.read_study(name)
     if record is None:
         raise PuddleError(f"{store.study_path(name) / 'study.json'}: expected a study's record, found no file.")

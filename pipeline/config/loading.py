@@ -111,9 +111,6 @@ def parse(model: type[M], text: str, *, name: str, overrides: Sequence[str] = ()
         raise PuddleError("\n".join(_explain(model, root, error) for error in found)) from None
 
 
-# -- YAML to values --------------------------------------------------------------------------------------------------
-
-
 class _Loader(yaml.SafeLoader):
     """PyYAML's composer without aliases, anchors, tags and deep nesting."""
 
@@ -203,9 +200,6 @@ def _plain(value: Value) -> Any:
     return value.content
 
 
-# -- overrides -------------------------------------------------------------------------------------------------------
-
-
 def _override(root: Value, override: str) -> Value:
     """Return the settings with the assignment ``a.b=c`` applied."""
     where = f"{_SET}{override}"
@@ -230,9 +224,6 @@ def _replaced(group: Value, names: Sequence[str], value: Value, above: str = "")
     inner = group.content.get(names[0], Value({}, value.where))
     path = f"{above}.{names[0]}".lstrip(".")
     return Value({**group.content, names[0]: _replaced(inner, names[1:], value, path)}, group.where)
-
-
-# -- mistakes --------------------------------------------------------------------------------------------------------
 
 
 _EXPECTATIONS = {

@@ -179,5 +179,4 @@ def _runs(
 
 
 def _digest_of(results: Results) -> str:
-    """Return one SHA-256 for all that a stage made."""
     return digest(canonical_json({chain.label: [m.digest for m in done] for chain, done in results.done.items()}))
