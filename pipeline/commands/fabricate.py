@@ -30,10 +30,10 @@ def fabricate(
     Exits with 1 where the kit names a reason not to build the robot.
     """
     from pipeline.config.loading import load, parse
-    from pipeline.fabrication.choices import FabricationSettings
     from pipeline.fabrication.make_kit import fabricate as make
     from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.record import settings_of
+    from tasks.fabrication.kit_settings import FabricationSettings
 
     if (design is None) == (study is None):
         raise PuddleError("expected either a design file or --study NAME: `puddle fabricate design.json`")

@@ -5,30 +5,22 @@ from math import pi, radians
 
 import numpy as np
 
-from pipeline.fabrication.bench_checks import (
-    check_contacts,
-    check_floating,
-    check_loads,
-    check_predictions,
-    check_scale,
-    check_timeline,
-)
-from pipeline.fabrication.choices import FabricationSettings
-from tasks.analysis.tank import Tank
+from pipeline.fabrication import bench_checks
+from pipeline.fabrication.source import DesignSource
+from pipeline.stages import environments
 from tasks.arrays import Float64
-from tasks.design import Designs
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.checks import KitFinding
 from tasks.fabrication.contacts import PassingContact, passing_contacts
 from tasks.fabrication.floating import Floating, floating_of
 from tasks.fabrication.kit import Kit
+from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.fabrication.scaling import JointLoad, Scales, joint_loads, scales_of
-from tasks.fabrication.servo_joints import servo_of
 from tasks.fabrication.servos import Servo
-from tasks.fabrication.timeline import Timeline, timeline_of
-from tasks.simulation import OK, Rollouts, simulate
+from tasks.fabrication.timeline import Timeline, driven_joints, timeline_of
+from tasks.simulation import OK, simulate
 from tasks.simulation.box2d import Column
-from tasks.world import Environment, Physics
+from tasks.world import Physics
 
 _SPARE_RANGE = radians(5.0)  # beyond a joint's range that a calibration allows
 
@@ -38,7 +30,6 @@ class SimulatedRun:
     """The simulated run from which the loads are taken."""
 
     environment: str  # the environment, in words
-    displacement: float  # displacement of the root [m of simulation]
     com_displacement: float  # displacement of the centre of mass [m of simulation]
     duration: float  # duration of the measurement [s of simulation]
     torque: Float64
@@ -58,135 +49,99 @@ class Bench:
     simulated: SimulatedRun | None  # none if the simulation diverged
     loads: tuple[JointLoad, ...]
     floating: Floating
-    predicted: tuple[float, ...] | None
-    """(n_members) displacements of the root that the study's ensemble predicts [m of simulation]."""
     calibration: Calibration | None  # none if no joint has a servo
     timeline: Timeline | None  # none if the servos can't play it; the findings say why
     findings: tuple[KitFinding, ...]
 
 
-def run(
-    design: Designs, environment: Environment, *, label: str, physics: Physics, n_settle: int, n_measure: int
-) -> SimulatedRun | None:
-    """Simulate a design on the reference engine, the only one that reports motor torques.
+def bench_of(source: DesignSource, kit: Kit, choices: FabricationSettings, physics: Physics) -> Bench:
+    """Simulate a design, compute loads, floating and timeline of its kit, and check them.
 
     Args:
-        design: One design.
-        environment: The environment.
-        label: The environment, in words.
-        physics: Physics of the simulation.
-        n_settle: Steps before the measurement.
-        n_measure: Steps of the measurement.
-
-    Returns:
-        The run; None if it diverged.
-    """
-    rollouts: Rollouts = simulate(
-        design, environment, n_settle=n_settle, n_measure=n_measure, engine="reference", trace=True, physics=physics
-    )
-    if rollouts.status[0] != OK or rollouts.trace is None or rollouts.motor_torque is None:
-        return None
-    joints = driven(design)
-    parent = [int(design.parent[0, joint]) for joint in joints]
-    trace = rollouts.trace[0].astype(np.float64)
-    return SimulatedRun(
-        environment=label,
-        displacement=float(rollouts.displacement[0]),
-        com_displacement=float(rollouts.com_displacement[0]),
-        duration=n_measure * physics.time_step,
-        torque=rollouts.motor_torque[0][n_settle:, list(joints)].astype(np.float64),
-        speed=trace[n_settle:, list(joints), Column.OMEGA] - trace[n_settle:, parent, Column.OMEGA],
-        pose=trace[n_settle:, :, [Column.X, Column.Y, Column.ANGLE]],
-    )
-
-
-def driven(design: Designs) -> tuple[int, ...]:
-    """List the driven joints of one design."""
-    return tuple(int(joint) for joint in np.flatnonzero(design.motor_on[0]) if joint > 0)
-
-
-def bench_of(
-    design: Designs,
-    kit: Kit,
-    settings: FabricationSettings,
-    simulated: SimulatedRun | None,
-    predicted: tuple[float, ...] | None,
-    physics: Physics,
-    *,
-    tank: Tank | None,
-    depth: float,
-    true_slush: float | None = None,
-) -> Bench:
-    """Compute loads, floating and timeline of a kit and check them.
-
-    Args:
-        design: One design.
+        source: The design, its settings and what its study knows of it.
         kit: Its kit.
-        settings: The kit's settings.
-        simulated: Its simulated run; None if it diverged.
-        predicted: (n_members) displacements that the study's ensemble predicts [m of simulation], if there is one.
-        physics: Physics of the run.
-        tank: The study's virtual tank, if it has one.
-        depth: Depth of the slush in the run [m of simulation]; without a tank the kit floats in it, at its scale.
-        true_slush: Displacement of the root in the study's True Slush [m of simulation], if known.
+        choices: The kit's settings.
+        physics: Physics of the simulated run.
 
     Returns:
         Loads, floating, timeline and findings.
     """
-    servo, joints = servo_of(settings.kit), driven(design)
+    design, settings, servo = source.design, choices.kit, kit.servo
     scales = scales_of(
-        settings.scaling,
-        length=settings.kit.scale_mm_per_m / 1000,
+        choices.scaling,
+        length=settings.scale_mm_per_m / 1000,
         mass_kg=kit.mass_g / 1000,
         simulated_mass_kg=physics.link_density * design.parent.shape[1],  # a link has 1 m²
     )
+    simulated = _simulated(source, physics)
     loads: list[JointLoad] = []
     contacts: list[PassingContact] = []
     if simulated is not None:
-        amplitudes = [float(design.motion_range[0, joint]) for joint in joints]
+        joints = driven_joints(design)
         loads = joint_loads(
             joints,
             simulated.torque,
             simulated.speed,
             scales=scales,
             servo=servo,
-            servos_per_joint=settings.kit.servos_per_joint,
+            servos_per_joint=settings.servos_per_joint,
             max_motor_torque=physics.max_motor_torque,
-            commanded_speed=tuple(2 * pi * float(design.frequency[0]) * amplitude for amplitude in amplitudes),
+            commanded_speed=2 * pi * design.frequency[0] * design.motion_range[0, list(joints)],
         )
         contacts = passing_contacts(design, kit.mechanism, kit.layers, simulated.pose, time_step=physics.time_step)
-    floating = floating_of(kit, fluid_density=settings.scaling.fluid_density)
-    calibration = calibration_of(kit, servo)
+    floating = floating_of(kit, fluid_density=choices.scaling.fluid_density)
+    calibration = _calibration_of(kit)
     timeline: Timeline | None = None
     refused: list[KitFinding] = []
     if calibration is not None:
-        timeline = timeline_of(design, settings.playback, time_scale=scales.time)
-        if refused := check_timeline(timeline, calibration, settings):
+        timeline = timeline_of(design, choices.playback, time_scale=scales.time)
+        if refused := bench_checks.check_timeline(timeline, calibration, choices):
             timeline = None
-    findings = [
+    tank = source.settings.tank  # without one the kit floats in slush of the simulated depth, at its scale
+    depth_mm = source.depth * settings.scale_mm_per_m if tank is None else 1000 * tank.depth
+    findings = (
         *refused,
-        *check_loads(loads if simulated is not None else None, servo, settings),
-        *check_contacts(contacts),
-        *check_floating(floating, depth * settings.kit.scale_mm_per_m if tank is None else 1000 * tank.depth),
-        *check_scale(tank, settings.kit.scale_mm_per_m),
-        *check_predictions(predicted, true_slush),
-    ]
+        *bench_checks.check_loads(loads if simulated is not None else None, servo, choices),
+        *bench_checks.check_contacts(contacts),
+        *bench_checks.check_floating(floating, depth_mm),
+        *bench_checks.check_scale(tank, settings.scale_mm_per_m),
+        *bench_checks.check_predictions(source.predicted, source.true_slush),
+    )
     return Bench(
         scales=scales,
         servo=servo,
-        servos_per_joint=settings.kit.servos_per_joint,
+        servos_per_joint=settings.servos_per_joint,
         simulated=simulated,
         loads=tuple(loads),
         floating=floating,
-        predicted=predicted,
         calibration=calibration,
         timeline=timeline,
-        findings=tuple(findings),
+        findings=findings,
     )
 
 
-def calibration_of(kit: Kit, servo: Servo) -> Calibration | None:
+def _simulated(source: DesignSource, physics: Physics) -> SimulatedRun | None:
+    """Simulate a design on the reference engine, the only one that reports motor torques. None if it diverges."""
+    design, rollout = source.design, source.settings.rollout
+    environment = environments.true_slush(environments.media_of(source.settings, "true_slush"), source.depth)
+    rollouts = simulate(design, environment, engine="reference", trace=True, physics=physics, **rollout.model_dump())
+    if rollouts.status[0] != OK or rollouts.trace is None or rollouts.motor_torque is None:
+        return None
+    joints = list(driven_joints(design))
+    trace = rollouts.trace[0, rollout.n_settle :].astype(np.float64)
+    return SimulatedRun(
+        environment=source.environment,
+        com_displacement=float(rollouts.com_displacement[0]),
+        duration=rollout.n_measure * physics.time_step,
+        torque=rollouts.motor_torque[0][rollout.n_settle :, joints].astype(np.float64),
+        speed=trace[:, joints, Column.OMEGA] - trace[:, design.parent[0, joints], Column.OMEGA],
+        pose=trace[:, :, [Column.X, Column.Y, Column.ANGLE]],
+    )
+
+
+def _calibration_of(kit: Kit) -> Calibration | None:
     """Return the calibration of servos that match the data sheet: a first guess. None if no joint has a servo."""
+    servo = kit.servo
     servos: list[ServoCalibration] = []
     for servo_joint in kit.servo_joints:
         reach = servo.us_per_rad * (servo_joint.joint.motion_range + _SPARE_RANGE)

@@ -6,12 +6,12 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.fabrication.choices import FabricationSettings
 from tasks.analysis.tank import Tank
 from tasks.fabrication.calibration import Calibration
 from tasks.fabrication.checks import KitFinding, Severity
 from tasks.fabrication.contacts import PassingContact
 from tasks.fabrication.floating import Floating
+from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.fabrication.scaling import CONTINUOUS_SHARE, JointLoad
 from tasks.fabrication.servos import Servo
 from tasks.fabrication.timeline import Timeline, TimelineError, pulses
@@ -45,23 +45,21 @@ def check_timeline(timeline: Timeline, calibration: Calibration, settings: Fabri
 
 
 def _timeline_shortfalls(timeline: Timeline, calibration: Calibration) -> list[_Shortfall]:
-    far = fast = False
-    for servo in calibration.servos:
-        column = timeline.joints.index(servo.joint)
-        reach = min(servo.max_us - servo.centre_us, servo.centre_us - servo.min_us) / servo.us_per_rad
-        far |= bool(np.abs(timeline.angle[:, column]).max() > reach)
-        fast |= bool(np.abs(timeline.speed[:, column]).max() > servo.max_speed)
-    shortfalls: list[tuple[bool, _Shortfall]] = [(far, "travel"), (fast, "speed")]
-    return [shortfall for exists, shortfall in shortfalls if exists]
+    columns = [(servo, timeline.joints.index(servo.joint)) for servo in calibration.servos]
+    shortfalls: dict[_Shortfall, bool] = {
+        "travel": any(np.abs(timeline.angle[:, column]).max() > servo.reach for servo, column in columns),
+        "speed": any(np.abs(timeline.speed[:, column]).max() > servo.max_speed for servo, column in columns),
+    }
+    return [shortfall for shortfall, exists in shortfalls.items() if exists]
 
 
 def _load_shortfalls(load: JointLoad, servo: Servo) -> list[_Shortfall]:
     """Return which of speed and torque is nearly used up by itself; else both, which the servo's line combines."""
-    shares: list[tuple[float, _Shortfall]] = [
-        (load.peak_speed / servo.no_load_speed_rad_s, "speed"),
-        (load.peak_torque / servo.stall_torque_nm, "torque"),
-    ]
-    return [shortfall for share, shortfall in shares if share * _MIN_MARGIN > 1] or ["speed", "torque"]
+    shares: dict[_Shortfall, float] = {
+        "speed": load.peak_speed / servo.no_load_speed_rad_s,
+        "torque": load.peak_torque / servo.stall_torque_nm,
+    }
+    return [shortfall for shortfall, share in shares.items() if share * _MIN_MARGIN > 1] or list(shares)
 
 
 def _advice(shortfalls: Sequence[_Shortfall], settings: FabricationSettings) -> str:
@@ -168,12 +166,7 @@ def check_scale(tank: Tank | None, scale_mm_per_m: float) -> list[KitFinding]:
 
 
 def check_predictions(displacements: Sequence[float] | None, true_slush: float | None) -> list[KitFinding]:
-    """Check what an ensemble predicts for the design.
-
-    Args:
-        displacements: (n_members) displacements of the root [m of simulation], if there is an ensemble.
-        true_slush: Displacement in True Slush [m of simulation], if known.
-    """
+    """Check the (n_members) displacements [m of simulation] that an ensemble predicts, also against True Slush's."""
     if displacements is None:
         return []
     mean, deviation = float(np.mean(displacements)), float(np.std(displacements))

@@ -5,11 +5,12 @@ from functools import partial
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.fabrication.bench import Bench, driven
+from pipeline.fabrication.bench import Bench
 from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, NothingToDraw, finish
 from tasks.arrays import Floats, Int64
 from tasks.design import Designs
 from tasks.fabrication.scaling import line_use
+from tasks.fabrication.timeline import driven_joints
 
 _JOINT_COLOURS = ("#1c6fb8", "#dd7700", "#1d6b3c", "#7d4aa5", "#c2185b")
 _SHOWN = 20.0  # of the timeline [s]
@@ -29,7 +30,7 @@ def _torque(design: Designs, bench: Bench) -> tuple[Figure, str]:
     figure = Figure(figsize=(FIGURE_WIDTH, 3.3), layout="constrained")
     axes = figure.subplots()
     every = max(1, len(bench.simulated.torque) // _POINTS)
-    for column, (joint, colour) in enumerate(zip(driven(design), _JOINT_COLOURS, strict=False)):
+    for column, (joint, colour) in enumerate(zip(driven_joints(design), _JOINT_COLOURS, strict=False)):
         torque = bench.simulated.torque[:, column] * bench.scales.torque / bench.servos_per_joint
         speed = bench.simulated.speed[:, column] * bench.scales.frequency
         shown = worst_of_each(line_use(torque, speed, bench.servo), every)

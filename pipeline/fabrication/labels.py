@@ -17,6 +17,8 @@ _PAD_MM = 0.6  # around the letters
 _LEADER_MM = 6.0  # distance from a label to its target beyond which a leader line joins them
 _TEXT_COST, _LINE_COST = 10.0, 1.0  # per mm² of another label covered, and of a mark or a line
 
+_PLACES_PER_CIRCLE = 12
+
 Place = tuple[float, float]
 
 
@@ -47,13 +49,12 @@ class Labels:
         """
         letters = _box(text, style["fontsize"], style.get("weight", "normal"))
         lying = affinity.rotate(letters, rotation, origin=(0, 0))
-        best, least = (0.0, 0.0), float("inf")
+        costs: dict[Place, float] = {}
         for place in places:
-            cost = self._cost(affinity.translate(lying, *place))
-            if cost < least:
-                best, least = place, cost
-            if least == 0.0:
+            costs[place] = self._cost(affinity.translate(lying, *place))
+            if costs[place] == 0.0:
                 break
+        best = min(costs, key=costs.__getitem__)
         where = affinity.translate(lying, *best)
         self.boxes.append(where)
         if of is not None:
@@ -86,16 +87,9 @@ def _box(text: str, fontsize: float, weight: str) -> Polygon:
     return box(-half_w, -half_h, half_w, half_h)
 
 
-def around(place: Place, distances: Sequence[float], *, first: float = pi / 4, n: int = 12) -> Iterator[Place]:
-    """Yield places around a place.
-
-    Args:
-        place: The centre [mm].
-        distances: Radii in order [mm].
-        first: Direction of the first place on each radius [rad].
-        n: Number of places per radius.
-    """
+def around(place: Place, distances: Sequence[float]) -> Iterator[Place]:
+    """Yield places on circles of some radii [mm] around a place, from its upper right to the opposite side."""
     for distance in distances:
-        for step in range(n):
-            angle = first + (-1) ** step * ((step + 1) // 2) * 2 * pi / n
+        for step in range(_PLACES_PER_CIRCLE):
+            angle = pi / 4 + (-1) ** step * ((step + 1) // 2) * 2 * pi / _PLACES_PER_CIRCLE
             yield place[0] + distance * cos(angle), place[1] + distance * sin(angle)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from pipeline.errors import PuddleError
 from pipeline.stages import STAGES, environments
 from pipeline.stages.environments import WEIGHTS
 from pipeline.stages.transfer import CHAMPION, read_scores
-from pipeline.store.design_file import design_from
+from pipeline.store.design_file import design_from, read_design
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
@@ -19,6 +20,8 @@ from pipeline.workflow.stage import Execution, MissingInputs, Results
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
 from tasks.simulation import OK
+
+_PHYSICAL_DEPTH = 2.0  # of the slush in which a design file is simulated [m]; paper, "Physical Validation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +36,27 @@ class DesignSource:
     predicted: tuple[float, ...] | None
     """(n_members) displacements that the study's ensemble predicts [m of simulation], if there is one."""
     true_slush: float | None = None  # its score in True Slush [m of simulation], if the study has one
+
+    @property
+    def environment(self) -> str:
+        """Environment of the simulation, in words."""
+        return f"True Slush at {self.depth:g} m"
+
+    @property
+    def prediction(self) -> tuple[float, float] | None:
+        """Mean and standard deviation of ``predicted`` [m of simulation]."""
+        return None if self.predicted is None else (float(np.mean(self.predicted)), float(np.std(self.predicted)))
+
+
+def from_file(path: Path, settings: Settings) -> DesignSource:
+    """Read a design file, to be simulated with some settings.
+
+    Raises:
+        PuddleError: The file can't be read or is invalid.
+    """
+    where = f"True Slush at {_PHYSICAL_DEPTH:g} m"
+    origin = f"Design file {path.name}, simulated in {where} with the settings of {settings.name}."
+    return DesignSource(read_design(path), path.stem, origin, settings, _PHYSICAL_DEPTH, None)
 
 
 def proposed(settings: Settings, store: Store) -> DesignSource:

@@ -60,6 +60,11 @@ class ServoCalibration(Parameters):
         """Fastest change of the pulse [µs/s]."""
         return self.max_speed * self.us_per_rad
 
+    @property
+    def reach(self) -> float:
+        """Largest angle from rest that it reaches on both sides [rad]."""
+        return min(self.max_us - self.centre_us, self.centre_us - self.min_us) / self.us_per_rad
+
     def angle(self, pulse_us: float) -> float:
         """Return the joint's angle from rest [rad] at a pulse."""
         return self.direction * (pulse_us - self.centre_us) / self.us_per_rad

@@ -18,8 +18,8 @@ from tasks.fabrication.kit_settings import KitSettings
 from tasks.fabrication.parts import SIDES, BoughtPart, Part, bought_of, parts_of
 from tasks.fabrication.profile import Profile, profile_of
 from tasks.fabrication.rods import Layers, keep_out, layers_of, rod_circles
-from tasks.fabrication.servo_joints import ServoJoint, servo_joints_of
-from tasks.fabrication.servos import Sense
+from tasks.fabrication.servo_joints import ServoJoint, servo_joints_of, servo_of
+from tasks.fabrication.servos import Sense, Servo
 from tasks.fabrication.splits import Split, split_of
 
 
@@ -40,6 +40,11 @@ class Kit:
     gauges: tuple[Gauge, ...]  # test prints for the fit of servo and horn
     findings: tuple[KitFinding, ...]  # faults first
     bill: tuple[BillLine, ...]
+
+    @property
+    def servo(self) -> Servo:
+        """The servo of every joint, with its one horn and the user's measurements."""
+        return servo_of(self.settings)
 
     @property
     def mass_g(self) -> float:

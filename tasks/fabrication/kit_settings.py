@@ -1,10 +1,12 @@
-"""Settings of a kit: scale, servo, clearances, printer. [P] marks values from the paper; lengths are in mm."""
+"""Settings of ``puddle fabricate``. [P] marks values from the paper; lengths are in mm."""
 
 from typing import Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator
 
+from tasks.fabrication.scaling import Scaling
 from tasks.fabrication.servos import MEASURES, HornKind
+from tasks.fabrication.timeline import Playback
 from tasks.parameters import Parameters
 
 
@@ -68,3 +70,14 @@ class KitSettings(Parameters):
         if unknown := sorted(measured.keys() - MEASURES.keys()):
             raise ValueError(f"expected names of {', '.join(MEASURES)}; got {', '.join(unknown)}")
         return measured
+
+
+class FabricationSettings(Parameters):
+    """Settings of a kit and its run on the bench, separate from a study's."""
+
+    kit: KitSettings = KitSettings()
+    """Parts, servo and printer."""
+    scaling: Scaling = Scaling()
+    """Scaling from simulation to bench."""
+    playback: Playback = Playback()
+    """The run on the bench."""

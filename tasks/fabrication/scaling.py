@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 
 from tasks.arrays import Floats
@@ -121,7 +122,7 @@ def joint_loads(
     servo: Servo,
     servos_per_joint: int,
     max_motor_torque: float,
-    commanded_speed: tuple[float, ...],
+    commanded_speed: npt.ArrayLike,
 ) -> list[JointLoad]:
     """Scale the torques and speeds of a simulated run to the bench and compare them with the servos.
 

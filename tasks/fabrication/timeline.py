@@ -78,6 +78,11 @@ def envelope(time: Float64, *, duration: float, ramp: float) -> Float64:
     return risen
 
 
+def driven_joints(design: Designs) -> tuple[int, ...]:
+    """List the driven joints of one design."""
+    return tuple(int(joint) for joint in np.flatnonzero(design.motor_on[0]) if joint > 0)
+
+
 def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Timeline:
     """Sample the motor commands of a design's controller.
 
@@ -92,7 +97,7 @@ def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Ti
     Raises:
         TimelineError: No motor is on.
     """
-    joints = tuple(int(joint) for joint in np.flatnonzero(design.motor_on[0]) if joint > 0)
+    joints = driven_joints(design)
     n_frames = round(playback.duration * FRAME_RATE_HZ) + 1
     time = np.arange(n_frames) / FRAME_RATE_HZ
     turns = design.frequency[0] * time / time_scale

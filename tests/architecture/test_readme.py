@@ -19,7 +19,7 @@ from benchmarks.readme import PAGE, RESULTS, with_section
 from pipeline.commands.app import app
 from pipeline.commands.options import StudyOptions
 from pipeline.config.loading import parse
-from pipeline.fabrication.choices import FabricationSettings
+from tasks.fabrication.kit_settings import FabricationSettings
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"

@@ -11,11 +11,11 @@ from pipeline.fabrication.bench_checks import (
     check_scale,
     check_timeline,
 )
-from pipeline.fabrication.choices import FabricationSettings
 from pipeline.fabrication.kit_figures import worst_of_each
 from tasks.analysis.tank import Tank
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.floating import Floating
+from tasks.fabrication.kit_settings import FabricationSettings
 from tasks.fabrication.scaling import JointLoad
 from tasks.fabrication.servos import servo_named
 from tasks.fabrication.timeline import Timeline

@@ -14,7 +14,7 @@ from command_line import call
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.kit_folder import KIT_MANIFEST, check_place, write_kit
-from pipeline.fabrication.kit_page import _last_steps
+from pipeline.fabrication.kit_page import TEMPLATES
 from pipeline.fabrication.timeline_file import read_calibration, read_timeline
 from pipeline.servo.play import PlayOptions, play_timeline
 from pipeline.store import disk
@@ -153,8 +153,9 @@ def test_a_kit_without_a_timeline_does_not_suggest_to_play_it(made):
     page = (made / "kit/index.html").read_text()
     assert "puddle drive kit --dry-run" in page and "Measure each servo's pulses" in page
     lame = Bench(**{field.name: None for field in fields(Bench)} | {"calibration": object()})
-    assert "puddle drive" not in _last_steps(lame, "kit") and "Measure each servo's pulses" in _last_steps(lame, "kit")
-    assert _last_steps(replace(lame, calibration=None), "kit") == ""
+    last_steps = TEMPLATES.get_template("kit_macros.html").module.last_steps
+    assert "puddle drive" not in last_steps(lame, "kit") and "Measure each servo's pulses" in last_steps(lame, "kit")
+    assert last_steps(replace(lame, calibration=None), "kit") == ""
 
 
 def test_mistakes(made, crane, tmp_path, capsys):
