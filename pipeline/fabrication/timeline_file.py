@@ -1,6 +1,5 @@
 """File formats of servo timelines (timeline.json, timeline.csv) and calibrations (calibration.yaml)."""
 
-import csv
 import io
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from pipeline.config.loading import load
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import check_format, decode_json, encode_json
 from tasks.design import N_LINKS
-from tasks.fabrication.calibration import Calibration
+from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.timeline import FRAME_RATE_HZ, Timeline, TimelineError, pulses
 
 _SCHEMA, _VERSION = "puddle.timeline", 1
@@ -44,18 +43,19 @@ def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
 
 def timeline_csv(timeline: Timeline, calibration: Calibration) -> bytes:
     """Encode the same as CSV, one row per frame. Raises as timeline_json."""
+    sent = pulses(timeline, calibration)
+    angles = [f"joint_{joint}_rad" for joint in timeline.joints]
+    widths = [f"channel_{servo.channel}_us" for servo in calibration.servos]
+    decimals = [2, *len(angles) * [_RADIAN_DIGITS], *len(widths) * [_PULSE_DIGITS]]
     sheet = io.StringIO()
-    writer = csv.writer(sheet, lineterminator="\n")
-    writer.writerow(
-        [
-            "time_s",
-            *(f"joint_{joint}_rad" for joint in timeline.joints),
-            *(f"channel_{servo.channel}_us" for servo in calibration.servos),
-        ]
+    np.savetxt(
+        sheet,
+        np.column_stack([timeline.time, timeline.angle, sent]),
+        fmt=[f"%.{n}f" for n in decimals],
+        delimiter=",",
+        header=",".join(["time_s", *angles, *widths]),
+        comments="",
     )
-    for time, angle, sent in zip(timeline.time, timeline.angle, pulses(timeline, calibration), strict=True):
-        row = [f"{time:.2f}", *(f"{value:.{_RADIAN_DIGITS}f}" for value in angle)]
-        writer.writerow([*row, *(f"{value:.{_PULSE_DIGITS}f}" for value in sent)])
     return sheet.getvalue().encode()
 
 
@@ -116,27 +116,19 @@ def read_calibration(path: Path) -> Calibration:
     Raises:
         PuddleError: The file can't be read or is invalid; the message has a line per mistake.
     """
-    return load(Calibration, path)
+    try:
+        return load(Calibration, path)
+    except PuddleError as error:
+        if isinstance(error.__cause__, OSError):  # whose message speaks of settings
+            raise PuddleError(f"{path}: can't read the calibration file: {error.__cause__.strerror}") from error
+        raise
 
 
 def calibration_yaml(calibration: Calibration, heading: str) -> bytes:
     """Encode a calibration as YAML with comments, for the user to edit."""
     lines = [*(f"# {line}" for line in heading.splitlines()), "servos:"]
     for servo in calibration.servos:
-        values = servo.model_dump()
-        marks = ["-"] + [" "] * (len(values) - 1)
-        for mark, (name, value) in zip(marks, values.items(), strict=True):
-            lines.append(f"  {mark} {name}: {value:.10g}" + (f"  # {_COMMENTS[name]}" if name in _COMMENTS else ""))
+        for number, (name, field) in enumerate(ServoCalibration.model_fields.items()):
+            mark = " " if number else "-"
+            lines.append(f"  {mark} {name}: {getattr(servo, name):.10g}  # {field.description}")
     return ("\n".join(lines) + "\n").encode()
-
-
-_COMMENTS = {
-    "joint": "joint that it moves, by the number of the child link",
-    "channel": "channel of the servo controller",
-    "centre_us": "neutral pulse: the joint is at rest",
-    "direction": "1 if longer pulses turn the child link counter-clockwise, else -1",
-    "us_per_rad": "change of the pulse per radian",
-    "min_us": "shortest pulse that may be sent",
-    "max_us": "longest pulse that may be sent",
-    "max_speed": "fastest speed that may be commanded [rad/s]",
-}

@@ -18,7 +18,7 @@ from pipeline.servo.servo_controller import DryRunController, ServoController
 from pipeline.store import disk
 from pipeline.store.encoding import decode_json, digest
 from tasks.arrays import Float64
-from tasks.fabrication.calibration import Calibration, ServoCalibration
+from tasks.fabrication.calibration import ServoCalibration
 from tasks.fabrication.timeline import FRAME_RATE_HZ, TimelineError, pulses
 
 _FRAMES_PER_UPDATE = 5  # the live line is rewritten ten times a second
@@ -82,7 +82,7 @@ def play_timeline(
         )
     timeline = read_timeline(path)
     calibration_path = options.calibration or path.with_name("calibration.yaml")
-    calibration = _read_calibration(calibration_path)
+    calibration = read_calibration(calibration_path)
     try:
         wanted = pulses(timeline, calibration)
     except TimelineError as error:
@@ -100,15 +100,6 @@ def play_timeline(
             say("Nothing was moved.")
             return False
         return _play(controller, calibration.servos, wanted, options, log_path, say, clock or Clock())
-
-
-def _read_calibration(path: Path) -> Calibration:
-    try:
-        return read_calibration(path)
-    except PuddleError as error:
-        if isinstance(error.__cause__, OSError):  # whose message speaks of settings
-            raise PuddleError(f"{path}: can't read the calibration file: {error.__cause__.strerror}") from error
-        raise
 
 
 def open_controller(options: PlayOptions) -> ServoController:

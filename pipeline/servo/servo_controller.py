@@ -47,28 +47,11 @@ class ServoController(Protocol):
 
 
 class DryRunController:
-    """A controller without hardware: it accepts every command and moves nothing."""
+    """A controller without hardware: it accepts every command, moves nothing and knows no position."""
 
     name = "dry run"
 
-    def prepare(self, rates_us: Mapping[int, float]) -> None:
+    def _accept(self, *_: object, **__: object) -> None:
         """Do nothing."""
 
-    def send(self, pulses_us: Mapping[int, float]) -> None:
-        """Do nothing."""
-
-    def position(self, channel: int) -> float | None:  # noqa: ARG002
-        """Return None: no position is known."""
-        return None
-
-    def check(self) -> None:
-        """Do nothing."""
-
-    def home(self) -> None:
-        """Do nothing."""
-
-    def off(self, channels: tuple[int, ...]) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
+    prepare = send = position = check = home = off = close = _accept
