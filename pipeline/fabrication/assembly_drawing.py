@@ -21,8 +21,8 @@ from shapely.geometry.base import BaseGeometry
 
 from pipeline.fabrication.labels import Labels, around
 from pipeline.report.drawing import INK
+from tasks.fabrication.assembly import SIDES
 from tasks.fabrication.kit import Kit
-from tasks.fabrication.parts import SIDES, placement
 from tasks.fabrication.servo_joints import ServoJoint
 
 _SHEET_MM = (420.0, 297.0)
@@ -239,7 +239,7 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
     for body, profile in enumerate(kit.profiles):
         x0, _, x1, _ = profile.polygon.bounds
         for side in SIDES:
-            _, up = placement(body, side, kit.layers, settings)
+            _, up = kit.placement(body, side)
             a, b = put(x0, up + settings.thickness_mm), put(x1, up)
             sheet.add_patch(Rectangle(a, *(b - a), fc=PART_COLOURS[body % 6], ec=INK, alpha=0.85, zorder=3))
             names[f"{body + 1}", (a[1] + b[1]) / 2] = (a[0], b[0])

@@ -11,7 +11,7 @@
 import csv
 import io
 
-from matplotlib.colors import to_rgb
+from PIL import ImageColor
 
 from pipeline.fabrication.assembly_drawing import PART_COLOURS, assembly_drawing
 from pipeline.fabrication.formats import dxf, step, stl, three_mf
@@ -72,10 +72,7 @@ def _bill_csv(kit: Kit) -> bytes:
 
 
 def _picture(kit: Kit, meshes: list[Mesh]) -> bytes:
-    parts: list[Colour] = []
-    for colour in PART_COLOURS:
-        red, green, blue = (round(255 * c) for c in to_rgb(colour))
-        parts.append((red, green, blue))
+    parts: list[Colour] = [ImageColor.getrgb(colour)[:3] for colour in PART_COLOURS]
     shown = [ColouredMesh(mesh, parts[part.body % len(parts)]) for part, mesh in zip(kit.parts, meshes, strict=True)]
     shown += [ColouredMesh(mesh_of(item.solid), _BOUGHT_COLOURS[item.kind]) for item in kit.bought]
     kinds = dict.fromkeys(item.kind for item in kit.bought if item.kind in ("servo", "rod"))

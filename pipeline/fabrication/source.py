@@ -49,11 +49,7 @@ class DesignSource:
 
 
 def from_file(path: Path, settings: Settings) -> DesignSource:
-    """Read a design file, to be simulated with some settings.
-
-    Raises:
-        PuddleError: The file can't be read or is invalid.
-    """
+    """Read a design file, to be simulated with some settings. Raises PuddleError if it is invalid."""
     where = f"True Slush at {_PHYSICAL_DEPTH:g} m"
     origin = f"Design file {path.name}, simulated in {where} with the settings of {settings.name}."
     return DesignSource(read_design(path), path.stem, origin, settings, _PHYSICAL_DEPTH, None)

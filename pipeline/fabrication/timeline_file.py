@@ -22,11 +22,7 @@ _RADIAN_DIGITS, _PULSE_DIGITS = 6, 2  # decimals, far finer than any servo
 
 
 def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
-    """Encode a timeline, with its pulses under a calibration, as JSON.
-
-    Raises:
-        TimelineError: The timeline exceeds a limit of the calibration.
-    """
+    """Encode a timeline, with its pulses under a calibration, as JSON. Raises TimelineError beyond its limits."""
     sent = np.round(pulses(timeline, calibration), _PULSE_DIGITS)
     return encode_json(
         {
@@ -42,7 +38,7 @@ def timeline_json(timeline: Timeline, calibration: Calibration) -> bytes:
 
 
 def timeline_csv(timeline: Timeline, calibration: Calibration) -> bytes:
-    """Encode the same as CSV, one row per frame. Raises as timeline_json."""
+    """Encode the same as CSV, one row per frame. Raises as :func:`timeline_json`."""
     sent = pulses(timeline, calibration)
     angles = [f"joint_{joint}_rad" for joint in timeline.joints]
     widths = [f"channel_{servo.channel}_us" for servo in calibration.servos]
@@ -62,8 +58,7 @@ def timeline_csv(timeline: Timeline, calibration: Calibration) -> bytes:
 def read_timeline(path: Path) -> Timeline:
     """Read a timeline's angles. The pulses follow from the current calibration, so those of the file are ignored.
 
-    Raises:
-        PuddleError: The file can't be read or is invalid; the message names the field.
+    Raises PuddleError if the file can't be read or is invalid; the message names the field.
     """
     try:
         with path.open("rb") as file:
@@ -111,11 +106,7 @@ def _are_columns(columns: Any, n_columns: int) -> bool:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration from YAML or JSON.
-
-    Raises:
-        PuddleError: The file can't be read or is invalid; the message has a line per mistake.
-    """
+    """Read a calibration from YAML or JSON. Raises PuddleError with a line per mistake."""
     try:
         return load(Calibration, path)
     except PuddleError as error:

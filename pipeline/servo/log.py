@@ -37,11 +37,7 @@ class ServoLog:
     """Log that writes each entry to the journal at once, and a Parquet file when it is closed."""
 
     def __init__(self, path: Path) -> None:
-        """Start a log.
-
-        Raises:
-            PuddleError: The folder is not writable, or the log exists.
-        """
+        """Start a log. Raises PuddleError if the folder is not writable or the log exists."""
         self.path = path
         self.entries: list[LogEntry] = []
         self._journal = path.with_name(path.name + JOURNAL)
@@ -59,11 +55,7 @@ class ServoLog:
         os.write(self._descriptor, lines.encode())
 
     def close(self) -> None:
-        """Write the Parquet file and remove the journal.
-
-        Raises:
-            PuddleError: The file can't be written; the journal stays.
-        """
+        """Write the Parquet file and remove the journal. Raises PuddleError if that fails; then the journal stays."""
         os.close(self._descriptor)
         advice = f"play the timeline again: the next log in that folder also converts {self._journal}"
         try:

@@ -70,12 +70,7 @@ class Maestro:
     """A Maestro on an open port; implements :class:`pipeline.servo.servo_controller.ServoController`."""
 
     def __init__(self, port: Any, *, baud_detection: bool = False) -> None:
-        """Take an open port.
-
-        Args:
-            port: Port of pyserial, or an object that behaves like one.
-            baud_detection: Whether the controller waits for 0xAA to detect the baud rate.
-        """
+        """Take an open port of pyserial; a controller with baud detection waits for 0xAA to detect the baud rate."""
         self._port = port
         self._baud_detection = baud_detection
         self.name = str(port.name)

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
+from tasks.fabrication.assembly import Assembly
 from tasks.fabrication.features import ear_screw_mm, horn_screw
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.parts import Part, pin_length_mm
-from tasks.fabrication.rods import Layers
+from tasks.fabrication.parts import Part
 from tasks.fabrication.servo_joints import ServoJoint
 
 
@@ -24,21 +24,9 @@ class BillLine:
     mass_g: float | None = None  # mass of all of them; None unless they are prints, servos or steel
 
 
-def bill_of(
-    parts: Sequence[Part], servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitSettings
-) -> list[BillLine]:
-    """List the materials of a kit.
-
-    Args:
-        parts: Parts to print.
-        servo_joints: One per turning joint.
-        layers: Rods of every part.
-        settings: Settings of the kit.
-
-    Returns:
-        Prints first, then items to buy.
-    """
-    lines = []
+def bill_of(assembly: Assembly, parts: Sequence[Part]) -> list[BillLine]:
+    """List the materials of a robot: prints first, then items to buy."""
+    lines, settings, servo_joints, layers = [], assembly.settings, assembly.servo_joints, assembly.layers
     for part in parts:
         note = f"PLA, {settings.infill:.0%} infill, printed on its {'face' if part.face_down else 'back'}"
         lines.append(BillLine("print", part.name, 1, note, mass_g=part.mass_g))
@@ -64,7 +52,7 @@ def bill_of(
             lines.append(_steel("rod", length, count, settings, "through both pontoons, glued"))
     if n_pins:
         note = "turns in the part with the wider bore"
-        lines.append(_steel("pin", pin_length_mm(settings), n_pins, settings, note))
+        lines.append(_steel("pin", settings.pin_length_mm, n_pins, settings, note))
     return lines + _supplies(servo_joints, n_servos)
 
 

@@ -10,11 +10,7 @@ class MissingCadError(RuntimeError):
 
 
 def require_cad() -> None:
-    """Check, without importing them, that the packages that :mod:`tasks.fabrication.kit` needs are installed.
-
-    Raises:
-        MissingCadError: A package is missing.
-    """
+    """Raise MissingCadError unless the packages of :mod:`tasks.fabrication.kit` are installed. Imports none of them."""
     missing = [package for package in _PACKAGES if find_spec(package) is None]
     if missing:
         raise MissingCadError(

@@ -3,23 +3,22 @@
 A fault means that the robot can't be built or would damage itself, a warning that it can be built but has a drawback.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import degrees, hypot, pi
 from typing import Literal
 
-from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from tasks.design import N_LINKS
-from tasks.fabrication.built_bodies import Mechanism, Pose, moved
-from tasks.fabrication.features import Feature, ear_screw_mm, horn_screw
-from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.rods import Layers
+from tasks.fabrication.assembly import Assembly
+from tasks.fabrication.built_bodies import Pose, moved
+from tasks.fabrication.features import ear_screw_mm, horn_screw
 from tasks.fabrication.servo_joints import ServoJoint
 from tasks.fabrication.servos import MEASURES
-from tasks.fabrication.splits import Split, bed_mm
+from tasks.fabrication.splits import bed_mm
 
 Severity = Literal["fault", "warning", "note"]
 
@@ -40,46 +39,18 @@ class KitFinding:
     message: str
 
 
-def findings_of(
-    mechanism: Mechanism,
-    servo_joints: Sequence[ServoJoint],
-    outlines: Sequence[Polygon],
-    layers: Layers,
-    splits: Sequence[Split],
-    features: Mapping[tuple[int, str], Sequence[Feature]],
-    settings: KitSettings,
-) -> tuple[KitFinding, ...]:
-    """Check a kit.
-
-    Args:
-        mechanism: The design's n parts and its joints.
-        servo_joints: One per turning joint.
-        outlines: (n) outlines of the parts, including bosses and fillets.
-        layers: Layer and rods of every part.
-        splits: (n) pieces of the parts.
-        features: Features by index of the part and side.
-        settings: Settings of the kit.
-
-    Returns:
-        Faults first, then warnings, then notes.
-    """
-    findings = [
-        *_variant(mechanism),
-        *_travel(servo_joints),
-        *_cradles(mechanism, servo_joints),
-        *_shared_space(servo_joints),
-        *_threads(servo_joints, settings),
-        *_unmeasured(servo_joints),
-        *_walls(mechanism, outlines, features, settings),
-        *_necks(mechanism, outlines, settings),
-        *_collisions(mechanism, outlines, layers, settings),
-        *_rods(mechanism, servo_joints, layers, settings),
-        *_bed(mechanism, splits, settings),
-    ]
+def findings_of(assembly: Assembly) -> tuple[KitFinding, ...]:
+    """Check a robot to build. Returns faults first, then warnings, then notes."""
+    checks = (
+        *(_variant, _travel, _cradles, _shared_space, _threads, _unmeasured),
+        *(_walls, _necks, _collisions, _rods, _bed),
+    )
+    findings = [finding for check in checks for finding in check(assembly)]
     return tuple(sorted(findings, key=lambda finding: ("fault", "warning", "note").index(finding.severity)))
 
 
-def _variant(mechanism: Mechanism) -> Iterator[KitFinding]:
+def _variant(assembly: Assembly) -> Iterator[KitFinding]:
+    mechanism = assembly.mechanism
     name, n = "not of the variant", len(mechanism.joints)
     if n != _VARIANT_MOTORS:
         message = (
@@ -95,8 +66,8 @@ def _variant(mechanism: Mechanism) -> Iterator[KitFinding]:
                 yield KitFinding(name, "warning", f"links {first} and {second}", message)
 
 
-def _travel(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
-    for servo_joint in servo_joints:
+def _travel(assembly: Assembly) -> Iterator[KitFinding]:
+    for servo_joint in assembly.servo_joints:
         joint, servo = servo_joint.joint, servo_joint.servo
         if joint.motion_range > servo.travel_rad / 2:
             message = (
@@ -106,8 +77,9 @@ def _travel(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
             yield KitFinding("servo's travel", "fault", f"joint {joint.link}", message)
 
 
-def _cradles(mechanism: Mechanism, servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
-    for servo_joint in servo_joints:
+def _cradles(assembly: Assembly) -> Iterator[KitFinding]:
+    mechanism = assembly.mechanism
+    for servo_joint in assembly.servo_joints:
         where, body = f"joint {servo_joint.joint.link}", mechanism.bodies[servo_joint.carrier]
         width = mechanism.link_size[servo_joint.carrier_link][0]
         area = servo_joint.cradle.difference(body.outline).area
@@ -122,8 +94,8 @@ def _cradles(mechanism: Mechanism, servo_joints: Sequence[ServoJoint]) -> Iterat
             yield KitFinding("cradle stands out", "note", where, message)
 
 
-def _shared_space(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
-    for a, b in combinations(servo_joints, 2):
+def _shared_space(assembly: Assembly) -> Iterator[KitFinding]:
+    for a, b in combinations(assembly.servo_joints, 2):
         for body in {a.carrier, a.driven} & {b.carrier, b.driven}:
             first, second = (one.pocket if one.carrier == body else one.recess for one in (a, b))
             shared = first.intersection(second).area
@@ -133,17 +105,15 @@ def _shared_space(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
                 yield KitFinding("servos in one place", "fault", f"joints {a.joint.link} and {b.joint.link}", message)
 
 
-def _threads(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> Iterator[KitFinding]:
+def _threads(assembly: Assembly) -> Iterator[KitFinding]:
     """Compare the engaged length of threads, which is equal at all joints, with their diameter."""
-    for servo_joint in servo_joints[:1]:
+    for servo_joint in assembly.servo_joints[:1]:
         servo, horn = servo_joint.servo, servo_joint.horn
-        in_horn, in_plate = (
-            f"{horn.screw_name} screws in the {horn.kind} horn",
-            f"{servo.ear_screw_name} screws in the plate",
-        )
+        in_horn = horn_screw(servo_joint, assembly.settings).engaged_mm
+        in_plate = ear_screw_mm(servo_joint) - servo.ear_thickness_mm
         for what, engaged, diameter in (
-            (in_horn, horn_screw(servo_joint, settings).engaged_mm, horn.screw_mm),
-            (in_plate, ear_screw_mm(servo_joint) - servo.ear_thickness_mm, servo.ear_screw_mm),
+            (f"{horn.screw_name} screws in the {horn.kind} horn", in_horn, horn.screw_mm),
+            (f"{servo.ear_screw_name} screws in the plate", in_plate, servo.ear_screw_mm),
         ):
             if engaged < diameter:
                 message = (
@@ -153,8 +123,8 @@ def _threads(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> Itera
                 yield KitFinding("short thread", "warning", "every joint", message)
 
 
-def _unmeasured(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
-    for servo_joint in servo_joints[:1]:
+def _unmeasured(assembly: Assembly) -> Iterator[KitFinding]:
+    for servo_joint in assembly.servo_joints[:1]:
         n = sum(name not in servo_joint.servo.sources for name in MEASURES)
         if n:
             message = (
@@ -164,38 +134,31 @@ def _unmeasured(servo_joints: Sequence[ServoJoint]) -> Iterator[KitFinding]:
             yield KitFinding("not measured", "warning", "every joint", message)
 
 
-def _walls(
-    mechanism: Mechanism,
-    outlines: Sequence[Polygon],
-    features: Mapping[tuple[int, str], Sequence[Feature]],
-    settings: KitSettings,
-) -> Iterator[KitFinding]:
+def _walls(assembly: Assembly) -> Iterator[KitFinding]:
     """Find thin walls between two features, and between a feature and the outline."""
-    for (body, side), cut in features.items():
-        thinnest: dict[tuple[str, str], float] = {}
-
-        def record(key: tuple[str, str], wall: float, thinnest: dict[tuple[str, str], float] = thinnest) -> None:
-            thinnest[key] = min(wall, thinnest.get(key, wall))
-
+    least = assembly.settings.min_wall_mm
+    for (body, side), cut in assembly.features.items():
+        walls: dict[tuple[str, str], list[float]] = defaultdict(list)
         for a, b in combinations(cut, 2):
             overlap_in_z = min(a.high_mm, b.high_mm) - max(a.low_mm, b.low_mm)
             meet = a.group == b.group and a.outline.distance(b.outline) < _ROUNDING_MM
             if overlap_in_z > 0 and not meet:
-                record((f"{a.label} ({a.group})", f"{b.label} ({b.group})"), a.outline.distance(b.outline))
-        edge = outlines[body].boundary
+                walls[f"{a.label} ({a.group})", f"{b.label} ({b.group})"].append(a.outline.distance(b.outline))
+        whole = assembly.outlines[body]
         for feature in cut:
             if feature.label != "cable":
-                wall = feature.outline.distance(edge) if outlines[body].contains(feature.outline) else 0.0
-                record((f"{feature.label} ({feature.group})", "the outside"), wall)
-        for (first, second), wall in thinnest.items():
-            if wall < settings.min_wall_mm:
-                message = f"{wall:.2f} mm between {first} and {second}, expected at least {settings.min_wall_mm:g} mm"
-                yield KitFinding("wall too thin", "fault", f"{mechanism.bodies[body].name}, {side}", message)
+                wall = feature.outline.distance(whole.boundary) if whole.contains(feature.outline) else 0.0
+                walls[f"{feature.label} ({feature.group})", "the outside"].append(wall)
+        for (first, second), between in walls.items():
+            if min(between) < least:
+                message = f"{min(between):.2f} mm between {first} and {second}, expected at least {least:g} mm"
+                yield KitFinding("wall too thin", "fault", f"part {body + 1}, {side}", message)
 
 
-def _necks(mechanism: Mechanism, outlines: Sequence[Polygon], settings: KitSettings) -> Iterator[KitFinding]:
+def _necks(assembly: Assembly) -> Iterator[KitFinding]:
     """Find the width at which shrinking a part from all sides splits it."""
-    for body, outline in zip(mechanism.bodies, outlines, strict=True):
+    settings = assembly.settings
+    for body, outline in zip(assembly.mechanism.bodies, assembly.outlines, strict=True):
         width = 0.0
         while width < settings.min_neck_mm:
             width += _NECK_STEP_MM
@@ -208,48 +171,42 @@ def _necks(mechanism: Mechanism, outlines: Sequence[Polygon], settings: KitSetti
                 break
 
 
-def _collisions(
-    mechanism: Mechanism, outlines: Sequence[Polygon], layers: Layers, settings: KitSettings
-) -> Iterator[KitFinding]:
+def _collisions(assembly: Assembly) -> Iterator[KitFinding]:
     """Check parts of one layer at rest, in the gait, and anywhere in the ranges of their joints."""
+    mechanism, outlines, clearance = assembly.mechanism, assembly.outlines, assembly.settings.sweep_clearance_mm
     for a, b in combinations(mechanism.bodies, 2):
-        if layers.outer[a.index] != layers.outer[b.index]:
+        if assembly.layers.outer[a.index] != assembly.layers.outer[b.index]:
             continue
-        name, where, passing = "parts collide", f"{a.name} and {b.name}", outlines[b.index]
-        still = outlines[a.index].buffer(settings.sweep_clearance_mm)
+        passing, still = outlines[b.index], outlines[a.index].buffer(clearance)
         joints = " and ".join(f"joint {joint.link}" for joint, _ in mechanism.path(a.index, b.index))
-        at_rest = outlines[a.index].intersection(passing).area
-        if at_rest > _ROUNDING_MM2:
+        severity: Severity = "fault"
+        if (area := outlines[a.index].intersection(passing).area) > _ROUNDING_MM2:
             message = (
-                f"overlap by {at_rest:.0f} mm² at rest. Change rest_angle in the design file, or choose another design"
+                f"overlap by {area:.0f} mm² at rest. Change rest_angle in the design file, or choose another design"
             )
-            yield KitFinding(name, "fault", where, message)
-            continue
-        in_gait = _largest_overlap(still, passing, mechanism.poses_in_gait(a.index, b.index))
-        if in_gait > _ROUNDING_MM2:
+        elif (area := _largest_overlap(still, passing, mechanism.poses_in_gait(a.index, b.index))) > _ROUNDING_MM2:
             message = (
-                f"overlap by {in_gait:.0f} mm² in the gait, with a clearance of {settings.sweep_clearance_mm:g} mm. "
+                f"overlap by {area:.0f} mm² in the gait, with a clearance of {clearance:g} mm. "
                 f"Reduce motion_range or change phase of {joints} in the design file, or choose another design"
             )
-            yield KitFinding(name, "fault", where, message)
-            continue
-        in_range = _largest_overlap(still, passing, mechanism.poses_in_range(a.index, b.index))
-        if in_range > _ROUNDING_MM2:
+        elif (area := _largest_overlap(still, passing, mechanism.poses_in_range(a.index, b.index))) > _ROUNDING_MM2:
+            severity = "warning"
             message = (
-                f"clear one another in the gait, but overlap by {in_range:.0f} mm² elsewhere in the range of {joints}. "
+                f"clear one another in the gait, but overlap by {area:.0f} mm² elsewhere in the range of {joints}. "
                 f"Do not move these joints one at a time when away from rest"
             )
-            yield KitFinding(name, "warning", where, message)
+        else:
+            continue
+        yield KitFinding("parts collide", severity, f"{a.name} and {b.name}", message)
 
 
 def _largest_overlap(still: BaseGeometry, passing: BaseGeometry, poses: Sequence[Pose]) -> float:
     return max((still.intersection(moved(passing, pose)).area for pose in poses), default=0.0)
 
 
-def _rods(
-    mechanism: Mechanism, servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitSettings
-) -> Iterator[KitFinding]:
-    for body, rods in zip(mechanism.bodies, layers.rods, strict=True):
+def _rods(assembly: Assembly) -> Iterator[KitFinding]:
+    settings, layers = assembly.settings, assembly.layers
+    for body, rods in zip(assembly.mechanism.bodies, layers.rods, strict=True):
         if not rods:
             swept = " and clear of the parts that sweep over it" if layers.outer[body.index] else ""
             message = f"has no room for a rod with a wall of {settings.wall_mm:g} mm around it{swept}"
@@ -258,8 +215,8 @@ def _rods(
             message = f"has room for {len(rods)} of {settings.rods_per_part} rods, so its copies twist more"
             yield KitFinding("few rods", "warning", body.name, message)
     if settings.servos_per_joint == 1:
-        for servo_joint in servo_joints:
-            lag = lag_rad(servo_joint, layers, settings)
+        for servo_joint in assembly.servo_joints:
+            lag = lag_rad(assembly, servo_joint)
             if lag > _LAG_LIMIT:
                 angle = f"{degrees(lag):.0f}°" if lag < pi / 2 else "more than 90°"
                 message = (
@@ -269,21 +226,14 @@ def _rods(
                 yield KitFinding("rods give way", "warning", f"joint {servo_joint.joint.link}", message)
 
 
-def lag_rad(servo_joint: ServoJoint, layers: Layers, settings: KitSettings) -> float:
-    """Estimate how far the pontoon without a servo lags at a joint if half of the full torque acts there.
+def lag_rad(assembly: Assembly, servo_joint: ServoJoint) -> float:
+    """Estimate how far [rad] the pontoon without a servo lags at a joint if half of the full torque acts there.
 
     A rod clamped at both ends resists a sideways shift of its ends with 12 E I / L³, where L is its free length. Rods
     at distances r from the joint's axis resist a turn about it with the sum of that times r². The lags of both parts
-    add up.
-
-    Args:
-        servo_joint: The joint.
-        layers: Rods of all parts.
-        settings: Diameter of the rods and spacing of the pontoons.
-
-    Returns:
-        The lag [rad]; infinite if a part has no rod away from the axis.
+    add up. The lag is infinite if a part has no rod away from the axis.
     """
+    settings, layers = assembly.settings, assembly.layers
     inertia = pi * (settings.rod_mm / 1000) ** 4 / 64
     lag = 0.0
     for body in (servo_joint.carrier, servo_joint.driven):
@@ -297,15 +247,15 @@ def lag_rad(servo_joint: ServoJoint, layers: Layers, settings: KitSettings) -> f
     return lag
 
 
-def _bed(mechanism: Mechanism, splits: Sequence[Split], settings: KitSettings) -> Iterator[KitFinding]:
-    name = "larger than the bed"
+def _bed(assembly: Assembly) -> Iterator[KitFinding]:
+    name, settings = "larger than the bed", assembly.settings
     width, depth = bed_mm(settings)
     if settings.thickness_mm > settings.bed_mm[2]:
         message = f"is {settings.thickness_mm:g} mm high, but the printer reaches only {settings.bed_mm[2]:g} mm"
         yield KitFinding(name, "fault", "every part", message)
-    for body, split in zip(mechanism.bodies, splits, strict=True):
+    for body, split, outline in zip(assembly.mechanism.bodies, assembly.splits, assembly.outlines, strict=True):
         if len(split.pieces) > 1 or not split.fits:
-            low_x, low_y, high_x, high_y = split.whole.bounds
+            low_x, low_y, high_x, high_y = outline.bounds
             size = f"is {high_x - low_x:.0f} × {high_y - low_y:.0f} mm, the usable bed {width:.0f} × {depth:.0f} mm"
             if split.fits:
                 message = f"{size}. It is split into {len(split.pieces)} pieces: slide them together and glue them"

@@ -6,11 +6,9 @@ solid, its analytic volume, the DXF and the check of walls.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 from shapely import Point as ShapelyPoint
-from shapely import Polygon, unary_union
-from shapely.geometry.base import BaseGeometry
+from shapely import Polygon
 
 from tasks.fabrication.built_bodies import Point
 from tasks.fabrication.kit_settings import KitSettings
@@ -56,11 +54,7 @@ def plate_mm(servo_joint: ServoJoint) -> float:
 
 
 def ear_screw_mm(servo_joint: ServoJoint) -> int:
-    """Choose the longest screw on sale that ends within the plate that the ears are screwed to.
-
-    Raises:
-        KitError: Even the shortest is too long.
-    """
+    """Choose the longest screw on sale that ends within the plate that the ears are screwed to, or raise KitError."""
     reach = servo_joint.servo.ear_thickness_mm + plate_mm(servo_joint)
     fitting = [length for length in SCREW_LENGTHS_MM if length <= reach]
     if not fitting:
@@ -72,11 +66,7 @@ def ear_screw_mm(servo_joint: ServoJoint) -> int:
 
 
 def check_room_between(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> None:
-    """Check that there is room between the pontoons' inner layers and the servos that stand out of them.
-
-    Raises:
-        KitError: The pontoons are too close.
-    """
+    """Raise KitError unless the pontoons leave room for their inner layers and the servos that stand out of them."""
     out = max((servo_joint.servo.height_mm - settings.thickness_mm for servo_joint in servo_joints), default=0.0)
     layers = 2 * settings.thickness_mm + settings.layer_gap_mm if servo_joints else settings.thickness_mm
     room = settings.pitch_mm + settings.thickness_mm - 2 * layers - 2 * max(out, 0.0)
@@ -88,11 +78,7 @@ def check_room_between(servo_joints: Sequence[ServoJoint], settings: KitSettings
 
 
 def cradle_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feature]:
-    """List the servo's pocket, ear screws and cable exits in the part that carries it.
-
-    Raises:
-        KitError: The part is too thin for the servo.
-    """
+    """List the servo's pocket, ear screws and cable exits. Raises KitError if the part is too thin for the servo."""
     servo, group, thickness = servo_joint.servo, f"servo of joint {servo_joint.joint.link}", settings.thickness_mm
     floor = thickness - plate_mm(servo_joint)
     if floor < servo.ear_thickness_mm + _NOTCH_DEPTH_MM:
@@ -112,11 +98,7 @@ def cradle_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feat
 
 
 def horn_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Feature]:
-    """List the horn's recess and screw holes in the part that it turns.
-
-    Raises:
-        KitError: The part is too thin for the horn.
-    """
+    """List the recess and screw holes in the part that a horn turns. Raises KitError if that part is too thin."""
     horn, group, thickness = servo_joint.horn, f"horn of joint {servo_joint.joint.link}", settings.thickness_mm
     seat = horn_seat_mm(servo_joint, settings)
     if seat < _MIN_WEB_MM:
@@ -131,8 +113,8 @@ def horn_features(servo_joint: ServoJoint, settings: KitSettings) -> list[Featur
         half = horn.arm_width_mm / 2 + servo_joint.clearance_mm
         long, wide = (reach + servo_joint.clearance_mm for reach in (horn.long_mm, horn.short_mm))
         features = [
-            Feature("horn", group, servo_joint.rectangle(-long, long, half), seat, thickness),
-            Feature("horn", group, servo_joint.rectangle(-half, half, wide), seat, thickness),
+            Feature("horn", group, servo_joint.rectangle((-long, long), half), seat, thickness),
+            Feature("horn", group, servo_joint.rectangle((-half, half), wide), seat, thickness),
             _bore("horn", group, at, horn.hub_mm + 2 * servo_joint.clearance_mm, seat, thickness),
         ]
     through = _HEAD * servo_joint.servo.centre_screw_mm + _HEAD_CLEARANCE_MM
@@ -167,8 +149,7 @@ class HornScrew:
 def horn_screw(servo_joint: ServoJoint, settings: KitSettings) -> HornScrew:
     """Choose the shortest screw on sale that passes through the horn, and sink its head as deep as needed.
 
-    Raises:
-        KitError: Every length leaves too little plastic or touches the servo's case.
+    Raises KitError if every length leaves too little plastic or touches the servo's case.
     """
     horn, seat = servo_joint.horn, horn_seat_mm(servo_joint, settings)
     for length in SCREW_LENGTHS_MM:
@@ -217,23 +198,3 @@ def features_of(
         diameter = settings.rod_mm + settings.rod_clearance_mm
         features.append(_bore("rod", f"rod {number}", rod, diameter, 0.0, settings.thickness_mm))
     return tuple(features)
-
-
-def volume_mm3(area: float, outline: BaseGeometry, features: Sequence[Feature], thickness: float) -> float:
-    """Compute the volume of a part, layer by layer between the heights where a feature begins or ends.
-
-    Args:
-        area: Exact area of the outline [mm²].
-        outline: Outline as a polygon.
-        features: Features cut out of it.
-        thickness: Thickness of the part [mm].
-
-    Returns:
-        The volume [mm³].
-    """
-    heights = sorted({0.0, thickness, *(f.low_mm for f in features), *(f.high_mm for f in features)})
-    volume = area * thickness
-    for low, high in pairwise(heights):
-        here = [f.outline for f in features if f.low_mm <= low and f.high_mm >= high]
-        volume -= (high - low) * unary_union(here).intersection(outline).area if here else 0.0
-    return float(volume)

@@ -71,6 +71,11 @@ class KitSettings(Parameters):
             raise ValueError(f"expected names of {', '.join(MEASURES)}; got {', '.join(unknown)}")
         return measured
 
+    @property
+    def pin_length_mm(self) -> float:
+        """Length of a pin: both layers and the gap."""
+        return 2 * self.thickness_mm + self.layer_gap_mm
+
 
 class FabricationSettings(Parameters):
     """Settings of a kit and its run on the bench, separate from a study's."""

@@ -1,29 +1,27 @@
-"""Parts to print and to buy, in place in the assembled robot.
-
-Parts are extruded along z. The left pontoon is on the left of a robot that moves along +x with +y up; its outside is at
-z = 0.
-"""
+"""Parts to print and to buy, in place in the assembled robot. Parts are extruded along z."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import cos, degrees, radians, sin
 
 import numpy as np
-from build123d import Box, Cylinder, Face, Location, Plane, Shape, Solid, Wire, extrude, mirror
+from build123d import Axis, Box, Cylinder, Face, Location, Plane, Shape, Sketch, Solid, Wire, extrude, mirror
 from shapely import Point as ShapelyPoint
-from shapely import Polygon
+from shapely import Polygon, unary_union
 
 from tasks.arrays import Float64, Int64
-from tasks.fabrication.features import Feature, volume_mm3
+from tasks.fabrication.assembly import SIDES, Assembly
+from tasks.fabrication.built_bodies import RigidPart
+from tasks.fabrication.features import Feature, cradle_features, horn_features, horn_screw, horn_seat_mm, plate_mm
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.profile import Profile, SolidError
-from tasks.fabrication.rods import Layers
+from tasks.fabrication.profile import Profile, SolidError, cradle_boss, horn_boss, polygon_of
 from tasks.fabrication.servo_joints import ServoJoint
-from tasks.fabrication.splits import Split, bed_mm, turn_to_fit
+from tasks.fabrication.splits import bed_mm, turn_to_fit
 
-SIDES = ("left", "right")
 _VOLUME_TOLERANCE = 5e-4  # relative; the analytic volume uses chords for arcs
 _MESH_MM, _MESH_RAD = 0.05, 0.2  # largest distance of a mesh from a curved face, and turn between its facets
+_RIM_MM = 3.0  # of a gauge's pocket behind the ears
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +50,16 @@ class BoughtPart:
 
 
 @dataclass(frozen=True, eq=False)
+class Gauge:
+    """A slice of a part, as it lies on the bed."""
+
+    name: str
+    solid: Solid
+    volume_mm3: float
+    mass_g: float
+
+
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """A closed surface of triangles whose normals point outward."""
 
@@ -59,53 +67,16 @@ class Mesh:
     triangles: Int64  # (n_triangles, 3) indices of vertices
 
 
-def placement(body: int, side: str, layers: Layers, settings: KitSettings) -> tuple[bool, float]:
-    """Return how a part made with its back at 0 and its face up is placed.
-
-    Args:
-        body: Index of the part.
-        side: Pontoon, left or right.
-        layers: Layers of the parts.
-        settings: Settings of the kit.
-
-    Returns:
-        Whether it is mirrored, and its shift along z [mm].
-    """
-    outer, thickness = layers.outer[body], settings.thickness_mm
-    inward = 0.0 if outer else thickness + settings.layer_gap_mm
-    if side == "left":
-        return (not outer, inward)
-    return (outer, settings.pitch_mm - inward)
+# -- parts to print --------------------------------------------------------------------------------------------------
 
 
-def _placed(shape: Shape, body: int, side: str, layers: Layers, settings: KitSettings) -> Shape:
-    mirrored, up = placement(body, side, layers, settings)
-    if mirrored:
-        shape = mirror(shape, about=Plane.XY.offset(settings.thickness_mm / 2))
-    return shape.moved(Location((0.0, 0.0, up)))
-
-
-def parts_of(
-    name: str,
-    body: int,
-    side: str,
-    profile: Profile,
-    features: Sequence[Feature],
-    split: Split,
-    layers: Layers,
-    settings: KitSettings,
-) -> list[Part]:
+def parts_of(assembly: Assembly, body: RigidPart, side: str) -> list[Part]:
     """Make one copy of a part, in pieces if it is split.
 
     Args:
-        name: Name of the copy.
-        body: Index of the part.
+        assembly: The robot.
+        body: The part.
         side: Pontoon, left or right.
-        profile: Outline of the part.
-        features: Features of this copy.
-        split: Pieces of the part.
-        layers: Layers of the parts.
-        settings: Settings of the kit.
 
     Returns:
         One part per piece.
@@ -113,66 +84,71 @@ def parts_of(
     Raises:
         SolidError: The CAD kernel made a solid that does not match the outlines.
     """
+    settings, split, features = assembly.settings, assembly.splits[body.index], assembly.features[body.index, side]
     cuts = [Feature("cut", "cut", cut, 0.0, settings.thickness_mm) for cut in split.cuts]
-    everything = [*features, *cuts]
-    whole = extrude(profile.face, settings.thickness_mm)
-    solids = cut_out(
-        name, whole, everything, profile.face.area, profile.polygon, settings.thickness_mm, n_pieces=len(split.pieces)
-    )
+    name, n = f"part-{body.index + 1}-{side}", len(split.pieces)
+    solids = _cut_out(name, assembly.profiles[body.index], [*features, *cuts], settings.thickness_mm, n)
     parts = []
-    bed = bed_mm(settings)
-    face_down = any(feature.label == "pocket" for feature in features)
-    face_is_up = not placement(body, side, layers, settings)[0]
     for number, outline in enumerate(split.pieces):
         solid = min(solids, key=lambda s: _mismatch(s, outline))
-        piece = _placed(solid, body, side, layers, settings).solids()[0]
+        piece = _placed(solid, assembly, body.index, side).solids()[0]
         parts.append(
             Part(
-                name=name if len(split.pieces) == 1 else f"{name}-{chr(ord('a') + number)}",
-                body=body,
+                name=name if n == 1 else f"{name}-{chr(ord('a') + number)}",
+                body=body.index,
                 side=side,
                 solid=piece,
                 outline=outline,
                 volume_mm3=piece.volume,
-                mass_g=printed_mass_g(piece, settings),
-                face_down=face_down,
-                face_is_up=face_is_up,
-                turn_deg=turn_to_fit(outline, bed) or 0.0,
+                mass_g=_printed_mass_g(piece, settings),
+                face_down=any(feature.label == "pocket" for feature in features),
+                face_is_up=not assembly.placement(body.index, side)[0],
+                turn_deg=turn_to_fit(outline, bed_mm(settings)) or 0.0,
             )
         )
     return parts
 
 
-def cut_out(
-    name: str,
-    whole: Solid,
-    features: Sequence[Feature],
-    area: float,
-    outline: Polygon,
-    thickness: float,
-    *,
-    n_pieces: int,
-) -> list[Solid]:
-    """Cut features out of an extruded outline.
+def gauges_of(servo_joints: Sequence[ServoJoint], settings: KitSettings) -> tuple[Gauge, ...]:
+    """Make two small prints that show whether servo and horn fit before the parts are printed; none without a servo.
 
-    Args:
-        name: Name of the part, for messages.
-        whole: The extruded outline.
-        features: Features to cut.
-        area: Exact area of the outline [mm²].
-        outline: Outline as a polygon.
-        thickness: Thickness of the part [mm].
-        n_pieces: Number of solids expected.
-
-    Returns:
-        The (n_pieces) solids.
+    The gauges are slices of the kit's own parts: the plate that the ears are screwed to with a rim of the pocket, and
+    the horn's recess with the plastic under it. If they fit, the parts fit; if not, put your measurements into
+    ``kit.measured``. With servo and horn in place, the gap between the gauges equals the gap between the layers.
 
     Raises:
-        SolidError: A solid is invalid, or the number of solids or their volume is wrong.
+        KitError: The part is too thin for the servo or its horn.
+        SolidError: The CAD kernel made a solid that does not match the outlines.
     """
-    tools = [_tool(feature) for feature in features]
+    if not servo_joints:
+        return ()
+    at_origin = replace(servo_joints[0], joint=replace(servo_joints[0].joint, at=(0.0, 0.0)), angle=0.0)
+    bottom = settings.thickness_mm - plate_mm(at_origin) - _RIM_MM
+    servo = _slice("gauge-servo", cradle_boss(at_origin), cradle_features(at_origin, settings), bottom, settings)
+    height = servo.solid.bounding_box().size.Z
+    flipped = servo.solid.rotate(Axis.X, 180.0).moved(Location((0.0, 0.0, height)))  # the pocket opens upward
+    bottom = horn_seat_mm(at_origin, settings) - horn_screw(at_origin, settings).web_mm
+    horn = _slice("gauge-horn", horn_boss(at_origin), horn_features(at_origin, settings), bottom, settings)
+    return (replace(servo, solid=flipped), horn)
+
+
+def _slice(name: str, boss: Sketch, features: Sequence[Feature], bottom_mm: float, settings: KitSettings) -> Gauge:
+    """Make the slice above a height of a part that consists of a boss only."""
+    cut = [
+        replace(feature, low_mm=max(feature.low_mm - bottom_mm, 0.0), high_mm=feature.high_mm - bottom_mm)
+        for feature in features
+        if feature.high_mm > bottom_mm
+    ]
+    face = boss.faces()[0]
+    (solid,) = _cut_out(name, Profile(face, polygon_of(face)), cut, settings.thickness_mm - bottom_mm, 1)
+    return Gauge(name, solid, solid.volume, _printed_mass_g(solid, settings))
+
+
+def _cut_out(name: str, profile: Profile, features: Sequence[Feature], thickness: float, n_pieces: int) -> list[Solid]:
+    """Cut features out of an extruded outline, and check the number of solids and their volume."""
+    whole, tools = extrude(profile.face, thickness), [_tool(feature) for feature in features]
     solids: list[Solid] = (whole.cut(*tools) if tools else whole).solids()
-    expected = volume_mm3(area, outline, features, thickness)
+    expected = _volume_mm3(profile, features, thickness)
     volume = sum(solid.volume for solid in solids)
     if len(solids) != n_pieces or not all(solid.is_valid for solid in solids):
         raise SolidError(
@@ -181,6 +157,16 @@ def cut_out(
     if abs(volume - expected) > _VOLUME_TOLERANCE * expected:
         raise SolidError(f"{name}: volume is {volume:.1f} mm³, expected {expected:.1f}")
     return solids
+
+
+def _volume_mm3(profile: Profile, features: Sequence[Feature], thickness: float) -> float:
+    """Compute the volume of a part, layer by layer between the heights where a feature begins or ends."""
+    heights = sorted({0.0, thickness, *(f.low_mm for f in features), *(f.high_mm for f in features)})
+    volume = profile.face.area * thickness
+    for low, high in pairwise(heights):
+        here = [f.outline for f in features if f.low_mm <= low and f.high_mm >= high]
+        volume -= (high - low) * unary_union(here).intersection(profile.polygon).area if here else 0.0
+    return float(volume)
 
 
 def _tool(feature: Feature) -> Solid:
@@ -198,58 +184,44 @@ def _mismatch(solid: Solid, outline: Polygon) -> float:
     return float(sum(outline.distance(ShapelyPoint(v.X, v.Y)) for v in solid.vertices()))
 
 
-def printed_mass_g(solid: Solid, settings: KitSettings) -> float:
+def _printed_mass_g(solid: Solid, settings: KitSettings) -> float:
     """Estimate the mass of a print from a solid shell along its surface and the infill."""
     volume: float = solid.volume
     shell = min(volume, settings.shell_mm * float(solid.area))
     return settings.pla_density_g_cm3 * (shell + settings.infill * (volume - shell)) / 1000.0
 
 
-def on_bed(part: Part, mesh: Mesh) -> Mesh:
-    """Place a part's mesh as it is printed: on z = 0, turned to fit, with its corner at the origin."""
-    over = part.face_down == part.face_is_up
-    turn = radians(-part.turn_deg if over else part.turn_deg)
-    x_up = np.diag([1.0, -1.0, -1.0]) if over else np.eye(3)
-    about_z = np.array([[cos(turn), -sin(turn), 0.0], [sin(turn), cos(turn), 0.0], [0.0, 0.0, 1.0]])
-    vertices = mesh.vertices @ (about_z @ x_up).T
-    return Mesh(vertices - vertices.min(axis=0), mesh.triangles)
+# -- parts to buy ----------------------------------------------------------------------------------------------------
 
 
-def bought_of(servo_joints: Sequence[ServoJoint], layers: Layers, settings: KitSettings) -> list[BoughtPart]:
-    """Make simple solids of the servos, horns, pins and rods.
-
-    Args:
-        servo_joints: One per turning joint.
-        layers: Layers and rods of the parts.
-        settings: Settings of the kit.
-
-    Returns:
-        The items, in place in the robot.
-    """
-    things = []
+def bought_of(assembly: Assembly) -> list[BoughtPart]:
+    """Make simple solids of the servos, horns, pins and rods, in place in the robot."""
+    things, settings, layers = [], assembly.settings, assembly.layers
     thickness = settings.thickness_mm
-    for servo_joint in servo_joints:
+    for servo_joint in assembly.servo_joints:
         for side in SIDES:
             label = f"joint {servo_joint.joint.link}, {side}"
             if side in servo_joint.sides(settings.servos_per_joint):
                 for kind, shape in (("servo", _servo(servo_joint, thickness)), ("horn", _horn(servo_joint, thickness))):
-                    there = _placed(shape, servo_joint.carrier, side, layers, settings)
+                    there = _placed(shape, assembly, servo_joint.carrier, side)
                     things.append(BoughtPart(f"{kind} of {label}", kind, there))
             else:
                 low = 0.0 if side == "left" else settings.pitch_mm - thickness - settings.layer_gap_mm
-                pin = _rod(servo_joint.joint.at, settings.rod_mm, low, pin_length_mm(settings))
+                pin = _rod(servo_joint.joint.at, settings.rod_mm, low, settings.pin_length_mm)
                 things.append(BoughtPart(f"pin of {label}", "pin", pin))
     for body, rods in enumerate(layers.rods):
+        low, length = layers.low_mm(body, settings), layers.rod_length_mm(body, settings)
         for number, at in enumerate(rods, 1):
-            low, length = layers.low_mm(body, settings), layers.rod_length_mm(body, settings)
             rod = _rod(at, settings.rod_mm, low, length)
             things.append(BoughtPart(f"rod {number} of part {body + 1}", "rod", rod))
     return things
 
 
-def pin_length_mm(settings: KitSettings) -> float:
-    """Return the length of a pin: both layers and the gap."""
-    return 2 * settings.thickness_mm + settings.layer_gap_mm
+def _placed(shape: Shape, assembly: Assembly, body: int, side: str) -> Shape:
+    mirrored, up = assembly.placement(body, side)
+    if mirrored:
+        shape = mirror(shape, about=Plane.XY.offset(assembly.settings.thickness_mm / 2))
+    return shape.moved(Location((0.0, 0.0, up)))
 
 
 def _rod(at: tuple[float, float], diameter: float, low: float, length: float) -> Solid:
@@ -284,6 +256,9 @@ def _in_plane(shape: Shape, servo_joint: ServoJoint) -> Shape:
     return Location((*servo_joint.joint.at, 0.0), (0.0, 0.0, degrees(servo_joint.angle))) * shape
 
 
+# -- meshes ------------------------------------------------------------------------------------------------------------
+
+
 def mesh_of(shape: Shape) -> Mesh:
     """Triangulate a solid and merge the vertices that neighbouring faces share."""
     points, triangles = shape.tessellate(_MESH_MM, _MESH_RAD)
@@ -292,3 +267,13 @@ def mesh_of(shape: Shape) -> Mesh:
     merged = same.reshape(-1)[np.array(triangles, dtype=np.int64)]
     a, b, c = merged.T
     return Mesh(corners[first], merged[(a != b) & (b != c) & (c != a)])
+
+
+def on_bed(part: Part, mesh: Mesh) -> Mesh:
+    """Place a part's mesh as it is printed: on z = 0, turned to fit, with its corner at the origin."""
+    over = part.face_down == part.face_is_up
+    turn = radians(-part.turn_deg if over else part.turn_deg)
+    x_up = np.diag([1.0, -1.0, -1.0]) if over else np.eye(3)
+    about_z = np.array([[cos(turn), -sin(turn), 0.0], [sin(turn), cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    vertices = mesh.vertices @ (about_z @ x_up).T
+    return Mesh(vertices - vertices.min(axis=0), mesh.triangles)

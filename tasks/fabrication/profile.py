@@ -10,11 +10,11 @@ from math import degrees
 import numpy as np
 from build123d import Circle, Face, GeomType, Location, Rectangle, RectangleRounded, Sketch, Vertex, Wire
 from shapely import Point as ShapelyPoint
-from shapely import Polygon
+from shapely import Polygon, unary_union
 
 from tasks.fabrication.built_bodies import Mechanism, Point
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.servo_joints import ServoJoint, outline_with_bosses
+from tasks.fabrication.servo_joints import ServoJoint
 
 _ARC_STEP = np.radians(4.0)  # of the polygon's chords; they miss an arc of 20 mm radius by 0.01 mm
 _PROBE_MM = 0.1  # radius around a corner in which the share of the inside is measured
@@ -50,29 +50,24 @@ def profile_of(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: i
         SolidError: The union has several pieces, or its area differs from that of polygons.
     """
     name = mechanism.bodies[body].name
-    expected = outline_with_bosses(mechanism, servo_joints, body)
-    face = _united([*_links(mechanism, body), *_bosses(servo_joints, body)], name)
-    if abs(face.area - expected.area) > _AREA_TOLERANCE * expected.area:
-        raise SolidError(f"{name}: the outline's area is {face.area:.1f} mm², expected {expected.area:.1f}")
-    face = _rounded(face, settings.fillet_mm)
-    return Profile(face, polygon_of(face))
-
-
-def _links(mechanism: Mechanism, body: int) -> list[Sketch]:
-    return [
+    links = [
         _at(mechanism.link_centre[link], mechanism.link_angle[link]) * Rectangle(*mechanism.link_size[link])
         for link in mechanism.bodies[body].links
     ]
-
-
-def _bosses(servo_joints: Sequence[ServoJoint], body: int) -> list[Sketch]:
-    bosses = []
-    for servo_joint in servo_joints:
-        if servo_joint.carrier == body:
-            bosses.append(cradle_boss(servo_joint))
-        elif servo_joint.driven == body:
-            bosses.append(horn_boss(servo_joint))
-    return bosses
+    cradles = [one for one in servo_joints if one.carrier == body]
+    horns = [one for one in servo_joints if one.driven == body]
+    bosses = [
+        cradle_boss(one) if one.carrier == body else horn_boss(one)
+        for one in servo_joints
+        if body in (one.carrier, one.driven)
+    ]
+    face = _united([*links, *bosses], name)
+    polygons = [mechanism.bodies[body].outline, *(one.cradle for one in cradles), *(one.seat for one in horns)]
+    expected: float = unary_union(polygons).area
+    if abs(face.area - expected) > _AREA_TOLERANCE * expected:
+        raise SolidError(f"{name}: the outline's area is {face.area:.1f} mm², expected {expected:.1f}")
+    face = _rounded(face, settings.fillet_mm)
+    return Profile(face, polygon_of(face))
 
 
 def cradle_boss(servo_joint: ServoJoint) -> Sketch:

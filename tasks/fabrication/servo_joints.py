@@ -52,21 +52,18 @@ class ServoJoint:
     @property
     def pocket(self) -> BaseGeometry:
         """Outline of the ears, with clearance."""
-        over = (self.servo.ear_length_mm - self.servo.length_mm) / 2
-        return self.rectangle(
-            -self.servo.shaft_offset_mm - over - self.clearance_mm,
-            self.servo.length_mm - self.servo.shaft_offset_mm + over + self.clearance_mm,
-            self.servo.width_mm / 2 + self.clearance_mm,
-        )
+        return self._around_case((self.servo.ear_length_mm - self.servo.length_mm) / 2)
 
     @property
     def case(self) -> BaseGeometry:
         """Outline of the case, with clearance."""
-        return self.rectangle(
-            -self.servo.shaft_offset_mm - self.clearance_mm,
-            self.servo.length_mm - self.servo.shaft_offset_mm + self.clearance_mm,
-            self.servo.width_mm / 2 + self.clearance_mm,
-        )
+        return self._around_case(0.0)
+
+    def _around_case(self, over: float) -> BaseGeometry:
+        """Outline what reaches over both ends of the case by some length [mm], with clearance."""
+        near = -self.servo.shaft_offset_mm - over - self.clearance_mm
+        far = self.servo.length_mm - self.servo.shaft_offset_mm + over + self.clearance_mm
+        return self.rectangle((near, far), self.servo.width_mm / 2 + self.clearance_mm)
 
     @property
     def cable_ways(self) -> list[BaseGeometry]:
@@ -75,7 +72,7 @@ class ServoJoint:
         near = -self.servo.shaft_offset_mm - over
         far = self.servo.length_mm - self.servo.shaft_offset_mm + over
         half = (self.servo.cable_width_mm + _CABLE_CLEARANCE_MM) / 2
-        return [self.rectangle(near - self.wall_mm, near, half), self.rectangle(far, far + self.wall_mm, half)]
+        return [self.rectangle((near - self.wall_mm, near), half), self.rectangle((far, far + self.wall_mm), half)]
 
     @property
     def cradle(self) -> BaseGeometry:
@@ -102,18 +99,9 @@ class ServoJoint:
         """The recess with its wall."""
         return ShapelyPoint(self.joint.at).buffer(self.recess_radius_mm + self.wall_mm, quad_segs=32)
 
-    def rectangle(self, u_from: float, u_to: float, half_v: float) -> BaseGeometry:
-        """Place a rectangle of the servo's frame in the plane.
-
-        Args:
-            u_from: Near end along the servo [mm].
-            u_to: Far end along the servo [mm].
-            half_v: Half the width across the servo [mm].
-
-        Returns:
-            The rectangle, in place.
-        """
-        lying = affinity.rotate(box(u_from, -half_v, u_to, half_v), self.angle, origin=(0, 0), use_radians=True)
+    def rectangle(self, u: tuple[float, float], half_v: float) -> BaseGeometry:
+        """Place a rectangle in the plane: its two ends along the servo and half its width across the servo [mm]."""
+        lying = affinity.rotate(box(u[0], -half_v, u[1], half_v), self.angle, origin=(0, 0), use_radians=True)
         return affinity.translate(lying, *self.joint.at)
 
     def point(self, u: float, v: float) -> Point:
@@ -148,20 +136,12 @@ class ServoJoint:
 
 
 def servo_of(settings: KitSettings) -> Servo:
-    """Return the kit's servo with its one horn and the user's measurements.
-
-    Raises:
-        ServoError: The library has no such servo or horn, or the measurements contradict each other.
-    """
+    """Return the kit's servo with its one horn and the user's measurements. Raises as :func:`as_measured`."""
     return as_measured(servo_named(settings.servo), settings.horn, settings.measured)
 
 
 def servo_joints_of(mechanism: Mechanism, settings: KitSettings) -> tuple[ServoJoint, ...]:
-    """Choose, joint by joint, which part carries the servo and how it lies.
-
-    Raises:
-        ServoError: See :func:`servo_of`.
-    """
+    """Choose, joint by joint, which part carries the servo and how it lies. Raises as :func:`as_measured`."""
     servo = servo_of(settings)
     (horn,) = servo.horns
     ways = {body.index: _ways(mechanism, body.index) for body in mechanism.bodies} if mechanism.joints else {}
@@ -204,30 +184,10 @@ def _cost(
         outside = boss.difference(mechanism.bodies[body].outline)
         cost += outside.area + _HIT_COST * outside.intersection(ways[body]).area
         taken = [d.cradle if d.carrier == body else d.seat for d in placed if body in (d.carrier, d.driven)]
-        to_come = [
-            least_seat(servo_joint, joint.at)
+        to_come = [  # the least area that a servo joint like this one needs at another joint
+            ShapelyPoint(joint.at).buffer(servo_joint.recess_radius_mm + servo_joint.wall_mm)
             for joint in mechanism.joints[servo_joint.number + 1 :]
             if body in (joint.parent, joint.child)
         ]
         cost += _CONFLICT_COST * boss.intersection(unary_union([*taken, *to_come])).area
     return cost
-
-
-def least_seat(servo_joint: ServoJoint, at: Point) -> BaseGeometry:
-    """Return the least area that a servo joint like this one needs at another joint."""
-    return ShapelyPoint(at).buffer(servo_joint.recess_radius_mm + servo_joint.wall_mm)
-
-
-def outline_with_bosses(mechanism: Mechanism, servo_joints: Sequence[ServoJoint], body: int) -> BaseGeometry:
-    """Unite a part's links and the bosses of its servos and horns.
-
-    Args:
-        mechanism: The design's parts and joints.
-        servo_joints: Servo joints of the whole robot.
-        body: Index of the part.
-
-    Returns:
-        The outline without fillets.
-    """
-    bosses = [d.cradle for d in servo_joints if d.carrier == body] + [d.seat for d in servo_joints if d.driven == body]
-    return unary_union([mechanism.bodies[body].outline, *bosses])

@@ -87,11 +87,7 @@ class Servo:
         return (self.min_pulse_us + self.max_pulse_us) / 2
 
     def horn(self, kind: HornKind) -> Horn:
-        """Return the horn of a kind.
-
-        Raises:
-            ServoError: There is none.
-        """
+        """Return the horn of a kind. Raises ServoError if there is none."""
         for horn in self.horns:
             if horn.kind == kind:
                 return horn
@@ -260,11 +256,7 @@ YOURS = "measured by you"  # source of the measurements in a kit's settings
 
 
 def servo_named(name: str) -> Servo:
-    """Look up a servo in the library.
-
-    Raises:
-        ServoError: There is none of that name.
-    """
+    """Look up a servo in the library. Raises ServoError if there is none of that name."""
     if name not in SERVOS:
         raise ServoError(f"servo {name!r} is unknown, expected one of {', '.join(sorted(SERVOS))}")
     return SERVOS[name]

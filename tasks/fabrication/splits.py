@@ -28,7 +28,6 @@ _NECK, _HEAD, _DEPTH = 0.32, 0.46, 0.28  # narrowest and widest place and depth 
 class Split:
     """The pieces of a part."""
 
-    whole: Polygon  # outline of the part
     cuts: tuple[BaseGeometry, ...]  # areas removed between pieces
     pieces: tuple[Polygon, ...]  # outlines of the pieces along x; one if the part is whole
     fits: bool  # whether every piece fits the bed
@@ -79,7 +78,7 @@ def split_of(mechanism: Mechanism, body: int, outline: Polygon, keep_off: BaseGe
         pieces.extend(halves)
         cuts.append(cut)
     pieces.sort(key=lambda piece: (piece.centroid.x, piece.centroid.y))
-    return Split(outline, tuple(cuts), tuple(pieces), fits)
+    return Split(tuple(cuts), tuple(pieces), fits)
 
 
 def _size(shape: BaseGeometry, settings: KitSettings) -> float:

@@ -107,13 +107,9 @@ def timeline_of(design: Designs, playback: Playback, *, time_scale: float) -> Ti
 
 
 def pulses(timeline: Timeline, calibration: Calibration) -> Float64:
-    """Convert angles to pulses.
+    """Convert angles to (n_frames, n_servos) pulses [µs], in the order of the calibration's servos.
 
-    Returns:
-        (n_frames, n_servos) pulses [µs], in the order of the calibration's servos.
-
-    Raises:
-        TimelineError: Joints and servos do not match, or a pulse or speed exceeds the limits of its servo.
+    Raises TimelineError if joints and servos do not match, or a pulse or speed exceeds the limits of its servo.
     """
     if {servo.joint for servo in calibration.servos} != set(timeline.joints):
         driven = ", ".join(map(str, timeline.joints))

@@ -140,7 +140,7 @@ def test_rods_that_give_way(kit):
         stiffness = 12 * 193e9 * (pi * 0.003**4 / 64) / free**3
         lever2 = sum((x / 1000) ** 2 + ((y - 70.0) / 1000) ** 2 for x, y in kit.layers.rods[body])
         lag += (21.0 * 0.0980665 / 2) / (stiffness * lever2)
-    assert lag_rad(servo_joint, kit.layers, SETTINGS) == pytest.approx(lag)
+    assert lag_rad(kit, servo_joint) == pytest.approx(lag)
     said = [finding for finding in found(kit, "rods give way") if finding.where == "joint 2"]
     assert bool(said) == (lag > radians(10)) and all(f"{degrees(lag):.0f}°" in finding.message for finding in said)
 

@@ -10,10 +10,9 @@ from pydantic import ValidationError
 
 from tasks.fabrication.built_bodies import mechanism_of
 from tasks.fabrication.features import SCREW_LENGTHS_MM, KitError, ear_screw_mm, horn_screw, horn_seat_mm, plate_mm
-from tasks.fabrication.gauges import Gauge, gauges_of
 from tasks.fabrication.kit import build_kit
 from tasks.fabrication.kit_settings import KitSettings
-from tasks.fabrication.parts import mesh_of
+from tasks.fabrication.parts import Gauge, gauges_of, mesh_of
 from tasks.fabrication.servo_joints import servo_joints_of, servo_of
 from tasks.fabrication.servos import MEASURES, SERVOS, YOURS, Horn, Servo, ServoError, as_measured, servo_named
 
