@@ -5,7 +5,7 @@ The views are to scale when printed at full size. The same kit gives the same by
 
 import io
 from collections.abc import Iterable, Sequence
-from itertools import combinations
+from itertools import combinations, product
 from math import atan2, cos, degrees, sin
 from typing import Any
 
@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, PathPatch, Rectangle
 from matplotlib.path import Path as MplPath
-from shapely import LineString, Point, Polygon, unary_union
+from shapely import LineString, Point, unary_union
 from shapely import box as shapely_box
 from shapely.geometry.base import BaseGeometry
 
@@ -45,6 +45,11 @@ _SHEET_STYLE: dict[str, Any] = {
     "patch.linewidth": 0.6,
     "hatch.linewidth": 0.3,
 }
+_CHANGING_METADATA = {  # left out, because the same kit gives the same bytes
+    "svg": ("Creator", "Date", "Format", "Type"),
+    "pdf": ("Creator", "Producer", "CreationDate"),
+    "png": ("Software",),
+}
 _SMALL, _LARGE = 6.0, 13.0
 _GRID_MM = 4.0  # of the candidate positions of a part's name
 _DIMENSION_STEP_MM = 5.0  # between parallel dimensions
@@ -72,27 +77,18 @@ def assembly_drawing(kit: Kit, title: str, n_faults: int) -> dict[str, bytes]:
         sheet.axis("off")
         inner = (width - 2 * _MARGIN_MM, height - 2 * _MARGIN_MM)
         sheet.add_patch(Rectangle((_MARGIN_MM, _MARGIN_MM), *inner, fill=False, ec=INK, lw=0.9))
-        low, high = _bounds([profile.polygon for profile in kit.profiles])
+        bounds = np.array([outline.bounds for outline in kit.outlines])
+        low, high = bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
         scale = _side_view(sheet, kit, low, high)
         end = _tables(sheet, kit, n_faults)
         _top_view(sheet, kit, low, high, end - 14.0)
         _title_block(sheet, kit, title, scale)
-        return {
-            "svg": _saved(figure, "svg", {"Creator": None, "Date": None, "Format": None, "Type": None}),
-            "pdf": _saved(figure, "pdf", {"Creator": None, "Producer": None, "CreationDate": None}),
-            "png": _saved(figure, "png", {"Software": None}),
-        }
-
-
-def _saved(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=form, metadata=metadata, dpi=150)
-    return buffer.getvalue()
-
-
-def _bounds(outlines: Sequence[Polygon]) -> tuple[Any, Any]:
-    bounds = np.array([outline.bounds for outline in outlines])
-    return bounds[:, :2].min(axis=0), bounds[:, 2:].max(axis=0)
+        files = {}
+        for form, changing in _CHANGING_METADATA.items():
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=form, metadata=dict.fromkeys(changing), dpi=150)
+            files[form] = buffer.getvalue()
+        return files
 
 
 def _scale(size: Any, room: Any) -> float:
@@ -111,9 +107,8 @@ def _side_view(sheet: Axes, kit: Kit, low: Any, high: Any) -> float:
     def put(points: Iterable[Sequence[float]]) -> Any:
         return (np.array(list(points), dtype=float) - low) * scale + corner
 
-    sheet.text(
-        left - 4, _SHEET_MM[1] - 18, "Side view from the right, at rest (both pontoons)", fontsize=9, weight="bold"
-    )
+    heading = "Side view from the right, at rest (both pontoons)"
+    sheet.text(left - 4, _SHEET_MM[1] - 18, heading, fontsize=9, weight="bold")
     order = sorted(range(len(kit.profiles)), key=lambda body: kit.layers.outer[body])
     for body in order:
         outer = kit.layers.outer[body]
@@ -170,11 +165,9 @@ def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
 def _inside(kit: Kit, body: int) -> list[tuple[float, float]]:
     """Return positions for a part's name inside it, uncovered and deep ones first."""
     own = kit.profiles[body].polygon
-    others = unary_union([profile.polygon for index, profile in enumerate(kit.profiles) if index != body])
+    others = unary_union(kit.outlines[:body] + kit.outlines[body + 1 :])
     low_x, low_y, high_x, high_y = own.bounds
-    grid = [
-        (float(x), float(y)) for x in np.arange(low_x, high_x, _GRID_MM) for y in np.arange(low_y, high_y, _GRID_MM)
-    ]
+    grid = product(np.arange(low_x, high_x, _GRID_MM).tolist(), np.arange(low_y, high_y, _GRID_MM).tolist())
     inside = [place for place in grid if own.contains(Point(place))]
     if not inside:
         point = own.representative_point()
@@ -254,10 +247,8 @@ def _top_view(sheet: Axes, kit: Kit, low: Any, high: Any, top: float) -> None:
     x_end = put(high[0], 0.0)[0]
     left, right = put(low[0], 0.0)[1], put(low[0], settings.pitch_mm)[1]
     _dimension(sheet, labels, (x_end + 7, right), (x_end + 7, left), f"{settings.pitch_mm:g}")
-    left_middle = put(low[0], settings.thickness_mm / 2)[1]
-    sheet.text(corner[0] - 3, left_middle, "left", ha="right", va="center", fontsize=_SMALL)
-    right_middle = put(low[0], deep - settings.thickness_mm / 2)[1]
-    sheet.text(corner[0] - 3, right_middle, "right", ha="right", va="center", fontsize=_SMALL)
+    for side, z in (("left", settings.thickness_mm / 2), ("right", deep - settings.thickness_mm / 2)):
+        sheet.text(corner[0] - 3, put(low[0], z)[1], side, ha="right", va="center", fontsize=_SMALL)
     thick = f"{settings.thickness_mm:g} thick,\nlayers {settings.layer_gap_mm:g} apart"
     sheet.text(x_end + 11, put(0.0, deep)[1], thick, va="bottom", fontsize=_SMALL)
 

@@ -138,7 +138,7 @@ def check_contacts(contacts: Sequence[PassingContact]) -> list[KitFinding]:
 def check_floating(floating: Floating, tank_mm: float) -> list[KitFinding]:
     """Check that the kit floats in a tank of a depth [mm]."""
     findings = []
-    if floating.stands_in(tank_mm):
+    if floating.draught_mm is not None and floating.draught_mm > tank_mm:
         message = f"stands on the floor of a {tank_mm:.0f} mm deep tank: its draught is {floating.draught_mm:.0f} mm"
         findings.append(KitFinding("floating", "warning", "robot", message))
     if floating.sealed_share > 1:

@@ -15,7 +15,7 @@ from PIL import ImageColor
 
 from pipeline.fabrication.assembly_drawing import PART_COLOURS, assembly_drawing
 from pipeline.fabrication.formats import dxf, step, stl, three_mf
-from pipeline.fabrication.picture import Colour, ColouredMesh, picture
+from pipeline.fabrication.picture import Colour, picture
 from tasks.fabrication.features import Feature
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.parts import Mesh, mesh_of, on_bed
@@ -73,8 +73,8 @@ def _bill_csv(kit: Kit) -> bytes:
 
 def _picture(kit: Kit, meshes: list[Mesh]) -> bytes:
     parts: list[Colour] = [ImageColor.getrgb(colour)[:3] for colour in PART_COLOURS]
-    shown = [ColouredMesh(mesh, parts[part.body % len(parts)]) for part, mesh in zip(kit.parts, meshes, strict=True)]
-    shown += [ColouredMesh(mesh_of(item.solid), _BOUGHT_COLOURS[item.kind]) for item in kit.bought]
+    shown = [(mesh, parts[part.body % len(parts)]) for part, mesh in zip(kit.parts, meshes, strict=True)]
+    shown += [(mesh_of(item.solid), _BOUGHT_COLOURS[item.kind]) for item in kit.bought]
     kinds = dict.fromkeys(item.kind for item in kit.bought if item.kind in ("servo", "rod"))
     legend = [(body.name, parts[body.index % len(parts)]) for body in kit.mechanism.bodies]
     return picture(shown, [*legend, *((kind, _BOUGHT_COLOURS[kind]) for kind in kinds)])

@@ -11,19 +11,11 @@ from pipeline.store import disk
 from pipeline.store.encoding import Json, check_format, decode_json, encode_json
 
 _SCHEMA, _VERSION = "puddle.kit", 1
-KIT_MANIFEST = "kit.json"
-"""File that makes a folder a kit: schema, source, findings and the SHA-256 of every other file."""
+KIT_MANIFEST = "kit.json"  # makes a folder a kit: schema, source, findings and the SHA-256 of every other file
 
 
 def check_place(folder: Path) -> Path:
-    """Check that a folder is new, empty or a kit.
-
-    Returns:
-        The resolved absolute path.
-
-    Raises:
-        PuddleError: The folder can't be used.
-    """
+    """Return the resolved path of a folder that is new, empty or a kit. Raises PuddleError for any other."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise PuddleError(
             f"{folder}: expected a new folder or a kit, found a file or a link. Choose another one with --out."

@@ -1,26 +1,34 @@
 """index.html of a kit: the robot, the findings, the files to download, and the physics of the scale."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 from html import escape
 from importlib.resources import files
 from math import degrees
 
+import numpy as np
 import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.source import DesignSource
-from pipeline.report.drawing import Drawing, Missing
+from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, NothingToDraw, finish
 from pipeline.report.moving import document
 from pipeline.report.page import inline_svg
 from pipeline.report.wording import absent
+from tasks.arrays import Floats, Int64
 from tasks.fabrication.checks import KitFinding
 from tasks.fabrication.kit import Kit
 from tasks.fabrication.kit_settings import FabricationSettings
+from tasks.fabrication.scaling import line_use
 from tasks.fabrication.servos import MEASURES
 from tasks.world import Physics
 
+_JOINT_COLOURS = ("#1c6fb8", "#dd7700", "#1d6b3c", "#7d4aa5", "#c2185b")
+_SHOWN = 20.0  # of the timeline [s]
+_POINTS = 1500  # of the run, about: the worst instant of as many equal spans
 _POLICY = "img-src 'self' data: file:"  # the kit's pictures lie beside its page
 TEMPLATES = Environment(loader=PackageLoader("pipeline.fabrication", ""), autoescape=True, undefined=StrictUndefined)
 
@@ -32,7 +40,6 @@ def render_kit(
     choices: FabricationSettings,
     *,
     findings: Sequence[KitFinding],
-    drawings: Mapping[str, Drawing | Missing],
     physics: Physics,
     folder: str,
 ) -> str:
@@ -44,7 +51,6 @@ def render_kit(
         source: Design and its origin.
         choices: Settings of the kit.
         findings: Findings of the kit and the bench, faults first.
-        drawings: Figures of :mod:`pipeline.fabrication.kit_figures`: torque and timeline.
         physics: Physics of the simulation.
         folder: Name of the kit on a command line.
 
@@ -61,7 +67,10 @@ def render_kit(
         scaling=choices.scaling,
         findings=findings,
         n_faults=sum(finding.severity == "fault" for finding in findings),
-        figures={name: Markup(_figure(drawing)) for name, drawing in drawings.items()},
+        figures={
+            "torque": _figure(finish("torque", "Loads of the joints and limits of the servo", partial(_torque, bench))),
+            "timeline": _figure(finish("gait", "Joint angles on the bench", partial(_timeline, bench))),
+        },
         measures=MEASURES,
         physics=physics,
         frequency=float(source.design.frequency[0]),
@@ -75,8 +84,61 @@ def render_kit(
     return document(title=escape(title), policy=_POLICY, body=body, css=f"\n{css}")
 
 
-def _figure(drawing: Drawing | Missing) -> str:
+def _figure(drawing: Drawing | Missing) -> Markup:
     if isinstance(drawing, Missing):
-        return absent(drawing.title, drawing.reason)
-    caption = f"<figcaption>{escape(drawing.description)}</figcaption>"
-    return f'<figure id="{drawing.name}"><h3>{escape(drawing.title)}</h3>{inline_svg(drawing)}{caption}</figure>'
+        return Markup(absent(drawing.title, drawing.reason))
+    figure = Markup('<figure id="{}"><h3>{}</h3>{}<figcaption>{}</figcaption></figure>')
+    return figure.format(drawing.name, drawing.title, Markup(inline_svg(drawing)), drawing.description)
+
+
+def _torque(bench: Bench) -> tuple[Figure, str]:
+    """Draw the load of every joint against the servo's torque–speed line."""
+    if bench.simulated is None:
+        raise NothingToDraw("the simulation diverged")
+    if not bench.loads:
+        raise NothingToDraw("no joint has a servo")
+    figure = Figure(figsize=(FIGURE_WIDTH, 3.3), layout="constrained")
+    axes = figure.subplots()
+    every = max(1, len(bench.simulated.torque) // _POINTS)
+    for column, (load, colour) in enumerate(zip(bench.loads, _JOINT_COLOURS, strict=False)):
+        torque = bench.simulated.torque[:, column] * bench.scales.torque / bench.servos_per_joint
+        speed = bench.simulated.speed[:, column] * bench.scales.frequency
+        shown = worst_of_each(line_use(torque, speed, bench.servo), every)
+        x, y = (np.sign(torque) * speed)[shown], np.abs(torque)[shown]
+        axes.plot(x, y, ".", ms=2.5, color=colour, alpha=0.6, label=f"joint {load.joint}")
+    fastest, stall = bench.servo.no_load_speed_rad_s, bench.servo.stall_torque_nm
+    axes.plot([-fastest, 0, fastest], [stall, stall, 0], color=INK, label=bench.servo.name)
+    axes.set(xlabel="speed in the direction of the torque [rad/s]", ylabel="torque per servo [N·m]", ylim=(0, None))
+    axes.grid(True, color=FAINT)
+    figure.legend(loc="outside upper center", ncols=3, markerscale=4, fontsize=9)
+    instants = "every time step" if every == 1 else f"the worst of every {every} time steps"
+    return figure, (
+        f"The simulated run at bench scale ({instants}) and the torque–speed line of a {bench.servo.name}, from stall "
+        f"to no load. Left of zero the environment moves the joint and the servo brakes."
+    )
+
+
+def worst_of_each(use: Floats, every: int) -> Int64:
+    """Return the (⌈n_steps / every⌉,) indices of the largest use (n_steps,) in each span of a run."""
+    return np.array([start + int(use[start : start + every].argmax()) for start in range(0, len(use), every)])
+
+
+def _timeline(bench: Bench) -> tuple[Figure, str]:
+    """Draw the start of the timeline."""
+    if bench.timeline is None:
+        raise NothingToDraw(
+            "the servos can't play this gait; the findings say why" if bench.calibration else "no joint has a servo"
+        )
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.6), layout="constrained")
+    axes = figure.subplots()
+    time = bench.timeline.time
+    shown = time <= _SHOWN
+    for column, (joint, colour) in enumerate(zip(bench.timeline.joints, _JOINT_COLOURS, strict=False)):
+        axes.plot(time[shown], np.degrees(bench.timeline.angle[shown, column]), color=colour, label=f"joint {joint}")
+    axes.set(xlabel="time [s]", ylabel="angle from rest [°]")
+    axes.grid(True, color=FAINT)
+    figure.legend(loc="outside upper center", ncols=5, fontsize=9, columnspacing=1.2, handlelength=1.2)
+    return figure, (
+        f"The first {min(_SHOWN, time[-1]):.0f} of {time[-1]:.0f} s. The amplitude rises from rest to the evolved "
+        f"gait; at the end it falls in the same way."
+    )

@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
-from shapely import LineString, Polygon, affinity, box
+from shapely import LineString, Point, Polygon, affinity, box
 from shapely.geometry.base import BaseGeometry
 
 from pipeline.report.drawing import INK
@@ -58,25 +58,17 @@ class Labels:
         where = affinity.translate(lying, *best)
         self.boxes.append(where)
         if of is not None:
-            leader = LineString([of, where.boundary.interpolate(where.boundary.project(_point(of)))])
+            leader = LineString([of, where.boundary.interpolate(where.boundary.project(Point(of)))])
             if leader.length > _LEADER_MM:
                 self._sheet.plot(*leader.xy, color=style.get("color", INK), lw=0.35, zorder=8)
                 self._marks.append(leader.buffer(0.3))
-        frame = {
-            "boxstyle": f"square,pad={_PAD_MM / _MM_PER_POINT / style['fontsize']:.3f}",
-            "fc": "white",
-            "ec": "none",
-            "alpha": 0.8,
-        }
+        pad = _PAD_MM / _MM_PER_POINT / style["fontsize"]
+        frame = {"boxstyle": f"square,pad={pad:.3f}", "fc": "white", "ec": "none", "alpha": 0.8}
         self._sheet.text(*best, text, ha="center", va="center", rotation=rotation, zorder=9, bbox=frame, **style)
 
     def _cost(self, where: Polygon) -> float:
         text = sum(float(where.intersection(other).area) for other in self.boxes)
         return _TEXT_COST * text + _LINE_COST * sum(float(where.intersection(mark).area) for mark in self._marks)
-
-
-def _point(place: Place) -> BaseGeometry:
-    return box(*place, *place).centroid
 
 
 def _box(text: str, fontsize: float, weight: str) -> Polygon:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +19,6 @@ from pipeline.store.encoding import Json, canonical_json, digest, encode_json
 from pipeline.store.store import Store
 from pipeline.tracking.mirror import Run, Tracker
 from tasks.design import DesignError
-from tasks.fabrication.cad import MissingCadError, require_cad
 from tasks.fabrication.kit_settings import FabricationSettings
 
 if TYPE_CHECKING:  # these import the CAD kernel, which takes ten seconds
@@ -57,15 +57,11 @@ def fabricate(
     Raises:
         PuddleError: The kit can't be made. Nothing was written.
     """
-    try:
-        require_cad()
-    except MissingCadError as error:
-        raise PuddleError(str(error)) from None
+    require_cad()
     place = check_place(out)
     # Imported late, because the CAD kernel takes ten seconds.
     from pipeline.fabrication.bench import bench_of
     from pipeline.fabrication.exports import exports
-    from pipeline.fabrication.kit_figures import timeline_figure, torque_figure
     from pipeline.fabrication.kit_page import render_kit
     from tasks.fabrication.features import KitError
     from tasks.fabrication.kit import build_kit
@@ -90,10 +86,7 @@ def fabricate(
         if bench.timeline is not None:
             files["timeline.json"] = timeline_json(bench.timeline, bench.calibration)
             files["timeline.csv"] = timeline_csv(bench.timeline, bench.calibration)
-    drawings = {"torque": torque_figure(source.design, bench), "timeline": timeline_figure(bench)}
-    page = render_kit(
-        kit, bench, source, choices, findings=findings, drawings=drawings, physics=physics, folder=place.name
-    )
+    page = render_kit(kit, bench, source, choices, findings=findings, physics=physics, folder=place.name)
     files["index.html"] = page.encode()
     metrics = {"n_faults": float(faults), "mass_g": kit.mass_g, "submerged_share": bench.floating.sealed_share}
     metrics |= {f"margin.joint_{load.joint}": load.margin for load in bench.loads}
@@ -111,6 +104,16 @@ def fabricate(
     lines = write_kit(place, files, manifest)
     _mirror(tracker, source, design is None, chosen, metrics, files)
     return KitResult([*lines, *_lines(out, findings, bench.loads, kit.mass_g)], faults)
+
+
+def require_cad() -> None:
+    """Check that the CAD packages, which take seconds to import, are installed. Raises PuddleError otherwise."""
+    missing = [package for package in ("build123d", "ezdxf", "shapely") if find_spec(package) is None]
+    if missing:
+        raise PuddleError(
+            f"{', '.join(missing)} not installed, but needed to make parts. Run: pip install 'puddle[cad]' "
+            f"(in a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
+        )
 
 
 def _lines(out: Path, findings: Sequence[KitFinding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:

@@ -5,7 +5,6 @@ matplotlib sorts triangles by their centres, which fails where long rods pass be
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -29,33 +28,25 @@ _LINE_COLOUR: Colour = (58, 60, 66)
 _PAPER: Colour = (250, 250, 248)
 
 
-@dataclass(frozen=True, eq=False)
-class ColouredMesh:
-    """A mesh and its colour."""
-
-    mesh: Mesh
-    colour: Colour
-
-
-def picture(shown: Sequence[ColouredMesh], legend: Sequence[tuple[str, Colour]]) -> bytes:
+def picture(shown: Sequence[tuple[Mesh, Colour]], legend: Sequence[tuple[str, Colour]]) -> bytes:
     """Draw meshes, y up, with a legend of names and colours. Returns a PNG."""
-    everything = np.concatenate([s.mesh.vertices for s in shown])
+    everything = np.concatenate([mesh.vertices for mesh, _ in shown])
     middle = (everything.min(axis=0) + everything.max(axis=0)) / 2
     radius = float(np.linalg.norm(everything - middle, axis=1).max())
     width, height = _WIDTH_PX * _OVERSAMPLING, _HEIGHT_PX * _OVERSAMPLING
-    projected = [_projected((s.mesh.vertices - middle) / radius) for s in shown]
+    projected = [_projected((mesh.vertices - middle) / radius) for mesh, _ in shown]
     flat = np.concatenate(projected)[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     scale = 0.88 * min(width / (high[0] - low[0]), (height - 90 * _OVERSAMPLING) / (high[1] - low[1]))
     centre = np.array([width / 2, (height - 70 * _OVERSAMPLING) / 2])
     corners, facing, colours, owner = [], [], [], []
-    for index, (item, points) in enumerate(zip(shown, projected, strict=True)):
+    for index, ((mesh, colour), points) in enumerate(zip(shown, projected, strict=True)):
         xy = (points[:, :2] - (low + high) / 2) * np.array([scale, -scale]) + centre
-        corners.append(np.column_stack([xy, points[:, 2]])[item.mesh.triangles])
-        a, b, c = (item.mesh.vertices[item.mesh.triangles[:, corner]] for corner in range(3))
+        corners.append(np.column_stack([xy, points[:, 2]])[mesh.triangles])
+        a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
         across = np.cross(b - a, c - a)
         facing.append(across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12))
-        colours.append(np.tile(np.array(item.colour, dtype=np.float64), (len(across), 1)))
+        colours.append(np.tile(np.array(colour, dtype=np.float64), (len(across), 1)))
         owner.append(np.full(len(across), index))
     depth, nearest = _nearest(np.concatenate(corners), width, height)
     image = _shaded(depth, nearest, np.concatenate(facing), np.concatenate(colours), np.concatenate(owner))

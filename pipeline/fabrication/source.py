@@ -58,10 +58,8 @@ def from_file(path: Path, settings: Settings) -> DesignSource:
 def proposed(settings: Settings, store: Store) -> DesignSource:
     """Select the champion whose True Slush score is nearest the mean of its arm. Paper, "Physical Validation".
 
-    The arm is Residual Slush if the study has it, at its greatest depth.
-
-    Raises:
-        PuddleError: No champion has been scored or survived, or an item of the study is damaged.
+    The arm is Residual Slush if the study has it, at its greatest depth. Raises PuddleError if no champion has been
+    scored or survived, or an item of the study is damaged.
     """
     with store.lock_to_read():
         return _proposed(settings, store)

@@ -1,6 +1,5 @@
 """File formats of servo timelines (timeline.json, timeline.csv) and calibrations (calibration.yaml)."""
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -43,16 +42,10 @@ def timeline_csv(timeline: Timeline, calibration: Calibration) -> bytes:
     angles = [f"joint_{joint}_rad" for joint in timeline.joints]
     widths = [f"channel_{servo.channel}_us" for servo in calibration.servos]
     decimals = [2, *len(angles) * [_RADIAN_DIGITS], *len(widths) * [_PULSE_DIGITS]]
-    sheet = io.StringIO()
-    np.savetxt(
-        sheet,
-        np.column_stack([timeline.time, timeline.angle, sent]),
-        fmt=[f"%.{n}f" for n in decimals],
-        delimiter=",",
-        header=",".join(["time_s", *angles, *widths]),
-        comments="",
-    )
-    return sheet.getvalue().encode()
+    row = ",".join(f"{{:.{n}f}}" for n in decimals)
+    table = np.column_stack([timeline.time, timeline.angle, sent])
+    lines = [",".join(["time_s", *angles, *widths]), *(row.format(*values) for values in table)]
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
 def read_timeline(path: Path) -> Timeline:

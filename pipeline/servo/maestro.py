@@ -24,10 +24,6 @@ _GET_POSITION, _GET_ERRORS, _GO_HOME = 0x90, 0xA1, 0xA2
 _BAUD_INDICATION = 0xAA
 _UNITS_PER_US = 4  # a target is in quarters of a microsecond
 _SPEED_UNIT_US = 25.0  # a speed is in quarters of a microsecond per 10 ms, that is 25 µs/s
-
-ANSWER_TIMEOUT = 0.1
-"""Default for the longest wait for an answer, or for bytes to be accepted [s]; a Maestro on USB takes 2 ms."""
-
 _ERRORS_BY_BIT = (
     "serial signal error (a framing error or a wrong baud rate)",
     "serial overrun (bytes arrived faster than it could read them)",
@@ -154,14 +150,14 @@ def _reason(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def open_maestro(path: str, *, baud: int, baud_detection: bool, timeout: float = ANSWER_TIMEOUT) -> Maestro:
+def open_maestro(path: str, *, baud: int, baud_detection: bool, timeout: float) -> Maestro:
     """Open a Maestro's port for exclusive use.
 
     Args:
         path: The port, such as /dev/ttyACM0.
         baud: Baud rate; ignored on USB.
         baud_detection: Whether the controller detects the baud rate from a first byte 0xAA.
-        timeout: Longest wait for an answer, or for bytes to be accepted [s].
+        timeout: Longest wait for an answer, or for bytes to be accepted [s]; a Maestro on USB takes 2 ms.
 
     Returns:
         The controller, not yet prepared.

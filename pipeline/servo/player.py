@@ -23,12 +23,8 @@ from tasks.fabrication.calibration import ServoCalibration
 from tasks.fabrication.timeline import FRAME_RATE_HZ
 
 _FRAME = 1 / FRAME_RATE_HZ
-
 MAX_LATENESS = 0.25  # longest delay after which a run goes on [s]; the Maestro's own time-out should be twice as long
-
-NEUTRAL_HOLD = 1.0
-"""Time at neutral before the timeline begins [s], because the initial position of the horns is unknown."""
-
+NEUTRAL_HOLD = 1.0  # at neutral before the timeline begins [s], because the horns' initial position is unknown
 _RETURN_SPEED = 0.5  # share of a servo's maximum speed on the way back to neutral
 _SETTLING_TIME = 0.3  # at neutral before the pulses stop [s]
 _READBACK_DELAY = 0.1  # longest delay of a reported pulse [s]: two frames, the controller's own period and the reading

@@ -68,7 +68,7 @@ def assemble(design: Designs, settings: KitSettings) -> Assembly:
         DesignError: The design is invalid.
         ServoError: The library has no such servo or horn, or the measurements contradict each other.
         KitError: No part can be made with these settings.
-        SolidError: The CAD kernel made an outline that does not match the polygons.
+        SolidError: The CAD kernel made geometry that does not match the polygons.
     """
     check(design)
     mechanism = mechanism_of(design, settings)

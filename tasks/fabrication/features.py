@@ -23,8 +23,7 @@ _HEAD_CLEARANCE_MM = 1.0  # added to a head's diameter for the screwdriver
 _MIN_WEB_MM = 5.0  # plastic under the heads of the horn's screws
 _TIP_MM = 0.5  # by which those screws protrude from the horn, and their distance to the servo's case
 _OVERLAP_MM = 0.5  # of sunk heads and the centre screw's hole where there is no room for a wall
-SCREW_LENGTHS_MM = (4, 5, 6, 8, 10, 12, 16, 20, 25, 30, 35, 40, 50, 60)
-"""Lengths on sale: the preferred lengths of ISO 4762 and ISO 7049."""
+SCREW_LENGTHS_MM = (4, 5, 6, 8, 10, 12, 16, 20, 25, 30, 35, 40, 50, 60)  # on sale: those of ISO 4762 and ISO 7049
 
 
 class KitError(ValueError):

@@ -17,16 +17,11 @@ class Floating:
 
     mass_kg: float
     sealed_m3: float  # displaced volume while all pockets hold air [m³]
-    flooded_m3: float  # displaced volume once all pockets are full; the infill stays dry [m³]
     sealed_share: float  # submerged share of the sealed volume; it sinks above 1
-    flooded_share: float  # submerged share of the flooded volume; with full pockets it sinks above 1
+    flooded_share: float  # the same once all pockets are full; the infill stays dry
     draught_mm: float | None
     """Height of the waterline above the lowest corner of the rest pose, sealed; None if it sinks."""
     height_mm: float  # height of the rest pose
-
-    def stands_in(self, depth_mm: float) -> bool:
-        """Return whether it touches the floor of a tank in its rest pose before it floats."""
-        return self.draught_mm is not None and self.draught_mm > depth_mm
 
 
 def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
@@ -35,13 +30,10 @@ def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
     The volume leaves out the rods and the ends of servos that stand out of the parts.
     """
     mass = kit.mass_g / 1000
-    servos = 0.0
-    for servo_joint in kit.servo_joints:
-        case = servo_joint.servo.length_mm * servo_joint.servo.width_mm * servo_joint.servo.height_mm
-        servos += case * kit.settings.servos_per_joint
+    case = kit.servo.length_mm * kit.servo.width_mm * kit.servo.height_mm
+    servos = sum(case * kit.settings.servos_per_joint for _ in kit.servo_joints)
     sealed, flooded = kit.hull_mm3 * 1e-9, (kit.printed_mm3 + servos) * 1e-9
-    outlines = [profile.polygon for profile in kit.profiles]
-    left, bottom, right, top = unary_union(outlines).bounds
+    left, bottom, right, top = unary_union(kit.outlines).bounds
     needed = mass / fluid_density
     draught = None
     if needed <= sealed:
@@ -49,14 +41,13 @@ def floating_of(kit: Kit, *, fluid_density: float) -> Floating:
         for _ in range(60):
             middle = (low + high) / 2
             under = box(left - 1, bottom - 1, right + 1, bottom + middle)
-            area = sum(outline.intersection(under).area for outline in outlines)
+            area = sum(outline.intersection(under).area for outline in kit.outlines)
             enough = 2 * kit.settings.thickness_mm * area * 1e-9 >= needed
             low, high = (low, middle) if enough else (middle, high)
         draught = high
     return Floating(
         mass_kg=mass,
         sealed_m3=sealed,
-        flooded_m3=flooded,
         sealed_share=needed / sealed,
         flooded_share=needed / flooded,
         draught_mm=draught,

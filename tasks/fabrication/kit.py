@@ -1,12 +1,12 @@
 """The kit: everything needed to build one design as a robot. Paper, "Manufacturing".
 
-Needs the optional CAD packages; see :mod:`tasks.fabrication.cad`.
+Needs the optional CAD packages: pip install 'puddle[cad]'.
 """
 
 from dataclasses import dataclass
 
 from tasks.design import Designs
-from tasks.fabrication.assembly import SIDES, Assembly, assemble
+from tasks.fabrication.assembly import Assembly, assemble
 from tasks.fabrication.bill import BillLine, bill_of
 from tasks.fabrication.checks import KitFinding, findings_of
 from tasks.fabrication.kit_settings import KitSettings
@@ -35,14 +35,9 @@ class Kit(Assembly):
 
 
 def build_kit(design: Designs, settings: KitSettings) -> Kit:
-    """Make the parts of one design and check them. Joints whose motor is off are locked at rest.
-
-    Raises:
-        DesignError, ServoError, KitError: See :func:`tasks.fabrication.assembly.assemble`.
-        SolidError: The CAD kernel made a solid that does not match the outlines.
-    """
+    """Make the parts of one design and check them. Raises as :func:`tasks.fabrication.assembly.assemble`."""
     assembly = assemble(design, settings)
-    parts = [part for body in assembly.mechanism.bodies for side in SIDES for part in parts_of(assembly, body, side)]
+    parts = parts_of(assembly)
     return Kit(
         **vars(assembly),
         parts=tuple(parts),

@@ -67,23 +67,12 @@ class Mesh:
     triangles: Int64  # (n_triangles, 3) indices of vertices
 
 
-# -- parts to print --------------------------------------------------------------------------------------------------
+def parts_of(assembly: Assembly) -> list[Part]:
+    """Make both copies of all parts, in pieces if they are split. Raises SolidError as :func:`gauges_of`."""
+    return [piece for body in assembly.mechanism.bodies for side in SIDES for piece in _pieces(assembly, body, side)]
 
 
-def parts_of(assembly: Assembly, body: RigidPart, side: str) -> list[Part]:
-    """Make one copy of a part, in pieces if it is split.
-
-    Args:
-        assembly: The robot.
-        body: The part.
-        side: Pontoon, left or right.
-
-    Returns:
-        One part per piece.
-
-    Raises:
-        SolidError: The CAD kernel made a solid that does not match the outlines.
-    """
+def _pieces(assembly: Assembly, body: RigidPart, side: str) -> list[Part]:
     settings, split, features = assembly.settings, assembly.splits[body.index], assembly.features[body.index, side]
     cuts = [Feature("cut", "cut", cut, 0.0, settings.thickness_mm) for cut in split.cuts]
     name, n = f"part-{body.index + 1}-{side}", len(split.pieces)
@@ -191,9 +180,6 @@ def _printed_mass_g(solid: Solid, settings: KitSettings) -> float:
     return settings.pla_density_g_cm3 * (shell + settings.infill * (volume - shell)) / 1000.0
 
 
-# -- parts to buy ----------------------------------------------------------------------------------------------------
-
-
 def bought_of(assembly: Assembly) -> list[BoughtPart]:
     """Make simple solids of the servos, horns, pins and rods, in place in the robot."""
     things, settings, layers = [], assembly.settings, assembly.layers
@@ -254,9 +240,6 @@ def _horn(servo_joint: ServoJoint, face: float) -> Shape:
 
 def _in_plane(shape: Shape, servo_joint: ServoJoint) -> Shape:
     return Location((*servo_joint.joint.at, 0.0), (0.0, 0.0, degrees(servo_joint.angle))) * shape
-
-
-# -- meshes ------------------------------------------------------------------------------------------------------------
 
 
 def mesh_of(shape: Shape) -> Mesh:

@@ -24,18 +24,14 @@ from tasks.fabrication.servos import Servo
 from tasks.parameters import Parameters
 from tasks.world import froude_time
 
-Law = Literal["froude", "kept_frequencies"]
-
-CONTINUOUS_SHARE = 1 / 3
-"""Share of its stall torque that a hobby servo sustains without overheating, by a common rule of thumb."""
-
+CONTINUOUS_SHARE = 1 / 3  # of its stall torque that a hobby servo sustains without overheating, by a rule of thumb
 _SATURATED = 0.999  # share of the simulated motor's maximum torque above which it counts as at its limit
 
 
 class Scaling(Parameters):
     """Choice of the scaling law."""
 
-    law: Law = "froude"
+    law: Literal["froude", "kept_frequencies"] = "froude"
     """"froude" keeps the proportions of all forces, "kept_frequencies" the frequencies."""
     fluid_density: float = Field(default=1000.0, gt=100.0, le=5000.0)
     """Density of the fluid in the tank [kg/m³]; the paper's gel beads are nearly as dense as water. [P]"""

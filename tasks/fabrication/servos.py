@@ -133,7 +133,6 @@ _SOURCES = {
     "(github.com/lukas/weird_objects: hexapod_walker/prototype/hexapod_prototype.py)",
     "Y": "Shenzhen Sky Star's sheet of its MG90S, a clone (tinytronics.nl, 000263), as a hexapod's builder quotes it",
 }
-"""Sources by letter, all second-hand."""
 
 _NAMES = ("ds3225", "hs85mg", "mg90s", "pdi6221mg")
 _TAPS_3, _TAPS_2, _TAPS_1_5 = "M3 self-tapping", "2 mm self-tapping", "1.5 mm self-tapping"
@@ -210,7 +209,6 @@ _HORNS = ((_DISC, _CROSS), (_HS85MG_CROSS, _MICRO_DISC), (_MG90S_CROSS, _MICRO_D
 SERVOS: dict[str, Servo] = {
     name: Servo(name=name, horns=_HORNS[column], **_numbers(_TABLE, column)) for column, name in enumerate(_NAMES)
 }
-"""The library by name."""
 
 MEASURES: dict[str, str] = {
     "length_mm": "case: length without ears",

@@ -11,7 +11,7 @@ from pipeline.fabrication.bench_checks import (
     check_scale,
     check_timeline,
 )
-from pipeline.fabrication.kit_figures import worst_of_each
+from pipeline.fabrication.kit_page import worst_of_each
 from tasks.analysis.tank import Tank
 from tasks.fabrication.calibration import Calibration, ServoCalibration
 from tasks.fabrication.floating import Floating
@@ -23,13 +23,7 @@ from tasks.fabrication.timeline import Timeline
 
 def lying(draught: float | None, share: float = 0.5) -> Floating:
     return Floating(
-        mass_kg=1.0,
-        sealed_m3=2e-3,
-        flooded_m3=1.5e-3,
-        sealed_share=share,
-        flooded_share=0.7,
-        draught_mm=draught,
-        height_mm=400.0,
+        mass_kg=1.0, sealed_m3=2e-3, sealed_share=share, flooded_share=0.7, draught_mm=draught, height_mm=400.0
     )
 
 

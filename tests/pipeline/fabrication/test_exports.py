@@ -245,15 +245,15 @@ def test_a_dxf_does_not_depend_on_the_hash_seed():
 
 def test_cad_is_imported_late_and_its_absence_is_one_clear_message():
     code = (
-        "import sys\nimport pipeline.commands.app\nfrom tasks.fabrication.cad import require_cad\n"
+        "import sys\nimport pipeline.commands.app\nfrom pipeline.fabrication.make_kit import require_cad\n"
         "assert not {'build123d', 'shapely', 'ezdxf'} & sys.modules.keys()\n"
         "from importlib import util\nfound = util.find_spec\n"
-        "import tasks.fabrication.cad as cad\n"
-        "cad.find_spec = lambda name: None if name == 'build123d' else found(name)\nrequire_cad()"
+        "import pipeline.fabrication.make_kit as make_kit\n"
+        "make_kit.find_spec = lambda name: None if name == 'build123d' else found(name)\nrequire_cad()"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].endswith(
-        "MissingCadError: build123d not installed, but needed to make parts. Run: pip install 'puddle[cad]' "
+        "PuddleError: build123d not installed, but needed to make parts. Run: pip install 'puddle[cad]' "
         "(in a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
     )
