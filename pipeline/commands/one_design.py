@@ -7,7 +7,9 @@ import numpy as np
 
 from pipeline.config.settings import DEEPEST, RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.errors import PuddleError
-from pipeline.report import render_gif, render_mp4, render_robot, replay_of
+from pipeline.report.films import render_gif, render_mp4
+from pipeline.report.page import render_robot
+from pipeline.report.replay import replay_of
 from pipeline.stages import environments
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, median_member
 from pipeline.stages.collect import COLLECT, data_set

@@ -23,9 +23,10 @@ from pipeline.report.drawing import (
     panel_grid,
 )
 from pipeline.report.wording import signed
-from tasks.analysis import Estimate, Regression, paper
+from tasks.analysis import paper
 from tasks.analysis.prediction import Figure as Statistic
-from tasks.analysis.prediction import mean_less_deviations
+from tasks.analysis.prediction import Regression, mean_less_deviations
+from tasks.analysis.uncertainty import Estimate
 from tasks.world import ENVIRONMENTS
 
 _MEAN, _CAUTIOUS = mean_less_deviations(0), mean_less_deviations(1)  # the paper's two aggregates, μ and μ − σ

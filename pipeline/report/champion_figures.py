@@ -38,9 +38,6 @@ def _why_not_scored(report: StudyReport) -> str:
     return ALL_DIVERGED if data.all_diverged(report.trials) else "no champion has been tested in True Slush yet"
 
 
-# -- transfer at one depth: paper, Fig. 4 A ---------------------------------------------------------------------------
-
-
 def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
     """Draw a bar for every arm at the greatest depth: mean ± 1 SD in True Slush, the trials, the paper's mean."""
     depth = data.deepest_scored(report.trials)
@@ -98,9 +95,6 @@ def _bar(axes: Any, center: float, environment: EnvironmentName, measure: Measur
     axes.plot(center + offsets, found.values, style.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
 
 
-# -- transfer across depths: paper, Fig. 4 B --------------------------------------------------------------------------
-
-
 def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
     """Draw lines over depth for every environment, zero-shot solid and adapted dashed, with bands of ± 1 SD."""
     listed = data.depths(report.trials)
@@ -148,9 +142,6 @@ _ADAPTED_DASHES = (0, (3, 2))
 def _mean_and_band(axes: Any, x: Any, mean: Any, sd: Any, color: str, *, adapted: bool = False) -> None:
     axes.fill_between(x, mean - sd, mean + sd, color=color, alpha=0.14 if adapted else 0.22, lw=0)
     axes.plot(x, mean, color=color, ls=_ADAPTED_DASHES if adapted else "-")
-
-
-# -- fitness by generation --------------------------------------------------------------------------------------------
 
 
 def fitness_curves(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]:

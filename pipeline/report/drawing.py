@@ -16,7 +16,7 @@ from matplotlib import style as mpl_style
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
-from tasks.analysis import Estimate
+from tasks.analysis.uncertainty import Estimate
 
 INK = "#1d2129"
 FAINT = "#c9ced6"
@@ -106,9 +106,6 @@ def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Dra
 def _round_paths(svg: bytes) -> bytes:
     """Round the coordinates of paths to hundredths of a unit, so that a figure of many lines stays small."""
     return re.sub(rb' d="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path[0]), svg)
-
-
-# -- parts of figures -------------------------------------------------------------------------------------------------
 
 
 def panel_grid(n_panels: int, n_columns: int, *, row_height: float) -> tuple[Figure, Any]:

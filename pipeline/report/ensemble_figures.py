@@ -63,9 +63,6 @@ def _paths(panel: Any, throws: ThrownPaths, chosen: Any, color: str) -> None:
     panel.add_collection(PolyCollection(list(outlines), facecolors="none", edgecolors=INK, linewidths=0.9))
 
 
-# -- errors by speed --------------------------------------------------------------------------------------------------
-
-
 def member_error(report: StudyReport) -> tuple[Figure, str]:
     """Draw panels by velocity and immersion: each member's error along the champions' paths, by speed of the link."""
     rows = [

@@ -4,22 +4,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from tasks.analysis import (
-    Attribution,
-    Contrast,
-    Crossing,
-    Estimate,
-    EvolvedIn,
-    Histograms,
-    MemberError,
-    Regression,
-    Row,
-    Tank,
-    TransferMatrix,
-)
+from tasks.analysis.attribution import Attribution, TransferMatrix
+from tasks.analysis.comparison import Contrast
+from tasks.analysis.member_error import MemberError
+from tasks.analysis.paper import Row
+from tasks.analysis.prediction import Histograms, Regression
+from tasks.analysis.scores import EvolvedIn
+from tasks.analysis.tank import Crossing, Tank
+from tasks.analysis.uncertainty import Estimate
 from tasks.arrays import Float64
-
-# -- rows of tables of the analysis -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -78,9 +71,6 @@ class TankRow:
     dry_land_com: float | None  # displacement of its centre of mass on Dry Land
     wet: Crossing  # in the filled tank
     dry: Crossing  # on the floor of the drained tank
-
-
-# -- everything else --------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

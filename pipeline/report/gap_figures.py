@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 from pipeline.report.data import StudyReport
 from pipeline.report.drawing import FIGURE_WIDTH, INK, NothingToDraw, legend, show_at_least
 from pipeline.report.wording import number
-from tasks.analysis import Attribution, TransferMatrix
+from tasks.analysis.attribution import Attribution, TransferMatrix
 from tasks.world import ENVIRONMENTS
 
 

@@ -47,9 +47,6 @@ def environment_css() -> str:
     return f":root {{{light} }}\n@media (prefers-color-scheme: dark) {{ :root {{{dark} }} }}\n{swatches}"
 
 
-# -- the gallery ------------------------------------------------------------------------------------------------------
-
-
 def gallery(replays: Sequence[Replay], *, reason: str | None = None) -> str:
     """Show for each depth the best robot evolved with residuals above the best one evolved without.
 
@@ -81,9 +78,6 @@ def _film(replay: Replay, index: int) -> str:
         f'<button type="button" class="film" data-replay="{index}" title="Open in the viewer">'
         f'<canvas role="img" aria-label="{escape(label)}"></canvas><span>{swatch}{escape(label)}</span></button>'
     )
-
-
-# -- the viewer -------------------------------------------------------------------------------------------------------
 
 
 def viewer(replays: Sequence[Replay], *, reason: str | None = None) -> str:

@@ -69,9 +69,6 @@ def render_robot(replay: Replay, lines: Sequence[str]) -> str:
     return document(title=escape(replay.title), policy=_STUDY_POLICY, body=body)
 
 
-# -- words ------------------------------------------------------------------------------------------------------------
-
-
 def _finding(trials: Sequence[TrialResult]) -> str:
     """Summarise in a sentence how designs transferred at the greatest depth, as far as that is known."""
     if not trials:
@@ -122,9 +119,6 @@ def _draws(draws: Sequence[Draws]) -> str:
     )
 
 
-# -- figures ----------------------------------------------------------------------------------------------------------
-
-
 def _figure(drawn: Mapping[str, Drawing | Missing], name: str) -> str:
     """Show a figure; where it has a wide variant, the width of the page chooses between the two."""
     drawing, wide = drawn[name], drawn.get(f"{name}_wide")
@@ -160,9 +154,6 @@ _PAGE_COLORS = {
     **{style.color: f"--{name.replace('_', '-')}" for name, style in ENVIRONMENTS.items()},
     **{style.adapted_color: f"--{name.replace('_', '-')}-adapted" for name, style in ENVIRONMENTS.items()},
 }
-
-
-# -- how it was made --------------------------------------------------------------------------------------------------
 
 
 def _made(report: StudyReport) -> str:

@@ -11,14 +11,13 @@ from pipeline.report.data import arm_words
 from pipeline.report.findings import ExploiterRow, Findings, TankRow
 from pipeline.report.lineage import main_line
 from pipeline.report.wording import NONE, absent, folded, interval, number, p_value, signed, table
-from tasks.analysis import Contrast, Crossing, Row, SignificanceTest, Tank
-from tasks.analysis.paper import Verdict, name_of
+from tasks.analysis.comparison import Contrast, SignificanceTest
+from tasks.analysis.paper import Row, Verdict, name_of
+from tasks.analysis.tank import Crossing, Tank
 
 MOST_EXPLOITERS = 15  # designs listed on the page; the table of the study has all
 LINE_ENDS = 12  # ancestors listed from each end of a champion's line
 
-
-# -- against the paper ------------------------------------------------------------------------------------------------
 
 _MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}
 """So that colour is never the only difference."""
@@ -75,9 +74,6 @@ def _minus(text: str) -> str:
     return re.sub(r"(?<=\d) m\b", "\u00a0m", re.sub(r"(?<![\w.])-(?=\d)", "−", text))
 
 
-# -- tests ------------------------------------------------------------------------------------------------------------
-
-
 def contrasts(findings: Findings) -> str:
     """Tabulate every contrast by depth, each folded under its name."""
     title = "The table of tests"
@@ -125,9 +121,6 @@ def _test_cell(test: SignificanceTest, holm: float | None) -> str:
     return f"{escape(p_value(test.p))}<small>Holm {escape(p_value(holm))}</small>"
 
 
-# -- exploiters, and luck ---------------------------------------------------------------------------------------------
-
-
 def exploiters(findings: Findings) -> str:
     """Tabulate the designs whose prediction exceeds the truth most."""
     title = "The list of exploiters"
@@ -172,9 +165,6 @@ def retried(findings: Findings) -> str:
     )
     content = table(columns, rows, title, kind="named") + note
     return folded(f"Luck and reach of {len(rows)} champions", content, attributes=' id="retried"')
-
-
-# -- the robot to build -----------------------------------------------------------------------------------------------
 
 
 def tank_tests(findings: Findings) -> str:
@@ -229,9 +219,6 @@ def _crossing(found: Crossing, tank: Tank) -> str:
         return f"{NONE}<small>as long as the tank</small>"
     travelled, distance = (number(100 * tank.scale * metres) for metres in (found.travelled, found.distance))
     return f"{travelled} of {distance} cm{speed}"
-
-
-# -- a champion's line ------------------------------------------------------------------------------------------------
 
 
 def lineage(findings: Findings) -> str:

@@ -170,9 +170,6 @@ def replay_of(
     )
 
 
-# -- the page's JSON --------------------------------------------------------------------------------------------------
-
-
 class EncodedOverlay(TypedDict):
     """An overlay in the page's JSON."""
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from tasks.analysis import Estimate
+from tasks.analysis.uncertainty import Estimate
 
 NONE = "–"  # stands where there is no number
 

@@ -8,9 +8,13 @@ import numpy as np
 import yaml
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings, WorkSettings
-from pipeline.report import Drawing, Replay, draw_all, render_films, render_page
 from pipeline.report.camera import FILM_FPS
 from pipeline.report.data import ArtifactDigest, Draws, ResidualError, StudyReport, TrialResult
+from pipeline.report.drawing import Drawing
+from pipeline.report.figures import draw_all
+from pipeline.report.films import render_films
+from pipeline.report.page import render_page
+from pipeline.report.replay import Replay
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.assess import ASSESSED, PREDICTIONS, read_predictions
 from pipeline.stages.collect import data_set

@@ -39,7 +39,11 @@ from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.encoding import decode_table
 from pipeline.workflow.identity import TrialId, deepest_first, trials_of
 from pipeline.workflow.stage import Files, Inputs
-from tasks.analysis import Attribution, Contrast, Histograms, MemberError, Regression, Row
+from tasks.analysis.attribution import Attribution
+from tasks.analysis.comparison import Contrast
+from tasks.analysis.member_error import MemberError
+from tasks.analysis.paper import Row
+from tasks.analysis.prediction import Histograms, Regression
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import GENES
@@ -135,9 +139,6 @@ def _accuracy(files: Files, depth: float) -> Accuracy | None:
     n_outside = np.array([row.n_outside for row in shown])
     names, edges = tuple(row.name for row in shown), np.array(shown[0].edges)
     return Accuracy(depth, regressions, Histograms(names, edges, counts, n_outside, None))
-
-
-# -- a champion's family ----------------------------------------------------------------------------------------------
 
 
 def _family(inputs: Inputs, trial: TrialId) -> Family | None:

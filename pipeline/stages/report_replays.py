@@ -19,7 +19,8 @@ from pipeline.stages.environments import SimulationSpec, members_among
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.workflow.identity import Arm, InputName, TrialId, deepest_first
 from pipeline.workflow.stage import Execution, Files, Inputs
-from tasks.analysis import acceleration, disagreement, link_states, novelty, thrown
+from tasks.analysis.hallucination import acceleration, disagreement, link_states
+from tasks.analysis.novelty import novelty, thrown
 from tasks.arrays import Float64, Floats
 from tasks.design import Designs
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium

@@ -20,7 +20,8 @@ from pipeline.store.encoding import decode_json
 from pipeline.store.tables import columns_of
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Inputs, Job
-from tasks.analysis import Exploiter, TransferMatrix, rank_exploiters, transfer_matrix
+from tasks.analysis.attribution import TransferMatrix, transfer_matrix
+from tasks.analysis.hallucination import Exploiter, rank_exploiters
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
@@ -49,9 +50,6 @@ def champions(trials: Sequence[TrialId], inputs: Inputs) -> list[Champion]:
             zero_shot = np.nan if scores["zero_shot"] is None else scores["zero_shot"]
             found.append(Champion(trial, design, scores["predicted"], zero_shot))
     return found
-
-
-# -- transfer matrix -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -117,9 +115,6 @@ def compute_matrix(job: Job[AnalysisItemSpec[MatrixSpec]], inputs: Inputs) -> tu
     elif len(spec.depths) == 1:
         reasons["matrix"] = "a single depth: the matrix has one column"
     return {"tests": columns_of(MatrixTestRow, tests), "matrix": columns_of(CellRow, cells)}, reasons
-
-
-# -- exploiters ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -22,23 +22,11 @@ from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.environments import members_among
 from pipeline.store.tables import Columns, columns_of, text
 from pipeline.workflow.stage import Inputs, Job
-from tasks.analysis import (
-    SPACE,
-    Disagreement,
-    Estimate,
-    MemberError,
-    Novelty,
-    Thrown,
-    disagreement,
-    link_states,
-    luck,
-    member_errors,
-    novelty,
-    phantom_thrust,
-    reach,
-    thrown,
-    thrown_links,
-)
+from tasks.analysis.hallucination import Disagreement, disagreement, link_states
+from tasks.analysis.luck import luck, reach
+from tasks.analysis.member_error import MemberError, member_errors, phantom_thrust, thrown_links
+from tasks.analysis.novelty import SPACE, Novelty, Thrown, novelty, thrown
+from tasks.analysis.uncertainty import Estimate
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
@@ -67,9 +55,6 @@ def transitions_of(held_out: float, seed: int, inputs: Inputs) -> tuple[Transiti
     return transitions[~validation], transitions[validation]
 
 
-# -- members ---------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class ThrustRow:
     """The phantom thrust of one member."""
@@ -93,9 +78,6 @@ def compute_members(job: Job[AnalysisItemSpec[MembersSpec]], inputs: Inputs) -> 
         )
     tables = {"phantom_thrust": columns_of(ThrustRow, thrusts), "member_errors": columns_of(MemberError, errors)}
     return tables, dict.fromkeys(tables, why) if why else {}
-
-
-# -- instruments of one arm ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -189,9 +171,6 @@ def _champion_row(
         n_diverged=int(tried.n_diverged[0]),
         n_tries=N_TRIES,
     )
-
-
-# -- links of the best champion --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

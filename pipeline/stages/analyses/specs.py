@@ -6,7 +6,7 @@ from typing import Generic, TypeVar
 
 from pipeline.stages.environments import Media, SimulationSpec
 from pipeline.workflow.identity import Arm, TrialId
-from tasks.analysis import Tank
+from tasks.analysis.tank import Tank
 from tasks.world import EnvironmentName, Physics
 
 

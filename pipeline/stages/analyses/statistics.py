@@ -16,24 +16,19 @@ from pipeline.store.encoding import decode_json
 from pipeline.store.tables import columns_of
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Files, Inputs, Job
-from tasks.analysis import (
-    Attribution,
-    Contrast,
+from tasks.analysis.attribution import Attribution, attribute
+from tasks.analysis.comparison import CONTRASTS, Contrast, sweep
+from tasks.analysis.paper import DEPTH, Row, against_paper, name_of
+from tasks.analysis.prediction import (
     Regression,
-    Row,
-    Scores,
     accuracy,
-    against_paper,
     aggregates,
-    attribute,
     histograms,
+    mean_less_deviations,
     members,
     members_ranges,
-    sweep,
 )
-from tasks.analysis.comparison import CONTRASTS
-from tasks.analysis.paper import DEPTH, name_of
-from tasks.analysis.prediction import mean_less_deviations
+from tasks.analysis.scores import Scores
 from tasks.arrays import Float64
 from tasks.seeding import generator
 

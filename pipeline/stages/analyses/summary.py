@@ -14,8 +14,10 @@ from pipeline.stages.analyses.instruments import ThrustRow
 from pipeline.stages.analyses.specs import AnalysisId
 from pipeline.workflow.identity import Arm, ChainId, TrialId
 from pipeline.workflow.stage import Files
-from tasks.analysis import Attribution, Crossing, Regression, Row, Tank
-from tasks.analysis.prediction import mean_less_deviations
+from tasks.analysis.attribution import Attribution
+from tasks.analysis.paper import Row
+from tasks.analysis.prediction import Regression, mean_less_deviations
+from tasks.analysis.tank import Crossing, Tank
 
 Highlights = tuple[list[str], dict[str, float]]  # lines for the terminal, and metrics
 

@@ -14,7 +14,7 @@ from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.specs import AnalysisItemSpec, TankSpec
 from pipeline.store.tables import columns_of
 from pipeline.workflow.stage import Execution, Inputs, Job
-from tasks.analysis import Crossing, crossings, nearest_the_mean
+from tasks.analysis.tank import Crossing, crossings, nearest_the_mean
 from tasks.design.genes import concatenate
 from tasks.world import DryLand, Environment
 

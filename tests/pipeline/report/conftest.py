@@ -12,22 +12,14 @@ from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.findings import Accuracy, Ancestor, ChampionRow, ExploiterRow, Family, Findings, Moved, ThrownPaths
 from pipeline.report.replay import Replay, replay_of
-from tasks.analysis import (
-    Estimate,
-    MemberError,
-    Scores,
-    accuracy,
-    against_paper,
-    aggregates,
-    attribute,
-    histograms,
-    mean,
-    members,
-    members_ranges,
-    rank_exploiters,
-    sweep,
-    transfer_matrix,
-)
+from tasks.analysis.attribution import attribute, transfer_matrix
+from tasks.analysis.comparison import sweep
+from tasks.analysis.hallucination import rank_exploiters
+from tasks.analysis.member_error import MemberError
+from tasks.analysis.paper import against_paper
+from tasks.analysis.prediction import accuracy, aggregates, histograms, members, members_ranges
+from tasks.analysis.scores import Scores
+from tasks.analysis.uncertainty import Estimate, mean
 from tasks.design import random_designs
 from tasks.simulation import simulate
 from tasks.world import DryLand, TrueSlush

@@ -9,7 +9,8 @@ from pipeline.report.findings import Findings, TankRow
 from pipeline.report.lineage import main_line
 from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, tank_tests
 from pipeline.report.wording import interval, p_value
-from tasks.analysis import Crossing, Estimate, Tank
+from tasks.analysis.tank import Crossing, Tank
+from tasks.analysis.uncertainty import Estimate
 
 
 def words(html: str) -> str:

@@ -14,7 +14,7 @@ from pipeline.stages.environments import MemberId
 from pipeline.stages.transfer import SCORE, SCORED, read_scores
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.workflow.identity import InputName, TrialId
-from tasks.analysis import SPACE
+from tasks.analysis.novelty import SPACE
 from tasks.design import Designs
 from tasks.design.genes import DTYPES
 

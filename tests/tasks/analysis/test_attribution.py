@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from tasks.analysis import Scores, attribute, transfer_matrix
+from tasks.analysis.attribution import attribute, transfer_matrix
+from tasks.analysis.scores import Scores
 
 
 def rng(seed=0):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis import Scores, compare, holm, ratio, sweep
-from tasks.analysis.comparison import CONTRASTS, difference, hedges_g, student
+from tasks.analysis.comparison import CONTRASTS, compare, difference, hedges_g, holm, ratio, student, sweep
+from tasks.analysis.scores import Scores
 
 
 def rng(seed=0):

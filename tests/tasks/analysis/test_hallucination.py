@@ -2,8 +2,14 @@ import numpy as np
 import pytest
 import torch
 
-from tasks.analysis import acceleration, disagreement, link_states, member_accelerations, rank_exploiters
-from tasks.analysis.hallucination import size
+from tasks.analysis.hallucination import (
+    acceleration,
+    disagreement,
+    link_states,
+    member_accelerations,
+    rank_exploiters,
+    size,
+)
 from tasks.design import random_designs
 from tasks.residual import Architecture
 from tasks.residual.ensemble import Ensemble

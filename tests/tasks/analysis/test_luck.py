@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tasks.analysis import jittered, luck, reach
+from tasks.analysis.luck import jittered, luck, reach
 from tasks.design import check, random_designs
 from tasks.simulation import simulate
 from tasks.world import TrueSlush

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from tasks.analysis import link_states, member_errors, phantom_thrust, thrown_links
-from tasks.analysis.member_error import COMPONENTS, IMMERSIONS
+from tasks.analysis.hallucination import link_states
+from tasks.analysis.member_error import COMPONENTS, IMMERSIONS, member_errors, phantom_thrust, thrown_links
 from tasks.residual import Throws, initial_states, simulate_throws
 from tasks.residual.error_report import BANDS
 from tasks.world import LinkStates, Physics, Slush

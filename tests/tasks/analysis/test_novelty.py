@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from tasks.analysis import link_states, novelty, thrown, thrown_links
-from tasks.analysis.novelty import SPACE
+from tasks.analysis.hallucination import link_states
+from tasks.analysis.member_error import thrown_links
+from tasks.analysis.novelty import SPACE, novelty, thrown
 from tasks.residual import Throws, initial_states, simulate_throws
 from tasks.world import LinkStates, Physics, Slush
 

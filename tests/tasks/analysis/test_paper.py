@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis import Estimate, MembersRange, Regression, Scores, against_paper
-from tasks.analysis.paper import AGGREGATES, MEANS, PHYSICAL, RANGES, RATIOS, STATEMENTS
+from tasks.analysis.paper import AGGREGATES, MEANS, PHYSICAL, RANGES, RATIOS, STATEMENTS, against_paper
+from tasks.analysis.prediction import MembersRange, Regression
+from tasks.analysis.scores import Scores
+from tasks.analysis.uncertainty import Estimate
 
 NAN = float("nan")
 DEPTHS = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis import accuracy, aggregates, histograms, members_ranges, regress
+from tasks.analysis.prediction import accuracy, aggregates, histograms, members_ranges, regress
 
 
 def rng(seed=0):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tasks.analysis import Tank, crossings, nearest_the_mean
+from tasks.analysis.tank import Tank, crossings, nearest_the_mean
 from tasks.design import Designs, random_designs
 from tasks.simulation import OK, Rollouts
 

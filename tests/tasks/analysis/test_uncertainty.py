@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis import Estimate, bootstrap, mean
-from tasks.analysis.uncertainty import _acceleration, _bca, is_constant
+from tasks.analysis.uncertainty import Estimate, _acceleration, _bca, bootstrap, is_constant, mean
 
 
 def rng(seed=0):
