@@ -134,15 +134,12 @@ def ratio(part: TrialMean | None, whole: TrialMean | None) -> float | None:
 
 
 def paper_mean(environment: EnvironmentName, measure: Measure, depth: float) -> float | None:
-    """Look up the paper's mean over 10 trials.
+    """Return the paper's mean over 10 trials [m], from a share where it gives only that; None where it gives neither.
 
     Args:
         environment: where the champions evolved.
         measure: what is averaged.
         depth: [m]
-
-    Returns:
-        The mean [m], or the share of True Slush's mean where the paper gives only that; None where it gives neither.
     """
     if depth != paper.DEPTH:
         return None

@@ -109,15 +109,12 @@ def _round_paths(svg: bytes) -> bytes:
 
 
 def panel_grid(n_panels: int, n_columns: int, *, row_height: float) -> tuple[Figure, Any]:
-    """Make a figure with panels in rows that share both axes.
+    """Return a figure and its panels (n_panels,), in rows that share both axes.
 
     Args:
         n_panels: number of panels.
         n_columns: panels per row at most; more than two widen the figure.
         row_height: height of a row [inch].
-
-    Returns:
-        The figure and its panels, (n_panels,).
     """
     n_columns = min(n_columns, n_panels)
     n_rows = -(-n_panels // n_columns)

@@ -33,11 +33,7 @@ _STUDIO_RANGE = 1  # brightness from 16 to 235, as players expect
 
 
 def render_films(replays: Sequence[Replay]) -> tuple[bytes, bytes]:
-    """Return the GIF and the MP4 of replays, drawing each picture once.
-
-    Raises:
-        ValueError: there are no replays.
-    """
+    """Return the GIF and the MP4 of replays, drawing each picture once."""
     gif: list[Image.Image] = []
     reduce_colors = _on_palette(replays)
 
@@ -52,33 +48,18 @@ def render_films(replays: Sequence[Replay]) -> tuple[bytes, bytes]:
 
 
 def render_gif(replays: Sequence[Replay]) -> bytes:
-    """Return a film of replays above one another as a GIF that repeats forever.
-
-    Raises:
-        ValueError: there are no replays.
-    """
+    """Return a film of replays above one another as a GIF that repeats forever."""
     reduce_colors = _on_palette(replays)
     return _write_gif([reduce_colors(picture) for picture in pictures(replays, every=GIF_EVERY)])
 
 
 def render_mp4(replays: Sequence[Replay]) -> bytes:
-    """Return a film of replays above one another as an MP4.
-
-    Raises:
-        ValueError: there are no replays.
-    """
+    """Return a film of replays above one another as an MP4."""
     return _write_mp4(pictures(replays), len(replays))
 
 
 def pictures(replays: Sequence[Replay], *, every: int = 1) -> Iterator[Image.Image]:
-    """Draw replays above one another, from top to bottom, until the longest ends.
-
-    Args:
-        replays: one or more.
-        every: draw only every n-th of the FILM_FPS pictures per second.
-
-    Yields:
-        RGB images, PICTURE_WIDTH by LANE_HEIGHT for each replay.
+    """Draw replays above one another until the longest ends; only every n-th of the FILM_FPS pictures per second.
 
     Raises:
         ValueError: there are no replays.

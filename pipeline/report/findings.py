@@ -6,6 +6,7 @@ from typing import Literal
 
 from tasks.analysis.attribution import Attribution, TransferMatrix
 from tasks.analysis.comparison import Contrast
+from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.paper import Row
 from tasks.analysis.prediction import Histograms, Regression
@@ -52,12 +53,7 @@ class ChampionRow:
     best: bool  # whether it is the best zero-shot, or the best where it evolved if none survives True Slush
     home: Moved  # where it evolved, mean over members
     slush: Moved  # in True Slush
-    claimed: float | None  # fitness where it evolved
-    again: float | None  # mean fitness of its repeats, with attachments shifted by 1e-4
-    loss: Estimate  # ``claimed`` minus ``again``: the winner's luck
-    share_below: float | None  # share of repeats with a lower fitness
-    n_diverged: int
-    n_tries: int
+    luck: Luck = field(metadata={"prefix": False})
 
 
 @dataclass(frozen=True)

@@ -48,12 +48,7 @@ def environment_css() -> str:
 
 
 def gallery(replays: Sequence[Replay], *, reason: str | None = None) -> str:
-    """Show for each depth the best robot evolved with residuals above the best one evolved without.
-
-    Args:
-        replays: replays of the study.
-        reason: why no champion can be filmed, if that is known.
-    """
+    """Show for each depth the best robot evolved with residuals above the best one evolved without, or the reason."""
     shown = sorted(
         (replay.depth, _EXEMPLARS.index(environment), index)
         for index, replay in enumerate(replays)
@@ -81,7 +76,7 @@ def _film(replay: Replay, index: int) -> str:
 
 
 def viewer(replays: Sequence[Replay], *, reason: str | None = None) -> str:
-    """Lay out the canvas and the controls of the viewer; for the arguments see :func:`gallery`."""
+    """Lay out the canvas and the controls of the viewer, or give the reason why no champion can be filmed."""
     if not replays:
         return absent("The replay viewer", reason or "no champion has been filmed yet")
     numbered = sorted(enumerate(replays), key=lambda item: item[1].depth)

@@ -26,12 +26,7 @@ _MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text i
 
 
 def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] | None = None) -> str:
-    """Write the page of a study.
-
-    Args:
-        report: the study, or as much of it as is done.
-        drawings: result of ``draw_all(report)`` if the caller has it already; otherwise the figures are drawn here.
-    """
+    """Write the page of a study; its figures are drawn here if the caller has not done so."""
     drawn = draw_all(report) if drawings is None else drawings
     figures = {name: _figure(drawn, name) for name in drawn if not name.endswith("_wide")}
     reason = ALL_DIVERGED if data.all_diverged(report.trials) else None

@@ -151,9 +151,9 @@ def retried(findings: Findings) -> str:
     """Tabulate what champions lose when they are simulated again, and the reach in their displacement."""
     title = "The table of luck and reach"
     rows = [
-        [f"{escape(arm)}, trial {row.trial}", number(row.claimed), interval(row.loss), number(row.slush.reach)]
+        [f"{escape(arm)}, trial {of.trial}", number(of.luck.claimed), interval(of.luck.loss), number(of.slush.reach)]
         for arm, champions in findings.champions.items()
-        for row in champions
+        for of in champions
     ]
     if not rows:
         return absent(title, findings.why("champions", "no champion has been simulated again yet"))

@@ -32,13 +32,7 @@ class Lane:
     """A robot in its environment, ready to be drawn at each of its poses."""
 
     def __init__(self, replay: Replay, poses: Float64, camera: Camera) -> None:
-        """Project everything for all pictures.
-
-        Args:
-            replay: the replay.
-            poses: (n_pictures, n_links, 3) x, y [m], angle [rad].
-            camera: the view.
-        """
+        """Project everything for all pictures; poses are (n_pictures, n_links, 3) x, y [m], angle [rad]."""
         self._replay, self._camera = replay, camera
         self._start = float(poses[0, 0, 0])
         self._moved = poses[:, 0, 0] - self._start
@@ -161,15 +155,12 @@ def palette(replays: Sequence[Replay]) -> list[Rgb]:
 
 
 def link_outline(pose: Float64, length: Float64, *, inset: float = 0.0) -> Float64:
-    """Return the outlines of links with rounded corners.
+    """Return the outlines of links with rounded corners: (..., n_points, 2) x, y [m].
 
     Args:
         pose: (..., 3) x, y of their centres [m], angle [rad].
         length: (...) or broadcastable to it, their long axes along their own y [m].
         inset: distance inside the outline [m].
-
-    Returns:
-        (..., n_points, 2) x, y [m].
     """
     half_width, half_height = np.maximum(0.5 / length - inset, 0.0), np.maximum(0.5 * length - inset, 0.0)
     radius = np.maximum(0.45 * 0.5 / length - inset, 0.0)

@@ -57,6 +57,7 @@ the page does; if none survives True Slush, the best champion where it evolved:
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import ceil
 from pathlib import PurePosixPath
 from typing import Any
@@ -79,8 +80,6 @@ from pipeline.stages.analyses.analysis_tables import (
     read_table,
 )
 from pipeline.stages.analyses.specs import (
-    AnalysisId,
-    AnalysisItemSpec,
     AnalysisSpec,
     ExploitersSpec,
     InstrumentsSpec,
@@ -92,6 +91,7 @@ from pipeline.stages.analyses.specs import (
 from pipeline.stages.analyses.summary import highlights
 from pipeline.stages.assess import ASSESSED, ASSESSED_ENVIRONMENTS, PREDICTIONS
 from pipeline.stages.collect import data_set
+from pipeline.stages.part import PartId
 from pipeline.stages.transfer import scores_inputs
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -128,40 +128,35 @@ _NOT_AS_CSV = ("links", "histograms")  # tables that are too long to read
 def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
     """Plan one item for each kind of analysis, and one for each arm's instruments and tank."""
     trials = tuple(trials_of(settings, "transfer"))
-    depths = settings.grid.depths
+    depths, rollout, tank = settings.grid.depths, settings.rollout, settings.tank
     simulation = environments.simulation_spec(settings, *ENVIRONMENTS)
     penalty, held_out, seed = settings.ensemble.disagreement_penalty, settings.training.held_out, settings.seed
+    chains: list[Chain[AnalysisSpec]] = []
 
-    def chain(identity: AnalysisId, spec: AnalysisSpec) -> Chain[AnalysisSpec]:
-        weight = max(spec.n_rollouts, 1) * environments.relative_cost(settings, spec.environment)
-        return Chain(identity, (1,), spec, weight=weight)
+    def plan(part: PartId, spec: AnalysisSpec, n_rollouts: int, environment: EnvironmentName = "true_slush") -> None:
+        weight = max(n_rollouts, 1) * environments.relative_cost(settings, environment)
+        chains.append(Chain(part, (1,), spec, weight=weight))
 
-    n = len(trials)
     ensemble: EnvironmentName = "residual_slush" if settings.needs_ensemble else "true_slush"
-    chains = [
-        chain(AnalysisId(STATISTICS), StatisticsSpec(seed, trials, 0, "true_slush", settings.assessed_depth)),
-        chain(AnalysisId(MEMBERS), MembersSpec(seed, (), 0, ensemble, held_out, simulation.physics, simulation.media)),
-        chain(AnalysisId(MATRIX), MatrixSpec(seed, trials, n * len(depths), "true_slush", depths, simulation)),
-        chain(AnalysisId(EXPLOITERS), ExploitersSpec(seed, trials, n, ensemble, simulation, penalty)),
-    ]
-    for arm, own in arms_of(trials).items():
-        rollouts = len(own) * (1 + instruments.N_TRIES)
-        spec = InstrumentsSpec(seed, tuple(own), rollouts, arm.environment, arm, held_out, simulation, penalty)
-        chains.append(chain(AnalysisId(INSTRUMENTS, arm), spec))
-        if settings.tank is not None:
-            n_tank = settings.tank.n_steps(settings.physics.time_step)
-            n_steps = n_tank + settings.rollout.n_settle
+    plan(PartId(STATISTICS), StatisticsSpec(seed, trials, simulation, settings.assessed_depth), 0)
+    plan(PartId(MEMBERS), MembersSpec(seed, (), simulation, held_out), 0, ensemble)
+    plan(PartId(MATRIX), MatrixSpec(seed, trials, simulation, depths), len(trials) * len(depths))
+    plan(PartId(EXPLOITERS), ExploitersSpec(seed, trials, simulation, penalty), len(trials), ensemble)
+    for arm, of_arm in arms_of(trials).items():
+        own, n = tuple(of_arm), len(of_arm)
+        spec = InstrumentsSpec(seed, own, simulation, arm, held_out, penalty)
+        plan(PartId(INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES), arm.environment)
+        if tank is not None:
+            n_tank = tank.n_steps(settings.physics.time_step)
             # One rollout on Dry Land, and one in the filled and one in the drained tank.
-            n_rollouts = 1 + 2 * n_steps / (settings.rollout.n_settle + settings.rollout.n_measure)
-            rollouts = ceil(len(own) * n_rollouts)
-            in_tank = TankSpec(seed, tuple(own), rollouts, "true_slush", arm, settings.tank, n_tank, simulation)
-            chains.append(chain(AnalysisId(TANK, arm), in_tank))
+            n_rollouts = 1 + 2 * (n_tank + rollout.n_settle) / (rollout.n_settle + rollout.n_measure)
+            plan(PartId(TANK, arm), TankSpec(seed, own, simulation, arm, tank, n_tank), ceil(n * n_rollouts))
     return chains
 
 
 def _item(
     settings: Settings, chain: Chain[AnalysisSpec], index: int, previous: Manifest | None, upstream: Upstream
-) -> Item[AnalysisItemSpec[AnalysisSpec]]:
+) -> Item[AnalysisSpec]:
     """Specify an analysis: its inputs, and why others are missing."""
     spec = chain.spec
     inputs = scores_inputs(spec.trials, upstream)
@@ -169,15 +164,14 @@ def _item(
         # In the order of their labels: resampling depends on the order of designs.
         for trial, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
             inputs[InputName(ASSESSED, trial)] = Input(share, (PREDICTIONS,))
-    specified = AnalysisItemSpec(spec)
     if isinstance(spec, StatisticsSpec):
         failed = {trial.label: why for trial, why in upstream["transfer"].failed.items()}
-        specified = AnalysisItemSpec(spec, failed=failed, not_assessed=_why_not_assessed(settings, upstream))
+        spec = replace(spec, failed=failed, not_assessed=_why_not_assessed(settings, upstream))
     elif not isinstance(spec, MatrixSpec | TankSpec):
         networks, why = _networks(settings, upstream, throws=not isinstance(spec, ExploitersSpec))
         inputs |= networks
-        specified = AnalysisItemSpec(spec, no_networks=why)
-    return Item(ANALYSE.name, ANALYSE.version, chain.label, specified, inputs, Execution(settings.work.engine))
+        spec = replace(spec, no_networks=why)
+    return Item(ANALYSE.name, ANALYSE.version, chain.label, spec, inputs, Execution(settings.work.engine))
 
 
 def _networks(settings: Settings, upstream: Upstream, *, throws: bool) -> tuple[dict[InputName, Input], str]:
@@ -203,8 +197,8 @@ def _why_not_assessed(settings: Settings, upstream: Upstream) -> str:
     return f"no trial evolved in {' or '.join(ASSESSED_ENVIRONMENTS)} at {settings.assessed_depth:g} m"
 
 
-def _compute(job: Job[AnalysisItemSpec[AnalysisSpec]], inputs: Inputs) -> Files:
-    tables, reasons = _COMPUTE[type(job.spec.analysis)](job, inputs)
+def _compute(job: Job[AnalysisSpec], inputs: Inputs) -> Files:
+    tables, reasons = _COMPUTE[type(job.spec)](job, inputs)
     return encode(tables, reasons, producer=job.key)
 
 

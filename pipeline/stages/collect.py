@@ -8,6 +8,7 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.environments import Media
+from pipeline.stages.part import PartId
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -35,18 +36,6 @@ _UNITS = {
 
 
 @dataclass(frozen=True)
-class ChunkId:
-    """A chunk of the data set."""
-
-    first: int  # number of its first throw
-
-    @property
-    def label(self) -> str:
-        """Name for display."""
-        return f"throws-{self.first}"
-
-
-@dataclass(frozen=True)
 class ChunkSpec:
     """Throws ``first`` to ``first + n`` of the data set, whose starts are all drawn at once."""
 
@@ -65,7 +54,11 @@ def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec]]:
     size, n_throws = settings.work.throws_per_item, settings.throws.n_throws
     media = environments.media_of(settings, "true_slush")
     return [
-        Chain(ChunkId(first), (n,), ChunkSpec(first, n, settings.seed, settings.throws, settings.physics, media))
+        Chain(
+            PartId(f"throws-{first}"),
+            (n,),
+            ChunkSpec(first, n, settings.seed, settings.throws, settings.physics, media),
+        )
         for first in range(0, n_throws, size)
         for n in [min(size, n_throws - first)]
     ]

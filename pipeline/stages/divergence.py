@@ -25,11 +25,7 @@ def in_trial(curve: Columns) -> str | None:
 def in_transfer(scores: Mapping[str, Any], adaptation: Columns | None) -> str | None:
     """Describe which of a trial's champions and its adaptation's designs diverged in True Slush; None if none did.
 
-    A trial without a champion is left to :func:`in_trial`.
-
-    Args:
-        scores: the trial's scores; a displacement is None where the champion's rollout diverged.
-        adaptation: curve of the adaptation; None where there was none.
+    A trial without a champion is left to :func:`in_trial`. ``adaptation`` is the curve of the adaptation, if any.
     """
     if scores["status"] != "ok":
         return None

@@ -7,6 +7,7 @@ import numpy as np
 
 from pipeline.cluster import spread
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, RolloutSettings, Settings
+from pipeline.stages.part import PartId
 from pipeline.store.encoding import decode_arrays
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
@@ -24,16 +25,9 @@ MEMBER = "member"  # role of the inputs that are trained networks
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
 
 
-@dataclass(frozen=True)
-class MemberId:
-    """A member of the ensemble."""
-
-    index: int
-
-    @property
-    def label(self) -> str:
-        """Name for display."""
-        return f"member-{self.index:02d}"
+def member_id(index: int) -> PartId:
+    """Return the identity of a member of the ensemble."""
+    return PartId(f"member-{index:02d}")
 
 
 Media = Mapping[str, Parameters]  # settings of the environments' media, by group
@@ -60,16 +54,13 @@ def simulation_spec(settings: Settings, *environments: EnvironmentName) -> Simul
 
 
 def build_environment(media: Media, name: EnvironmentName, depth: float, inputs: Inputs) -> Environment:
-    """Build an environment.
+    """Return an environment.
 
     Args:
         media: settings, which include those of its medium.
         name: name of the environment.
         depth: of the ground below the surface [m].
         inputs: contain the weights of its members, if it has any.
-
-    Returns:
-        The environment.
     """
     ensemble = None if ENVIRONMENTS[name].networks == "none" else ensemble_of(inputs)
     return ENVIRONMENTS[name].environment(depth, media, ensemble)
@@ -106,7 +97,7 @@ def members_among(inputs: Inputs) -> dict[InputName, Files]:
 def member_inputs(
     settings: Settings, environment: EnvironmentName, trial: int, upstream: Upstream
 ) -> dict[InputName, Input]:
-    """Return the trained networks of an environment as inputs.
+    """Return the trained networks of an environment as inputs, in the order of the ensemble.
 
     Args:
         settings: the study's settings.
@@ -114,15 +105,12 @@ def member_inputs(
         trial: number of the trial, which selects the member of ``single_member``.
         upstream: results of the stages before.
 
-    Returns:
-        One input per member, in the order of the ensemble; none for an environment without networks.
-
     Raises:
         MissingInputs: a member is not trained.
     """
     n_members = settings.ensemble.n_members
     numbers = {"none": range(0), "one": [trial % n_members], "all": range(n_members)}
-    members = [MemberId(number) for number in numbers[ENVIRONMENTS[environment].networks]]
+    members = [member_id(number) for number in numbers[ENVIRONMENTS[environment].networks]]
     return {InputName(MEMBER, of): Input(upstream["train"].chain(of)[-1], (WEIGHTS,)) for of in members}
 
 
@@ -158,7 +146,7 @@ def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
 def roll_out(
     simulation: SimulationSpec, execution: Execution, environment: Environment, designs: Designs, *, trace: bool = False
 ) -> Rollouts:
-    """Simulate designs.
+    """Return simulations of designs.
 
     Args:
         simulation: physics and duration.
@@ -166,9 +154,6 @@ def roll_out(
         environment: where they are simulated.
         designs: (n_designs,)
         trace: whether to record every step.
-
-    Returns:
-        Displacements, (n_designs,) or (n_members, n_designs) [m], and the trace if asked for.
     """
     return simulate(
         designs,
@@ -190,7 +175,7 @@ def _score_batch(
 def score(
     simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float, designs: Designs
 ) -> Evaluation:
-    """Simulate and score designs, split over several workers where the execution options say so.
+    """Return the evaluation of designs, split over several workers where the execution options say so.
 
     Args:
         simulation: physics and duration.
@@ -198,9 +183,6 @@ def score(
         environment: where they are simulated.
         penalty: weight of the members' disagreement in the fitness.
         designs: (n_designs,)
-
-    Returns:
-        Fitness (n_designs,) and displacements (n_designs, n_members) [m].
     """
     size = execution.designs_per_batch
     if size is None or size >= len(designs):

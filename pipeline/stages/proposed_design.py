@@ -10,7 +10,7 @@ from pipeline.report.findings import TankRow
 from pipeline.report.replay import Replay, replay_of
 from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import TANK, read_rows
-from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.part import PartId
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
@@ -30,7 +30,7 @@ def proposed(settings: Settings, inputs: Inputs) -> list[TrialId]:
     """Return the champion of each arm that is proposed for building; none without a tank."""
     found: list[TrialId] = []
     for arm, trials in arms_of(trials_of(settings, "transfer")).items():
-        rows = read_rows(inputs.get(InputName(ANALYSED, AnalysisId(TANK, arm))), "tank", TankRow)
+        rows = read_rows(inputs.get(InputName(ANALYSED, PartId(TANK, arm))), "tank", TankRow)
         chosen = {row.trial for row in rows if row.proposed}
         found += [trial for trial in trials if trial.index in chosen]
     return found
@@ -49,16 +49,13 @@ def _champion_file(trial: TrialId, inputs: Inputs) -> bytes:
 
 
 def tank_replays(settings: Settings, trial: TrialId, inputs: Inputs, engine: Any) -> list[Replay]:
-    """Film a proposed champion in the tank and on its dry floor.
+    """Return replays of a proposed champion in the tank and on its dry floor, without those that diverged.
 
     Args:
         settings: settings of the study.
         trial: trial of the champion.
         inputs: files by name, with its scores.
         engine: the engine.
-
-    Returns:
-        The replays that did not diverge. They belong to no environment.
     """
     assert settings.tank is not None
     design = design_from(decode_json(_champion_file(trial, inputs), trial.label), trial.label)

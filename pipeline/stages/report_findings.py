@@ -32,9 +32,9 @@ from pipeline.stages.analyses.analysis_tables import (
 )
 from pipeline.stages.analyses.champions import MatrixTestRow, matrices_of
 from pipeline.stages.analyses.instruments import ThrustRow
-from pipeline.stages.analyses.specs import AnalysisId
 from pipeline.stages.analyses.statistics import HistogramRow
 from pipeline.stages.collect import read_transitions, throws_among
+from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.encoding import decode_table
 from pipeline.workflow.identity import TrialId, deepest_first, trials_of
@@ -61,15 +61,15 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         family: the trial whose champion's family is shown.
     """
     analysed = {name.chain: files for name, files in inputs.items() if name.role == ANALYSED}
-    statistics = analysed.get(AnalysisId(STATISTICS), {})
+    statistics = analysed.get(PartId(STATISTICS), {})
     arms = {arm_words(arm.environment, arm.depth): arm for arm in deepest_first(trials_of(settings, "transfer"))}
-    instruments = {words: files for words, arm in arms.items() if (files := analysed.get(AnalysisId(INSTRUMENTS, arm)))}
-    tanks = {words: files for words, arm in arms.items() if (files := analysed.get(AnalysisId(TANK, arm)))}
+    instruments = {words: files for words, arm in arms.items() if (files := analysed.get(PartId(INSTRUMENTS, arm)))}
+    tanks = {words: files for words, arm in arms.items() if (files := analysed.get(PartId(TANK, arm)))}
     ensemble = instruments.get(arm_words("residual_slush", settings.assessed_depth), {})
     missing = {
         field: reason
         for field, (kind, table) in _SOURCES.items()
-        if (reason := _reason(analysed.get(AnalysisId(kind)), table)) is not None
+        if (reason := _reason(analysed.get(PartId(kind)), table)) is not None
     }
     for files in instruments.values():
         if (reason := _reason(files, "champions")) is not None:
@@ -79,7 +79,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
     traced = _family(inputs, family) if family else None
     if family and traced is None:
         missing["family"] = "every design of the trial diverged"
-    tests = read_rows(analysed.get(AnalysisId(MATRIX)), "tests", MatrixTestRow)
+    tests = read_rows(analysed.get(PartId(MATRIX)), "tests", MatrixTestRow)
     return Findings(
         throws=_throws(throws_among(inputs), settings.physics.time_step),
         accuracy=_accuracy(statistics, settings.assessed_depth),
@@ -87,11 +87,9 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         contrasts=read_rows(statistics, "contrasts", Contrast),
         attributions=read_rows(statistics, "attribution", Attribution),
         transfer_matrices=matrices_of(tests),
-        exploiters=read_rows(analysed.get(AnalysisId(EXPLOITERS)), "exploiters", ExploiterRow),
+        exploiters=read_rows(analysed.get(PartId(EXPLOITERS)), "exploiters", ExploiterRow),
         champions={words: read_rows(files, "champions", ChampionRow) for words, files in instruments.items()},
-        phantom_thrust=[
-            row.thrust for row in read_rows(analysed.get(AnalysisId(MEMBERS)), "phantom_thrust", ThrustRow)
-        ],
+        phantom_thrust=[row.thrust for row in read_rows(analysed.get(PartId(MEMBERS)), "phantom_thrust", ThrustRow)],
         member_errors=read_rows(ensemble, "member_errors", MemberError),
         family=traced,
         tank=settings.tank,

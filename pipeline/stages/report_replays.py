@@ -14,8 +14,8 @@ from pipeline.stages.analyses.analysis_tables import INSTRUMENTS, read_rows, rea
 from pipeline.stages.analyses.champions import champions
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, film_arm
 from pipeline.stages.analyses.instruments import FilmRow, transitions_of
-from pipeline.stages.analyses.specs import AnalysisId
 from pipeline.stages.environments import SimulationSpec, members_among
+from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.workflow.identity import Arm, InputName, TrialId, deepest_first
 from pipeline.workflow.stage import Execution, Files, Inputs
@@ -36,21 +36,18 @@ within the usual distance is not novel."""
 def replays_of(
     simulation: SimulationSpec, trials: Sequence[TrialId], execution: Execution, inputs: Inputs
 ) -> list[Replay]:
-    """Film the best champion of every arm, in True Slush and where it evolved, deepest first.
+    """Return replays of the best champion of every arm, in True Slush and where it evolved, deepest first.
 
     Args:
         simulation: physics, rollout, and the media of True Slush and of the environments where they evolved.
         trials: trials of the arms.
         execution: the engine.
         inputs: scores, every member or none, and the measurements of the instruments where there are some.
-
-    Returns:
-        The replays; an arm without a champion has none.
     """
     networks = members_among(inputs)
     replays = []
     for arm, own in deepest_first(trials).items():
-        measured = inputs.get(InputName(ANALYSED, AnalysisId(INSTRUMENTS, arm)), {})
+        measured = inputs.get(InputName(ANALYSED, PartId(INSTRUMENTS, arm)), {})
         films = film_arm(simulation, execution, champions(own, inputs), networks)
         replays += [_replay(simulation, film, _overlays(simulation, film, measured), networks) for film in films]
     return replays
@@ -110,7 +107,7 @@ def _overlays(simulation: SimulationSpec, film: Filmed, instruments: Files) -> t
 def looked_at(
     simulation: SimulationSpec, design: Designs, trace: Floats, inputs: Inputs, *, held_out: float, seed: int
 ) -> tuple[Overlay, ...]:
-    """Apply the instruments to one rollout of any design, as the stage analyse does to champions.
+    """Return disagreement and novelty along one rollout of any design, where they are known.
 
     Args:
         simulation: physics and rollout.
@@ -119,9 +116,6 @@ def looked_at(
         inputs: every member, and the throws.
         held_out: share of the throws that were held out.
         seed: seed of the study.
-
-    Returns:
-        Disagreement and novelty, where they are known.
     """
     physics = simulation.physics
     learned, _ = transitions_of(held_out, seed, inputs)
@@ -137,7 +131,7 @@ def looked_at(
 def push_of(
     simulation: SimulationSpec, arm: Arm, member: int, design: Designs, trace: Floats, networks: Inputs
 ) -> Float64 | None:
-    """Compute the acceleration of each link by the medium, or by the member that predicts it.
+    """Return the acceleration of each link by the medium, (n_frames, n_links, 2) [m/s²]; None where there is none.
 
     Args:
         simulation: physics, rollout, and the environment's medium.
@@ -146,9 +140,6 @@ def push_of(
         design: a single design.
         trace: (1, n_steps, n_links, 6)
         networks: every member, if a member predicts the medium.
-
-    Returns:
-        (n_frames, n_links, 2) [m/s²]; None where there is no medium.
     """
     if member == NO_MEMBER:
         medium: Medium | None = environments.build_environment(simulation.media, arm.environment, arm.depth, {}).medium

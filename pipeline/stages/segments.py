@@ -57,15 +57,12 @@ class SegmentSpec:
 
 
 def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName) -> TrialSpec:
-    """Specify a trial.
+    """Return the specification that the segments of a trial share.
 
     Args:
         settings: the study's settings.
         trial: the trial.
         environment: where its designs are simulated.
-
-    Returns:
-        The specification that its segments share.
     """
     return TrialSpec(
         trial,
@@ -85,15 +82,12 @@ def segment_lengths(settings: Settings, n_generations: int) -> tuple[int, ...]:
 
 
 def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -> Chain[TrialSpec]:
-    """Plan a trial as a chain of items.
+    """Return a trial as a chain of items; trials in one environment at one depth may be batched.
 
     Args:
         settings: the study's settings.
         spec: what its items have in common.
         units: generations of each item.
-
-    Returns:
-        The chain; trials in one environment at one depth may be batched.
     """
     return Chain(
         spec.identity,

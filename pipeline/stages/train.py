@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages.collect import data_set, read_transitions, throws_among
-from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, MemberId
+from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_id
 from pipeline.store.encoding import decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -60,12 +60,9 @@ def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
     if not settings.needs_ensemble:
         return []
     return [
-        Chain(
-            MemberId(member),
-            (settings.training.n_iterations,),
-            MemberSpec(member, settings.seed, settings.network, settings.training),
-        )
+        Chain(member_id(spec.member), (spec.training.n_iterations,), spec)
         for member in range(settings.ensemble.n_members)
+        for spec in [MemberSpec(member, settings.seed, settings.network, settings.training)]
     ]
 
 

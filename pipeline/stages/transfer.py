@@ -130,15 +130,12 @@ def scores_inputs(trials: Sequence[TrialId], upstream: Upstream) -> dict[InputNa
 
 
 def read_scores(settings: Settings, results: Results, store: Store) -> list[dict[str, Any]]:
-    """Read every trial's scores.
+    """Return the scores of each complete trial [m], with its environment, depth [m] and number.
 
     Args:
         settings: the study's settings.
         results: what the store holds of this stage.
         store: where it is.
-
-    Returns:
-        The scores of each complete trial [m], with its environment, depth [m] and number.
     """
     return [
         {**segments.mlflow_params(trial), **decode_json(store.read(results.done[trial][-1], SCORE), trial.label)}

@@ -8,9 +8,8 @@ error that all members share: see :mod:`tasks.analysis.novelty` and, where the t
 Entry i of a trace is the state after step i, so predictions from it belong to step i + 1.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -21,15 +20,12 @@ from tasks.world import EnsembleMedium, LinkStates, Medium, Physics
 
 
 def link_states(designs: Designs, trace: Floats, physics: Physics) -> LinkStates:
-    """Convert a trace to the link states that a medium reads.
+    """Return a trace as the link states that a medium reads: (..., n_designs, n_steps, n_links), float32 like it.
 
     Args:
         designs: n_designs designs.
         trace: (..., n_designs, n_steps, n_links, 6) in the order of STATE, as in :class:`Rollouts`.
         physics: the base simulator's constants.
-
-    Returns:
-        Arrays of shape (..., n_designs, n_steps, n_links), float32 like the trace.
 
     Raises:
         ValueError: the trace has another shape.
@@ -49,38 +45,27 @@ def link_states(designs: Designs, trace: Floats, physics: Physics) -> LinkStates
 
 
 def acceleration(medium: Medium, links: LinkStates, physics: Physics) -> Float64:
-    """Return a medium's mean accelerations over a step.
+    """Return a medium's mean accelerations over a step: (..., 3) of x, y [m/s²] and angle [rad/s²].
 
     Args:
         medium: the medium.
         links: link states of shape (...).
         physics: the base simulator's constants.
-
-    Returns:
-        (..., 3) accelerations of x, y [m/s²] and angle [rad/s²].
     """
     change = medium.velocity_change(links, physics)
     return np.stack((change.vx, change.vy, change.omega), axis=-1).astype(np.float64) / physics.time_step
 
 
 def member_accelerations(ensemble: EnsembleMedium, links: LinkStates, physics: Physics) -> Float64:
-    """Predict the same links' accelerations with every member.
+    """Return what every member predicts for the same links: (n_members, ..., 3) accelerations [m/s², m/s², rad/s²].
 
     Args:
         ensemble: n_members members.
         links: link states of shape (...).
         physics: the base simulator's constants.
-
-    Returns:
-        (n_members, ..., 3) accelerations of x, y [m/s²] and angle [rad/s²].
     """
-    repeated = LinkStates(
-        *(
-            np.broadcast_to(array, (ensemble.n_members, *array.shape))
-            for array in (getattr(links, field.name) for field in fields(LinkStates))
-        )
-    )
-    return acceleration(ensemble, repeated, physics)
+    repeated = (np.broadcast_to(array, (ensemble.n_members, *array.shape)) for array in vars(links).values())
+    return acceleration(ensemble, LinkStates(*repeated), physics)
 
 
 def size(accelerations: Floats, links: LinkStates) -> Float64:
@@ -97,9 +82,8 @@ def size(accelerations: Floats, links: LinkStates) -> Float64:
 class Disagreement:
     """Disagreement of the members along rollouts; NaN once a rollout has diverged, and throughout with one member."""
 
-    deviation: Float32
-    """(n_designs, n_steps, n_links, 3) standard deviation over members of each acceleration [m/s², m/s², rad/s²]."""
-    magnitude: Float32  # (n_designs, n_steps, n_links) the deviation as one number, by :func:`size` [m/s²]
+    magnitude: Float32
+    """(n_designs, n_steps, n_links) standard deviation over members of the acceleration, by :func:`size` [m/s²]."""
     departure: Float32
     """(n_members, n_designs, n_steps, n_links) a member's distance from the members' median, by :func:`size` [m/s²]. Of
     three or more members, one that alone is wrong departs alone; two always depart alike."""
@@ -111,12 +95,12 @@ class Disagreement:
         return _mean_of_finite(self.magnitude)
 
     def member_thrust(self) -> Float64:
-        """Return each member's mean thrust over each rollout: (n_members, n_designs) [m/s²]."""
+        """Return the mean thrust of each member over each rollout: (n_members, n_designs) [m/s²]."""
         return _mean_of_finite(self.thrust)
 
 
 def _mean_of_finite(values: Float32) -> Float64:
-    """Mean over the last two axes, steps and links."""
+    """Average over the last two axes, steps and links."""
     known = np.isfinite(values)
     n = known.sum(axis=(-2, -1))
     total = np.where(known, values, 0.0).sum(axis=(-2, -1), dtype=np.float64)
@@ -137,23 +121,21 @@ def disagreement(designs: Designs, trace: Floats, ensemble: EnsembleMedium, phys
     """
     if trace.ndim != 4:
         raise ValueError(f"trace has shape {trace.shape}, expected (n_designs, n_steps, n_links, 6)")
-    shape = trace.shape[:-1]
-    n_members = ensemble.n_members
-    deviation = np.full((*shape, 3), np.nan, np.float32)
-    magnitude = np.full(shape, np.nan, np.float32)
-    departure, thrust = np.full((2, n_members, *shape), np.nan, np.float32)
-    if n_members == 1:
-        alone = "a single member can't disagree"
-        return Disagreement(deviation, magnitude, departure, thrust, alone)
-    for i in range(len(designs)):  # one at a time: a rollout of eight members is 10 MB
-        links = link_states(designs[i], trace[i : i + 1], physics)
-        predicted = member_accelerations(ensemble, links, physics)
-        deviation[i] = predicted.std(axis=0)[0]
-        magnitude[i] = size(deviation[i : i + 1], links)[0]
-        departures = predicted - np.median(predicted, axis=0)
-        departure[:, i] = size(departures, links)[:, 0]
-        thrust[:, i] = departures[:, 0, ..., 0]
-    return Disagreement(deviation, magnitude, departure, thrust, None)
+    if ensemble.n_members == 1:
+        unknown = np.full((1, *trace.shape[:-1]), np.nan, np.float32)
+        return Disagreement(unknown[0], unknown, unknown, "a single member can't disagree")
+    links = link_states(designs, trace, physics)
+    predicted = member_accelerations(ensemble, links, physics)
+    departures = predicted - np.median(predicted, axis=0)
+    return Disagreement(
+        magnitude=size(predicted.std(axis=0).astype(np.float32), links).astype(np.float32),
+        departure=size(departures, links).astype(np.float32),
+        thrust=departures[..., 0].astype(np.float32),
+        reason=None,
+    )
+
+
+_RankedBy = Literal["excess", "disagreement", "nothing"]  # best first
 
 
 @dataclass(frozen=True)
@@ -166,13 +148,11 @@ class Exploiter:
     true: float | None  # displacement in True Slush [m]; None where unknown or diverged
     excess: float | None  # predicted - true: the hallucinated displacement [m]
     disagreement: float | None  # disagreement of the members, in the unit of the argument; None where unknown
-    ranked_by: Literal["excess", "disagreement", "nothing"]
+    ranked_by: _RankedBy
     reason: str | None  # why the excess, or every figure, is missing
 
 
-def rank_exploiters(
-    predicted: Floats, *, true: Floats | None = None, disagreement: Floats | None = None
-) -> tuple[Exploiter, ...]:
+def rank_exploiters(predicted: Floats, true: Floats, disagreement: Floats) -> tuple[Exploiter, ...]:
     """Return the designs ranked by hallucinated displacement, the largest first.
 
     Designs with a known truth come first, ranked by predicted - true and, if equal, by disagreement. Designs without
@@ -183,34 +163,21 @@ def rank_exploiters(
         true: (n_designs,) displacement in True Slush [m].
         disagreement: (n_designs,) such as σ of the displacement over members, or :meth:`Disagreement.by_design`.
     """
-    n = len(predicted)
-    columns = [_known(column, n) for column in (predicted, true, disagreement)]
+    columns = ([float(x) if np.isfinite(x) else None for x in column] for column in (predicted, true, disagreement))
     keys, entries = [], []
     for design, (prediction, truth, doubt) in enumerate(zip(*columns, strict=True)):
         excess = prediction - truth if prediction is not None and truth is not None else None
-        ranked_by: Literal["excess", "disagreement", "nothing"] = "nothing"
+        ranked_by: _RankedBy = "nothing" if doubt is None else "disagreement"
         reason = None
         if excess is not None:
             ranked_by = "excess"
         else:
-            reason = "diverged in True Slush" if true is not None else "True Slush is not known"
-            if prediction is None:
-                reason = "diverged where it evolved"
-            if doubt is not None:
-                ranked_by = "disagreement"
-        kind = ("excess", "disagreement", "nothing").index(ranked_by)
-        keys.append((kind, -(excess or 0.0), -(doubt or 0.0)))
+            reason = "diverged where it evolved" if prediction is None else "diverged in True Slush"
+        keys.append((get_args(_RankedBy).index(ranked_by), -(excess or 0.0), -(doubt or 0.0)))
         entries.append((design, prediction, truth, excess, doubt, ranked_by, reason))
-    order = sorted(range(n), key=lambda i: (keys[i], i))
     ranked: list[Exploiter] = []
+    order = sorted(range(len(keys)), key=keys.__getitem__)  # stable: tied designs keep their order
     for rank, i in enumerate(order, start=1):
         tied = rank > 1 and keys[i] == keys[order[rank - 2]]
         ranked.append(Exploiter(ranked[-1].rank if tied else rank, *entries[i]))
     return tuple(ranked)
-
-
-def _known(column: Floats | None, n: int) -> Iterator[float | None]:
-    values = np.full(n, np.nan) if column is None else np.asarray(column, dtype=np.float64)
-    if values.shape != (n,):
-        raise ValueError(f"a column has shape {values.shape}, expected ({n} designs,)")
-    return (float(value) if np.isfinite(value) else None for value in values)

@@ -94,7 +94,7 @@ def thrown_links(transitions: Transitions, physics: Physics) -> LinkStates:
 def phantom_thrust(
     ensemble: EnsembleMedium, held_out: Transitions, physics: Physics, *, rng: Generator
 ) -> tuple[Estimate, ...]:
-    """Estimate the horizontal acceleration that each member hallucinates at low speed.
+    """Return the horizontal acceleration [m/s²] that each member hallucinates at low speed; positive pushes towards +x.
 
     Slush does not push a link at rest to either side. So a mean error of vx at |v| < 0.5 m/s is a thrust that does not
     exist: a robot that merely floats in it is predicted to travel. The intervals come from resampling whole throws,
@@ -105,9 +105,6 @@ def phantom_thrust(
         held_out: throws that the members were not trained on.
         physics: the base simulator's constants.
         rng: source of randomness.
-
-    Returns:
-        One estimate for each member [m/s²]; positive pushes towards +x.
     """
     _, low, high = next(band for band in BANDS if band[0] == LOW_SPEED)
     state = held_out.state

@@ -60,11 +60,7 @@ def _points(observation: Floats) -> Float64:
 
 
 def thrown(observation: Floats, throw: npt.ArrayLike) -> Thrown:
-    """Index the data set, or the part that the members were trained on.
-
-    Args:
-        observation: (n_transitions, 6) finite observations in the order of OBSERVATION.
-        throw: (n_transitions,) throw of each.
+    """Index (n_transitions, 6) finite observations, in the order of OBSERVATION, of (n_transitions,) throws.
 
     Raises:
         ValueError: the observations have another shape, or there are none.

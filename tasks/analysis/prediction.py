@@ -70,15 +70,9 @@ def members(predicted: Floats) -> dict[str, Float64]:
 
 
 def aggregates(predicted: Floats) -> dict[str, Float64]:
-    """Aggregate the members' predictions in several ways.
+    """Aggregate (n_members, n_designs) predictions [m] in several ways, by name; not finite where any member diverged.
 
     CVaR is the mean of the lowest quarter of the members; the last member counts in part if that is not a whole number.
-
-    Args:
-        predicted: (n_members, n_designs) displacement [m]; NaN where diverged.
-
-    Returns:
-        (n_designs,) aggregates by name; not finite where any member diverged.
     """
     of_members = np.asarray(predicted, dtype=np.float64)
     ranked = np.sort(of_members, axis=0)  # NaN last, and so into every weighted sum below
@@ -120,11 +114,9 @@ def regress(
 def _resampled_lines(
     predictors: Mapping[str, Floats], true: Floats, trial: npt.ArrayLike | None
 ) -> tuple[Float64, Float64, Bools, Float64, Callable[[Float64], Float64]]:
-    """Prepare predictions for a bootstrap of least squares.
+    """Return predictions, truth, a mask of finite pairs, rows to resample, and the lines of (..., n_columns) means.
 
-    Returns:
-        Predictions (n_predictors, n_designs), truth (n_designs,), a mask of finite pairs, rows to resample, and a
-        function of the rows' means: (..., n_predictors, 3) slope, intercept, Pearson's R.
+    A line has a slope, an intercept and Pearson's R: (..., n_predictors, 3).
     """
     x = np.stack([np.asarray(row, dtype=np.float64) for row in predictors.values()])
     y = np.asarray(true, dtype=np.float64)

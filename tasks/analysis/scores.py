@@ -36,15 +36,12 @@ class Scores:
         return chosen[np.argsort(self.trial[chosen], kind="stable")]
 
     def values(self, evolved_in: EvolvedIn, quantity: Quantity, depth: float) -> Float64:
-        """Return one quantity of the trials of an arm and depth, NaN included.
+        """Return one quantity of the trials of an arm and depth by trial number, NaN included: (n_trials,) [m].
 
         Args:
             evolved_in: the arm.
             quantity: the column.
             depth: depth where the champions evolved [m].
-
-        Returns:
-            (n_trials,) values [m], by trial number.
         """
         column: Float64 = getattr(self, quantity)
         return column[self.rows(evolved_in, depth)]

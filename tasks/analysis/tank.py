@@ -76,7 +76,7 @@ class Crossing:
 
 
 def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int, time_step: float) -> list[Crossing]:
-    """Determine which robots cross the tank.
+    """Return how each of n_designs robots crosses the tank.
 
     A settled robot starts with its rear at one end. It has crossed when its centre of mass has travelled the tank's
     length minus the robot's own. The front would be a poor criterion: a swinging link reaches metres ahead of a robot
@@ -88,9 +88,6 @@ def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int
         tank: the tank.
         n_settle: steps before the motors start, at least 1, because a trace starts after the first step.
         time_step: length of a step [s].
-
-    Returns:
-        n_designs crossings.
 
     Raises:
         ValueError: n_settle is 0, or the trace is missing or of another shape.

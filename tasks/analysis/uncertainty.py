@@ -70,16 +70,13 @@ def mean(values: Floats) -> Estimate:
 def bootstrap(
     statistic: Callable[..., Float64], *samples: Float64, rng: Generator, undefined: str
 ) -> tuple[Estimate, ...]:
-    """Estimate functions of means, with BCa intervals.
+    """Return estimates of n_figures functions of means, with BCa intervals from the same resamples.
 
     Args:
         statistic: maps each sample's (..., n_columns) means to (..., n_figures); NaN where a figure is undefined.
         *samples: (n_values, n_columns) each; rows are resampled whole, and samples independently of each other.
         rng: source of randomness.
         undefined: reason to give for a figure that is NaN.
-
-    Returns:
-        n_figures estimates from the same resamples.
     """
     with np.errstate(all="ignore"):
         means = [sample.mean(axis=0) for sample in samples]

@@ -19,15 +19,12 @@ AnyRow = TypeVar("AnyRow")
 
 
 def encode(tables: Tables, reasons: Reasons, *, producer: str) -> Files:
-    """Encode the tables of a work item as files.
+    """Return the tables of a work item as files.
 
     Args:
         tables: columns by name of the table.
         reasons: by name of the table.
         producer: key of the work item.
-
-    Returns:
-        Contents by file name.
     """
     files = {
         f"{name}.parquet": encode_table(columns, schema=name, version=ANALYSIS_VERSION, producer=producer)
@@ -42,15 +39,12 @@ def read_table(files: Files, name: str) -> Columns:
 
 
 def read_rows(files: Files | None, name: str, kind: type[AnyRow]) -> list[AnyRow]:
-    """Read a table of a work item as rows.
+    """Return a table of a work item as rows; none if the work item is not done.
 
     Args:
         files: files of the work item; None or empty if it is not done.
         name: name of the table, such as "regressions".
         kind: dataclass from which the table was written.
-
-    Returns:
-        The rows; none if the work item is not done.
     """
     return rows_of(kind, read_table(files, name)) if files else []
 

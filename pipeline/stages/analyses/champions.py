@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.report.findings import ExploiterRow
 from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
-from pipeline.stages.analyses.specs import AnalysisItemSpec, ExploitersSpec, MatrixSpec
+from pipeline.stages.analyses.specs import ExploitersSpec, MatrixSpec
 from pipeline.stages.assess import ASSESSED, read_predictions
 from pipeline.stages.transfer import CHAMPION, SCORE, SCORED
 from pipeline.store.design_file import design_from
@@ -90,9 +90,9 @@ def matrices_of(tests: Sequence[MatrixTestRow]) -> dict[EnvironmentName, Transfe
     }
 
 
-def compute_matrix(job: Job[AnalysisItemSpec[MatrixSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
+def compute_matrix(job: Job[MatrixSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Test every champion at every depth of the grid, in True Slush."""
-    spec = job.spec.analysis
+    spec = job.spec
     entrants = champions(spec.trials, inputs)
     tests: list[MatrixTestRow] = []
     for depth in spec.depths if entrants else ():
@@ -132,15 +132,13 @@ class Candidate:
     by_member: Float64  # (n_members,)
 
 
-def compute_exploiters(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
+def compute_exploiters(job: Job[ExploitersSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Rank every champion and every assessed design by the prediction of the ensemble minus the truth."""
     why = job.spec.no_networks
-    suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(job.spec.analysis, inputs)]
+    suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(job.spec, inputs)]
     by_member = np.array([s.by_member for s in suspects]).reshape(len(suspects), -1 if suspects else 1)
     ranked = rank_exploiters(
-        np.array([s.predicted for s in suspects]),
-        true=np.array([s.true for s in suspects]),
-        disagreement=by_member.std(axis=1),
+        np.array([s.predicted for s in suspects]), np.array([s.true for s in suspects]), by_member.std(axis=1)
     )
     rows = [_exploiter_row(row, suspects[row.design]) for row in ranked]
     reason = why or ("" if suspects else "no trial has a champion and no design was assessed")
@@ -159,9 +157,9 @@ def _predictions(by_member: Float64, penalty: float) -> Float64:
     return np.where(np.isfinite(predicted), predicted, np.nan)
 
 
-def _champions_under_members(job: Job[AnalysisItemSpec[ExploitersSpec]], inputs: Inputs) -> list[Candidate]:
+def _champions_under_members(job: Job[ExploitersSpec], inputs: Inputs) -> list[Candidate]:
     """Simulate champions of all environments under every member, at the depth where they evolved."""
-    spec, ensemble = job.spec.analysis, environments.ensemble_of(inputs)
+    spec, ensemble = job.spec, environments.ensemble_of(inputs)
     entrants = champions(spec.trials, inputs)
     suspects = []
     for depth in dict.fromkeys(of.trial.depth for of in entrants):

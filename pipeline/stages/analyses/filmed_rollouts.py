@@ -31,10 +31,9 @@ class Filmed:
 
 
 def best_of(arm: Sequence[Champion]) -> tuple[int, bool]:
-    """Choose the champion to film: the best zero-shot, or the best where it evolved if none survives True Slush.
+    """Return the index of the champion to film, and whether it survives True Slush.
 
-    Returns:
-        The index of the champion, and whether it survives True Slush.
+    It is the best zero-shot, or the best where it evolved if none survives.
     """
     scored = [of.zero_shot for of in arm]
     survives = bool(np.isfinite(scored).any())
@@ -44,16 +43,13 @@ def best_of(arm: Sequence[Champion]) -> tuple[int, bool]:
 def film_arm(
     simulation: SimulationSpec, execution: Execution, arm: Sequence[Champion], networks: Inputs
 ) -> list[Filmed]:
-    """Film the best champion of an arm in True Slush and, if it evolved elsewhere, where it evolved.
+    """Return films of an arm's best champion: in True Slush and, if it evolved elsewhere, where it evolved.
 
     Args:
         simulation: physics, rollout, and the media of True Slush and of the environment where they evolved.
         execution: the engine.
         arm: champions of the arm.
         networks: files of every member; if they are missing, environments with networks are left out.
-
-    Returns:
-        At most two films; none without champions.
     """
     if not arm:
         return []
@@ -71,16 +67,13 @@ def film_arm(
 
 
 def film_at_home(simulation: SimulationSpec, execution: Execution, champion: Champion, networks: Inputs) -> Filmed:
-    """Film a champion where it evolved; for an ensemble, under the member whose prediction is the median.
+    """Return a film of a champion where it evolved; for an ensemble, under the member whose prediction is the median.
 
     Args:
         simulation: physics, rollout, and the media.
         execution: the engine.
         champion: the champion.
         networks: files of every member.
-
-    Returns:
-        The film.
     """
     environment, name = home_of(simulation, champion, networks), champion.trial.environment
     rollouts = environments.roll_out(simulation, execution, environment, champion.design, trace=True)
@@ -105,15 +98,12 @@ def own_member(champion: Champion, networks: Inputs) -> int:
 
 
 def home_of(simulation: SimulationSpec, champion: Champion, networks: Inputs) -> Environment:
-    """Build the environment in which a champion evolved.
+    """Return the environment in which a champion evolved.
 
     Args:
         simulation: the media.
         champion: the champion.
         networks: files of every member; a champion of single_member uses only its own.
-
-    Returns:
-        The environment.
     """
     members, trial = list(networks), champion.trial
     if trial.environment == "single_member":

@@ -17,13 +17,13 @@ from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, best_of, film_at_home, home_of
-from pipeline.stages.analyses.specs import AnalysisItemSpec, InstrumentsSpec, MembersSpec
+from pipeline.stages.analyses.specs import InstrumentsSpec, MembersSpec
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.environments import members_among
 from pipeline.store.tables import Columns, columns_of, text
 from pipeline.workflow.stage import Inputs, Job
 from tasks.analysis.hallucination import Disagreement, disagreement, link_states
-from tasks.analysis.luck import luck, reach
+from tasks.analysis.luck import Luck, luck
 from tasks.analysis.member_error import MemberError, member_errors, phantom_thrust, thrown_links
 from tasks.analysis.novelty import SPACE, Novelty, Thrown, novelty, thrown
 from tasks.analysis.uncertainty import Estimate
@@ -38,15 +38,12 @@ N_TRIES = 32  # repeats of each champion: the standard error of its loss is then
 
 
 def transitions_of(held_out: float, seed: int, inputs: Inputs) -> tuple[Transitions, Transitions]:
-    """Read the throws of the members.
+    """Return the throws that the members were trained on, and the held-out throws.
 
     Args:
         held_out: share of the throws that are held out.
         seed: seed of the study.
         inputs: files by name, with the throws.
-
-    Returns:
-        The throws on which the members were trained, and the held-out throws.
     """
     from tasks.residual.training import validation_rows
 
@@ -63,19 +60,19 @@ class ThrustRow:
     thrust: Estimate  # [m/s²]
 
 
-def compute_members(job: Job[AnalysisItemSpec[MembersSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
+def compute_members(job: Job[MembersSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Measure the errors of each member on held-out throws."""
-    spec, why = job.spec.analysis, job.spec.no_networks
+    spec, why = job.spec, job.spec.no_networks
     thrusts: list[ThrustRow] = []
     errors: Sequence[MemberError] = ()
     if not why:
         ensemble, (_, held_out) = environments.ensemble_of(inputs), transitions_of(spec.held_out, spec.seed, inputs)
         rng = generator(spec.seed, "analyse", "phantom thrust")
-        found = phantom_thrust(ensemble, held_out, spec.physics, rng=rng)
+        physics = spec.simulation.physics
+        found = phantom_thrust(ensemble, held_out, physics, rng=rng)
         thrusts = [ThrustRow(member, thrust) for member, thrust in enumerate(found)]
-        errors = member_errors(
-            ensemble, environments.true_medium(spec.media), thrown_links(held_out, spec.physics), spec.physics
-        )
+        medium = environments.true_medium(spec.simulation.media)
+        errors = member_errors(ensemble, medium, thrown_links(held_out, physics), physics)
     tables = {"phantom_thrust": columns_of(ThrustRow, thrusts), "member_errors": columns_of(MemberError, errors)}
     return tables, dict.fromkeys(tables, why) if why else {}
 
@@ -93,9 +90,9 @@ class FilmRow:
     thrust: tuple[float, ...]  # (n_members,) mean departure along x [m/s²]
 
 
-def compute_arm(job: Job[AnalysisItemSpec[InstrumentsSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
+def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Apply every instrument to the champions of one arm."""
-    spec, simulation = job.spec.analysis, job.spec.analysis.simulation
+    spec, simulation = job.spec, job.spec.simulation
     arm = champions(spec.trials, inputs)
     if not arm:
         tables = _arm_tables([], [], [], 1)
@@ -136,18 +133,17 @@ def _arm_tables(
 
 
 def _moved(displacement: Float64, com_displacement: Float64) -> list[Moved]:
-    of = reach(displacement, com_displacement)
-    rows = zip(of.displacement.tolist(), of.com_displacement.tolist(), of.reach.tolist(), strict=True)
-    return [Moved(*row) for row in rows]
+    moved = np.stack((displacement, com_displacement)).astype(np.float64)
+    return [Moved(root, whole, root - whole) for root, whole in moved.T.tolist()]
 
 
 def _champion_row(
-    job: Job[AnalysisItemSpec[InstrumentsSpec]], inputs: Inputs, champion: Champion, slush: Moved, *, best: bool
+    job: Job[InstrumentsSpec], inputs: Inputs, champion: Champion, slush: Moved, *, best: bool
 ) -> ChampionRow:
-    spec, trial = job.spec.analysis, champion.trial
+    spec, trial = job.spec, champion.trial
     if trial.environment in RESIDUAL_ENVIRONMENTS and job.spec.no_networks:
-        nowhere, loss = Moved(np.nan, np.nan, np.nan), Estimate.missing(job.spec.no_networks)
-        return ChampionRow(trial.index, best, nowhere, slush, champion.predicted, np.nan, loss, np.nan, 0, 0)
+        untried = Luck(champion.predicted, np.nan, Estimate.missing(job.spec.no_networks), np.nan, 0, 0)
+        return ChampionRow(trial.index, best, Moved(np.nan, np.nan, np.nan), slush, untried)
     environment = home_of(spec.simulation, champion, members_among(inputs))
     penalty = spec.disagreement_penalty
     at_home = environments.score(spec.simulation, job.execution, environment, penalty, champion.design)
@@ -157,20 +153,7 @@ def _champion_row(
         return environments.score(spec.simulation, job.execution, environment, penalty, designs).fitness
 
     rng = generator(spec.seed, "analyse", "luck", trial.environment, trial.depth, trial.index)
-    tried = luck(champion.design, fitness, rng=rng, n_tries=N_TRIES)
-    again = tried.again[0][np.isfinite(tried.again[0])]
-    return ChampionRow(
-        trial.index,
-        best,
-        home,
-        slush,
-        claimed=float(tried.claimed[0]),
-        again=float(again.mean()) if len(again) else np.nan,
-        loss=tried.loss[0],
-        share_below=float(tried.share_below[0]),
-        n_diverged=int(tried.n_diverged[0]),
-        n_tries=N_TRIES,
-    )
+    return ChampionRow(trial.index, best, home, slush, luck(champion.design, fitness, rng=rng, n_tries=N_TRIES))
 
 
 @dataclass(frozen=True, eq=False)

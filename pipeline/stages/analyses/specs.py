@@ -1,26 +1,11 @@
-"""What each analysis is: its identity, and the specification that decides its result."""
+"""The specification of each analysis: what decides its result."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Generic, TypeVar
 
-from pipeline.stages.environments import Media, SimulationSpec
+from pipeline.stages.environments import SimulationSpec
 from pipeline.workflow.identity import Arm, TrialId
 from tasks.analysis.tank import Tank
-from tasks.world import EnvironmentName, Physics
-
-
-@dataclass(frozen=True)
-class AnalysisId:
-    """An analysis, of the whole study or of one arm."""
-
-    kind: str
-    arm: Arm | None = None
-
-    @property
-    def label(self) -> str:
-        """Name for display."""
-        return f"{self.kind}/{self.arm.label}" if self.arm else self.kind
 
 
 @dataclass(frozen=True)
@@ -29,8 +14,8 @@ class AnalysisSpec:
 
     seed: int
     trials: tuple[TrialId, ...]  # trials whose champions are analysed
-    n_rollouts: int
-    environment: EnvironmentName  # where most of the rollouts are, for their cost
+    simulation: SimulationSpec
+    no_networks: str = field(default="", kw_only=True)  # why there are no networks; "" if there are
 
 
 @dataclass(frozen=True)
@@ -38,6 +23,8 @@ class StatisticsSpec(AnalysisSpec):
     """Scores and predictions."""
 
     assessed_depth: float
+    failed: Mapping[str, str] = field(default_factory=dict)  # reasons of trials without scores, by label
+    not_assessed: str = ""  # why there are no predictions; "" if there are
 
 
 @dataclass(frozen=True)
@@ -45,8 +32,6 @@ class MembersSpec(AnalysisSpec):
     """Networks and throws."""
 
     held_out: float
-    physics: Physics
-    media: Media
 
 
 @dataclass(frozen=True)
@@ -54,14 +39,12 @@ class MatrixSpec(AnalysisSpec):
     """Champions at every depth."""
 
     depths: tuple[float, ...]
-    simulation: SimulationSpec
 
 
 @dataclass(frozen=True)
 class ExploitersSpec(AnalysisSpec):
     """Champions and assessed designs under every member."""
 
-    simulation: SimulationSpec
     disagreement_penalty: float
 
 
@@ -71,7 +54,6 @@ class InstrumentsSpec(AnalysisSpec):
 
     arm: Arm
     held_out: float
-    simulation: SimulationSpec
     disagreement_penalty: float
 
 
@@ -82,17 +64,3 @@ class TankSpec(AnalysisSpec):
     arm: Arm
     tank: Tank
     n_steps: int
-    simulation: SimulationSpec
-
-
-SpecT = TypeVar("SpecT", bound=AnalysisSpec, covariant=True)
-
-
-@dataclass(frozen=True)
-class AnalysisItemSpec(Generic[SpecT]):
-    """An analysis, and why some of what it reads is missing."""
-
-    analysis: SpecT
-    failed: Mapping[str, str] = field(default_factory=dict)  # reasons of trials without scores, by label
-    not_assessed: str = ""  # why there are no predictions; "" if there are
-    no_networks: str = ""  # why there are no networks; "" if there are

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
-from pipeline.stages.analyses.specs import AnalysisItemSpec, StatisticsSpec
+from pipeline.stages.analyses.specs import StatisticsSpec
 from pipeline.stages.assess import ASSESSED, read_predictions
 from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json
@@ -51,15 +51,12 @@ class ScoreRow:
 
 
 def score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, str]) -> list[ScoreRow]:
-    """Collect the scores of every trial, or the reason why it has none.
+    """Return the scores of every trial, or the reason why it has none.
 
     Args:
         trials: the trials.
         inputs: files by name, with the scores.
         failed: reason by label of the trial.
-
-    Returns:
-        A row per trial.
     """
     rows = []
     for trial in trials:
@@ -74,9 +71,9 @@ def score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, s
     return rows
 
 
-def compute(job: Job[AnalysisItemSpec[StatisticsSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
+def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Make every table that needs no rollout."""
-    spec = job.spec.analysis
+    spec = job.spec
     rng = generator(spec.seed, "analyse", "statistics")
     table = columns_of(ScoreRow, score_rows(spec.trials, inputs, job.spec.failed))
     scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.report.findings import ExploiterRow, TankRow
 from pipeline.stages.analyses.analysis_tables import EXPLOITERS, MEMBERS, STATISTICS, TANK, read_rows
 from pipeline.stages.analyses.instruments import ThrustRow
-from pipeline.stages.analyses.specs import AnalysisId
+from pipeline.stages.part import PartId
 from pipeline.workflow.identity import Arm, ChainId, TrialId
 from pipeline.workflow.stage import Files
 from tasks.analysis.attribution import Attribution
@@ -33,9 +33,9 @@ def highlights(found: Mapping[ChainId, Files], tank: Tank | None) -> Highlights:
         MEMBERS: _members,
         EXPLOITERS: _exploiters,
     }
-    parts = [summarise(found[of]) for kind, summarise in summaries.items() if (of := AnalysisId(kind)) in found]
+    parts = [summarise(found[of]) for kind, summarise in summaries.items() if (of := PartId(kind)) in found]
     for analysis, files in found.items():
-        if tank is not None and isinstance(analysis, AnalysisId) and analysis.kind == TANK and analysis.arm:
+        if tank is not None and isinstance(analysis, PartId) and analysis.name == TANK and analysis.arm:
             parts.append(_tank(analysis.arm, files, tank))
     for more_lines, more_metrics in parts:
         lines += more_lines
@@ -94,7 +94,7 @@ def _tank(arm: Arm, files: Files, tank: Tank) -> Highlights:
     best = next((row for row in rows if row.proposed), None)
     if best is None:
         return [], {}
-    label = AnalysisId(TANK, arm).label
+    label = PartId(TANK, arm).label
     mean = np.mean([row.zero_shot for row in rows if row.zero_shot is not None])
     dry_land = "diverged" if best.dry_land is None else f"{best.dry_land:.2f} m"
     lines = [

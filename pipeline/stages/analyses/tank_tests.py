@@ -11,7 +11,7 @@ from pipeline.report.findings import TankRow
 from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.champions import Champion, champions
-from pipeline.stages.analyses.specs import AnalysisItemSpec, TankSpec
+from pipeline.stages.analyses.specs import TankSpec
 from pipeline.store.tables import columns_of
 from pipeline.workflow.stage import Execution, Inputs, Job
 from tasks.analysis.tank import Crossing, crossings, nearest_the_mean
@@ -21,9 +21,9 @@ from tasks.world import DryLand, Environment
 _CHAMPIONS_AT_ONCE = 16  # champions whose traces are in memory at the same time: 35,000 steps of one are 5 MB
 
 
-def compute(job: Job[AnalysisItemSpec[TankSpec]], inputs: Inputs) -> tuple[Tables, Reasons]:
+def compute(job: Job[TankSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Simulate the champions of one arm on Dry Land and in the tank, and propose one of them for building."""
-    spec = job.spec.analysis
+    spec = job.spec
     entrants = champions(spec.trials, inputs)
     if not entrants:
         return {"tank": columns_of(TankRow, [])}, {"tank": "no trial has a champion"}

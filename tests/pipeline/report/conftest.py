@@ -15,6 +15,7 @@ from pipeline.report.replay import Replay, replay_of
 from tasks.analysis.attribution import attribute, transfer_matrix
 from tasks.analysis.comparison import sweep
 from tasks.analysis.hallucination import rank_exploiters
+from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.paper import against_paper
 from tasks.analysis.prediction import accuracy, aggregates, histograms, members, members_ranges
@@ -108,7 +109,7 @@ def findings() -> Findings:
     shown = members(predicted) | {"mean": aggregates(predicted)["mean"]}
     ranked = rank_exploiters(predicted[:, :6].max(axis=0), true=true[:6], disagreement=predicted[:, :6].std(axis=0))
     moved, loss = Moved(5.0, 1.0, 4.0), mean(np.array([1.0, 2.0, 3.0]))
-    retried = ChampionRow(0, True, moved, moved, 60.0, 58.0, loss, 1.0, n_diverged=0, n_tries=3)
+    retried = ChampionRow(0, True, moved, moved, Luck(60.0, 58.0, loss, 1.0, n_diverged=0, n_tries=3))
     time = np.linspace(0.0, 3.3, 60)
     start, speed = rng.uniform(-6, 6, (9, 1)), rng.uniform(-20, 20, (9, 1))
     paths = np.stack((speed * (1 - np.exp(-time)), start - time, 5 * time + start), axis=-1)

@@ -10,7 +10,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages.analyse import ANALYSE
 from pipeline.stages.analyses.analysis_tables import read_reasons, read_table
 from pipeline.stages.assess import ASSESS, ASSESSED, PREDICTIONS, read_predictions
-from pipeline.stages.environments import MemberId
+from pipeline.stages.environments import member_id
 from pipeline.stages.transfer import SCORE, SCORED, read_scores
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.workflow.identity import InputName, TrialId
@@ -200,7 +200,7 @@ def test_failed_trials_are_named_and_the_rest_is_there(settings, study):
     found = upstream["transfer"]
     done = {trial: chain for trial, chain in found.done.items() if trial not in lost}
     cut = type(found)("transfer", done, dict.fromkeys(lost, "failed: no such luck"))
-    no_member = type(found)("train", {}, {MemberId(0): "failed: it burst"})
+    no_member = type(found)("train", {}, {member_id(0): "failed: it burst"})
     upstream = {**upstream, "transfer": cut, "train": no_member}
     statistics = specified(ANALYSE, settings, upstream, "statistics")
     files = ANALYSE.compute(statistics.job, inputs_of(store, statistics))

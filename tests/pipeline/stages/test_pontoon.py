@@ -14,8 +14,8 @@ from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages.analyse import ANALYSE
 from pipeline.stages.analyses.analysis_tables import TANK, read_table
-from pipeline.stages.analyses.specs import AnalysisId
 from pipeline.stages.evolve import EVOLVE
+from pipeline.stages.part import PartId
 from pipeline.stages.report import PAGE, REPORT
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_table
@@ -65,7 +65,7 @@ def built(pontoon, tmp_path_factory):
 @pytest.fixture(scope="module")
 def tank(built):
     store, upstream = built
-    (done,) = upstream["analyse"].done[AnalysisId(TANK, Arm("residual_slush", 2.0))]
+    (done,) = upstream["analyse"].done[PartId(TANK, Arm("residual_slush", 2.0))]
     return read_table({name: store.read(done, name) for name in done.files}, "tank")
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline.stages.analyses.analysis_tables import EXPLOITERS, INSTRUMENTS, read_table
-from pipeline.stages.analyses.specs import AnalysisId
 from pipeline.stages.environments import MEMBER, simulation_spec
+from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.stages.report import EVOLUTION, PAGE, REPORT
 from pipeline.stages.report_findings import findings
@@ -40,7 +40,7 @@ def replays(settings, inputs):
 
 def analysed(kind, environment=None):
     """The name of the input that is an analysis, of an arm at 1 m if one is named."""
-    return InputName(ANALYSED, AnalysisId(kind, Arm(environment, 1.0) if environment else None))
+    return InputName(ANALYSED, PartId(kind, Arm(environment, 1.0) if environment else None))
 
 
 def by_environment(replays):

@@ -13,7 +13,7 @@ from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES
-from pipeline.stages.collect import ChunkId
+from pipeline.stages.part import PartId
 from pipeline.store.store import Store
 from pipeline.workflow.dispatcher import run_stage
 from pipeline.workflow.graph import StageRun, require, results_of, survey
@@ -156,7 +156,7 @@ def test_statistics_wait_for_every_trial(serial_run):
 def test_failed_chains_stop_no_stage(serial_run):
     """What depends on them is not possible, and all else goes on."""
     store, upstream = serial_run
-    lost = dataclasses.replace(upstream["collect"], done={}, failed={ChunkId(0): "failed after 2 attempts"})
+    lost = dataclasses.replace(upstream["collect"], done={}, failed={PartId("throws-0"): "failed after 2 attempts"})
     found = {"collect": lost}
     for stage in STAGES[1:]:
         require(tiny(), stage, STAGES, found, how_to_run=str)
