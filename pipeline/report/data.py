@@ -13,6 +13,7 @@ from pipeline.report.findings import Findings
 from pipeline.report.replay import Replay
 from tasks.analysis import paper
 from tasks.analysis.comparison import BEST
+from tasks.analysis.member_error import MemberError
 from tasks.analysis.uncertainty import RESOLUTION
 from tasks.arrays import Float64
 from tasks.world import ENVIRONMENTS, EnvironmentName
@@ -49,34 +50,12 @@ class TrialResult:
 
 
 @dataclass(frozen=True)
-class ResidualError:
-    """Error of one member in one component of the residual, on held-out transitions in one band of speed."""
-
-    member: int
-    component: str  # such as "vx"
-    unit: str  # unit of ``rmse`` and ``rms_residual``, such as "m/s"
-    speed_band: str  # such as "0.5-2 m/s"; bands are shown in the order in which they first appear
-    rmse: float  # root mean square of prediction minus residual
-    rms_residual: float
-    """Root mean square of the residual: the error of predicting 0. 0 where it is unknown."""
-
-
-@dataclass(frozen=True)
 class Draws:
     """How many designs an operator drew, and how many of them were rejected as not buildable."""
 
     operator: str
     n_drawn: int
     n_rejected: int
-
-
-@dataclass(frozen=True)
-class ArtifactDigest:
-    """An artifact of the study and its SHA-256."""
-
-    stage: str
-    label: str
-    sha256: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,13 +67,13 @@ class StudyReport:
     created_with: Mapping[str, str]  # version by package
     settings_yaml: str
     trials: Sequence[TrialResult] = ()
-    residual_errors: Sequence[ResidualError] = ()
+    residual_errors: Sequence[MemberError] = ()  # of changes per step, on held-out throws
     replays: Sequence[Replay] = ()
     findings: Findings = field(default_factory=Findings)
     draws: Sequence[Draws] = ()  # operators that rejected designs; empty where every design is buildable
     measured_seconds: float = 20.0
     """How long displacement is measured [s]. [P]"""
-    digests: Sequence[ArtifactDigest] = ()
+    digests: Sequence[tuple[str, str, str]] = ()  # stage, label and SHA-256 of every artifact
     failed: Sequence[str] = ()  # work items that failed, with their errors
     not_possible: Sequence[str] = ()  # work items that were not tried because an input failed
     diverged: Sequence[str] = ()  # trials with designs that diverged, and how many

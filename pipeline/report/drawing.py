@@ -7,7 +7,7 @@ page replaces by its own in dark mode.
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -152,7 +152,7 @@ def sampled(n: int, n_shown: int) -> Any:
     return np.unique(np.linspace(0, n - 1, n_shown).round().astype(int))
 
 
-def count(things: Sequence[Any], name: str) -> str:
+def count(things: Collection[Any], name: str) -> str:
     """Return a number with its noun: "1 member", "8 members"."""
     return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 

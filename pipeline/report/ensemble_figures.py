@@ -1,6 +1,6 @@
 """Figures of the data set and of the networks trained on it: paper, Fig. 2, and the errors of each member."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from pipeline.report.data import StudyReport
 from pipeline.report.drawing import FIGURE_WIDTH, INK, NothingToDraw, count, draw_interval, legend, sampled
 from pipeline.report.findings import ThrownPaths
+from tasks.analysis.member_error import MemberError
 from tasks.world import ENVIRONMENTS
 
 _COLORS = ("#dd7700", "#1c6fb8", "#7d4aa5")
@@ -79,7 +80,7 @@ def member_error(report: StudyReport) -> tuple[Figure, str]:
     grid = figure.subplots(len(components), len(immersions), sharex=True, sharey="row", squeeze=False)
     for (i, j), panel in np.ndenumerate(grid):
         chosen = [row for row in rows if (row.component, row.immersion) == (components[i], immersions[j])]
-        _errors_by_speed(panel, bands, ((row.member, row.band, row.rmse, row.rms_true) for row in chosen))
+        _errors_by_speed(panel, bands, chosen)
         panel.set_xticks(range(len(bands)), [band.replace("-", "–") for band in bands], fontsize=8, rotation=45)
     for panel, immersion in zip(grid[0], immersions, strict=True):
         panel.set_title(immersion)
@@ -96,40 +97,31 @@ def member_error(report: StudyReport) -> tuple[Figure, str]:
 
 def residual_error(report: StudyReport) -> tuple[Figure, str]:
     """Draw a panel for each velocity: error of each member on held-out throws, by speed of the link."""
-    rows = [row for row in report.residual_errors if row.component in _VELOCITIES and row.rmse > 0]
+    rows = [row for row in report.residual_errors if row.component in _VELOCITIES and row.rmse]
     if not rows:
         raise NothingToDraw("no member of the ensemble has been validated yet, or the study needs no networks")
-    components = dict.fromkeys((row.component, row.unit) for row in rows)
-    bands = list(dict.fromkeys(row.speed_band for row in rows))
+    components, bands = (list(dict.fromkeys(getattr(row, name) for row in rows)) for name in ("component", "band"))
     figure = Figure(figsize=(FIGURE_WIDTH, 1.75 * len(components) + 0.9))
     panels = figure.subplots(len(components), 1, sharex=True, squeeze=False).ravel()
-    for panel, (component, unit) in zip(panels, components, strict=True):
-        chosen = [row for row in rows if row.component == component]
-        _errors_by_speed(panel, bands, ((row.member, row.speed_band, row.rmse, row.rms_residual) for row in chosen))
-        panel.set_ylabel(f"{component} [{unit}]")
-    panels[-1].set_xticks(range(len(bands)), [band.removesuffix(" m/s").replace("-", "–") for band in bands])
+    for panel, component in zip(panels, components, strict=True):
+        _errors_by_speed(panel, bands, [row for row in rows if row.component == component])
+        panel.set_ylabel(f"{component} [{'rad/s' if component == 'omega' else 'm/s'}]")
+    panels[-1].set_xticks(range(len(bands)), [band.replace("-", "–") for band in bands])
     panels[-1].set_xlabel("speed of the thrown link [m/s]")
     legend(figure, _error_handles())
-    members = {row.member for row in rows}
     return figure, (
         "Root mean square error of the change of velocity per step that a member predicts, on held-out throws, by the "
-        f"speed of the thrown link; {count(sorted(members), 'member')}. Dark bars are the changes themselves, which is "
-        "the error of predicting zero."
+        f"speed of the thrown link; {count({row.member for row in rows}, 'member')}. Dark bars are the changes "
+        "themselves, which is the error of predicting zero."
     )
 
 
-def _errors_by_speed(panel: Any, bands: list[str], rows: Iterable[tuple[int, str, float | None, float | None]]) -> None:
-    """Draw a line per member, and a bar per band for the true values; rows are (member, band, error, truth)."""
-    lines: dict[int, dict[int, float]] = {}
-    truth: dict[int, float] = {}
-    for member, band, error, true in rows:
-        if error is not None:
-            lines.setdefault(member, {})[bands.index(band)] = error
-        if true:
-            truth[bands.index(band)] = true
-    for _, line in sorted(lines.items()):
-        panel.plot(*zip(*sorted(line.items()), strict=True), color=_RESIDUAL, marker="o", ms=3.5, lw=1.1, alpha=0.75)
-    for index, true in sorted(truth.items()):
+def _errors_by_speed(panel: Any, bands: list[str], rows: Sequence[MemberError]) -> None:
+    """Draw a line per member, and a bar per band for the true values."""
+    for member in sorted({row.member for row in rows}):
+        line = sorted((bands.index(row.band), row.rmse) for row in rows if row.member == member and row.rmse)
+        panel.plot(*zip(*line, strict=True), color=_RESIDUAL, marker="o", ms=3.5, lw=1.1, alpha=0.75)
+    for index, true in sorted({bands.index(row.band): row.rms_true for row in rows if row.rms_true}.items()):
         panel.plot([index - 0.3, index + 0.3], [true] * 2, color=INK, lw=2.0)
     panel.set_yscale("log")
     panel.grid(axis="y")

@@ -152,7 +152,7 @@ _PAGE_COLORS = {
 
 
 def _made(report: StudyReport) -> str:
-    digests = [(f"{digest.stage} · {digest.label}", digest.sha256) for digest in report.digests]
+    digests = [(f"{stage} · {label}", sha256) for stage, label, sha256 in report.digests]
     settings = f"<pre><code>{escape(report.settings_yaml)}</code></pre>" if report.settings_yaml else ""
     return "".join(
         folded(title, content)

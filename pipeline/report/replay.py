@@ -6,12 +6,12 @@ frames per second.
 
 import base64
 from dataclasses import dataclass
-from typing import Literal, TypedDict
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from tasks.arrays import Float64, Floats
+from tasks.arrays import Float64, Floats, Int64
 from tasks.design import N_LINKS, Designs
 from tasks.world import Physics
 
@@ -39,35 +39,21 @@ class Overlay:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """One robot in one environment.
+    """One robot in one environment."""
 
-    Attributes:
-        title: heading for the reader.
-        environment: where the design evolved, which sets the robot's colour; "" if unknown.
-        seen_in: where it is seen, in words.
-        depth: depth of the ground below y = 0 [m].
-        surroundings: what fills the space above the ground and below y = 0.
-        length_scale: (n_links,) long axis of each link [m]; its width is the reciprocal.
-        parent: (n_links,) index of each link's parent, -1 for the root.
-        parent_attachment: (n_links,) position of the joint on the parent's long axis [half heights].
-        frames: (n_frames, n_links, 3) x, y [m], angle [rad].
-        fps: frames per second.
-        overlays: further numbers for each link and frame.
-        push: (n_frames, n_links, 2) acceleration of each link by the medium [m/s²], where it is known.
-    """
-
-    title: str
-    environment: str
-    seen_in: str
-    depth: float
+    title: str  # heading for the reader
+    environment: str  # where the design evolved, which sets the robot's colour; "" if unknown
+    seen_in: str  # where it is seen, in words
+    depth: float  # depth of the ground below y = 0 [m]
     surroundings: Surroundings
-    length_scale: Float64
-    parent: npt.NDArray[np.int64]
-    parent_attachment: Float64
-    frames: Float64
-    fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME
-    overlays: tuple[Overlay, ...] = ()
+    length_scale: Float64  # (n_links,) long axis of each link [m]; its width is the reciprocal
+    parent: Int64  # (n_links,) index of each link's parent, -1 for the root
+    parent_attachment: Float64  # (n_links,) position of the joint on the parent's long axis [half heights]
+    frames: Float64  # (n_frames, n_links, 3) x, y [m], angle [rad]
+    fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME  # frames per second
+    overlays: tuple[Overlay, ...] = ()  # further numbers for each link and frame
     push: Float64 | None = None
+    """(n_frames, n_links, 2) acceleration of each link by the medium [m/s²], where it is known."""
 
     def __post_init__(self) -> None:
         shape = self.frames.shape[:2]
@@ -131,11 +117,11 @@ def replay_of(
     Args:
         design: a single design.
         trace: (n_steps, n_links, 6) as from :func:`tasks.simulation.simulate`.
-        title: heading for the reader.
-        environment: where the design evolved, or "".
-        seen_in: where it is seen, in words.
-        depth: depth of the ground [m].
-        surroundings: what fills the space above the ground and below y = 0.
+        title: see :class:`Replay`, as for the next four.
+        environment: "" if unknown.
+        seen_in: in words.
+        depth: [m]
+        surroundings: above the ground and below y = 0.
         n_settle: number of steps left out at the start, as for the displacement; 0 shows them.
         time_step: time between the states of the trace [s].
         overlays: at the frames, see :func:`at_frames`.
@@ -170,39 +156,8 @@ def replay_of(
     )
 
 
-class EncodedOverlay(TypedDict):
-    """An overlay in the page's JSON."""
-
-    label: str
-    unit: str
-    most: float  # value of level 254: the 95th percentile, so that peaks do not make the rest pale
-    levels: str  # base64 of uint8, (n_frames, n_links): shares of ``most`` in 254ths; 255 where there is no value
-
-
-class EncodedReplay(TypedDict):
-    """A replay in the page's JSON, decoded by robot.js."""
-
-    title: str
-    environment: str
-    seenIn: str
-    depth: float
-    hasMedium: bool
-    hallucinated: bool
-    fps: float
-    lengthScale: list[float]
-    parent: list[int]
-    parentAttachment: list[float]
-    quantum: float
-    first: list[int]  # n_links × (x, y, angle) of the first frame, in quanta
-    steps: str
-    """base64 of little-endian int16, (n_frames - 1, n_links, 3): change from each frame to the next, in quanta."""
-    overlays: list[EncodedOverlay]
-    pushQuantum: float  # step of the push [m/s²]
-    push: str  # base64 of int8, (n_frames, n_links, 2), in its quanta; empty where it is not known
-
-
-def encode(replay: Replay) -> EncodedReplay:
-    """Convert a replay to plain JSON values, 48 characters per frame; the same replay always gives the same values.
+def encode(replay: Replay) -> dict[str, Any]:
+    """Convert a replay to plain JSON values for robot.js, 48 characters per frame; equal replays give equal values.
 
     Coordinates are rounded to a quantum before their differences are taken. Errors therefore do not add up, and each
     stays within half a quantum: 1 mm and 1 mrad, unless something moves by more than 32 m or rad within a frame.
@@ -211,38 +166,41 @@ def encode(replay: Replay) -> EncodedReplay:
     fastest = float(np.abs(np.diff(frames, axis=0)).max())
     quantum = max(QUANTUM, fastest / (np.iinfo(np.int16).max - 1))
     quanta = np.rint(frames / quantum).astype(np.int64)
-    steps = np.diff(quanta, axis=0).astype("<i2")
-    return EncodedReplay(
-        title=replay.title,
-        environment=replay.environment,
-        seenIn=replay.seen_in,
-        depth=replay.depth,
-        hasMedium=replay.has_medium,
-        hallucinated=replay.hallucinated,
-        fps=replay.fps,
-        lengthScale=[round(float(length), 4) for length in replay.length_scale],
-        parent=[int(parent) for parent in replay.parent],
-        parentAttachment=[round(float(place), 4) for place in replay.parent_attachment],
-        quantum=quantum,
-        first=[int(value) for value in quanta[0].ravel()],
-        steps=_base64(steps),
-        overlays=[_encode_overlay(overlay) for overlay in replay.overlays],
-        pushQuantum=MOST_ACCELERATION / 127,
-        push="" if replay.push is None else _base64(_encode_push(replay.push)),
-    )
+    return {
+        "title": replay.title,
+        "environment": replay.environment,
+        "seenIn": replay.seen_in,
+        "depth": replay.depth,
+        "hasMedium": replay.has_medium,
+        "hallucinated": replay.hallucinated,
+        "fps": replay.fps,
+        "lengthScale": [round(float(length), 4) for length in replay.length_scale],
+        "parent": [int(parent) for parent in replay.parent],
+        "parentAttachment": [round(float(place), 4) for place in replay.parent_attachment],
+        "quantum": quantum,
+        "first": [int(value) for value in quanta[0].ravel()],  # n_links × (x, y, angle), in quanta
+        # Little-endian int16, (n_frames - 1, n_links, 3): change from each frame to the next, in quanta.
+        "steps": _base64(np.diff(quanta, axis=0).astype("<i2")),
+        "overlays": [_encode_overlay(overlay) for overlay in replay.overlays],
+        "pushQuantum": MOST_ACCELERATION / 127,  # [m/s²]
+        # int8, (n_frames, n_links, 2), in its quanta; empty where it is not known.
+        "push": "" if replay.push is None else _base64(_encode_push(replay.push)),
+    }
 
 
-def _encode_overlay(overlay: Overlay) -> EncodedOverlay:
+def _encode_overlay(overlay: Overlay) -> dict[str, Any]:
     known = np.isfinite(overlay.values)
+    # The 95th percentile, so that peaks do not make the rest pale.
     most = float(np.quantile(overlay.values[known], 0.95)) if known.any() else 0.0
     most = max(most, overlay.darkest_at_least, 1e-9)
     levels = np.rint(np.clip(np.where(known, overlay.values, 0.0) / most, 0, 1) * 254)
-    return EncodedOverlay(
-        label=overlay.label,
-        unit=overlay.unit,
-        most=float(f"{most:.4g}"),
-        levels=_base64(np.where(known, levels, 255).astype(np.uint8)),
-    )
+    return {
+        "label": overlay.label,
+        "unit": overlay.unit,
+        "most": float(f"{most:.4g}"),  # value of level 254
+        # uint8, (n_frames, n_links): shares of ``most`` in 254ths; 255 where there is no value.
+        "levels": _base64(np.where(known, levels, 255).astype(np.uint8)),
+    }
 
 
 def _encode_push(push: Float64) -> npt.NDArray[np.int8]:

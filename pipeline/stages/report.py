@@ -9,7 +9,7 @@ import yaml
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings, WorkSettings
 from pipeline.report.camera import FILM_FPS
-from pipeline.report.data import ArtifactDigest, Draws, ResidualError, StudyReport, TrialResult
+from pipeline.report.data import Draws, StudyReport, TrialResult
 from pipeline.report.drawing import Drawing
 from pipeline.report.figures import draw_all
 from pipeline.report.films import render_films
@@ -19,10 +19,11 @@ from pipeline.stages import divergence, environments, segments
 from pipeline.stages.assess import ASSESSED, PREDICTIONS, read_predictions
 from pipeline.stages.collect import data_set
 from pipeline.stages.environments import SimulationSpec
+from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED, PROPOSED, proposal_files, proposed, tank_replays
 from pipeline.stages.report_findings import HISTORIES, findings
 from pipeline.stages.report_replays import replays_of
-from pipeline.stages.train import MEMBER_ERRORS, RESIDUAL_UNITS, read_errors
+from pipeline.stages.train import MEMBER_ERRORS, read_errors
 from pipeline.stages.transfer import SCORE, SCORED, scores_inputs
 from pipeline.store.encoding import decode_json, encode_json
 from pipeline.store.manifest import Manifest
@@ -45,11 +46,13 @@ from pipeline.workflow.stage import (
     Summary,
     Upstream,
 )
+from tasks.analysis.member_error import MemberError
 from tasks.evolution import OPERATORS
 from tasks.residual.error_report import ErrorRow
 from tasks.world import ENVIRONMENTS
 
 PAGE = "index.html"  # the page's file
+_PAGE_ID = PartId(PAGE)
 
 TOGETHER = "replay"
 """File name without suffix of the film of two robots: the best with residuals above the best without."""
@@ -57,43 +60,14 @@ TOGETHER = "replay"
 TRAINED, EVOLUTION, ADAPTATION = "trained", "evolution", "adaptation"
 """Roles of the inputs that are members' errors, curves of trials, and curves of their adaptations."""
 
-PICTURES_OF_PAGE = 4000  # approximate cost of the page, as pictures of a film
-
-
-@dataclass(frozen=True)
-class PageId:
-    """The page of a study."""
-
-    @property
-    def label(self) -> str:
-        """Name for display."""
-        return PAGE
-
-
-@dataclass(frozen=True)
-class FilmsId:
-    """The films of an arm, or the film that shows two robots."""
-
-    arm: Arm | None = None
-
-    @property
-    def label(self) -> str:
-        """Name for display."""
-        return f"films/{self.arm.label}" if self.arm else "films/together"
-
-
-@dataclass(frozen=True)
-class PageSpec:
-    """The page; the settings are those of the study without how its work is divided."""
-
-    settings: Settings
+_PICTURES_OF_PAGE = 4000  # approximate cost of the page, as pictures of a film
 
 
 @dataclass(frozen=True)
 class PageItemSpec:
     """The page of what is done."""
 
-    page: PageSpec
+    settings: Settings  # those of the study without how its work is divided
     failed: tuple[str, ...]
     not_possible: tuple[str, ...]
     digests: tuple[tuple[str, str, str], ...]  # stage, label and digest of every chain that is done
@@ -115,30 +89,30 @@ def _reads(settings: Settings) -> tuple[str, ...]:
     return ("collect", "train", *rest) if settings.needs_ensemble else rest
 
 
-def _plan(settings: Settings) -> Sequence[Chain[PageSpec | FilmsSpec]]:
+def _plan(settings: Settings) -> Sequence[Chain[Settings | FilmsSpec]]:
     """Plan the page, the films of every arm, and the film of two robots."""
     trials = trials_of(settings, "transfer")
     measured_seconds = settings.rollout.n_measure * settings.physics.time_step
     pictures = measured_seconds * FILM_FPS
     deepest = max(settings.grid.depths)
 
-    def films(identity: FilmsId, of: Sequence[TrialId], n_films: int) -> Chain[PageSpec | FilmsSpec]:
+    def films(identity: PartId, of: Sequence[TrialId], n_films: int) -> Chain[Settings | FilmsSpec]:
         listing = identity.label.replace("/", "-").replace(".", "_") + ".json"
         simulation = environments.simulation_spec(settings, "true_slush", *(trial.environment for trial in of))
         spec = FilmsSpec(simulation, tuple(of), identity.arm is None, listing)
         return Chain(identity, (n_films * pictures,), spec)
 
     whole = settings.model_copy(update={"work": WorkSettings()})
-    chains: list[Chain[PageSpec | FilmsSpec]] = [Chain(PageId(), (PICTURES_OF_PAGE,), PageSpec(whole))]
+    chains: list[Chain[Settings | FilmsSpec]] = [Chain(_PAGE_ID, (_PICTURES_OF_PAGE,), whole)]
     for arm, own in deepest_first(trials).items():
-        chains.append(films(FilmsId(arm), own, 1 if arm.environment == "true_slush" else 2))
+        chains.append(films(PartId("films", arm), own, 1 if arm.environment == "true_slush" else 2))
     arms = [Arm("residual_slush", deepest), Arm("dry_land", deepest)]
     both = [trial for arm in arms for trial in trials if trial.arm == arm]
-    return [*chains, films(FilmsId(), both or [trial for trial in trials if trial.depth == deepest], 2)]
+    return [*chains, films(PartId("films/together"), both or [trial for trial in trials if trial.depth == deepest], 2)]
 
 
 def _item(
-    settings: Settings, chain: Chain[PageSpec | FilmsSpec], index: int, previous: Manifest | None, upstream: Upstream
+    settings: Settings, chain: Chain[Settings | FilmsSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[PageItemSpec | FilmsSpec]:
     """Specify films by their champions and environments; the page by the small files of all that is done, too."""
     execution = Execution(settings.work.engine)
@@ -228,7 +202,7 @@ def film_name(replay: Replay) -> str:
 
 def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     """Draw the page and its figures."""
-    settings = spec.page.settings
+    settings = spec.settings
     evolved, trials = _curves(EVOLUTION, inputs), trials_of(settings, "transfer")
     results = [result for trial in trials if (result := _trial_result(trial, inputs, evolved)) is not None]
     rows = proposed(settings, inputs)
@@ -246,7 +220,7 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
         findings=findings(inputs, settings, family),
         draws=_draws(evolved.values()),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
-        digests=[ArtifactDigest(*row) for row in spec.digests],
+        digests=spec.digests,
         failed=spec.failed,
         not_possible=spec.not_possible,
         diverged=_diverged(settings, inputs, evolved),
@@ -313,7 +287,7 @@ def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Colu
     return [f"{where}: {what}" for where, what in found if what is not None]
 
 
-def _residual_errors(inputs: Inputs) -> list[ResidualError]:
+def _residual_errors(inputs: Inputs) -> list[MemberError]:
     """Return the errors of every member by component and band of speed."""
     rows = []
     members = [files for name, files in inputs.items() if name.role == TRAINED]
@@ -322,8 +296,8 @@ def _residual_errors(inputs: Inputs) -> list[ResidualError]:
         for row in errors:
             if row.band != "all" and np.isfinite(row.rmse):
                 truth = row.rmse / row.relative_error if row.relative_error > 0 else 0.0  # the ratio may be NaN
-                unit, band = RESIDUAL_UNITS[row.component], f"{row.band} m/s"
-                rows.append(ResidualError(member, row.component, unit, band, row.rmse, truth))
+                errors_of = (row.component, row.band, "all", row.n_rows, row.bias, row.rmse, truth)
+                rows.append(MemberError(member, *errors_of))
     return rows
 
 
@@ -331,7 +305,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Export the page, the figures and the films to the folder of the study."""
     files = {name: store.read(done, name) for (done,) in results.done.values() for name in done.files}
     folder = store.export(settings.name, files)
-    no_page = f"no page: {results.failed.get(PageId(), 'it has not been made yet')}"
+    no_page = f"no page: {results.failed.get(_PAGE_ID, 'it has not been made yet')}"
     # A GIF is ten times as large as an MP4, so MLflow gets only one GIF.
     artifacts = {name: data for name, data in files.items() if not name.endswith(".gif") or name == f"{TOGETHER}.gif"}
     lines = [f"{folder / PAGE}" if PAGE in files else no_page]

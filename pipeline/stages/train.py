@@ -25,14 +25,11 @@ from pipeline.workflow.stage import (
     TrialSummary,
     Upstream,
 )
-from tasks.residual import STATE, Architecture, ErrorRow, Training
+from tasks.residual import Architecture, ErrorRow, Training
 
 MEMBER_ERRORS = "errors.parquet"  # file of a member's errors on the throws held out
 
 _LEARNING = "learning.parquet"
-
-RESIDUAL_UNITS = dict(zip(STATE, ("m", "m", "rad", "m/s", "m/s", "rad/s"), strict=True))
-"""Unit of each component of a residual, per step."""
 
 _ERROR_UNITS = {
     "component": "of the residual",

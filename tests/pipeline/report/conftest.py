@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.report.data import ArtifactDigest, ResidualError, StudyReport, TrialResult
+from pipeline.report.data import StudyReport, TrialResult
 from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.findings import Accuracy, Ancestor, ChampionRow, ExploiterRow, Family, Findings, Moved, ThrownPaths
@@ -107,7 +107,7 @@ def findings() -> Findings:
     fits = accuracy(predicted, true, rng=rng)
     ranges = members_ranges(predicted, true, rng=rng)
     shown = members(predicted) | {"mean": aggregates(predicted)["mean"]}
-    ranked = rank_exploiters(predicted[:, :6].max(axis=0), true=true[:6], disagreement=predicted[:, :6].std(axis=0))
+    ranked = rank_exploiters(predicted[:, :6].max(axis=0), true[:6], predicted[:, :6].std(axis=0))
     moved, loss = Moved(5.0, 1.0, 4.0), mean(np.array([1.0, 2.0, 3.0]))
     retried = ChampionRow(0, True, moved, moved, Luck(60.0, 58.0, loss, 1.0, n_diverged=0, n_tries=3))
     time = np.linspace(0.0, 3.3, 60)
@@ -180,9 +180,9 @@ def study(slush_replay, dry_replay, predicted_replay, findings) -> StudyReport:
         trial("dry_land", 1.0, 0, 60.0, 6.0, 21.0),
     ]
     errors = [
-        ResidualError(member, component, unit, f"{band} m/s", 0.01 * (member + 1), 0.2)
+        MemberError(member, component, band, "all", 9, 0.0, 0.01 * (member + 1), 0.2)
         for member in range(2)
-        for component, unit in (("x", "m"), ("vx", "m/s"), ("vy", "m/s"), ("omega", "rad/s"))
+        for component in ("x", "vx", "vy", "omega")
         for band in ("< 0.5", "0.5-2")
     ]
     return StudyReport(
@@ -200,7 +200,7 @@ def study(slush_replay, dry_replay, predicted_replay, findings) -> StudyReport:
             dry_replay,
         ],
         findings=findings,
-        digests=[ArtifactDigest("evolve", "true_slush 9 m trial 0", "ab" * 32)],
+        digests=[("evolve", "true_slush 9 m trial 0", "ab" * 32)],
     )
 
 

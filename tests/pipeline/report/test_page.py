@@ -173,8 +173,8 @@ def test_every_text_of_the_study_is_escaped(study):
             failed=[NASTY],
             not_possible=[NASTY],
             diverged=[NASTY],
-            digests=[replace(study.digests[0], label=NASTY, stage=NASTY)],
-            residual_errors=[replace(row, speed_band=NASTY, unit=NASTY) for row in study.residual_errors],
+            digests=[(NASTY, NASTY, "ab" * 32)],
+            residual_errors=[replace(row, band=NASTY) for row in study.residual_errors],
             replays=[replace(study.replays[0], title=NASTY, seen_in=NASTY)],
         )
     )

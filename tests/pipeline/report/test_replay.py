@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pipeline.config.settings import RolloutSettings
-from pipeline.report.replay import QUANTUM, EncodedReplay, Overlay, encode, replay_of
+from pipeline.report.replay import QUANTUM, Overlay, encode, replay_of
 
 WORDS = {"title": "a robot", "environment": "", "seen_in": "True Slush", "depth": 2.0, "surroundings": "true slush"}
 
 
-def decode(encoded: EncodedReplay) -> np.ndarray:
+def decode(encoded: dict) -> np.ndarray:
     """Undo encode() as viewer.js does: running sums of int16, from the first frame."""
     first = np.array(encoded["first"], dtype=np.int64).reshape(1, -1, 3)
     steps = np.frombuffer(base64.b64decode(encoded["steps"]), dtype="<i2").reshape(-1, *first.shape[1:])
