@@ -91,7 +91,7 @@ def _bar(axes: Any, center: float, environment: EnvironmentName, measure: Measur
     axes.bar(center, found.mean, 0.62, edgecolor=style.color, lw=1.0, **fill)
     if found.sd is not None:
         axes.errorbar(center, found.mean, found.sd, ecolor=INK, elinewidth=1.1, capsize=3, capthick=1.1)
-    offsets = np.linspace(-0.2, 0.2, found.n) if found.n > 1 else np.zeros(1)
+    offsets = np.linspace(-0.2, 0.2, len(found.values)) if found.sd is not None else np.zeros(1)
     axes.plot(center + offsets, found.values, style.marker, ms=3.2, mfc="#ffffff", mec=INK, mew=0.7, ls="none")
 
 

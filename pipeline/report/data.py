@@ -87,11 +87,6 @@ class TrialMean:
     sd: float | None  # sample standard deviation [m]; None with a single trial
     values: tuple[float, ...]  # one per trial with a finite value, in the order of the trials [m]
 
-    @property
-    def n(self) -> int:
-        """Trials with a finite value."""
-        return len(self.values)
-
 
 def trial_mean(trials: Iterable[TrialResult], measure: Measure) -> TrialMean | None:
     """Average a measure over the trials that have it; None if none has."""

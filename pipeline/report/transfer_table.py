@@ -60,8 +60,8 @@ def _cell(
 ) -> str:
     found = trial_mean(trials, measure)
     lines = _spread(found)
-    if found is not None and found.n < len(trials):
-        lines += f"<small>{found.n} of {len(trials)} trials</small>"
+    if found is not None and len(found.values) < len(trials):
+        lines += f"<small>{len(found.values)} of {len(trials)} trials</small>"
     if com is not None and (found_com := trial_mean(trials, com)):
         lines += f"<small>CoM {_spread(found_com)}</small>"
     if (stated := paper_mean(environment, measure, depth)) is not None:

@@ -64,7 +64,7 @@ from typing import Any
 
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
-from pipeline.stages.analyses import champions, instruments, statistics, tank_tests
+from pipeline.stages.analyses import champions, instruments, specs, statistics, tank_tests
 from pipeline.stages.analyses.analysis_tables import (
     ANALYSIS_VERSION,
     EXPLOITERS,
@@ -78,15 +78,6 @@ from pipeline.stages.analyses.analysis_tables import (
     encode,
     read_reasons,
     read_table,
-)
-from pipeline.stages.analyses.specs import (
-    AnalysisSpec,
-    ExploitersSpec,
-    InstrumentsSpec,
-    MatrixSpec,
-    MembersSpec,
-    StatisticsSpec,
-    TankSpec,
 )
 from pipeline.stages.analyses.summary import highlights
 from pipeline.stages.assess import ASSESSED, ASSESSED_ENVIRONMENTS, PREDICTIONS
@@ -113,62 +104,64 @@ from pipeline.workflow.stage import (
 )
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
-_COMPUTE: Mapping[type[AnalysisSpec], Callable[[Job[Any], Inputs], tuple[Tables, Reasons]]] = {
-    StatisticsSpec: statistics.compute,
-    MembersSpec: instruments.compute_members,
-    MatrixSpec: champions.compute_matrix,
-    ExploitersSpec: champions.compute_exploiters,
-    InstrumentsSpec: instruments.compute_arm,
-    TankSpec: tank_tests.compute,
+_COMPUTE: Mapping[type[specs.AnalysisSpec], Callable[[Job[Any], Inputs], tuple[Tables, Reasons]]] = {
+    specs.StatisticsSpec: statistics.compute,
+    specs.MembersSpec: instruments.compute_members,
+    specs.MatrixSpec: champions.compute_matrix,
+    specs.ExploitersSpec: champions.compute_exploiters,
+    specs.InstrumentsSpec: instruments.compute_arm,
+    specs.TankSpec: tank_tests.compute,
 }
 
 _NOT_AS_CSV = ("links", "histograms")  # tables that are too long to read
 
 
-def _plan(settings: Settings) -> Sequence[Chain[AnalysisSpec]]:
+def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
     """Plan one item for each kind of analysis, and one for each arm's instruments and tank."""
     trials = tuple(trials_of(settings, "transfer"))
     depths, rollout, tank = settings.grid.depths, settings.rollout, settings.tank
     simulation = environments.simulation_spec(settings, *ENVIRONMENTS)
     penalty, held_out, seed = settings.ensemble.disagreement_penalty, settings.training.held_out, settings.seed
-    chains: list[Chain[AnalysisSpec]] = []
+    chains: list[Chain[specs.AnalysisSpec]] = []
 
-    def plan(part: PartId, spec: AnalysisSpec, n_rollouts: int, environment: EnvironmentName = "true_slush") -> None:
+    def plan(
+        part: PartId, spec: specs.AnalysisSpec, n_rollouts: int, environment: EnvironmentName = "true_slush"
+    ) -> None:
         weight = max(n_rollouts, 1) * environments.relative_cost(settings, environment)
         chains.append(Chain(part, (1,), spec, weight=weight))
 
     ensemble: EnvironmentName = "residual_slush" if settings.needs_ensemble else "true_slush"
-    plan(PartId(STATISTICS), StatisticsSpec(seed, trials, simulation, settings.assessed_depth), 0)
-    plan(PartId(MEMBERS), MembersSpec(seed, (), simulation, held_out), 0, ensemble)
-    plan(PartId(MATRIX), MatrixSpec(seed, trials, simulation, depths), len(trials) * len(depths))
-    plan(PartId(EXPLOITERS), ExploitersSpec(seed, trials, simulation, penalty), len(trials), ensemble)
+    plan(PartId(STATISTICS), specs.StatisticsSpec(seed, trials, simulation, settings.assessed_depth), 0)
+    plan(PartId(MEMBERS), specs.MembersSpec(seed, (), simulation, held_out), 0, ensemble)
+    plan(PartId(MATRIX), specs.MatrixSpec(seed, trials, simulation, depths), len(trials) * len(depths))
+    plan(PartId(EXPLOITERS), specs.ExploitersSpec(seed, trials, simulation, penalty), len(trials), ensemble)
     for arm, of_arm in arms_of(trials).items():
         own, n = tuple(of_arm), len(of_arm)
-        spec = InstrumentsSpec(seed, own, simulation, arm, held_out, penalty)
+        spec = specs.InstrumentsSpec(seed, own, simulation, arm, held_out, penalty)
         plan(PartId(INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES), arm.environment)
         if tank is not None:
             n_tank = tank.n_steps(settings.physics.time_step)
             # One rollout on Dry Land, and one in the filled and one in the drained tank.
             n_rollouts = 1 + 2 * (n_tank + rollout.n_settle) / (rollout.n_settle + rollout.n_measure)
-            plan(PartId(TANK, arm), TankSpec(seed, own, simulation, arm, tank, n_tank), ceil(n * n_rollouts))
+            plan(PartId(TANK, arm), specs.TankSpec(seed, own, simulation, arm, tank, n_tank), ceil(n * n_rollouts))
     return chains
 
 
 def _item(
-    settings: Settings, chain: Chain[AnalysisSpec], index: int, previous: Manifest | None, upstream: Upstream
-) -> Item[AnalysisSpec]:
+    settings: Settings, chain: Chain[specs.AnalysisSpec], index: int, previous: Manifest | None, upstream: Upstream
+) -> Item[specs.AnalysisSpec]:
     """Specify an analysis: its inputs, and why others are missing."""
     spec = chain.spec
     inputs = scores_inputs(spec.trials, upstream)
-    if isinstance(spec, StatisticsSpec | ExploitersSpec):
+    if isinstance(spec, specs.StatisticsSpec | specs.ExploitersSpec):
         # In the order of their labels: resampling depends on the order of designs.
         for trial, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
             inputs[InputName(ASSESSED, trial)] = Input(share, (PREDICTIONS,))
-    if isinstance(spec, StatisticsSpec):
+    if isinstance(spec, specs.StatisticsSpec):
         failed = {trial.label: why for trial, why in upstream["transfer"].failed.items()}
         spec = replace(spec, failed=failed, not_assessed=_why_not_assessed(settings, upstream))
-    elif not isinstance(spec, MatrixSpec | TankSpec):
-        networks, why = _networks(settings, upstream, throws=not isinstance(spec, ExploitersSpec))
+    elif not isinstance(spec, specs.MatrixSpec | specs.TankSpec):
+        networks, why = _networks(settings, upstream, throws=not isinstance(spec, specs.ExploitersSpec))
         inputs |= networks
         spec = replace(spec, no_networks=why)
     return Item(ANALYSE.name, ANALYSE.version, chain.label, spec, inputs, Execution(settings.work.engine))
@@ -197,7 +190,7 @@ def _why_not_assessed(settings: Settings, upstream: Upstream) -> str:
     return f"no trial evolved in {' or '.join(ASSESSED_ENVIRONMENTS)} at {settings.assessed_depth:g} m"
 
 
-def _compute(job: Job[AnalysisSpec], inputs: Inputs) -> Files:
+def _compute(job: Job[specs.AnalysisSpec], inputs: Inputs) -> Files:
     tables, reasons = _COMPUTE[type(job.spec)](job, inputs)
     return encode(tables, reasons, producer=job.key)
 

@@ -18,14 +18,13 @@ from pipeline.store.store import Store
 from pipeline.store.tables import Columns
 from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
-from tasks.analysis.sample import draw_over_generations, spread_evenly
+from tasks.analysis.prediction import draw_over_generations, spread_evenly
 from tasks.design import Designs
 from tasks.design.genes import DTYPES, GENES
 from tasks.seeding import generator
 from tasks.world import EnvironmentName
 
 PREDICTIONS = "predictions.parquet"
-
 ASSESSED = "assessed"  # role of the inputs of later stages that are a trial's predictions
 
 ASSESSED_ENVIRONMENTS: tuple[EnvironmentName, ...] = ("true_slush", "dry_land")

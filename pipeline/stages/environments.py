@@ -19,9 +19,7 @@ from tasks.simulation.batch import n_that_fill_lanes
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
-
 MEMBER = "member"  # role of the inputs that are trained networks
-
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
 
 

@@ -20,7 +20,6 @@ from tasks.simulation import OK, simulate
 from tasks.world import ENVIRONMENTS, DryLand
 
 ANALYSED = "analysed"  # role of the inputs that are the tables of an analysis
-
 PROPOSED = "proposed-"  # prefix of the design files of proposed champions
 
 _MOST_SECONDS_IN_TANK = 60.0  # limit on the films of the tank: a minute of a robot that does not move is enough [s]

@@ -29,10 +29,10 @@ from pipeline.stages.analyses.analysis_tables import (
     TANK,
     read_reasons,
     read_rows,
+    read_table,
 )
 from pipeline.stages.analyses.champions import MatrixTestRow, matrices_of
 from pipeline.stages.analyses.instruments import ThrustRow
-from pipeline.stages.analyses.statistics import HistogramRow
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
@@ -128,15 +128,15 @@ def _throws(chunks: Sequence[Files], time_step: float) -> ThrownPaths | None:
 
 def _accuracy(files: Files, depth: float) -> Accuracy | None:
     regressions = read_rows(files, "regressions", Regression)
-    drawn = read_rows(files, "histograms", HistogramRow)
-    shown = [row for row in drawn if row.name == "mean" or row.name.startswith("member ")]
-    if not regressions or not shown:
+    if not regressions:
         return None
-    n_bins = len(shown[0].edges) - 1
-    counts = np.array([row.counts for row in shown]).reshape(-1, n_bins, n_bins)
-    n_outside = np.array([row.n_outside for row in shown])
-    names, edges = tuple(row.name for row in shown), np.array(shown[0].edges)
-    return Accuracy(depth, regressions, Histograms(names, edges, counts, n_outside, None))
+    table = read_table(files, "histograms")
+    shown = [i for i, name in enumerate(table["name"]) if name == "mean" or name.startswith("member ")]
+    if not shown:
+        return None
+    names, edges = tuple(table["name"][shown].tolist()), table["edges"][0]
+    counts = table["counts"][shown].reshape(len(shown), len(edges) - 1, -1)
+    return Accuracy(depth, regressions, Histograms(names, edges, counts, table["n_outside"][shown], None))
 
 
 def _family(inputs: Inputs, trial: TrialId) -> Family | None:
@@ -177,7 +177,5 @@ def _family(inputs: Inputs, trial: TrialId) -> Family | None:
 def _gene_matrix(designs: Designs) -> Float64:
     """Return designs as (n_designs, n_genes), without the joint of the root, which has no effect."""
     first_link = {"parent": 1, **{gene.name: gene.first_link for gene in GENES}}
-    columns = []
-    for name, genes in designs.arrays():
-        columns.append(genes.reshape(len(designs), -1)[:, first_link[name] :].astype(np.float64))
-    return np.concatenate(columns, axis=1)
+    columns = (genes.reshape(len(designs), -1)[:, first_link[name] :] for name, genes in designs.arrays())
+    return np.concatenate([column.astype(np.float64) for column in columns], axis=1)

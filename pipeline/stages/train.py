@@ -28,7 +28,6 @@ from pipeline.workflow.stage import (
 from tasks.residual import Architecture, ErrorRow, Training
 
 MEMBER_ERRORS = "errors.parquet"  # file of a member's errors on the throws held out
-
 _LEARNING = "learning.parquet"
 
 _ERROR_UNITS = {

@@ -30,12 +30,9 @@ from tasks.arrays import Float64
 Verdict = Literal["agrees", "differs", "not comparable"]
 Claim = Literal["less", "greater", "no difference"]
 
-DEPTH = 9.0
-"""Depth of the paper's prediction accuracy and of Fig. 4A [m]."""
-N_TRIALS = 10
-"""Trials of each environment at each depth. "Evolution"."""
-N_DESIGNS = 2376
-"""Designs of the prediction accuracy. "Prediction Accuracy"."""
+DEPTH = 9.0  # depth of the paper's prediction accuracy and of Fig. 4A [m]
+N_TRIALS = 10  # trials of each environment at each depth: "Evolution"
+N_DESIGNS = 2376  # designs of the prediction accuracy: "Prediction Accuracy"
 SIGNIFICANT, INSIGNIFICANT = 1e-4, 0.01  # the paper's two thresholds: p below the first, p above the second
 
 MEANS: Mapping[ScoredArm, tuple[float, str]] = {
@@ -78,42 +75,21 @@ class Statement:
     source: str
 
 
+_DRY_LAND: ScoredArm = ("dry_land", "adapted")
+_RESIDUAL: ScoredArm = ("residual_slush", "adapted")
+_DEEP = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, DEPTH)
+_SHALLOW = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+_SAME_AT_50_CM = '"insignificant (p > 0.01) difference between Dry Land designs and True Slush for 0.5m", Evolution'
+_BELOW_BOTH = '"significantly under-performed both those evolved in Residual Slush and …", Evolution'
+_SAME_TO_3_M = '"insignificantly different … up until 3m of slush (p > 0.01)", Evolution'
+_ZERO_SHOT = '"significantly more performant … (Student\'s t-test, p < 0.0001; n=10)", Evolution'
+
 STATEMENTS = (
-    Statement(
-        ("dry_land", "adapted"),
-        BEST,
-        "no difference",
-        (0.5,),
-        '"insignificant (p > 0.01) difference between Dry Land designs and True Slush for 0.5m", Evolution',
-    ),
-    Statement(
-        ("dry_land", "adapted"),
-        BEST,
-        "less",
-        (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0),
-        '"p < 0.0001 for all slush depths > 0.5m", Evolution',
-    ),
-    Statement(
-        ("dry_land", "adapted"),
-        ("residual_slush", "adapted"),
-        "less",
-        (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 9.0),
-        '"significantly under-performed both those evolved in Residual Slush and …", Evolution',
-    ),
-    Statement(
-        ("residual_slush", "adapted"),
-        BEST,
-        "no difference",
-        (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0),
-        '"insignificantly different … up until 3m of slush (p > 0.01)", Evolution',
-    ),
-    Statement(
-        ("residual_slush", "zero_shot"),
-        ("dry_land", "adapted"),
-        "greater",
-        (DEPTH,),
-        '"significantly more performant … (Student\'s t-test, p < 0.0001; n=10)", Evolution',
-    ),
+    Statement(_DRY_LAND, BEST, "no difference", (0.5,), _SAME_AT_50_CM),
+    Statement(_DRY_LAND, BEST, "less", _DEEP, '"p < 0.0001 for all slush depths > 0.5m", Evolution'),
+    Statement(_DRY_LAND, _RESIDUAL, "less", _DEEP, _BELOW_BOTH),
+    Statement(_RESIDUAL, BEST, "no difference", _SHALLOW, _SAME_TO_3_M),
+    Statement(("residual_slush", "zero_shot"), _DRY_LAND, "greater", (DEPTH,), _ZERO_SHOT),
 )
 """For the sweep over depths the paper does not name the controllers; its Fig. 4B shows the adapted ones."""
 

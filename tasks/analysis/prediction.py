@@ -5,6 +5,9 @@ below 1 means that predictions are too optimistic, a low R that they rank design
 
 Designs of one trial descend from each other, so they are not independent samples. Where the trial of each design is
 given, the intervals come from resampling whole trials; resampling designs gives intervals that are too narrow.
+
+The paper draws 2,376 designs uniformly over the generations of trials in True Slush and on Dry Land, so that the sample
+contains early designs that hardly move and late ones that go far.
 """
 
 from collections.abc import Callable, Mapping
@@ -251,3 +254,22 @@ def histograms(predictors: Mapping[str, Floats], true: Floats, *, n_bins: int = 
         ]
     )
     return Histograms(names, edges, counts, len(true) - counts.sum(axis=(1, 2)), None)
+
+
+def spread_evenly(n_designs: int, n_trials: int) -> list[int]:
+    """Split a number of designs over trials into parts that differ by at most one."""
+    return [n_designs * (i + 1) // n_trials - n_designs * i // n_trials for i in range(n_trials)]
+
+
+def draw_over_generations(generation: npt.ArrayLike, n_designs: int, rng: Generator) -> Int64:
+    """Return indices of designs drawn without replacement from a trial, each generation with equal probability.
+
+    Args:
+        generation: (n_evaluated,) generation of each design of the trial.
+        n_designs: number of designs to draw; all are drawn if there are fewer.
+        rng: source of randomness.
+    """
+    _, which, n_in = np.unique(np.asarray(generation), return_inverse=True, return_counts=True)
+    share = 1 / n_in[which]
+    n_drawn = min(n_designs, len(which))
+    return np.sort(rng.choice(len(which), size=n_drawn, replace=False, p=share / share.sum()))

@@ -45,14 +45,9 @@ class Tank(Parameters):
         """Depth in the simulation [m]."""
         return self.depth / self.scale
 
-    @property
-    def simulated_seconds(self) -> float:
-        """Time limit in the simulation [s]."""
-        return self.seconds / froude_time(self.scale)
-
     def n_steps(self, time_step: float) -> int:
         """Return the time limit in steps of time_step [s]."""
-        return max(1, round(self.simulated_seconds / time_step))
+        return max(1, round(self.seconds / froude_time(self.scale) / time_step))
 
     def built_seconds(self, simulated: float) -> float:
         """Convert a simulated time to one of the built robot [s]."""

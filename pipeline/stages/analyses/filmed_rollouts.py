@@ -62,19 +62,12 @@ def film_arm(
         films.append(Filmed(champion, "true_slush", NO_MEMBER, float(rollouts.displacement[0]), rollouts.trace))
     home = champion.trial.environment
     if home != "true_slush" and (networks or home not in RESIDUAL_ENVIRONMENTS):
-        films.append(film_at_home(simulation, execution, champion, networks))
+        films.append(_film_at_home(simulation, execution, champion, networks))
     return films
 
 
-def film_at_home(simulation: SimulationSpec, execution: Execution, champion: Champion, networks: Inputs) -> Filmed:
-    """Return a film of a champion where it evolved; for an ensemble, under the member whose prediction is the median.
-
-    Args:
-        simulation: physics, rollout, and the media.
-        execution: the engine.
-        champion: the champion.
-        networks: files of every member.
-    """
+def _film_at_home(simulation: SimulationSpec, execution: Execution, champion: Champion, networks: Inputs) -> Filmed:
+    """Film a champion where it evolved; for an ensemble, under the member whose prediction is the median."""
     environment, name = home_of(simulation, champion, networks), champion.trial.environment
     rollouts = environments.roll_out(simulation, execution, environment, champion.design, trace=True)
     assert rollouts.trace is not None
@@ -82,7 +75,7 @@ def film_at_home(simulation: SimulationSpec, execution: Execution, champion: Cha
         return Filmed(champion, name, NO_MEMBER, float(rollouts.displacement[0]), rollouts.trace)
     predicted = rollouts.displacement[:, 0]
     k = median_member(predicted)
-    member = own_member(champion, networks) if name == "single_member" else k
+    member = _own_member(champion, networks) if name == "single_member" else k
     return Filmed(champion, name, member, float(predicted[k]), rollouts.trace[k])
 
 
@@ -92,7 +85,7 @@ def median_member(values: Float64) -> int:
     return int(ranked[max(int(np.isfinite(values).sum()) - 1, 0) // 2])
 
 
-def own_member(champion: Champion, networks: Inputs) -> int:
+def _own_member(champion: Champion, networks: Inputs) -> int:
     """Return the member with which a champion of single_member evolved."""
     return champion.trial.index % len(networks)
 
@@ -107,6 +100,6 @@ def home_of(simulation: SimulationSpec, champion: Champion, networks: Inputs) ->
     """
     members, trial = list(networks), champion.trial
     if trial.environment == "single_member":
-        members = [members[own_member(champion, networks)]]
+        members = [members[_own_member(champion, networks)]]
     own = {name: networks[name] for name in members}
     return environments.build_environment(simulation.media, trial.environment, trial.depth, own)

@@ -16,11 +16,11 @@ from pipeline.report.findings import ChampionRow, Moved
 from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.champions import Champion, champions
-from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, best_of, film_at_home, home_of
+from pipeline.stages.analyses.filmed_rollouts import Filmed, best_of, film_arm, home_of
 from pipeline.stages.analyses.specs import InstrumentsSpec, MembersSpec
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.environments import members_among
-from pipeline.store.tables import Columns, columns_of, text
+from pipeline.store.tables import Columns, columns_of
 from pipeline.workflow.stage import Inputs, Job
 from tasks.analysis.hallucination import Disagreement, disagreement, link_states
 from tasks.analysis.luck import Luck, luck
@@ -111,10 +111,7 @@ def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reas
     errors = member_errors(ensemble, environments.true_medium(simulation.media), links, physics)
     learned, _ = transitions_of(spec.held_out, spec.seed, inputs)
     index = thrown(learned.observation, learned.throw)
-    champion, traced = arm[best], in_slush.trace[best : best + 1]
-    films = [Filmed(champion, "true_slush", NO_MEMBER, champion.zero_shot, traced)] if survives else []
-    if spec.arm.environment != "true_slush":
-        films.append(film_at_home(simulation, job.execution, champion, members_among(inputs)))
+    films = film_arm(simulation, job.execution, arm, members_among(inputs))
     seen = [_measure(film, ensemble, index, physics) for film in films]
     lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
     lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
@@ -180,42 +177,29 @@ def _measure(film: Filmed, ensemble: EnsembleMedium, throws: Thrown, physics: Ph
 
 def _link_tables(seen: Sequence[MeasuredFilm], n_members: int) -> Tables:
     """Return a row per film, step and link, and a row per film."""
-    parts = [_links(of, n_members) for of in seen] or [_no_links(n_members)]
+    parts = [_links(of.row.seen_in, of.disagreement, of.novelty) for of in seen]
+    if not parts:
+        none, several = np.zeros((1, 0, 1)), np.zeros((n_members, 1, 0, 1), np.float32)
+        undecided = Disagreement(none.astype(np.float32), several, several, None)
+        parts = [_links("", undecided, Novelty(none, none, none.astype(np.int64)))]
     return {
         "links": {name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
         "films": columns_of(FilmRow, [of.row for of in seen]),
     }
 
 
-def _links(of: MeasuredFilm, n_members: int) -> Columns:
-    magnitude, new = of.disagreement.magnitude[0], of.novelty
-    n_steps, n_links = magnitude.shape
-    n = magnitude.size
+def _links(seen_in: str, of: Disagreement, new: Novelty) -> Columns:
+    n_steps, n_links = of.magnitude.shape[1:]
+    n_members, n = len(of.departure), n_steps * n_links
     names = np.array([*SPACE, ""])  # the last by index -1: unknown
     return {
-        "seen_in": np.full(n, of.row.seen_in),
+        "seen_in": np.full(n, seen_in),
         "step": np.repeat(np.arange(n_steps), n_links),
         "link": np.tile(np.arange(n_links), n_steps),
-        "disagreement": magnitude.ravel(),
+        "disagreement": of.magnitude.ravel(),
         "novelty": new.novelty.ravel().astype(np.float32),
         "distance": new.distance.ravel().astype(np.float32),
         "component": names[new.component.ravel()],
-        "departure": of.disagreement.departure.reshape(n_members, n).T,
-        "thrust": of.disagreement.thrust.reshape(n_members, n).T,
-    }
-
-
-def _no_links(n_members: int) -> Columns:
-    """Return the same columns without rows."""
-    numbers, several = np.zeros(0, np.float32), np.zeros((0, n_members), np.float32)
-    return {
-        "seen_in": text([]),
-        "step": np.zeros(0, np.int64),
-        "link": np.zeros(0, np.int64),
-        "disagreement": numbers,
-        "novelty": numbers,
-        "distance": numbers,
-        "component": text([]),
-        "departure": several,
-        "thrust": several,
+        "departure": of.departure.reshape(n_members, n).T,
+        "thrust": of.thrust.reshape(n_members, n).T,
     }

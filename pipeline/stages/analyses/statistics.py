@@ -13,7 +13,7 @@ from pipeline.stages.analyses.specs import StatisticsSpec
 from pipeline.stages.assess import ASSESSED, read_predictions
 from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json
-from pipeline.store.tables import columns_of
+from pipeline.store.tables import Columns, columns_of, text
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Files, Inputs, Job
 from tasks.analysis.attribution import Attribution, attribute
@@ -50,14 +50,8 @@ class ScoreRow:
     status: str
 
 
-def score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, str]) -> list[ScoreRow]:
-    """Return the scores of every trial, or the reason why it has none.
-
-    Args:
-        trials: the trials.
-        inputs: files by name, with the scores.
-        failed: reason by label of the trial.
-    """
+def _score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, str]) -> list[ScoreRow]:
+    """Return the scores of every trial, or the reason why it has none."""
     rows = []
     for trial in trials:
         scored, label = inputs.get(InputName(SCORED, trial)), trial.label
@@ -75,7 +69,7 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     """Make every table that needs no rollout."""
     spec = job.spec
     rng = generator(spec.seed, "analyse", "statistics")
-    table = columns_of(ScoreRow, score_rows(spec.trials, inputs, job.spec.failed))
+    table = columns_of(ScoreRow, _score_rows(spec.trials, inputs, job.spec.failed))
     scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
     shares = [files for name, files in inputs.items() if name.role == ASSESSED]
     predicted, true, trial = _predictions(shares)
@@ -98,7 +92,7 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     return {
         "scores": table,
         "regressions": columns_of(Regression, regressions),
-        "histograms": columns_of(HistogramRow, _drawn(predicted, true)),
+        "histograms": _drawn(predicted, true),
         "contrasts": columns_of(Contrast, contrasts),
         "attribution": columns_of(Attribution, attributions),
         "paper": columns_of(Row, against_paper(scores, *assessed, rng=rng)),
@@ -114,25 +108,18 @@ def _predictions(shares: Sequence[Files]) -> tuple[Float64, Float64, list[str]]:
     return table["predicted"].T, table["true"], trial
 
 
-@dataclass(frozen=True)
-class HistogramRow:
-    """A 2-D histogram of true over predicted displacement."""
-
-    name: str
-    n_outside: int
-    edges: tuple[float, ...]  # (n_bins + 1,) of both axes [m]
-    counts: tuple[int, ...]  # (n_bins²,), predicted by true
-
-
-def _drawn(predicted: Float64, true: Float64) -> list[HistogramRow]:
+def _drawn(predicted: Float64, true: Float64) -> Columns:
     """Count true over predicted displacement, for each member, their mean, and their mean minus a deviation."""
     together = aggregates(predicted) if len(predicted) else {}
     chosen = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1)) if name in together}
     found = histograms(members(predicted) | chosen, true)
+    n = len(found.names)
     if found.reason is not None:  # nothing was assessed, or every design diverged, which the regressions state
-        return []
-    edges = tuple(found.edges.tolist())
-    return [
-        HistogramRow(name, int(n_outside), edges, tuple(counts.ravel().tolist()))
-        for name, n_outside, counts in zip(found.names, found.n_outside, found.counts, strict=True)
-    ]
+        none = np.zeros((0, 1), np.int64)
+        return {"name": text([]), "n_outside": none[:, 0], "edges": none.astype(np.float64), "counts": none}
+    return {
+        "name": text(found.names),
+        "n_outside": found.n_outside,
+        "edges": np.tile(found.edges, (n, 1)),
+        "counts": found.counts.reshape(n, -1),
+    }
