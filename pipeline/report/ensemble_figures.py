@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from pipeline.report.data import StudyReport
 from pipeline.report.drawing import FIGURE_WIDTH, INK, NothingToDraw, count, draw_interval, legend, sampled
-from pipeline.report.findings import ThrownPaths
+from pipeline.report.findings import ThrowPaths
 from tasks.analysis.member_error import MemberError
 from tasks.world import ENVIRONMENTS
 
@@ -46,7 +46,7 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
     )
 
 
-def _paths(panel: Any, throws: ThrownPaths, chosen: Any, color: str) -> None:
+def _paths(panel: Any, throws: ThrowPaths, chosen: Any, color: str) -> None:
     paths = throws.path[chosen]
     xy = paths[:, sampled(paths.shape[1], _POINTS_PER_PATH), :2]
     gap = np.full((len(xy), 1, 2), np.nan)  # lifts the pen between throws

@@ -5,12 +5,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from tasks.analysis.attribution import Attribution, TransferMatrix
-from tasks.analysis.comparison import Contrast
+from tasks.analysis.comparison import Contrast, EvolvedIn
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.paper import Row
 from tasks.analysis.prediction import Histograms, Regression
-from tasks.analysis.scores import EvolvedIn
 from tasks.analysis.tank import Crossing, Tank
 from tasks.analysis.uncertainty import Estimate
 from tasks.arrays import Float64
@@ -70,7 +69,7 @@ class TankRow:
 
 
 @dataclass(frozen=True, eq=False)
-class ThrownPaths:
+class ThrowPaths:
     """The throws of the data set: paper, Fig. 2."""
 
     length_scale: Float64  # (n_throws,) long axis of the link [m]
@@ -113,7 +112,7 @@ class Family:
 class Findings:
     """All results of the analysis, or as many as there are."""
 
-    throws: ThrownPaths | None = None
+    throws: ThrowPaths | None = None
     accuracy: Accuracy | None = None
     against_paper: Sequence[Row] = ()
     contrasts: Sequence[Contrast] = ()

@@ -65,20 +65,7 @@ from typing import Any
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.analyses import champions, instruments, specs, statistics, tank_tests
-from pipeline.stages.analyses.analysis_tables import (
-    ANALYSIS_VERSION,
-    EXPLOITERS,
-    INSTRUMENTS,
-    MATRIX,
-    MEMBERS,
-    STATISTICS,
-    TANK,
-    Reasons,
-    Tables,
-    encode,
-    read_reasons,
-    read_table,
-)
+from pipeline.stages.analyses.analysis_tables import ANALYSIS_VERSION, Reasons, Tables, encode, read_reasons, read_table
 from pipeline.stages.analyses.summary import highlights
 from pipeline.stages.assess import ASSESSED, ASSESSED_ENVIRONMENTS, PREDICTIONS
 from pipeline.stages.collect import data_set
@@ -131,19 +118,21 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
         chains.append(Chain(part, (1,), spec, weight=weight))
 
     ensemble: EnvironmentName = "residual_slush" if settings.needs_ensemble else "true_slush"
-    plan(PartId(STATISTICS), specs.StatisticsSpec(seed, trials, simulation, settings.assessed_depth), 0)
-    plan(PartId(MEMBERS), specs.MembersSpec(seed, (), simulation, held_out), 0, ensemble)
-    plan(PartId(MATRIX), specs.MatrixSpec(seed, trials, simulation, depths), len(trials) * len(depths))
-    plan(PartId(EXPLOITERS), specs.ExploitersSpec(seed, trials, simulation, penalty), len(trials), ensemble)
+    plan(PartId(specs.STATISTICS), specs.StatisticsSpec(seed, trials, simulation, settings.assessed_depth), 0)
+    plan(PartId(specs.MEMBERS), specs.MembersSpec(seed, (), simulation, held_out), 0, ensemble)
+    plan(PartId(specs.MATRIX), specs.MatrixSpec(seed, trials, simulation, depths), len(trials) * len(depths))
+    plan(PartId(specs.EXPLOITERS), specs.ExploitersSpec(seed, trials, simulation, penalty), len(trials), ensemble)
     for arm, of_arm in arms_of(trials).items():
         own, n = tuple(of_arm), len(of_arm)
         spec = specs.InstrumentsSpec(seed, own, simulation, arm, held_out, penalty)
-        plan(PartId(INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES), arm.environment)
+        plan(PartId(specs.INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES), arm.environment)
         if tank is not None:
             n_tank = tank.n_steps(settings.physics.time_step)
             # One rollout on Dry Land, and one in the filled and one in the drained tank.
             n_rollouts = 1 + 2 * (n_tank + rollout.n_settle) / (rollout.n_settle + rollout.n_measure)
-            plan(PartId(TANK, arm), specs.TankSpec(seed, own, simulation, arm, tank, n_tank), ceil(n * n_rollouts))
+            plan(
+                PartId(specs.TANK, arm), specs.TankSpec(seed, own, simulation, arm, tank, n_tank), ceil(n * n_rollouts)
+            )
     return chains
 
 

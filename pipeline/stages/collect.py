@@ -20,7 +20,6 @@ from tasks.world import Physics
 
 THROWN = "throws"  # role of the inputs that are chunks of the data set
 TRANSITIONS = "transitions.parquet"
-
 _STATE_UNITS = f"{', '.join(STATE)} [m, m, rad, m/s, m/s, rad/s]"
 _UNITS = {
     "throw": "",

@@ -9,7 +9,8 @@ from pipeline.config.settings import Settings
 from pipeline.report.findings import TankRow
 from pipeline.report.replay import Replay, replay_of
 from pipeline.stages import environments
-from pipeline.stages.analyses.analysis_tables import TANK, read_rows
+from pipeline.stages.analyses.analysis_tables import read_rows
+from pipeline.stages.analyses.specs import TANK
 from pipeline.stages.part import PartId
 from pipeline.stages.transfer import CHAMPION, SCORED
 from pipeline.store.design_file import design_from
@@ -21,7 +22,6 @@ from tasks.world import ENVIRONMENTS, DryLand
 
 ANALYSED = "analysed"  # role of the inputs that are the tables of an analysis
 PROPOSED = "proposed-"  # prefix of the design files of proposed champions
-
 _MOST_SECONDS_IN_TANK = 60.0  # limit on the films of the tank: a minute of a robot that does not move is enough [s]
 
 

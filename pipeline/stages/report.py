@@ -53,7 +53,6 @@ from tasks.world import ENVIRONMENTS
 
 PAGE = "index.html"  # the page's file
 _PAGE_ID = PartId(PAGE)
-
 TOGETHER = "replay"
 """File name without suffix of the film of two robots: the best with residuals above the best without."""
 

@@ -17,20 +17,11 @@ from pipeline.report.findings import (
     Family,
     Findings,
     TankRow,
-    ThrownPaths,
+    ThrowPaths,
 )
 from pipeline.stages import segments
-from pipeline.stages.analyses.analysis_tables import (
-    EXPLOITERS,
-    INSTRUMENTS,
-    MATRIX,
-    MEMBERS,
-    STATISTICS,
-    TANK,
-    read_reasons,
-    read_rows,
-    read_table,
-)
+from pipeline.stages.analyses import specs
+from pipeline.stages.analyses.analysis_tables import read_reasons, read_rows, read_table
 from pipeline.stages.analyses.champions import MatrixTestRow, matrices_of
 from pipeline.stages.analyses.instruments import ThrustRow
 from pipeline.stages.collect import read_transitions, throws_among
@@ -61,10 +52,12 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         family: the trial whose champion's family is shown.
     """
     analysed = {name.chain: files for name, files in inputs.items() if name.role == ANALYSED}
-    statistics = analysed.get(PartId(STATISTICS), {})
+    statistics = analysed.get(PartId(specs.STATISTICS), {})
     arms = {arm_words(arm.environment, arm.depth): arm for arm in deepest_first(trials_of(settings, "transfer"))}
-    instruments = {words: files for words, arm in arms.items() if (files := analysed.get(PartId(INSTRUMENTS, arm)))}
-    tanks = {words: files for words, arm in arms.items() if (files := analysed.get(PartId(TANK, arm)))}
+    instruments = {
+        words: files for words, arm in arms.items() if (files := analysed.get(PartId(specs.INSTRUMENTS, arm)))
+    }
+    tanks = {words: files for words, arm in arms.items() if (files := analysed.get(PartId(specs.TANK, arm)))}
     ensemble = instruments.get(arm_words("residual_slush", settings.assessed_depth), {})
     missing = {
         field: reason
@@ -79,7 +72,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
     traced = _family(inputs, family) if family else None
     if family and traced is None:
         missing["family"] = "every design of the trial diverged"
-    tests = read_rows(analysed.get(PartId(MATRIX)), "tests", MatrixTestRow)
+    tests = read_rows(analysed.get(PartId(specs.MATRIX)), "tests", MatrixTestRow)
     return Findings(
         throws=_throws(throws_among(inputs), settings.physics.time_step),
         accuracy=_accuracy(statistics, settings.assessed_depth),
@@ -87,9 +80,11 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         contrasts=read_rows(statistics, "contrasts", Contrast),
         attributions=read_rows(statistics, "attribution", Attribution),
         transfer_matrices=matrices_of(tests),
-        exploiters=read_rows(analysed.get(PartId(EXPLOITERS)), "exploiters", ExploiterRow),
+        exploiters=read_rows(analysed.get(PartId(specs.EXPLOITERS)), "exploiters", ExploiterRow),
         champions={words: read_rows(files, "champions", ChampionRow) for words, files in instruments.items()},
-        phantom_thrust=[row.thrust for row in read_rows(analysed.get(PartId(MEMBERS)), "phantom_thrust", ThrustRow)],
+        phantom_thrust=[
+            row.thrust for row in read_rows(analysed.get(PartId(specs.MEMBERS)), "phantom_thrust", ThrustRow)
+        ],
         member_errors=read_rows(ensemble, "member_errors", MemberError),
         family=traced,
         tank=settings.tank,
@@ -99,13 +94,13 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
 
 
 _SOURCES: Mapping[str, tuple[str, str]] = {
-    "accuracy": (STATISTICS, "regressions"),
-    "against_paper": (STATISTICS, "paper"),
-    "contrasts": (STATISTICS, "contrasts"),
-    "attributions": (STATISTICS, "attribution"),
-    "transfer_matrices": (MATRIX, "matrix"),
-    "exploiters": (EXPLOITERS, "exploiters"),
-    "phantom_thrust": (MEMBERS, "phantom_thrust"),
+    "accuracy": (specs.STATISTICS, "regressions"),
+    "against_paper": (specs.STATISTICS, "paper"),
+    "contrasts": (specs.STATISTICS, "contrasts"),
+    "attributions": (specs.STATISTICS, "attribution"),
+    "transfer_matrices": (specs.MATRIX, "matrix"),
+    "exploiters": (specs.EXPLOITERS, "exploiters"),
+    "phantom_thrust": (specs.MEMBERS, "phantom_thrust"),
 }
 """Work item and table by field of Findings; the item may state why the table is empty."""
 
@@ -114,7 +109,7 @@ def _reason(files: Files | None, table: str) -> str | None:
     return "its analysis is not done" if files is None else read_reasons(files).get(table)
 
 
-def _throws(chunks: Sequence[Files], time_step: float) -> ThrownPaths | None:
+def _throws(chunks: Sequence[Files], time_step: float) -> ThrowPaths | None:
     """Arrange the transitions of throws as paths."""
     if not chunks:
         return None
@@ -123,7 +118,7 @@ def _throws(chunks: Sequence[Files], time_step: float) -> ThrownPaths | None:
     throws, first = np.unique(table.throw[order], return_index=True)
     path = table.state[order].reshape(len(throws), -1, table.state.shape[1])[:, :, :3].astype(np.float64)
     lengths = table.length_scale[order][first].astype(np.float64)
-    return ThrownPaths(lengths, path, seconds=path.shape[1] * time_step)
+    return ThrowPaths(lengths, path, seconds=path.shape[1] * time_step)
 
 
 def _accuracy(files: Files, depth: float) -> Accuracy | None:

@@ -10,10 +10,11 @@ import numpy as np
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import environments
-from pipeline.stages.analyses.analysis_tables import INSTRUMENTS, read_rows, read_table
+from pipeline.stages.analyses.analysis_tables import read_rows, read_table
 from pipeline.stages.analyses.champions import champions
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, film_arm
 from pipeline.stages.analyses.instruments import FilmRow, transitions_of
+from pipeline.stages.analyses.specs import INSTRUMENTS
 from pipeline.stages.environments import SimulationSpec, members_among
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED

@@ -23,9 +23,8 @@ from tasks.seeding import generator
 from tasks.world import Environment, EnvironmentName
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
-
+_HISTORY_UNITS = {**HISTORY_UNITS, **{gene.name: gene.unit for gene in GENES}}
 BEFORE = InputName("before")  # the segment before
-
 CHAMPION_OF = InputName("champion-of")  # the last segment of the trial whose champion's body is frozen
 
 
@@ -136,7 +135,7 @@ def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs])
     return [
         {
             POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=job.key),
-            HISTORY: encode_table(history, schema="history", version=1, producer=job.key, units=history_units()),
+            HISTORY: encode_table(history, schema="history", version=1, producer=job.key, units=_HISTORY_UNITS),
             CURVE: encode_table(
                 _curve(trial.population, history), schema="curve", version=1, producer=job.key, units=CURVE_UNITS
             ),
@@ -169,11 +168,6 @@ def population_of(files: Files) -> Population:
 def champion_of(population: Population) -> Designs | None:
     """Return the fittest design, or None if all diverged."""
     return population.designs[population.champion()] if len(population.designs) else None
-
-
-def history_units() -> dict[str, str]:
-    """Return the units of a history's columns."""
-    return {**HISTORY_UNITS, **{gene.name: gene.unit for gene in GENES}}
 
 
 def drawn_column(operator: str) -> str:

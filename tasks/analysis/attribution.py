@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.analysis.comparison import ratio
-from tasks.analysis.scores import EvolvedIn, Scores
+from tasks.analysis.comparison import EvolvedIn, Scores, ratio
 from tasks.analysis.uncertainty import Estimate, bootstrap, finite, mean
 from tasks.arrays import Float64, Floats, Int64
 

@@ -21,9 +21,8 @@ from typing import Literal
 import numpy as np
 from numpy.random import Generator
 
-from tasks.analysis.comparison import BEST, ScoredArm, difference, ratio, student
+from tasks.analysis.comparison import BEST, ScoredArm, Scores, difference, ratio, student
 from tasks.analysis.prediction import Figure, MembersRange, Regression, mean_less_deviations
-from tasks.analysis.scores import Scores
 from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
 from tasks.arrays import Float64
 

@@ -7,8 +7,6 @@ from pipeline.store.tables import Columns, rows_of
 from pipeline.workflow.stage import Files
 
 ANALYSIS_VERSION = 5  # version of the stage and of its tables
-STATISTICS, MEMBERS, MATRIX, EXPLOITERS = "statistics", "members", "transfer-matrix", "exploiters"
-INSTRUMENTS, TANK = "instruments", "tank"  # kinds of analyses
 REASONS = "reasons.json"
 
 Tables = dict[str, Columns]

@@ -7,6 +7,9 @@ from pipeline.stages.environments import SimulationSpec
 from pipeline.workflow.identity import Arm, TrialId
 from tasks.analysis.tank import Tank
 
+STATISTICS, MEMBERS, MATRIX, EXPLOITERS = "statistics", "members", "transfer-matrix", "exploiters"
+INSTRUMENTS, TANK = "instruments", "tank"  # kinds of analyses
+
 
 @dataclass(frozen=True)
 class AnalysisSpec:

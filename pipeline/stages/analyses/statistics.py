@@ -17,7 +17,7 @@ from pipeline.store.tables import Columns, columns_of, text
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Files, Inputs, Job
 from tasks.analysis.attribution import Attribution, attribute
-from tasks.analysis.comparison import CONTRASTS, Contrast, sweep
+from tasks.analysis.comparison import CONTRASTS, Contrast, Scores, sweep
 from tasks.analysis.paper import DEPTH, Row, against_paper, name_of
 from tasks.analysis.prediction import (
     Regression,
@@ -28,7 +28,6 @@ from tasks.analysis.prediction import (
     members,
     members_ranges,
 )
-from tasks.analysis.scores import Scores
 from tasks.arrays import Float64
 from tasks.seeding import generator
 

@@ -9,8 +9,9 @@ from math import isfinite
 import numpy as np
 
 from pipeline.report.findings import ExploiterRow, TankRow
-from pipeline.stages.analyses.analysis_tables import EXPLOITERS, MEMBERS, STATISTICS, TANK, read_rows
+from pipeline.stages.analyses.analysis_tables import read_rows
 from pipeline.stages.analyses.instruments import ThrustRow
+from pipeline.stages.analyses.specs import EXPLOITERS, MEMBERS, STATISTICS, TANK
 from pipeline.stages.part import PartId
 from pipeline.workflow.identity import Arm, ChainId, TrialId
 from pipeline.workflow.stage import Files

@@ -10,16 +10,15 @@ import pytest
 from pipeline.report.data import StudyReport, TrialResult
 from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
-from pipeline.report.findings import Accuracy, Ancestor, ChampionRow, ExploiterRow, Family, Findings, Moved, ThrownPaths
+from pipeline.report.findings import Accuracy, Ancestor, ChampionRow, ExploiterRow, Family, Findings, Moved, ThrowPaths
 from pipeline.report.replay import Replay, replay_of
 from tasks.analysis.attribution import attribute, transfer_matrix
-from tasks.analysis.comparison import sweep
+from tasks.analysis.comparison import Scores, sweep
 from tasks.analysis.hallucination import rank_exploiters
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.paper import against_paper
 from tasks.analysis.prediction import accuracy, aggregates, histograms, members, members_ranges
-from tasks.analysis.scores import Scores
 from tasks.analysis.uncertainty import Estimate, mean
 from tasks.design import random_designs
 from tasks.simulation import simulate
@@ -114,7 +113,7 @@ def findings() -> Findings:
     start, speed = rng.uniform(-6, 6, (9, 1)), rng.uniform(-20, 20, (9, 1))
     paths = np.stack((speed * (1 - np.exp(-time)), start - time, 5 * time + start), axis=-1)
     return Findings(
-        throws=ThrownPaths(np.repeat([1.0, 2.0, 3.0], 3), paths, 3.3),
+        throws=ThrowPaths(np.repeat([1.0, 2.0, 3.0], 3), paths, 3.3),
         accuracy=Accuracy(9.0, fits, histograms(shown, true, n_bins=24)),
         against_paper=against_paper(scores, fits, ranges, rng=rng),
         contrasts=sweep(scores, rng=rng),

@@ -13,7 +13,8 @@ from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages.analyse import ANALYSE
-from pipeline.stages.analyses.analysis_tables import TANK, read_table
+from pipeline.stages.analyses.analysis_tables import read_table
+from pipeline.stages.analyses.specs import TANK
 from pipeline.stages.evolve import EVOLVE
 from pipeline.stages.part import PartId
 from pipeline.stages.report import PAGE, REPORT

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.stages.analyses.analysis_tables import EXPLOITERS, INSTRUMENTS, read_table
+from pipeline.stages.analyses.analysis_tables import read_table
+from pipeline.stages.analyses.specs import EXPLOITERS, INSTRUMENTS
 from pipeline.stages.environments import MEMBER, simulation_spec
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED

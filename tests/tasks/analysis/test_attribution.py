@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tasks.analysis.attribution import attribute, transfer_matrix
-from tasks.analysis.scores import Scores
+from tasks.analysis.comparison import Scores
 
 
 def rng(seed=0):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis.comparison import CONTRASTS, compare, difference, hedges_g, holm, ratio, student, sweep
-from tasks.analysis.scores import Scores
+from tasks.analysis.comparison import CONTRASTS, Scores, compare, difference, hedges_g, holm, ratio, student, sweep
 
 
 def rng(seed=0):

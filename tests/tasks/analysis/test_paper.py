@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tasks.analysis.comparison import Scores
 from tasks.analysis.paper import AGGREGATES, MEANS, PHYSICAL, RANGES, RATIOS, STATEMENTS, against_paper
 from tasks.analysis.prediction import MembersRange, Regression
-from tasks.analysis.scores import Scores
 from tasks.analysis.uncertainty import Estimate
 
 NAN = float("nan")
