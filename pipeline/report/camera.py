@@ -10,8 +10,7 @@ from tasks.arrays import Float64
 
 FILM_FPS = STEPS_PER_SECOND // STEPS_PER_FRAME  # pictures per second: every frame of a replay
 
-PICTURE_WIDTH = 640
-"""Width of a picture [pixel]. A multiple of 128, so that no row of an MP4's planes needs padding, see films.py."""
+PICTURE_WIDTH = 640  # width of a picture [pixel]; multiples of 128 leave an MP4's planes without padding, see films.py
 LANE_HEIGHT = 240  # height of each robot's part of the picture [pixel]
 CAPTION_HEIGHT = 44  # height of the caption at the top of a lane [pixel]
 ZOOM = 2  # pixels drawn per pixel of the picture, in each direction, to smooth edges

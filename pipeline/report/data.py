@@ -18,8 +18,7 @@ from tasks.analysis.uncertainty import RESOLUTION
 from tasks.arrays import Float64
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
-Measure = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]
-"""A column of the table of champions [m]."""
+Measure = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]  # columns of TrialResult [m]
 
 
 def arm_words(environment: EnvironmentName, depth: float) -> str:
@@ -37,11 +36,9 @@ class TrialResult:
     predicted: float  # fitness where it evolved (in Residual Slush the mean of the members minus k standard deviations)
     zero_shot: float | None = None  # displacement of its root in True Slush; None if not simulated yet
     zero_shot_com: float | None = None  # displacement of its centre of mass in True Slush
-    adapted: float | None = None
-    """Displacement of its root in True Slush with a controller that evolved there; None if not adapted."""
+    adapted: float | None = None  # of its root with a controller that evolved there; None if not adapted
     adapted_com: float | None = None  # displacement of its centre of mass, likewise
-    curve: Float64 = field(default_factory=lambda: np.empty(0))
-    """(n_generations,) best fitness so far where it evolves [m]."""
+    curve: Float64 = field(default_factory=lambda: np.empty(0))  # (n_generations,) best fitness so far [m]
 
     @property
     def all_diverged(self) -> bool:
@@ -71,8 +68,7 @@ class StudyReport:
     replays: Sequence[Replay] = ()
     findings: Findings = field(default_factory=Findings)
     draws: Sequence[Draws] = ()  # operators that rejected designs; empty where every design is buildable
-    measured_seconds: float = 20.0
-    """How long displacement is measured [s]. [P]"""
+    measured_seconds: float = 20.0  # how long displacement is measured [s]. [P]
     digests: Sequence[tuple[str, str, str]] = ()  # stage, label and SHA-256 of every artifact
     failed: Sequence[str] = ()  # work items that failed, with their errors
     not_possible: Sequence[str] = ()  # work items that were not tried because an input failed

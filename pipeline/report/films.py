@@ -19,8 +19,7 @@ from pipeline.report.camera import FILM_FPS, LANE_HEIGHT, PICTURE_WIDTH, cameras
 from pipeline.report.replay import Replay
 from pipeline.report.robot_view import Lane, palette
 
-GIF_EVERY = 3
-"""A GIF has every third picture: it counts time in hundredths of a second, and every picture adds to its size."""
+GIF_EVERY = 3  # a GIF has every third picture: it counts time in hundredths of a second, and pictures add to its size
 
 _X264 = {"preset": "veryfast", "crf": "23", "threads": "1"}
 """At a constant rate factor of 23 the edges of links are clean, and 20 s take 250 to 550 kB. A slower preset takes

@@ -82,8 +82,7 @@ class Accuracy:
     """Accuracy of the predicted displacement in True Slush: paper, Fig. 3."""
 
     depth: float  # [m]
-    regressions: Sequence[Regression]
-    """For every member ("member 0", ...) and every aggregate ("mean", "mean - 1 sd", "min", ...)."""
+    regressions: Sequence[Regression]  # for every member ("member 0", ...) and aggregate ("mean", "mean - 1 sd", ...)
     histograms: Histograms  # for the members and their mean
 
 
@@ -117,8 +116,7 @@ class Findings:
     against_paper: Sequence[Row] = ()
     contrasts: Sequence[Contrast] = ()
     attributions: Sequence[Attribution] = ()
-    transfer_matrices: Mapping[EvolvedIn, TransferMatrix] = field(default_factory=dict)
-    """By where the champions evolved."""
+    transfer_matrices: Mapping[EvolvedIn, TransferMatrix] = field(default_factory=dict)  # by where champions evolved
     exploiters: Sequence[ExploiterRow] = ()  # ordered by rank
     champions: Mapping[str, Sequence[ChampionRow]] = field(default_factory=dict)  # by arm, in words
     phantom_thrust: Sequence[Estimate] = ()  # one per member [m/s²]

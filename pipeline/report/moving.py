@@ -11,8 +11,7 @@ from pipeline.report.replay import Replay, encode
 from pipeline.report.wording import absent, number
 from tasks.world import ENVIRONMENTS
 
-_EXEMPLARS = ("residual_slush", "dry_land")
-"""Arms of the gallery: with residuals and without. Paper, Fig. 1."""
+_EXEMPLARS = ("residual_slush", "dry_land")  # arms of the gallery: with residuals and without. Paper, Fig. 1
 
 _SCRIPTS = ("robot.js", "viewer.js", "gallery.js")
 

@@ -19,8 +19,7 @@ MOST_EXPLOITERS = 15  # designs listed on the page; the table of the study has a
 LINE_ENDS = 12  # ancestors listed from each end of a champion's line
 
 
-_MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}
-"""So that colour is never the only difference."""
+_MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}  # not by colour alone
 _PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}
 
 

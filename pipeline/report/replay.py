@@ -33,8 +33,7 @@ class Overlay:
     label: str
     unit: str  # such as "m/s²", or "× usual"
     values: Float64  # (n_frames, n_links), not negative; NaN where unknown
-    darkest_at_least: float = 0.0
-    """Lower bound on the value of the darkest colour, so that harmless values never look alarming."""
+    darkest_at_least: float = 0.0  # lower bound on the darkest colour's value, so that harmless values look harmless
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +51,7 @@ class Replay:
     frames: Float64  # (n_frames, n_links, 3) x, y [m], angle [rad]
     fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME  # frames per second
     overlays: tuple[Overlay, ...] = ()  # further numbers for each link and frame
-    push: Float64 | None = None
-    """(n_frames, n_links, 2) acceleration of each link by the medium [m/s²], where it is known."""
+    push: Float64 | None = None  # (n_frames, n_links, 2) acceleration by the medium [m/s²], where it is known
 
     def __post_init__(self) -> None:
         shape = self.frames.shape[:2]

@@ -53,8 +53,7 @@ from tasks.world import ENVIRONMENTS
 
 PAGE = "index.html"  # the page's file
 _PAGE_ID = PartId(PAGE)
-TOGETHER = "replay"
-"""File name without suffix of the film of two robots: the best with residuals above the best without."""
+TOGETHER = "replay"  # film of two robots, without suffix: the best with residuals above the best without
 
 TRAINED, EVOLUTION, ADAPTATION = "trained", "evolution", "adaptation"
 """Roles of the inputs that are members' errors, curves of trials, and curves of their adaptations."""
@@ -175,12 +174,9 @@ def _compute(job: Job[PageItemSpec | FilmsSpec], inputs: Inputs) -> Files:
 
 
 def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
-    """Make a GIF and an MP4 of each replay, or of the two in True Slush together.
-
-    A listing describes each film; it is empty if no champion of the arm could be filmed.
-    """
+    """Make a GIF and an MP4 of each replay, or of the two in True Slush together, and a listing of the films."""
     replays = replays_of(spec.simulation, spec.trials, execution, inputs)
-    named = {film_name(replay): [replay] for replay in replays}
+    named = {_film_name(replay): [replay] for replay in replays}
     if spec.together:
         above = sorted((r for r in replays if r.in_true_slush), key=lambda r: r.environment != "residual_slush")
         named = {TOGETHER: above[:2]} if above else {}
@@ -193,7 +189,7 @@ def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
     return {**files, spec.listing: encode_json(listed)}
 
 
-def film_name(replay: Replay) -> str:
+def _film_name(replay: Replay) -> str:
     """Name the film of one robot; the store allows no dot in a name."""
     suffix = "" if replay.in_true_slush else "-at-home"
     return f"{TOGETHER}-{replay.environment}-{replay.depth:g}m".replace(".", "_") + suffix

@@ -54,10 +54,10 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
     analysed = {name.chain: files for name, files in inputs.items() if name.role == ANALYSED}
     statistics = analysed.get(PartId(specs.STATISTICS), {})
     arms = {arm_words(arm.environment, arm.depth): arm for arm in deepest_first(trials_of(settings, "transfer"))}
-    instruments = {
-        words: files for words, arm in arms.items() if (files := analysed.get(PartId(specs.INSTRUMENTS, arm)))
-    }
-    tanks = {words: files for words, arm in arms.items() if (files := analysed.get(PartId(specs.TANK, arm)))}
+    instruments, tanks = (
+        {words: files for words, arm in arms.items() if (files := analysed.get(PartId(kind, arm)))}
+        for kind in (specs.INSTRUMENTS, specs.TANK)
+    )
     ensemble = instruments.get(arm_words("residual_slush", settings.assessed_depth), {})
     missing = {
         field: reason
@@ -73,6 +73,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
     if family and traced is None:
         missing["family"] = "every design of the trial diverged"
     tests = read_rows(analysed.get(PartId(specs.MATRIX)), "tests", MatrixTestRow)
+    thrusts = read_rows(analysed.get(PartId(specs.MEMBERS)), "phantom_thrust", ThrustRow)
     return Findings(
         throws=_throws(throws_among(inputs), settings.physics.time_step),
         accuracy=_accuracy(statistics, settings.assessed_depth),
@@ -82,9 +83,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         transfer_matrices=matrices_of(tests),
         exploiters=read_rows(analysed.get(PartId(specs.EXPLOITERS)), "exploiters", ExploiterRow),
         champions={words: read_rows(files, "champions", ChampionRow) for words, files in instruments.items()},
-        phantom_thrust=[
-            row.thrust for row in read_rows(analysed.get(PartId(specs.MEMBERS)), "phantom_thrust", ThrustRow)
-        ],
+        phantom_thrust=[row.thrust for row in thrusts],
         member_errors=read_rows(ensemble, "member_errors", MemberError),
         family=traced,
         tank=settings.tank,

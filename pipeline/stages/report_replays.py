@@ -76,7 +76,8 @@ def surroundings_in(environment: EnvironmentName) -> Surroundings:
     """Return what fills an environment."""
     if environment in RESIDUAL_ENVIRONMENTS:
         return "hallucinated slush"
-    return {"dry_land": "air", "true_slush": "true slush"}.get(environment, "another medium")  # type: ignore[return-value]
+    known: dict[str, Surroundings] = {"dry_land": "air", "true_slush": "true slush"}
+    return known.get(environment, "another medium")
 
 
 def _words(film: Filmed) -> str:

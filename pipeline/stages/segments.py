@@ -34,8 +34,7 @@ class TrialSpec:
 
     identity: TrialId
     seed: int
-    environment: EnvironmentName
-    """Where designs are simulated: the trial's own environment, or True Slush for an adaptation."""
+    environment: EnvironmentName  # where designs are simulated: its own, or True Slush for an adaptation
     simulation: SimulationSpec
     afpo: Afpo
     morphology: Morphology

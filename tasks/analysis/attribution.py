@@ -43,8 +43,7 @@ class Attribution:
     body_share: Estimate  # lost_to_body / gap
     recovered_zero_shot: Estimate  # zero_shot / best: the paper's 67 %
     recovered_adapted: Estimate  # adapted / best: the paper's 87 %
-    recovered_of_dry_land: Estimate
-    """(zero_shot - Dry Land's) / (best - Dry Land's): share of Dry Land's gap that this arm closes."""
+    recovered_of_dry_land: Estimate  # (zero_shot - Dry Land's) / (best - Dry Land's): share of its gap that is closed
 
 
 def attribute(scores: Scores, *, rng: Generator) -> tuple[Attribution, ...]:

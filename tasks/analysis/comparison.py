@@ -257,8 +257,7 @@ class Contrast:
     b: ScoredArm
     depth: float  # [m]
     comparison: Comparison = field(metadata={"prefix": False})
-    student_holm: float | None
-    """p of Student's t, corrected over the depths of this contrast; the other two tests likewise."""
+    student_holm: float | None  # p of Student's t, corrected over the depths of this contrast; the next two likewise
     welch_holm: float | None
     mann_whitney_holm: float | None
 

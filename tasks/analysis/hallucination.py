@@ -82,8 +82,7 @@ def size(accelerations: Floats, links: LinkStates) -> Float64:
 class Disagreement:
     """Disagreement of the members along rollouts; NaN once a rollout has diverged, and throughout with one member."""
 
-    magnitude: Float32
-    """(n_designs, n_steps, n_links) standard deviation over members of the acceleration, by :func:`size` [m/s²]."""
+    magnitude: Float32  # (n_designs, n_steps, n_links) deviation over members, by :func:`size` [m/s²]
     departure: Float32
     """(n_members, n_designs, n_steps, n_links) a member's distance from the members' median, by :func:`size` [m/s²]. Of
     three or more members, one that alone is wrong departs alone; two always depart alike."""

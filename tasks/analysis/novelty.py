@@ -26,8 +26,7 @@ from tasks.world import LinkStates
 SPACE = ("y", "cos_angle", "vx", "vy", "omega")  # components of OBSERVATION that span the space
 _COLUMNS = [OBSERVATION.index(name) for name in SPACE]
 _VELOCITIES = slice(SPACE.index("vx"), None)
-_LOW_VELOCITY = 0.5
-"""v₀ [m/s, rad/s]: end of the lowest speed band of the error report, in which swimmers spend most of their time."""
+_LOW_VELOCITY = 0.5  # v₀ [m/s, rad/s]: end of the lowest speed band, in which swimmers spend most of their time
 _FRESH_EVERY = 10  # every tenth throw is held back to measure the usual distance
 _MIN_SCALE = 1e-6  # lower bound of a component's deviation, for components that do not vary over the throws
 
@@ -48,8 +47,7 @@ class Novelty:
 
     distance: Float64  # (...) distance to the nearest thrown state, in deviations of the throws
     novelty: Float64  # (...) distance / usual distance; NaN where the latter is unknown (see Thrown.reason)
-    component: Int64
-    """(...) index into SPACE of the largest contribution to the distance; -1 where the state is not finite."""
+    component: Int64  # (...) index into SPACE of the largest contribution; -1 where the state is not finite
 
 
 def _points(observation: Floats) -> Float64:

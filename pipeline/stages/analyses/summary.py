@@ -27,8 +27,6 @@ _AGGREGATE_METRICS = {mean_less_deviations(0): "mean", mean_less_deviations(1): 
 
 def highlights(found: Mapping[ChainId, Files], tank: Tank | None) -> Highlights:
     """Summarise the analyses that are done: their files by identity."""
-    lines: list[str] = []
-    metrics: dict[str, float] = {}
     summaries: Mapping[str, Callable[[Files], Highlights]] = {
         STATISTICS: _statistics,
         MEMBERS: _members,
@@ -38,10 +36,8 @@ def highlights(found: Mapping[ChainId, Files], tank: Tank | None) -> Highlights:
     for analysis, files in found.items():
         if tank is not None and isinstance(analysis, PartId) and analysis.name == TANK and analysis.arm:
             parts.append(_tank(analysis.arm, files, tank))
-    for more_lines, more_metrics in parts:
-        lines += more_lines
-        metrics |= more_metrics
-    return lines, metrics
+    metrics = {name: value for _, of_part in parts for name, value in of_part.items()}
+    return [line for lines, _ in parts for line in lines], metrics
 
 
 def _statistics(files: Files) -> Highlights:
