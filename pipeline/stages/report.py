@@ -54,7 +54,6 @@ from tasks.world import ENVIRONMENTS
 PAGE = "index.html"  # the page's file
 _PAGE_ID = PartId(PAGE)
 TOGETHER = "replay"  # film of two robots, without suffix: the best with residuals above the best without
-
 TRAINED, EVOLUTION, ADAPTATION = "trained", "evolution", "adaptation"
 """Roles of the inputs that are members' errors, curves of trials, and curves of their adaptations."""
 

@@ -37,7 +37,6 @@ SCORED = "scored"  # role of the inputs of later stages that are a trial's score
 _ADAPTED_TO = InputName("adapted")  # the last segment of the adaptation
 _SCORING_UNITS = 2 / 64  # cost of scoring a champion before and after: two rollouts, of about 64 in a generation
 _ADAPTED_DIVERGED = "adapted_n_designs_diverged"  # MLflow metric: designs of an adaptation that diverged
-
 SCORE, CHAMPION, _ADAPTED = "score.json", "champion.json", "adapted.json"
 
 

@@ -31,7 +31,7 @@ def page(study, settings):
     store, upstream = study
     chain = next(chain for chain in REPORT.plan(settings) if chain.label == PAGE)
     item = REPORT.item(settings, chain, 0, None, upstream)
-    return item.spec.page.settings, inputs_of(store, item)
+    return item.spec.settings, inputs_of(store, item)
 
 
 def replays(settings, inputs):
