@@ -150,7 +150,7 @@ def _reason(error: Exception) -> str:
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 
-def open_maestro(path: str, *, baud: int, baud_detection: bool, timeout: float) -> Maestro:
+def open_maestro(path: str, *, baud: int, baud_detection: bool, timeout: float = 0.1) -> Maestro:
     """Open a Maestro's port for exclusive use.
 
     Args:
