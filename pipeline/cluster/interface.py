@@ -68,7 +68,7 @@ class Cluster(Protocol):
     def submit(
         self, function: Callable[..., Any], *args: Any, n_cores: float = 1.0, n_gpus: float = 0.0, name: str = ""
     ) -> Ticket:
-        """Queue ``function(*args)``, and return its ticket.
+        """Return the ticket of ``function(*args)``, which is queued.
 
         Args:
             function: a pure function that can be pickled.

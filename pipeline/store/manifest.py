@@ -77,9 +77,7 @@ def decode_manifest(data: bytes, *, stage: str, key: str, source: str) -> Manife
         files = {name: _entry(name, entry) for name, entry in body["files"].items()}
         for name in ("identity", "environment", "record"):
             body[name].items()
-        seconds = body["record"].get("seconds", 0.0)
-        if type(seconds) not in (int, float) or not 0 <= seconds <= sys.float_info.max:
-            raise ValueError(f"expected at least 0 seconds, got {seconds!s:.80}")
+        _check_seconds(body["record"].get("seconds", 0.0))
         manifest = Manifest(body["stage"], body["key"], body["identity"], files, body["environment"], body["record"])
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise DamagedArtifact(f"{source}: expected a manifest's fields: {error!r}") from None
@@ -97,6 +95,11 @@ def _entry(name: str, said: Mapping[str, Any]) -> FileEntry:
     if type(n_bytes) is not int or not 0 <= n_bytes <= MAX_FILE_BYTES:
         raise ValueError(f"expected 0 to {MAX_FILE_BYTES} bytes of {name:.80}, got {n_bytes!s:.80}")
     return FileEntry(sha256, n_bytes)
+
+
+def _check_seconds(said: Any) -> None:
+    if type(said) not in (int, float) or not 0 <= said <= sys.float_info.max:
+        raise ValueError(f"expected at least 0 seconds, got {said!s:.80}")
 
 
 def refuse_other_content(committed: Manifest, new: Manifest) -> None:
