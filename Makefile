@@ -19,7 +19,7 @@ PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(she
 # $(call install,PACKAGES,TORCH OPTIONS OF PIP,TORCH OPTIONS OF UV). uv is several times as fast as pip and knows where
 # torch's builds are. It reads none of pip's settings, so where pip has an index or a folder of its own, pip installs.
 UV = $(or $(shell command -v uv),$(VENV)/bin/uv)
-install = if [ -n "$(TORCH_INDEX)" ] || $(PIP) config list | grep -Eq 'index-url|find-links|no-index'; \
+install = if [ -n "$(TORCH_INDEX)" ] || $(PIP) config list | grep -E 'index-url|find-links|no-index' >/dev/null; \
 	then $(PIP) install --quiet --no-compile $(2) $(1); \
 	else [ -x "$(UV)" ] || $(PIP) install --quiet uv; $(UV) pip install --quiet --python $(VENV)/bin/python $(3) $(1); fi
 
