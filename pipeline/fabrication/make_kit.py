@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.fabrication.kit_folder import check_place, write_kit
+from pipeline.fabrication.kit_folder import KIT, write_kit
 from pipeline.fabrication.source import DesignSource, from_file, proposed
 from pipeline.fabrication.timeline_file import calibration_yaml, timeline_csv, timeline_json
 from pipeline.store.design_file import design_document
@@ -58,7 +58,7 @@ def fabricate(
         PuddleError: The kit can't be made. Nothing was written.
     """
     require_cad()
-    place = check_place(out)
+    place = KIT.check_place(out)
     # Imported late, because the CAD kernel takes ten seconds.
     from pipeline.fabrication.bench import bench_of
     from pipeline.fabrication.exports import exports

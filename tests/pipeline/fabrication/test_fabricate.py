@@ -13,7 +13,7 @@ from command_line import call
 
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
-from pipeline.fabrication.kit_folder import KIT_MANIFEST, check_place, write_kit
+from pipeline.fabrication.kit_folder import KIT, KIT_MANIFEST, write_kit
 from pipeline.fabrication.kit_page import TEMPLATES
 from pipeline.fabrication.timeline_file import read_calibration, read_timeline
 from pipeline.servo.play import PlayOptions, play_timeline
@@ -264,16 +264,17 @@ def test_folders_that_are_refused(tmp_path, monkeypatch):
     (tmp_path / "link").symlink_to(tmp_path)
     for name in ("file", "link"):
         with pytest.raises(PuddleError, match="a file or a link"):
-            check_place(tmp_path / name)
+            KIT.check_place(tmp_path / name)
     (tmp_path / "newer").mkdir()
     (tmp_path / "newer" / KIT_MANIFEST).write_text('{"schema": "puddle.kit", "version": 9}')
     with pytest.raises(PuddleError, match="version 9"):
-        check_place(tmp_path / "newer")
+        KIT.check_place(tmp_path / "newer")
     (tmp_path / "empty").mkdir()
-    assert check_place(tmp_path / "empty") == check_place(tmp_path / "newer" / ".." / "empty") == tmp_path / "empty"
+    for name in ("empty", "newer/../empty"):
+        assert KIT.check_place(tmp_path / name) == tmp_path / "empty"
     monkeypatch.chdir(tmp_path / "empty")
     with pytest.raises(PuddleError, match="can't replace the current directory"):
-        check_place(Path())
+        KIT.check_place(Path())
 
 
 def test_the_proposed_champion_of_a_study(study, settings):
