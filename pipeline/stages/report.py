@@ -197,20 +197,30 @@ def _film_name(replay: Replay) -> str:
 def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     """Draw the page and its figures."""
     settings = spec.settings
-    evolved, trials = _curves(EVOLUTION, inputs), trials_of(settings, "transfer")
-    results = [result for trial in trials if (result := _trial_result(trial, inputs, evolved)) is not None]
-    rows = proposed(settings, inputs)
-    family = _family_trial(settings, {name.chain for name in inputs if name.role == HISTORIES})
+    trials, rows = trials_of(settings, "transfer"), proposed(settings, inputs)
     replays = replays_of(environments.simulation_spec(settings, *ENVIRONMENTS), trials, execution, inputs)
     in_tank = [film for row in rows for film in tank_replays(settings, row, inputs, execution.engine)]
-    report = StudyReport(
+    report = _report(spec, inputs, [*replays, *in_tank])
+    drawings = draw_all(report)
+    files = {PAGE: render_page(report, drawings).encode(), **proposal_files(rows, inputs)}
+    for drawing in drawings.values():
+        if isinstance(drawing, Drawing):
+            files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
+    return files
+
+
+def _report(spec: PageItemSpec, inputs: Inputs, replays: Sequence[Replay]) -> StudyReport:
+    settings, evolved = spec.settings, _curves(EVOLUTION, inputs)
+    trials = trials_of(settings, "transfer")
+    family = _family_trial(settings, {name.chain for name in inputs if name.role == HISTORIES})
+    return StudyReport(
         name=settings.name,
         title=f"Robots evolved for slush: {settings.name}",
         created_with=spec.made_with,
         settings_yaml=yaml.safe_dump(settings.model_dump(mode="json", exclude={"work"}), sort_keys=False),
-        trials=results,
+        trials=[result for trial in trials if (result := _trial_result(trial, inputs, evolved)) is not None],
         residual_errors=_residual_errors(inputs),
-        replays=[*replays, *in_tank],
+        replays=replays,
         findings=findings(inputs, settings, family),
         draws=_draws(evolved.values()),
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
@@ -219,12 +229,21 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
         not_possible=spec.not_possible,
         diverged=_diverged(settings, inputs, evolved),
     )
-    drawings = draw_all(report)
-    files = {PAGE: render_page(report, drawings).encode(), **proposal_files(rows, inputs)}
-    for drawing in drawings.values():
-        if isinstance(drawing, Drawing):
-            files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
-    return files
+
+
+def read_report(settings: Settings, upstream: Upstream, store: Store) -> StudyReport:
+    """Read what the page shows of a study, without its replays.
+
+    Args:
+        settings: the study's settings.
+        upstream: results of the stages before.
+        store: where they are.
+    """
+    page = next(chain for chain in _plan(settings) if chain.identity == _PAGE_ID)
+    item = _item(settings, page, 0, None, upstream)
+    assert isinstance(item.spec, PageItemSpec)
+    inputs = {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in item.inputs.items()}
+    return _report(item.spec, inputs, [])
 
 
 def _curves(role: str, inputs: Inputs) -> dict[ChainId, Columns]:
