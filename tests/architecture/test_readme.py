@@ -23,7 +23,7 @@ from tasks.fabrication.kit_settings import FabricationSettings
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 MOST_LINES_OF_README = 200
 
 TO_BE_WRITTEN = r".*/(tar|mine)\.py"
