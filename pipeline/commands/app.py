@@ -4,10 +4,11 @@ The modules of commands import what is slow only when a command runs: `puddle --
 pinned before numpy, numba or torch is loaded.
 """
 
+import importlib.metadata
 import sys
 import traceback
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -29,16 +30,42 @@ from pipeline.errors import PuddleError
 app = typer.Typer(
     help="Evolve robots for a world whose physics the simulator lacks.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+    rich_markup_mode="markdown",
 )
-for _name, _summary in study.STAGE_SUMMARIES.items():
-    app.command(_name, help=_summary)(study.stage_command(_name))
-app.command("study", help="Run every stage that is not done yet, and show the results.")(study.stage_command())
-app.command("settings")(list_settings)
-for _command in (status, forecast, simulate, fabricate, drive, verify, gc, doctor, ui):
-    app.command()(_command)
+
+_PANELS: dict[str, dict[str, Callable[..., None]]] = {
+    "Run": {
+        "study": study.stage_command(),
+        **{name: study.stage_command(name) for name in study.STAGE_SUMMARIES},
+        "settings": list_settings,
+        "forecast": forecast,
+    },
+    "Look": {"status": status, "simulate": simulate, "ui": ui},
+    "Build": {"fabricate": fabricate, "drive": drive},
+    "Maintain": {"doctor": doctor, "verify": verify, "gc": gc},
+}
+_SUMMARIES = {"study": "Run every stage that is not done yet, and show the results.", **study.STAGE_SUMMARIES}
+
+for _panel, _commands in _PANELS.items():
+    for _name, _command in _commands.items():
+        app.command(_name, help=_SUMMARIES.get(_name), rich_help_panel=_panel)(_command)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"puddle {importlib.metadata.version('puddle')}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _puddle(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Evolve robots for a world whose physics the simulator lacks."""
 
 
 def main(arguments: list[str] | None = None, run: Callable[[list[str] | None], Any] = app) -> Any:

@@ -19,11 +19,26 @@ from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
-    from pipeline.store.store import Store
+    from pipeline.store.store import Store, StudyRecord
 
 _DEFAULT_PRESET = "laptop"
 _STORE_VARIABLE = "PUDDLE_STORE"
 DEFAULT_STORE = Path("store")
+
+
+def _names_of_studies(context: typer.Context, incomplete: str) -> list[str]:
+    """Complete the name of a study of the store."""
+    folder = Path(context.params.get("store") or os.environ.get(_STORE_VARIABLE) or DEFAULT_STORE).expanduser()
+    names = (path.parent.name for path in (folder / "studies").glob("*/study.json"))
+    return sorted(name for name in names if name.startswith(incomplete))
+
+
+def _names_of_presets(incomplete: str) -> list[str]:
+    """Complete the name of a preset."""
+    from pipeline.config.loading import preset_names
+
+    return [name for name in preset_names() if name.startswith(incomplete)]
+
 
 StorePath = Annotated[Path, typer.Option("--store", envvar=_STORE_VARIABLE, help="The folder that holds results.")]
 Workers = Annotated[
@@ -33,27 +48,61 @@ TrackingUri = Annotated[
     str | None,
     typer.Option("--tracking-uri", envvar="MLFLOW_TRACKING_URI", help="An MLflow server; default a file in the store."),
 ]
+StudyName = Annotated[
+    str | None,
+    typer.Option(
+        "--study", metavar="NAME", autocompletion=_names_of_studies, help="A study of the store: its recorded settings."
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]
 
 
 @dataclass(frozen=True)
 class StudyOptions:
     """Options that choose a study: its settings, and the store that holds its results."""
 
+    study: StudyName = None
     preset: Annotated[
-        str, typer.Option("--preset", help="A file in configs/: smoke, laptop, row, paper or pontoon.")
-    ] = _DEFAULT_PRESET
+        str | None,
+        typer.Option(
+            "--preset",
+            autocompletion=_names_of_presets,
+            help="Settings in configs/: smoke, laptop (the default), row, paper or pontoon.",
+        ),
+    ] = None
     settings_file: Annotated[Path | None, typer.Option("--settings", help="A settings file, not a preset.")] = None
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting, for example evolution.n_generations=50.")
     ] = None
     store: StorePath = DEFAULT_STORE
 
-    def settings(self) -> Settings:
-        """Load the settings."""
-        from pipeline.config.loading import load, preset_path
-        from pipeline.config.settings import Settings
+    def __post_init__(self) -> None:
+        """Refuse more than one source of settings."""
+        if len(given := self._given()) > 1:
+            got = " with ".join(shlex.join(words) for words in given)
+            raise PuddleError(f"expected only one of --study, --preset and --settings, got {got}")
 
-        return load(Settings, self.settings_file or preset_path(self.preset), self.overrides or ())
+    def settings(self) -> Settings:
+        """Load the settings: those on record for a study that is named, else those of a file or a preset."""
+        from pipeline.config.loading import load, parse, preset_path
+        from pipeline.config.settings import Settings
+        from pipeline.workflow.record import settings_of
+
+        if self.study is None:
+            path = self.settings_file or preset_path(self.preset or _DEFAULT_PRESET)
+            return load(Settings, path, self.overrides or ())
+        recorded = settings_of(self._record(self.study))
+        if not self.overrides:
+            return recorded
+        name = f"the settings of study {self.study}"
+        return parse(Settings, recorded.model_dump_json(), name=name, overrides=self.overrides)
+
+    @property
+    def source(self) -> str:
+        """Where the settings come from, for the study's record: "preset laptop", or the path of a settings file."""
+        if self.study is not None:
+            return self._record(self.study).source
+        return str(self.settings_file.resolve()) if self.settings_file else f"preset {self.preset or _DEFAULT_PRESET}"
 
     def open_store(self, *, create: bool) -> Store:
         """Open the store."""
@@ -64,15 +113,27 @@ class StudyOptions:
     def command(self, name: str) -> str:
         """Return the command line that runs another command with the same options."""
         words = ["puddle", name]
-        if self.settings_file is not None:
-            words += ["--settings", str(self.settings_file)]
-        elif self.preset != _DEFAULT_PRESET:
-            words += ["--preset", self.preset]
+        for given in self._given():
+            words += given if given != ["--preset", _DEFAULT_PRESET] else []
         for override in self.overrides or ():
             words += ["--set", override]
         if self.store != Path(os.environ.get(_STORE_VARIABLE) or DEFAULT_STORE):
             words += ["--store", str(self.store)]
         return shlex.join(words)
+
+    def named(self, study: str) -> StudyOptions:
+        """Return the options that choose a study of the same store by its name."""
+        return StudyOptions(study=study, store=self.store)
+
+    def _record(self, study: str) -> StudyRecord:
+        from pipeline.workflow.record import recorded_study
+
+        return recorded_study(self.open_store(create=False), study)
+
+    def _given(self) -> list[list[str]]:
+        """Return the options given that name a source of settings, each with its value."""
+        options = {"--study": self.study, "--preset": self.preset, "--settings": self.settings_file}
+        return [[option, str(value)] for option, value in options.items() if value is not None]
 
 
 @dataclass(frozen=True)

@@ -68,6 +68,7 @@ def run_stages(
             tracker=Tracker(store.root, tracking_uri, say=show.say),
             progress=show,
             how_to_run=options.command,
+            source=options.source,
         )
     found = upstream.items()
     failed = [f"{name}: {of.label}: {why}" for name, results in found for of, why in results.failed.items()]

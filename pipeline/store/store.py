@@ -58,12 +58,13 @@ class FailedChain(NamedTuple):
 
 @dataclass(frozen=True)
 class StudyRecord:
-    """A study's settings, its items, and its failed chains."""
+    """A study's settings, its items, its failed chains, and where its settings come from."""
 
     name: str
     settings: Mapping[str, Any]
     items: tuple[StudyItem, ...]
     failed: tuple[FailedChain, ...] = ()
+    source: str = ""  # "preset laptop" or the path of a settings file; empty if unknown
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class Store(Items):
         """Write the record of a study, replacing the earlier one."""
         name, folder = record.name, self.study_path(record.name)
         rows = {"items": list(map(list, record.items)), "failed": list(map(list, record.failed))}
-        body: dict[str, Json] = {"name": name, "settings": record.settings, **rows}
+        body: dict[str, Json] = {"name": name, "settings": record.settings, "source": record.source, **rows}
         data = encode_sealed(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
         if len(data) > disk.MAX_DOCUMENT_BYTES:
             raise PuddleError(f"study {name}: {len(record.items)} items are too many. Cut its work into larger ones.")
@@ -189,9 +190,12 @@ class Store(Items):
                 raise DamagedArtifact("the seal is valid, but the fields are not")  # anyone can seal a document
             if not all(isinstance(word, str) for chain in failed for word in chain):
                 raise DamagedArtifact("the seal is valid, but a failed chain has no label")
+            source = body.get("source", "")  # early stores have none
+            if not isinstance(source, str):
+                raise DamagedArtifact("the seal is valid, but the source of the settings is not text")
             if body["name"] != name:
                 raise DamagedArtifact(f"got those of study {body['name']}")
-            return StudyRecord(name, body["settings"], items, failed)
+            return StudyRecord(name, body["settings"], items, failed, source)
         except OtherVersion:
             raise
         except (PuddleError, KeyError, TypeError) as error:  # damaged, or some other document in its place

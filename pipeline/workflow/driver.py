@@ -31,6 +31,7 @@ def drive(
     tracker: Tracker,
     progress: Progress,
     how_to_run: Callable[[str], str],
+    source: str = "",
     limits: Limits = Limits(),  # noqa: B008 (frozen)
     is_compiled: Callable[[], bool] = batch.is_compiled,
 ) -> Upstream:
@@ -48,6 +49,7 @@ def drive(
         tracker: mirrors runs to MLflow.
         progress: shows progress to the user.
         how_to_run: returns the command line that runs a stage, for messages.
+        source: where the settings come from, for the record: "preset laptop", or the path of a file.
         limits: how long an item may take.
         is_compiled: returns whether this machine has compiled the kernels.
 
@@ -77,7 +79,7 @@ def drive(
         def mirror(study: Run, stage: Run, trials: Sequence[Run]) -> None:
             background.do(lambda: tracker.mirror(study, stage, trials))
 
-        record = DrivenStudy(settings, store, progress.say)
+        record = DrivenStudy(settings, store, progress.say, source)
         driver = _Driver(settings, stages, store, record, cluster, mirror, progress, how_to_run, limits)
         discarded: set[tuple[str, str]] = set()
         while True:

@@ -1,5 +1,6 @@
 """The record of a study: settings, items and failed chains, as `puddle status` and `puddle gc` read them."""
 
+import difflib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -9,7 +10,7 @@ from pydantic import ValidationError
 
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
-from pipeline.store.store import FailedChain, Store, StudyItem, StudyRecord
+from pipeline.store.store import WRITTEN_ANEW, FailedChain, Store, StudyItem, StudyRecord
 from pipeline.workflow.progress import Bar, Work
 from pipeline.workflow.stage import Upstream
 
@@ -21,9 +22,17 @@ class DrivenStudy:
     settings have a result, or need none.
     """
 
-    def __init__(self, settings: Settings, store: Store, say: Callable[[str], None]) -> None:
+    def __init__(self, settings: Settings, store: Store, say: Callable[[str], None], source: str = "") -> None:
+        """Read the record, or begin one.
+
+        Args:
+            settings: the study's settings.
+            store: holds the record.
+            say: shows a line to the user.
+            source: where the settings come from: "preset laptop", or the path of a file.
+        """
         self._store = store
-        self._new = StudyRecord(settings.name, settings.model_dump(mode="json"), ())
+        self._new = StudyRecord(settings.name, settings.model_dump(mode="json"), (), source=source)
         self._record: StudyRecord | None = None  # of these settings; None while the store has that of others
         try:
             before = store.read_study(settings.name)
@@ -33,7 +42,7 @@ class DrivenStudy:
         if before is None:
             self.begin()
         elif before.settings == self._new.settings:
-            self._record = before
+            self._record = replace(before, source=source or before.source)
         else:
             changes = differences(before.settings, self._new.settings)
             listed = ", ".join(changes[:4]) + (f" and {len(changes) - 4} more" if len(changes) > 4 else "")
@@ -86,6 +95,27 @@ class RecordingBar:
         """Count work just done."""
         self._record.begin()
         self._bar.advance(work)
+
+
+def recorded_study(store: Store, name: str) -> StudyRecord:
+    """Return the record of a study that a user names.
+
+    Raises:
+        PuddleError: the store has no such study, or its record is damaged; the message lists the studies there are.
+    """
+    names = store.studies()
+    if name in names and (record := store.read_study(name)) is not None:
+        return record
+    if name in store.studies(recorded=False):
+        raise PuddleError(f"study {name}: {store.study_path(name)} has lost its record, study.json. {WRITTEN_ANEW}")
+    if not names:
+        raise PuddleError(f"study {name!r}: {store.root} holds no study yet. `puddle study` makes one.")
+    begin = [one for one in names if name and one.startswith(name)]
+    if len(begin) > 1:
+        raise PuddleError(f"study {name!r} is ambiguous: expected one of {', '.join(begin)}")
+    close = begin or difflib.get_close_matches(name, names, n=1)
+    advice = f"; did you mean {close[0]}?" if close else ""
+    raise PuddleError(f"study {name!r}: {store.root} holds {', '.join(names)}{advice}")
 
 
 def settings_of(record: StudyRecord) -> Settings:

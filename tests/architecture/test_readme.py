@@ -143,8 +143,9 @@ def test_a_command_parses(line):
     if name == "fabricate":
         parse(FabricationSettings, "", name="the kit's settings", overrides=overrides)
         overrides = ()
-    if options.get("preset") and "tar_pit" not in " ".join(overrides):  # an environment to be written
-        StudyOptions(options["preset"], None, overrides, ROOT).settings()
+    own = options.get("study") or options.get("settings_file")  # of a reader's own study or file
+    if "preset" in options and not own and "tar_pit" not in " ".join(overrides):  # an environment to be written
+        StudyOptions(preset=options["preset"], overrides=overrides).settings()
 
 
 def test_targets_of_make_exist():

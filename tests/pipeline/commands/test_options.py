@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.commands.options import StudyOptions
+from pipeline.errors import PuddleError
 
 
 @pytest.mark.parametrize(
@@ -23,4 +24,34 @@ def test_an_advised_command_is_for_the_same_store(variable, chosen, expected, mo
     monkeypatch.delenv("PUDDLE_STORE", raising=False)
     if variable is not None:
         monkeypatch.setenv("PUDDLE_STORE", variable)
-    assert StudyOptions("laptop", None, None, Path(chosen)).command("gc") == expected
+    assert StudyOptions(store=Path(chosen)).command("gc") == expected
+
+
+@pytest.mark.parametrize(
+    ("chosen", "expected"),
+    [
+        ({"study": "mine"}, "puddle train --study mine"),
+        ({"preset": "row"}, "puddle train --preset row"),
+        ({"preset": "laptop"}, "puddle train"),
+        (
+            {"settings_file": Path("my file.yaml"), "overrides": ["seed=2"]},
+            "puddle train --settings 'my file.yaml' --set seed=2",
+        ),
+    ],
+)
+def test_an_advised_command_has_the_same_settings(chosen, expected, monkeypatch):
+    monkeypatch.delenv("PUDDLE_STORE", raising=False)
+    assert StudyOptions(**chosen).command("train") == expected
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {"study": "mine", "preset": "row"},
+        {"study": "mine", "settings_file": Path("mine.yaml")},
+        {"preset": "laptop", "settings_file": Path("mine.yaml")},
+    ],
+)
+def test_two_sources_of_settings_are_refused(chosen):
+    with pytest.raises(PuddleError, match="expected only one of --study, --preset and --settings, got --"):
+        StudyOptions(**chosen)

@@ -1,0 +1,113 @@
+"""Studies addressed by their names: `--study NAME` takes the settings on record."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from command_line import call
+
+from pipeline.config.loading import load
+from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
+from pipeline.store.encoding import encode_sealed
+from pipeline.store.store import Store, StudyRecord
+
+
+@pytest.fixture
+def store(options) -> Store:
+    """A copy of a store with the finished study tiny."""
+    return Store.open(Path(options[-1]), create=False)
+
+
+def refused(capsys, *arguments: str) -> str:
+    """Run a command that refuses its arguments; return its message."""
+    capsys.readouterr()
+    assert call(*arguments) == 2
+    said = capsys.readouterr()
+    assert not said.out and "Traceback" not in said.err
+    return said.err
+
+
+def add_study(store: Store, name: str) -> None:
+    """Add a study whose settings differ from those of tiny in their name alone."""
+    record = json.loads((store.study_path("tiny") / "study.json").read_text())
+    settings = Settings.model_validate(record["settings"]).model_copy(update={"name": name})
+    store.write_study(StudyRecord(name, settings.model_dump(mode="json"), ()))
+
+
+def test_a_record_says_where_its_settings_come_from(done, store):
+    assert store.read_study("tiny").source == str(done / "tiny.yaml")
+
+
+@pytest.mark.parametrize("command", ["status", "settings", "forecast", "report", "analyse", "evolve", "study"])
+def test_a_name_takes_the_recorded_settings(command, store, capsys):
+    workers = ["--workers", "0"] if command in ("report", "analyse", "evolve", "study") else []
+    before = store.read_study("tiny")
+    assert call(command, "--study", "tiny", "--store", str(store.root), *workers) == 0
+    assert store.read_study("tiny") == before  # nothing was computed, and the source stays
+    said = capsys.readouterr()
+    assert "tiny" in said.out + said.err or "dry_land" in said.err
+
+
+def test_settings_may_be_changed_beside_a_name(store, capsys):
+    assert call("settings", "--study", "tiny", "--store", str(store.root), "--set", "seed=7") == 0
+    (store.root / "printed.yaml").write_text(capsys.readouterr().out)
+    printed = load(Settings, store.root / "printed.yaml")
+    assert printed.seed == 7 and printed.grid.environments == ("dry_land",)
+
+
+def test_an_unknown_name_lists_the_studies(store, capsys):
+    add_study(store, "tiny-2")
+    add_study(store, "other")
+
+    def message(name: str) -> str:
+        return refused(capsys, "status", "--study", name, "--store", str(store.root))
+
+    assert (
+        message("othr").strip() == f"puddle: study 'othr': {store.root} holds other, tiny, tiny-2; did you mean other?"
+    )
+    assert "study 'tin' is ambiguous: expected one of tiny, tiny-2" in message("tin")
+    assert "holds other, tiny, tiny-2" in message("../tiny")
+
+
+@pytest.mark.parametrize("command", ["study", "report", "status", "forecast", "doctor"])
+def test_a_damaged_record_is_refused_and_stays(command, store, capsys):
+    path = store.study_path("tiny") / "study.json"
+    damaged = path.read_bytes()[:-20]
+    path.write_bytes(damaged)
+    files = sorted(store.root.rglob("*"))
+    said = refused(capsys, command, "--study", "tiny", "--store", str(store.root))
+    assert said.startswith(f"puddle: {path}") and len(said.splitlines()) == 1
+    assert path.read_bytes() == damaged and sorted(store.root.rglob("*")) == files
+
+
+def test_a_lost_record_and_an_empty_store_are_refused(store, tmp_path, capsys):
+    (store.study_path("tiny") / "study.json").unlink()
+    assert "has lost its record, study.json" in refused(capsys, "status", "--study", "tiny", "--store", str(store.root))
+    shutil.rmtree(store.study_path("tiny"))
+    assert "holds no study yet" in refused(capsys, "status", "--study", "tiny", "--store", str(store.root))
+    nowhere = str(tmp_path / "nowhere")
+    assert "expected a store" in refused(capsys, "study", "--study", "tiny", "--store", nowhere)
+    assert not Path(nowhere).exists()
+
+
+@pytest.mark.parametrize(
+    "command", ["study", "train", "status", "simulate", "verify", "forecast", "doctor", "settings"]
+)
+@pytest.mark.parametrize("chosen", [("--study", "tiny"), ("--preset", "smoke")])
+def test_a_settings_file_beside_a_name_or_preset_is_refused(command, chosen, options, capsys):
+    design = ["docs/design.json", "--environment", "dry_land", "--depth", "1"] if command == "simulate" else []
+    said = refused(capsys, command, *design, *chosen, *options)
+    assert "expected only one of --study, --preset and --settings, got " + " ".join(chosen) in said
+
+
+def test_the_record_of_an_early_store_has_no_source(store):
+    path = store.study_path("tiny") / "study.json"
+    body = json.loads(path.read_text())
+    early = {name: body[name] for name in ("name", "settings", "items", "failed")}
+    path.write_bytes(encode_sealed(early, schema="puddle.study", version=1))
+    assert store.read_study("tiny").source == ""
+    path.write_bytes(encode_sealed({**early, "source": 3}, schema="puddle.study", version=1))
+    with pytest.raises(PuddleError, match="source"):
+        store.read_study("tiny")
