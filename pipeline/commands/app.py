@@ -23,6 +23,7 @@ from pipeline.commands.list_settings import list_settings
 from pipeline.commands.play_timeline import drive
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
+from pipeline.commands.studies import studies
 from pipeline.commands.ui import ui
 from pipeline.commands.verify import verify
 from pipeline.errors import PuddleError
@@ -42,7 +43,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "settings": list_settings,
         "forecast": forecast,
     },
-    "Look": {"status": status, "simulate": simulate, "ui": ui},
+    "Look": {"status": status, "studies": studies, "simulate": simulate, "ui": ui},
     "Build": {"fabricate": fabricate, "drive": drive},
     "Maintain": {"doctor": doctor, "verify": verify, "gc": gc},
 }

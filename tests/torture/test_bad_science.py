@@ -21,7 +21,6 @@ import typer
 from command_line import call
 from small_study import labelled
 
-import pipeline.commands.status
 import pipeline.stages
 import pipeline.tracking.mirror
 import pipeline.workflow.driver
@@ -30,6 +29,7 @@ from pipeline.cluster import Cluster
 from pipeline.commands.exit_codes import INCOMPLETE
 from pipeline.commands.options import StudyOptions
 from pipeline.commands.study import run_stages
+from pipeline.commands.study_status import study_status
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, environments, segments
@@ -235,8 +235,9 @@ def test_divergence_is_named_and_the_rest_completes(monkeypatch, tmp_path, capsy
     assert [f"{where}: {what}" in again for where, what in named.items()] == [True, True, False]
     (path,) = store.root.glob(f"items/evolve/*/{evolved[0].key}/{segments.CURVE}")
     path.write_bytes(path.read_bytes()[:-1] + b"?")  # the same size: only reading it reveals the damage
-    noted = list(pipeline.commands.status.status_lines(settings, store))
-    assert segments.CURVE in noted[-1] and sum("diverged and w" in line for line in noted) == 1
+    noted = study_status(settings, store, store.read_study("tiny"), with_diverged=True)
+    assert segments.CURVE in noted.notes[-1]
+    assert sum("diverged and w" in what for stage in noted.stages for what in stage.diverged.values()) == 1
 
 
 def some_of(store: Store, trial: Sequence[Manifest], designs: str) -> str:

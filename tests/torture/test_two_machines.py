@@ -33,7 +33,7 @@ import psutil
 import pytest
 from containers import SMALL_MEMORY, environment_of, words_of
 
-from pipeline.commands.status import digest_lines
+from pipeline.commands.study_status import digest_lines
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.store.store import Store
