@@ -20,7 +20,7 @@ from pipeline.commands.fabricate import fabricate
 from pipeline.commands.forecast import forecast
 from pipeline.commands.gc import gc
 from pipeline.commands.list_settings import list_settings
-from pipeline.commands.play_timeline import drive
+from pipeline.commands.servo_commands import drive, servo
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
 from pipeline.commands.studies import studies
@@ -44,7 +44,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "forecast": forecast,
     },
     "Look": {"status": status, "studies": studies, "simulate": simulate, "ui": ui},
-    "Build": {"fabricate": fabricate, "drive": drive},
+    "Build": {"fabricate": fabricate},
     "Maintain": {"doctor": doctor, "verify": verify, "gc": gc},
 }
 _SUMMARIES = {"study": "Run every stage that is not done yet, and show the results.", **study.STAGE_SUMMARIES}
@@ -52,6 +52,8 @@ _SUMMARIES = {"study": "Run every stage that is not done yet, and show the resul
 for _panel, _commands in _PANELS.items():
     for _name, _command in _commands.items():
         app.command(_name, help=_SUMMARIES.get(_name), rich_help_panel=_panel)(_command)
+app.add_typer(servo, name="servo", rich_help_panel="Build")
+app.command("drive", hidden=True)(drive)
 
 
 def _show_version(wanted: bool) -> None:

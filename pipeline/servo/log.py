@@ -69,7 +69,7 @@ class ServoLog:
 
 def _encode(entries: Sequence[LogEntry]) -> bytes:
     units = {"time": "s", "lateness": "s", "wanted": "µs", "sent": "µs", "position": "µs"}
-    return encode_table(columns_of(LogEntry, entries), schema="drive_log", version=1, producer="drive", units=units)
+    return encode_table(columns_of(LogEntry, entries), schema="servo_log", version=1, producer="servo", units=units)
 
 
 def _recover_abandoned(folder: Path) -> None:

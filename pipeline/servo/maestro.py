@@ -175,7 +175,7 @@ def open_maestro(path: str, *, baud: int, baud_detection: bool, timeout: float =
 def _advice(error: Exception) -> str:
     text, number = _reason(error), getattr(error, "errno", None)
     if number == errno.ENOENT or "No such file" in text:
-        return "no such port. Is the controller plugged in? List the ports with `puddle drive --list-ports`."
+        return "no such port. Is the controller plugged in? List the ports with `puddle servo play --list-ports`."
     if number == errno.EACCES or "Permission denied" in text:
         return "permission denied. On Linux, join the port's group (often dialout) and log in again."
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in text or "busy" in text.lower():

@@ -1,4 +1,4 @@
-"""``puddle drive``: check the files, ask the user, play the timeline on a controller."""
+"""``puddle servo play``: check the files, ask the user, play the timeline on a controller."""
 
 import contextlib
 import sys
@@ -12,9 +12,10 @@ import numpy as np
 from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_folder import KIT_MANIFEST
 from pipeline.fabrication.timeline_file import read_calibration, read_timeline
+from pipeline.servo.connection import Connection, open_controller
 from pipeline.servo.log import ServoLog
-from pipeline.servo.player import NEUTRAL_HOLD, Clock, Player, PlayState, stopped_by_signals
-from pipeline.servo.servo_controller import DryRunController, ServoController
+from pipeline.servo.player import NEUTRAL_HOLD, Clock, Frames, Player, PlayState, frames_of, stopped_by_signals
+from pipeline.servo.servo_controller import ServoController
 from pipeline.store import disk
 from pipeline.store.encoding import decode_json, digest
 from tasks.arrays import Float64
@@ -23,35 +24,22 @@ from tasks.fabrication.timeline import FRAME_RATE_HZ, TimelineError, pulses
 
 _FRAMES_PER_UPDATE = 5  # the live line is rewritten ten times a second
 
+SAFETY = (
+    f"The servos first jump to neutral and stay there for {NEUTRAL_HOLD:g} s. Keep your fingers out of the joints and "
+    f"the servos' power switch within reach. Ctrl-C returns the servos to neutral and switches them off; a second "
+    f"Ctrl-C switches them off at once."
+)
+
 
 @dataclass(frozen=True)
-class PlayOptions:
+class PlayOptions(Connection):
     """Options of a run."""
 
     timeline: Path  # A timeline, or the folder of a kit
     calibration: Path | None = None  # calibration file; None takes calibration.yaml beside the timeline
-    port: str | None = None
-    dry_run: bool = False
     duration: float | None = None  # time after which to stop [s], more than 0; None plays to the end
     loop: bool = False
-    log: Path | None = None  # log file; None puts drive-DATE-TIME.parquet beside the timeline
-    baud: int = 115200
-    baud_detection: bool = False
-    timeout: float = 0.1  # longest wait for an answer of the controller [s]
-
-
-def port_lines() -> list[str]:
-    """List this computer's serial ports and mark those of a Maestro."""
-    from serial.tools.list_ports import comports
-
-    from pipeline.servo.maestro import PRODUCT_IDS, VENDOR_ID
-
-    lines = []
-    for port in sorted(comports(), key=lambda one: one.device):
-        is_maestro = port.vid == VENDOR_ID and port.pid in PRODUCT_IDS
-        lines.append(f"{port.device}  {port.description}{'  <- a Maestro' if is_maestro else ''}")
-    advice = "A Maestro has two ports. Pass its Command Port, usually the first, to --port."
-    return [*lines, advice] if lines else ["No serial port found. Is the controller plugged in?"]
+    log: Path | None = None  # log file; None puts servo-DATE-TIME.parquet beside the timeline
 
 
 def play_timeline(
@@ -88,9 +76,7 @@ def play_timeline(
     except TimelineError as error:
         reason = str(error).removesuffix(".")
         raise PuddleError(f"{path} with {calibration_path}: {reason}. Nothing was moved.") from None
-    log_path = options.log or path.with_name(f"drive-{datetime.now():%Y%m%d-%H%M%S}.parquet")
-    if log_path.exists():
-        raise PuddleError(f"--log: {log_path} already exists. Choose another name.")
+    log_path = new_log(options.log, path.parent)
     with contextlib.closing(open_controller(options)) as controller:
         warnings = _kit_warnings(manifest, (path, calibration_path))
         for line in (*_plan(calibration.servos, wanted, options, controller), *warnings):
@@ -99,18 +85,8 @@ def play_timeline(
         if not options.dry_run and not confirm("Move the servos?"):
             say("Nothing was moved.")
             return False
-        return _play(controller, calibration.servos, wanted, options, log_path, say, clock or Clock())
-
-
-def open_controller(options: PlayOptions) -> ServoController:
-    """Open the controller that the user chose. Add other kinds of controllers here."""
-    if options.dry_run:
-        return DryRunController()
-    if options.port is None:
-        raise PuddleError("--port: expected the controller's port (`puddle drive --list-ports`), or --dry-run")
-    from pipeline.servo.maestro import open_maestro
-
-    return open_maestro(options.port, baud=options.baud, baud_detection=options.baud_detection, timeout=options.timeout)
+        frames = frames_of(wanted, loop=options.loop, duration=options.duration)
+        return run(controller, calibration.servos, frames, log_path, say, clock or Clock())
 
 
 def _plan(
@@ -129,11 +105,7 @@ def _plan(
     elif options.duration is not None:
         until = f", stopped after {min(options.duration, length):g} s"
     yield f"{length:g} s of timeline on {controller.name}{until}."
-    yield (
-        f"The servos first jump to neutral and stay there for {NEUTRAL_HOLD:g} s. Keep your fingers out of the joints "
-        f"and the servos' power switch within reach. Ctrl-C returns the servos to neutral and switches them off; a "
-        f"second Ctrl-C switches them off at once."
-    )
+    yield SAFETY
 
 
 def _kit_warnings(manifest: Path, played: Sequence[Path]) -> Iterator[str]:
@@ -153,22 +125,45 @@ def _kit_warnings(manifest: Path, played: Sequence[Path]) -> Iterator[str]:
             yield f"{file} has changed since the kit was made. If you did not edit it, stop: it is damaged."
 
 
-def _play(
+def new_log(chosen: Path | None, folder: Path) -> Path:
+    """Return the path of a run's log: the chosen one, or a new one in a folder. Raises PuddleError if it exists."""
+    path = chosen or folder / f"servo-{datetime.now():%Y%m%d-%H%M%S}.parquet"
+    if path.exists():
+        raise PuddleError(f"--log: {path} already exists. Choose another name.")
+    return path
+
+
+def run(
     controller: ServoController,
     servos: Sequence[ServoCalibration],
-    wanted: Float64,
-    options: PlayOptions,
+    frames: Frames,
     log_path: Path,
     say: Callable[[str], None],
     clock: Clock,
 ) -> bool:
+    """Send frames to a controller until they end or the user stops them, and log what was sent.
+
+    Args:
+        controller: An open controller.
+        servos: The servos, in the order of the frames' pulses.
+        frames: Yields the pulses of each frame.
+        log_path: The log to write.
+        say: Shows a line to the user.
+        clock: Clock of the run.
+
+    Returns:
+        Whether the frames reached their end; False if the user stopped them.
+
+    Raises:
+        PuddleError: Something failed. The message says how the servos were left.
+    """
     log = ServoLog(log_path)
     with contextlib.ExitStack() as stack:
         stack.callback(log.close)
         stop = stack.enter_context(stopped_by_signals())
         player = Player(controller, servos, log, stop, clock, show=_live_line(servos))
         try:
-            ended = player.play(wanted, loop=options.loop, duration=options.duration)
+            ended = player.follow(frames)
         except (PuddleError, OSError) as error:
             raise PuddleError(f"{error}\nServos: {player.outcome}. Log: {log_path}") from error
         finally:  # before the log is closed, because an error there would replace this message

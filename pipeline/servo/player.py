@@ -5,9 +5,10 @@ the port is lost, or on any other exception. All of these lead through :meth:`Pl
 switches the servos off at once. If the port is lost, only the controller's own time-out can still act.
 """
 
+import itertools
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from types import FrameType
@@ -35,6 +36,30 @@ _NOT_SWITCHED_OFF = (
     "NOT SWITCHED OFF. The controller's own time-out does that, if it is set (docs/servo.md). Cut their power if they "
     "hold or move"
 )
+
+
+Frames = Generator[Float64, None, str]
+"""Yields the (n_servos,) pulses of each frame [µs], in the order of the servos; returns what ended them, in words."""
+
+
+def frames_of(pulses_us: Float64, *, loop: bool = False, duration: float | None = None) -> Frames:
+    """Yield the frames of a timeline.
+
+    Args:
+        pulses_us: (n_frames, n_servos) pulses [µs].
+        loop: Whether to start again at the end; a timeline begins and ends at rest.
+        duration: Time after which to stop [s]; None plays to the end.
+
+    Returns:
+        A generator of the frames.
+    """
+    for frame in itertools.count():
+        if duration is not None and frame * _FRAME >= duration:
+            return f"stopped after {duration:g} s"
+        if frame >= len(pulses_us) and not loop:
+            break
+        yield pulses_us[frame % len(pulses_us)]
+    return "the timeline ended"
 
 
 class LateHostError(PuddleError):
@@ -100,19 +125,11 @@ class Player:
         self._began = self.clock.now()
         self._turn = 0
 
-    def play(self, pulses_us: Float64, *, loop: bool = False, duration: float | None = None) -> str:
-        """Play a timeline, then return the servos to neutral and switch them off.
+    def follow(self, frames: Frames) -> str:
+        """Hold neutral, send what each frame asks for, then return the servos to neutral and switch them off.
 
-        Args:
-            pulses_us: (n_frames, n_servos) pulses of the timeline [µs], in the order of the servos.
-            loop: Whether to start again at the end; a timeline begins and ends at rest.
-            duration: Time after which to stop [s]; None plays to the end.
-
-        Returns:
-            What ended the run, in words.
-
-        Raises:
-            PuddleError: What went wrong. The servos are at neutral and off unless ``outcome`` says otherwise.
+        Returns what ended the run, in words. Raises PuddleError if something goes wrong; the servos are then at neutral
+        and off unless ``outcome`` says otherwise.
         """
         failure: BaseException | None = None
         try:
@@ -122,7 +139,7 @@ class Player:
             self.controller.prepare(rates)
             self._note("start")
             self._hold_neutral()
-            ended = self._follow(pulses_us, loop, duration)
+            ended = self._send_frames(frames)
             self._note(ended)
             return ended
         except BaseException as error:
@@ -142,15 +159,14 @@ class Player:
             self._command({servo.channel: servo.centre_us for servo in self.servos}, lateness=lateness)
         self.controller.check()
 
-    def _follow(self, pulses_us: Float64, loop: bool, duration: float | None) -> str:
+    def _send_frames(self, frames: Frames) -> str:
         start, frame = self.clock.now(), 0
         while not self.stop.count:
-            if duration is not None and frame * _FRAME >= duration:
-                return f"stopped after {duration:g} s"
-            if frame >= len(pulses_us) and not loop:
-                return "the timeline ended"
+            try:
+                wanted = next(frames)
+            except StopIteration as end:
+                return str(end.value)
             lateness = self._wait_until(start + frame * _FRAME)
-            wanted = pulses_us[frame % len(pulses_us)]
             by_channel = {servo.channel: float(pulse) for servo, pulse in zip(self.servos, wanted, strict=True)}
             self._command(by_channel, frame=frame, lateness=lateness)
             sent = self._output.sent

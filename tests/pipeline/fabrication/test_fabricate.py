@@ -151,10 +151,11 @@ def test_the_design_in_the_readme_has_no_fault_and_a_timeline(tmp_path, clock, c
 
 def test_a_kit_without_a_timeline_does_not_suggest_to_play_it(made):
     page = (made / "kit/index.html").read_text()
-    assert "puddle drive kit --dry-run" in page and "Measure each servo's pulses" in page
+    assert "puddle servo play kit --dry-run" in page and "Measure each servo's pulses" in page
     lame = Bench(**{field.name: None for field in fields(Bench)} | {"calibration": object()})
     last_steps = TEMPLATES.get_template("kit_macros.html").module.last_steps
-    assert "puddle drive" not in last_steps(lame, "kit") and "Measure each servo's pulses" in last_steps(lame, "kit")
+    steps = last_steps(lame, "kit")
+    assert "puddle servo play" not in steps and "Measure each servo's pulses" in steps
     assert last_steps(replace(lame, calibration=None), "kit") == ""
 
 
@@ -210,7 +211,7 @@ def test_a_failing_disk_leaves_the_previous_kit(tmp_path, monkeypatch):
 def test_an_interrupt_leaves_the_previous_kit(tmp_path, monkeypatch, after):
     folder = tmp_path / "kit"
     write_kit(folder, {"a.txt": b"old"}, {"name": "old"})
-    (folder / "drive-1.parquet").write_bytes(b"log")
+    (folder / "servo-1.parquet").write_bytes(b"log")
     left = 0
 
     def counted(effect):
@@ -231,7 +232,7 @@ def test_an_interrupt_leaves_the_previous_kit(tmp_path, monkeypatch, after):
         left = n
         with pytest.raises(KeyboardInterrupt):
             write_kit(folder, {"a.txt": b"new"}, {"name": "new"})
-        assert (folder / "a.txt").read_bytes() == b"old" and (folder / "drive-1.parquet").read_bytes() == b"log"
+        assert (folder / "a.txt").read_bytes() == b"old" and (folder / "servo-1.parquet").read_bytes() == b"log"
         assert [path.name for path in tmp_path.iterdir()] == ["kit"]
 
 
@@ -241,12 +242,12 @@ def test_files_of_the_user_are_preserved(tmp_path):
     assert write_kit(folder, made, {"name": "old"}) == []
     for content in (b"measured", b"measured again"):
         (folder / "calibration.yaml").write_bytes(content)
-        (folder / "drive-1.parquet").write_bytes(b"log")
+        (folder / "servo-1.parquet").write_bytes(b"log")
         lines = write_kit(folder, {"calibration.yaml": b"another guess", "design.json": b"{}"}, {"name": "new"})
     assert lines == [
         "Preserved calibration-yours-1.yaml.",
         "Preserved calibration.yaml, which you had changed, as calibration-yours-2.yaml.",
-        "Preserved drive-1.parquet.",
+        "Preserved servo-1.parquet.",
     ]
     held = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     held.pop(KIT_MANIFEST)
@@ -254,7 +255,7 @@ def test_files_of_the_user_are_preserved(tmp_path):
         "calibration.yaml": b"another guess",
         "calibration-yours-1.yaml": b"measured",
         "calibration-yours-2.yaml": b"measured again",
-        "drive-1.parquet": b"log",
+        "servo-1.parquet": b"log",
         "design.json": b"{}",
     }
 

@@ -1,4 +1,4 @@
-"""``puddle drive`` against a simulated controller: in this process, and in one of its own in real time."""
+"""``puddle servo`` against a simulated controller: in this process, and in one of its own in real time."""
 
 import errno
 import hashlib
@@ -40,7 +40,7 @@ def kit(tmp_path, calibration) -> Path:
 
 
 def table_of(path: Path):
-    return decode_table(path.read_bytes(), schema="drive_log", version=1, source=str(path))
+    return decode_table(path.read_bytes(), schema="servo_log", version=1, source=str(path))
 
 
 def played(kit: Path, log: Path | None, clock, **options) -> tuple[bool, str]:
@@ -61,7 +61,7 @@ def test_a_dry_run(kit, tmp_path, clock, capsys):
     assert "joint 2 on channel 0: -34° to +34°" in said and "dry run" in said and "End" not in said
     table = table_of(log)
     assert (table["frame"] >= 0).sum() == 2 * 25
-    assert call("drive", str(kit), "--dry-run", "--log", str(log)) == 2
+    assert call("servo", "play", str(kit), "--dry-run", "--log", str(log)) == 2
     assert "already exists" in capsys.readouterr().err
 
 
@@ -69,7 +69,7 @@ def test_the_log_goes_beside_the_timeline(kit, tmp_path, clock, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     _, said = played(kit, None, clock, dry_run=True, duration=0.1)
-    (log,) = kit.glob("drive-20??????-??????.parquet")
+    (log,) = kit.glob("servo-20??????-??????.parquet")
     assert f"The log of this run: {log}" in said
     assert "start" in table_of(log)["event"]
     assert not list((tmp_path / "elsewhere").iterdir())
@@ -124,13 +124,13 @@ def test_nothing_moves_without_consent(kit, tmp_path, plug):
     runner = CliRunner()
     log = tmp_path / "never.parquet"
     for answer in ("n\n", ""):
-        result = runner.invoke(app, ["drive", str(kit), "--port", fake.path, "--log", str(log)], input=answer)
+        result = runner.invoke(app, ["servo", "play", str(kit), "--port", fake.path, "--log", str(log)], input=answer)
         assert result.exit_code == 130 and "Nothing was moved" in result.output and "jump to neutral" in result.output
     fake.finish()
     assert fake.n_bytes == 0 and not log.exists()
     result = runner.invoke(
         app,
-        ["drive", str(kit), "--port", (again := plug()).path, "--log", str(log), "--duration", "0.1", *PATIENT],
+        ["servo", "play", str(kit), "--port", (again := plug()).path, "--log", str(log), "--duration", "0.1", *PATIENT],
         input="y\n",
     )
     assert result.exit_code == 0 or "s late" in result.output, result.output  # late on a busy machine
@@ -142,7 +142,7 @@ def test_nothing_moves_without_consent(kit, tmp_path, plug):
 def test_a_duration_of_zero_is_refused_before_anything_moves(kit, tmp_path, plug, capsys, loop):
     fake, log = plug(), tmp_path / "never.parquet"
     options = ("--port", fake.path, "--yes", "--log", str(log), "--duration", "0")
-    assert call("drive", str(kit), *options, *loop) == 2
+    assert call("servo", "play", str(kit), *options, *loop) == 2
     said = capsys.readouterr()
     assert said.out == "" and "--duration: expected more than 0 s, got 0" in said.err
     fake.finish()
@@ -153,7 +153,7 @@ def test_mistakes(kit, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
     def refused(*arguments: str) -> str:
-        assert call("drive", *arguments) == 2
+        assert call("servo", "play", *arguments) == 2
         return capsys.readouterr().err
 
     assert "--list-ports" in refused()
@@ -187,7 +187,7 @@ def test_mistakes(kit, tmp_path, capsys, monkeypatch):
 
 
 def test_ports_are_listed(capsys):
-    assert call("drive", "--list-ports") == 0
+    assert call("servo", "play", "--list-ports") == 0
     assert "port" in capsys.readouterr().out.lower()
 
 

@@ -12,7 +12,7 @@ from pipeline.errors import PuddleError
 from pipeline.servo.limits import LONGEST_STEP
 from pipeline.servo.log import JOURNAL, LogEntry, ServoLog
 from pipeline.servo.maestro import open_maestro
-from pipeline.servo.player import MAX_LATENESS, LateHostError, Player, StopRequest, stopped_by_signals
+from pipeline.servo.player import MAX_LATENESS, LateHostError, Player, StopRequest, frames_of, stopped_by_signals
 from pipeline.servo.servo_controller import ControllerError, DryRunController, PortLostError
 from pipeline.store.encoding import decode_table
 from tasks.fabrication.timeline import Playback, Timeline, envelope, pulses
@@ -71,7 +71,7 @@ def check_neutral_and_off(fake, calibration) -> None:
 def test_a_timeline_from_rest_to_rest(plug, calibration, wanted, clock):
     fake = plug()
     player = player_of(fake, calibration, clock)
-    assert player.play(wanted) == "the timeline ended"
+    assert player.follow(frames_of(wanted)) == "the timeline ended"
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     check_neutral_and_off(fake, calibration)
@@ -87,8 +87,8 @@ def test_a_timeline_from_rest_to_rest(plug, calibration, wanted, clock):
 @pytest.mark.parametrize(("loop", "duration", "n_frames"), [(False, 1.0, 50), (True, 10.0, 500), (False, 99.0, 201)])
 def test_duration_and_loop(calibration, wanted, clock, loop, duration, n_frames):
     log = Memory()
-    Player(DryRunController(), calibration.servos, log, StopRequest(), clock=clock).play(
-        wanted, loop=loop, duration=duration
+    Player(DryRunController(), calibration.servos, log, StopRequest(), clock=clock).follow(
+        frames_of(wanted, loop=loop, duration=duration)
     )
     frames = [entry.frame for entry in log.entries if entry.channel == 0 and entry.frame >= 0]
     assert frames == list(range(n_frames))
@@ -101,13 +101,13 @@ def test_duration_and_loop(calibration, wanted, clock, loop, duration, n_frames)
 def test_unplugged_at_100_random_bytes(plug, calibration, wanted, clock):
     rng = np.random.default_rng(8)
     whole = plug()
-    player_of(whole, calibration, clock).play(wanted)
+    player_of(whole, calibration, clock).follow(frames_of(wanted))
     whole.finish()
     for n_bytes in rng.integers(1, whole.n_bytes, 100):
         fake = plug(unplug_after=int(n_bytes))
         player = player_of(fake, calibration, clock)
         with pytest.raises((PortLostError, ControllerError), match=fake.path):
-            player.play(wanted)
+            player.follow(frames_of(wanted))
         player.controller.close()
         fake.finish()
         check_what_it_was_sent(fake, calibration)
@@ -135,7 +135,7 @@ def test_invalid_answers_return_to_neutral(plug, calibration, wanted, clock, see
     player = player_of(fake, calibration, clock)
     player.controller._port.timeout = 0.1  # for reading: short answers are common here
     with pytest.raises(ControllerError):
-        player.play(wanted)
+        player.follow(frames_of(wanted))
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     if fake.targets:
@@ -150,7 +150,7 @@ def test_an_error_reported_by_the_controller(plug, calibration, wanted, clock):
     player = player_of(fake, calibration, clock)
     player.show = lambda state: setattr(fake, "errors", 1 << 2 if state.time > 2 else 0)
     with pytest.raises(ControllerError, match="serial buffer full"):
-        player.play(wanted)
+        player.follow(frames_of(wanted))
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     check_neutral_and_off(fake, calibration)
@@ -161,7 +161,7 @@ def test_controller_limits_narrower_than_the_calibration(plug, calibration, want
     fake = plug()
     fake.channel_range = (4 * 1450, 4 * 1550)
     with pytest.raises(ControllerError, match=r"to channel \d, it puts out 1[45]50 µs.*limits beyond"):
-        player_of(fake, calibration, clock).play(wanted)
+        player_of(fake, calibration, clock).follow(frames_of(wanted))
     fake.finish()
     check_neutral_and_off(fake, calibration)
 
@@ -176,7 +176,7 @@ def test_any_exception_returns_to_neutral(plug, calibration, wanted, clock):
 
     player.show = show
     with pytest.raises(RuntimeError, match="a defect"):
-        player.play(wanted)
+        player.follow(frames_of(wanted))
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     check_neutral_and_off(fake, calibration)
@@ -193,7 +193,7 @@ def test_a_late_host(plug, calibration, wanted, clock):
 
     player.show = show
     with pytest.raises(LateHostError, match=r"0\.\d\d s late, expected at most 0\.25 s"):
-        player.play(wanted)
+        player.follow(frames_of(wanted))
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     check_neutral_and_off(fake, calibration)
@@ -207,7 +207,7 @@ def test_signals_return_to_neutral(plug, calibration, wanted, clock, kind):
     with stopped_by_signals() as stop:
         player = player_of(fake, calibration, clock, stop=stop)
         player.show = lambda state: os.kill(os.getpid(), kind) if state.time == 1.5 else None
-        assert player.play(wanted) == "stopped by the user"
+        assert player.follow(frames_of(wanted)) == "stopped by the user"
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     check_neutral_and_off(fake, calibration)
@@ -231,7 +231,7 @@ def test_a_second_signal_switches_off_at_once(plug, calibration, wanted):
             stop.count += self.time > 2.5  # once during the run and again during the return
 
     player = player_of(fake, calibration, Impatient(), stop=stop)
-    player.play(wanted)
+    player.follow(frames_of(wanted))
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     assert not fake.on and fake.pulses(0)[-1] == 0
@@ -249,7 +249,7 @@ def test_controller_limits_that_exclude_neutral(plug, calibration, wanted, clock
     fake.channel_range = (4 * 1600, 4 * 1700)
     player = player_of(fake, calibration, clock)
     with pytest.raises(ControllerError, match="puts out 1600 µs"):
-        player.play(wanted)
+        player.follow(frames_of(wanted))
     fake.finish()
     check_neutral_and_off(fake, calibration)  # these are the pulses sent, not those put out
     assert player.outcome.startswith("switched off at an unknown position: ")
@@ -269,7 +269,7 @@ def test_a_failed_return_is_not_reported_as_neutral(calibration, wanted, clock):
 
     player = Player(Blocked(), calibration.servos, Memory(), StopRequest(), clock=clock)
     with pytest.raises(PortLostError, match="blocked"):
-        player.play(wanted)
+        player.follow(frames_of(wanted))
     assert "switched off away from neutral" in player.outcome
 
 
@@ -283,7 +283,7 @@ def test_a_full_disk_stops_the_robot_safely(plug, calibration, wanted, clock):
             super().add(*entries)
 
     with pytest.raises(OSError, match="No space left"):
-        player_of(fake, calibration, clock, log=Full()).play(wanted)
+        player_of(fake, calibration, clock, log=Full()).follow(frames_of(wanted))
     fake.finish()
     check_what_it_was_sent(fake, calibration)
     check_neutral_and_off(fake, calibration)
@@ -291,12 +291,12 @@ def test_a_full_disk_stops_the_robot_safely(plug, calibration, wanted, clock):
 
 def test_a_log_is_a_table_of_what_was_sent(plug, calibration, wanted, clock, tmp_path):
     fake, log = plug(), ServoLog(tmp_path / "run.parquet")
-    player_of(fake, calibration, clock, log=log).play(wanted)
+    player_of(fake, calibration, clock, log=log).follow(frames_of(wanted))
     fake.finish()
     assert (tmp_path / f"run.parquet{JOURNAL}").exists()
     log.close()
     assert [path.name for path in tmp_path.iterdir()] == ["run.parquet"]
-    table = decode_table(log.path.read_bytes(), schema="drive_log", version=1, source="log")
+    table = decode_table(log.path.read_bytes(), schema="servo_log", version=1, source="log")
     assert table["sent"][table["event"] == "off"].tolist() == [0.0, 0.0]
     played = (table["channel"] == 3) & (table["frame"] >= 0)
     np.testing.assert_array_equal(table["wanted"][played], wanted[:, 1])
@@ -310,7 +310,7 @@ def test_every_command_to_the_controller_has_its_row(plug, calibration, wanted, 
     player = player_of(fake, calibration, clock)
     player.show = lambda state: setattr(fake, "errors", 1 << 2 if state.time > 2 else 0)  # leads to "home"
     with pytest.raises(ControllerError, match="serial buffer full"):
-        player.play(wanted)
+        player.follow(frames_of(wanted))
     fake.finish()
     rows = player.log.entries
     targets = [(row.channel, row.sent) for row in rows if row.sent is not None]
@@ -333,7 +333,7 @@ def test_the_next_run_converts_the_journal_of_a_killed_one(tmp_path):
     os.close(killed._lock)
     os.close(killed._descriptor)
     ServoLog(tmp_path / "next.parquet").close()
-    table = decode_table((tmp_path / "killed.parquet").read_bytes(), schema="drive_log", version=1, source="log")
+    table = decode_table((tmp_path / "killed.parquet").read_bytes(), schema="servo_log", version=1, source="log")
     assert table["event"].tolist() == ["start", ""] and table["sent"][1] == 1500.0 and math.isnan(table["sent"][0])
     assert not list(tmp_path.glob(f"*{JOURNAL}"))
 

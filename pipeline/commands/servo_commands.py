@@ -1,0 +1,167 @@
+"""puddle servo: play a timeline on a robot's servos, calibrate them, switch them off."""
+
+import functools
+import os
+import select
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pipeline.commands.exit_codes import INTERRUPTED, to_stderr
+from pipeline.commands.options import with_options
+from pipeline.errors import PuddleError
+
+servo = typer.Typer(
+    help="Play a timeline on a robot's servos, calibrate them, or switch them off.", no_args_is_help=True
+)
+
+
+@dataclass(frozen=True)
+class PortOptions:
+    """Options that choose a servo controller."""
+
+    port: Annotated[str | None, typer.Option("--port", help="Port of the servo controller: /dev/ttyACM0.")] = None
+    list_ports: Annotated[bool, typer.Option("--list-ports", help="List this machine's serial ports.")] = False
+    baud: Annotated[int, typer.Option("--baud", min=300, max=200_000, help="Rate of a wired port; unused by USB.")] = (
+        115200
+    )
+    baud_detection: Annotated[
+        bool, typer.Option("--baud-detection", help="Send 0xAA first: the controller detects the baud rate.")
+    ] = False
+    timeout: Annotated[
+        float,
+        typer.Option("--timeout", min=0.01, help="Longest wait for the controller's answer [s]; more on a slow line."),
+    ] = 0.1
+
+    def connection(self) -> dict[str, Any]:
+        """Return the fields of a :class:`pipeline.servo.connection.Connection`."""
+        names = ("port", "baud", "baud_detection", "timeout")
+        return {name: getattr(self, name) for name in names}
+
+    def show_ports(self) -> None:
+        """List the serial ports and exit, if the user asked for that."""
+        from pipeline.servo.connection import port_lines
+
+        if self.list_ports:
+            for line in port_lines():
+                typer.echo(line)
+            raise typer.Exit
+
+
+_STANDARD_INPUT = 0  # its file descriptor
+
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Do everything except talk to a controller.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Start without asking for confirmation.")]
+Log = Annotated[Path | None, typer.Option("--log", help="Log of what was sent (Parquet); default beside the timeline.")]
+
+
+@with_options
+def play(
+    port: PortOptions,
+    timeline: Annotated[
+        Path | None, typer.Argument(help="A kit that `puddle fabricate` made, or a timeline (timeline.json).")
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option("--calibration", help="The servos' calibration; default calibration.yaml beside the timeline."),
+    ] = None,
+    dry_run: DryRun = False,
+    duration: Annotated[float | None, typer.Option("--duration", help="Stop after this time [s].")] = None,
+    loop: Annotated[bool, typer.Option("--loop", help="Repeat the timeline until stopped.")] = False,
+    yes: Yes = False,
+    log: Log = None,
+) -> None:
+    """Move a robot's servos through a timeline, and return them to rest whatever happens (docs/servo.md)."""
+    from pipeline.servo.play import PlayOptions, play_timeline
+
+    port.show_ports()
+    if timeline is None:
+        raise PuddleError("expected a kit or a timeline to play: `puddle servo play kit --port ...`, or --list-ports")
+    options = PlayOptions(timeline, calibration, duration, loop, log, dry_run=dry_run, **port.connection())
+    if not play_timeline(options, confirm=lambda question: yes or _confirmed(question), say=typer.echo):
+        raise typer.Exit(INTERRUPTED)
+
+
+@with_options
+def calibrate(
+    port: PortOptions,
+    kit: Annotated[
+        Path | None, typer.Argument(help="A kit that `puddle fabricate` made, or a calibration (calibration.yaml).")
+    ] = None,
+    joints: Annotated[list[int] | None, typer.Option("--joint", help="Calibrate this joint alone; repeatable.")] = None,
+    dry_run: DryRun = False,
+    log: Log = None,
+) -> None:
+    """Move the servos one by one, measure them, and write calibration.yaml; the previous one stays beside it."""
+    from pipeline.servo.calibrate import CalibrateOptions, Dialogue
+    from pipeline.servo.calibrate import calibrate as measure
+
+    port.show_ports()
+    if kit is None:
+        raise PuddleError("expected a kit or a calibration: `puddle servo calibrate kit --port ...`, or --list-ports")
+    options = CalibrateOptions(kit, joints or (), log, dry_run=dry_run, **port.connection())
+    if not measure(options, Dialogue(confirm=_confirmed, say=typer.echo, read=TypedLines(_STANDARD_INPUT))):
+        raise typer.Exit(INTERRUPTED)
+
+
+@with_options
+def off(
+    port: PortOptions,
+    kit: Annotated[
+        Path | None, typer.Argument(help="A kit, or a calibration (calibration.yaml), which lists the channels.")
+    ] = None,
+    dry_run: DryRun = False,
+) -> None:
+    """Switch the servos off at once, wherever they are, and check that the controller has stopped their pulses."""
+    from contextlib import closing
+
+    from pipeline.servo.connection import Connection, calibration_at, open_controller, switch_off
+
+    port.show_ports()
+    if kit is None:
+        raise PuddleError("expected a kit or a calibration: `puddle servo off kit --port ...`, or --list-ports")
+    _, calibration = calibration_at(kit)
+    with closing(open_controller(Connection(dry_run=dry_run, **port.connection()))) as controller:
+        switch_off(controller, calibration)
+    channels = ", ".join(str(one.channel) for one in calibration.servos)
+    typer.echo(f"Servos on channels {channels}: switched off.")
+
+
+@functools.wraps(play)
+def drive(**values: Any) -> None:
+    """Run `puddle servo play` under its name of version 0.1."""
+    to_stderr("`puddle drive` is now `puddle servo play`; the old name goes with the next version.")
+    play(**values)
+
+
+for _command in (play, calibrate, off):
+    servo.command()(_command)
+
+
+class TypedLines:
+    """The lines that arrive at a file descriptor, without waiting for them."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._data = b""
+
+    def __call__(self) -> str | None:
+        """Return the next line, or None if none has arrived. Raises EOFError at the end."""
+        if b"\n" not in self._data and select.select([self._descriptor], [], [], 0.0)[0]:
+            data = os.read(self._descriptor, 4096)
+            if not data:
+                raise EOFError
+            self._data += data
+        if b"\n" not in self._data:
+            return None
+        line, _, self._data = self._data.partition(b"\n")
+        return line.decode(errors="replace")
+
+
+def _confirmed(question: str) -> bool:
+    try:
+        return typer.confirm(question)
+    except typer.Abort:  # Ctrl-C, or no terminal to answer on
+        return False

@@ -1,0 +1,200 @@
+"""``puddle servo calibrate`` and ``off`` against a simulated controller."""
+
+import os
+from collections.abc import Iterator
+from itertools import pairwise
+from math import radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import call
+
+from pipeline.commands.servo_commands import TypedLines
+from pipeline.errors import PuddleError
+from pipeline.fabrication.timeline_file import calibration_yaml, read_calibration, timeline_json
+from pipeline.servo.calibrate import CalibrateOptions, Dialogue, calibrate
+from tasks.fabrication.calibration import Calibration, ServoCalibration
+from tasks.fabrication.timeline import Timeline, envelope
+
+FRAMES_PER_LINE = 20
+"""Frames that the user takes to type a line."""
+
+
+@pytest.fixture
+def kit(tmp_path, calibration) -> Path:
+    (tmp_path / "kit").mkdir()
+    (tmp_path / "kit" / "calibration.yaml").write_bytes(calibration_yaml(calibration, "of a test"))
+    return tmp_path / "kit"
+
+
+class User:
+    """A user who types lines, slowly, and answers questions."""
+
+    def __init__(self, typed: str, *answers: bool) -> None:
+        self.lines: list[str] = []
+        self.questions: list[str] = []
+        self._typed: Iterator[str] = iter(typed.split("|"))
+        self._answers = iter(answers)
+        self._n_asked = 0
+
+    def read(self) -> str | None:
+        self._n_asked += 1
+        if self._n_asked % FRAMES_PER_LINE:
+            return None
+        line = next(self._typed, None)
+        if line is None:
+            raise EOFError
+        return line
+
+    def confirm(self, question: str) -> bool:
+        self.questions.append(question)
+        return next(self._answers)
+
+    def dialogue(self) -> Dialogue:
+        return Dialogue(self.confirm, self.lines.append, self.read)
+
+
+JOINT_2 = "+40|-2.5||100|100|100|20||abc|30|-100|-100|-100|-100|-100|-100|-90||" + 14 * "100|"
+"""Rest at 1537.5 µs; 320 µs more turn it by 30°; 590 µs less and 810 µs more are the limits."""
+
+
+def measured(kit: Path, user: User, clock, **options) -> bool:
+    return calibrate(CalibrateOptions(kit, timeout=10.0, **options), user.dialogue(), clock)
+
+
+def test_a_servo_is_measured_and_the_previous_calibration_stays(kit, plug, clock, calibration):
+    fake, user = plug(), User(JOINT_2, True, True)
+    before = (kit / "calibration.yaml").read_bytes()
+    assert measured(kit, user, clock, port=fake.path, joints=(2,)), user.lines
+    fake.finish()
+    other = calibration.servos[1]
+    expected = {"centre_us": 1537.5, "us_per_rad": round(320 / radians(30), 3), "direction": 1}
+    expected |= {"joint": 2, "channel": 0, "min_us": 1167.5, "max_us": 2467.5, "max_speed": 3.0}
+    assert read_calibration(kit / "calibration.yaml") == Calibration(servos=(ServoCalibration(**expected), other))
+    assert (kit / "calibration-1.yaml").read_bytes() == before
+    assert user.questions[0] == "Move the servos?" and "stays as calibration-1.yaml" in user.questions[1]
+    said = "\n".join(user.lines)
+    assert "Expected a number, got 'abc'" in said and "Servos: switched off at neutral" in said
+    assert not fake.on and {channel for channel, _ in fake.targets} == {0}  # no other servo was moved
+    pulses = fake.pulses(0)[:-1]
+    assert pulses[0] == 1500.0 and max(pulses) == 2467.5 and min(pulses) == 1167.5
+    # 0.5 rad/s at 600 µs/rad is 6 µs a frame.
+    assert max(abs(b - a) for a, b in pairwise(pulses)) <= 6.0
+    assert len(pulses) > FRAMES_PER_LINE * JOINT_2.count("|")  # it was held while the user typed
+
+
+def test_a_turn_against_the_pulse_gives_the_other_direction(kit, clock):
+    user = User("|100||-10||-100|-100||100|100|100||", True)
+    assert measured(kit, user, clock, dry_run=True, joints=(2,)), user.lines
+    (servo, _) = read_calibration(kit / "calibration.yaml").servos
+    assert servo.direction == -1 and servo.us_per_rad == round(100 / radians(10), 3)
+
+
+def test_values_that_cannot_be_true_are_asked_again(kit, clock):
+    typed = (
+        "200|nan||"  # a step that is too long; then rest, at 1500 µs
+        "10||30|"  # too small a turn
+        "90||0.5|"  # too small an angle
+        "|6000|"  # degrees? 100 µs are then 1 µs/rad
+        "|10|"
+        "|-100|-50||"  # the shortest pulse can't be longer than that at rest
+        "|100|100||"
+    )
+    user = User(typed, True)
+    assert measured(kit, user, clock, dry_run=True, joints=(2,)), user.lines
+    said = "\n".join(user.lines)
+    for problem in (
+        "Expected a step of at most 100 µs, got 200.",
+        "Expected a number, got 'nan'.",
+        "Expected a turn of at least 50 µs and 5°, got 10 µs and 30°.",
+        "got 100 µs and 0.5°.",
+        "Expected 100 to 3000 µs/rad, got 1. Is the angle in degrees?",
+        "Expected less than the pulse at rest, 1500 µs, got 1600.",
+        "Expected more than the pulse at rest, 1500 µs, got 1450.",
+    ):
+        assert problem in said, problem
+    (servo, _) = read_calibration(kit / "calibration.yaml").servos
+    assert (servo.min_us, servo.centre_us, servo.max_us) == (1450.0, 1500.0, 1650.0)
+
+
+def test_a_timeline_that_can_no_longer_be_played_is_named_before_anything_is_written(kit, clock, calibration):
+    rise = envelope(np.arange(1001) / 50, duration=20.0, ramp=1.0)
+    swing = Timeline(joints=(2, 4), angle=rise[:, None] * [[0.6, 0.6]])
+    (kit / "timeline.json").write_bytes(timeline_json(swing, calibration))
+    user = User("|100||10||-100|-10||100|10||", False)
+    assert not measured(kit, user, clock, dry_run=True, joints=(2,))
+    assert any("can't be played: joint 2 (channel 0)" in line for line in user.lines)
+    assert sorted(path.name for path in kit.glob("calibration*")) == ["calibration.yaml"]
+
+
+@pytest.mark.parametrize("typed", ["+40|", "+40||100|"])
+def test_an_input_that_ends_leaves_the_calibration_and_the_servos_off(kit, plug, clock, calibration, typed):
+    fake = plug()
+    with pytest.raises(PuddleError, match=r"the input ended.*\n?.*Servos: switched off at neutral"):
+        measured(kit, User(typed.rstrip("|"), True), clock, port=fake.path)
+    fake.finish()
+    assert not fake.on and fake.pulses(0)[-2:] == [1500.0, 0.0]
+    assert read_calibration(kit / "calibration.yaml") == calibration
+
+
+def test_nothing_moves_without_consent(kit, plug, clock):
+    fake = plug()
+    assert not measured(kit, User("", False), clock, port=fake.path)
+    fake.finish()
+    assert fake.n_bytes == 0 and [path.name for path in kit.iterdir()] == ["calibration.yaml"]
+
+
+def test_mistakes_of_calibrate_and_off(kit, tmp_path, capsys):
+    def refused(*arguments: str) -> str:
+        assert call("servo", *arguments) == 2
+        return capsys.readouterr().err
+
+    assert "for joints 2, 4, got 3" in refused("calibrate", str(kit), "--dry-run", "--joint", "3")
+    for command in ("calibrate", "off"):
+        assert "--list-ports" in refused(command)
+        assert "--port: expected" in refused(command, str(kit))
+        assert "can't read the calibration file" in refused(command, str(tmp_path / "none.yaml"), "--dry-run")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["calibration.yaml", "kit"]
+
+
+def test_servos_are_switched_off(kit, plug, capsys):
+    fake = plug()
+    fake.on = {0: 1600.0, 3: 1400.0, 5: 1500.0}
+    fake.errors = 1 << 5  # a time-out since the last run
+    assert call("servo", "off", str(kit), "--port", fake.path, "--timeout", "10") == 0
+    assert capsys.readouterr().out == "Servos on channels 0, 3: switched off.\n"
+    fake.finish()
+    assert set(fake.on) == {5} and fake.targets == [(0, 0.0), (3, 0.0)]
+
+
+def test_a_controller_that_does_not_answer_is_told_to_switch_off_all_the_same(kit, plug, capsys):
+    fake = plug()
+    fake.on, fake.answer = {0: 1600.0, 3: 1400.0}, lambda honest: b""
+    assert call("servo", "off", str(kit), "--port", fake.path) == 2
+    assert "expected an answer" in capsys.readouterr().err
+    fake.finish()
+    assert fake.on == {}
+
+
+def test_typed_lines_do_not_wait():
+    end, typed = os.pipe()
+    lines = TypedLines(end)
+    assert lines() is None
+    os.write(typed, b"+2")
+    assert lines() is None
+    os.write(typed, b"0\n\nx\n")
+    assert [lines(), lines(), lines(), lines()] == ["+20", "", "x", None]
+    os.close(typed)
+    with pytest.raises(EOFError):
+        lines()
+    os.close(end)
+
+
+def test_the_old_name_still_plays_and_says_the_new_one(kit, capsys):
+    assert call("drive", "--list-ports") == 0
+    said = capsys.readouterr()
+    assert "`puddle servo play`" in said.err and "port" in said.out.lower()
+    assert call("--help") == 0
+    listed = capsys.readouterr().out
+    assert " servo " in listed and " drive " not in listed
