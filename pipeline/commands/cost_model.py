@@ -19,13 +19,11 @@ import os
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES, environments
-from pipeline.store import disk
 from pipeline.store.manifest import Manifest, encode_manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import StageRun, results_of
@@ -99,7 +97,7 @@ def _line(x0: float, x1: float, y0: float, y1: float) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class _StageForecast:
+class StageForecast:
     """The work of a stage that is left."""
 
     stage: str
@@ -111,7 +109,22 @@ class _StageForecast:
     source: str  # where the samples come from
 
     def seconds(self, n_cores: int) -> float:
+        """Return the time that the stage takes on a number of cores [s]."""
         return max(self.core_seconds / n_cores, self.longest_chain_seconds)
+
+
+@dataclass(frozen=True)
+class StudyForecast:
+    """The work of a study that is left."""
+
+    study: str
+    stages: tuple[StageForecast, ...]
+    n_cores: tuple[int, ...]  # numbers of cores to forecast for; the first is this machine's
+    store_bytes: int | None  # size of the store, if there is one
+
+    def seconds(self, n_cores: int) -> float:
+        """Return the time that the stages take on a number of cores, one after the other [s]."""
+        return sum(stage.seconds(n_cores) for stage in self.stages)
 
 
 @dataclass(frozen=True)
@@ -192,7 +205,7 @@ def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], No
 
 def forecast_stages(
     settings: Settings, remaining: Sequence[_Remaining], costs: Mapping[CostKind, Cost], calibrated: Iterable[CostKind]
-) -> list[_StageForecast]:
+) -> list[StageForecast]:
     """Return the cost of the remaining work of every stage, in order.
 
     Args:
@@ -211,7 +224,7 @@ def forecast_stages(
         sources = {"calibration" if one.kind in calibrated else "store" for one in own}
         n_units = sum(sum(one.units) for one in own)
         source = " and ".join(sorted(sources))
-        forecasts.append(_StageForecast(stage.name, stage.unit, n_units, sum(seconds), longest, n_bytes, source))
+        forecasts.append(StageForecast(stage.name, stage.unit, n_units, sum(seconds), longest, n_bytes, source))
     return forecasts
 
 
@@ -248,22 +261,19 @@ def bytes_left_of_study(settings: Settings, upstream: Upstream) -> float:
     return total
 
 
-def forecast_lines(
-    settings: Settings, root: Path, cores: Sequence[int], *, say: Callable[[str], None]
-) -> Iterator[str]:
+def forecast_study(
+    settings: Settings, store: Store | None, cores: Sequence[int], *, say: Callable[[str], None]
+) -> StudyForecast:
     """Forecast the rest of a study, for this machine's cores and for others.
 
     Args:
         settings: the study's settings.
-        root: the store's folder; it need not exist.
+        store: the store that holds its results, if there is one.
         cores: further numbers of cores to forecast for.
         say: shows what is being timed.
     """
     from pipeline.commands.calibration_run import calibrate
 
-    root = root.expanduser().resolve()
-    with disk.explained("looking for a store", root):
-        store = Store.open(root, create=False) if (root / "store.json").exists() else None
     upstream: Upstream = {}
     samples: dict[CostKind, list[Sample]] = {}
     if store is not None:
@@ -276,19 +286,42 @@ def forecast_lines(
         samples |= calibrate(settings, unknown, say=say)
     costs = {kind: Cost.fit(of) for kind, of in samples.items()}
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    yield from _table(settings, forecast_stages(settings, remaining, costs, unknown), [*dict.fromkeys([own, *cores])])
-    if store is not None:
-        yield f"The store holds {store.size_bytes() / 1e6:.0f} MB now."
+    stages = tuple(forecast_stages(settings, remaining, costs, unknown))
+    store_bytes = None if store is None else store.size_bytes()
+    return StudyForecast(settings.name, stages, tuple(dict.fromkeys([own, *cores])), store_bytes)
 
 
-def _table(settings: Settings, stages: Sequence[_StageForecast], cores: Sequence[int]) -> Iterator[str]:
-    yield f"study {settings.name}: the rest of the work"
-    header = "".join(f"{f'{n:,} cores':>14}" for n in cores)
-    yield f"{'stage':<10}{'work':>22}{'core-hours':>12}{header}{'disk':>12}  cost from"
-    for stage in stages:
-        hours = "".join(f"{stage.seconds(n) / 3600:12.2f} h" for n in cores)
-        work = f"{stage.stage:<10}{f'{stage.n_units:,.0f} {stage.unit}':>22}{stage.core_seconds / 3600:12.2f}"
-        yield f"{work}{hours}{stage.n_bytes / 1e6:9.0f} MB  {stage.source}".rstrip()
-    core_hours, n_bytes = sum(s.core_seconds for s in stages) / 3600, sum(s.n_bytes for s in stages)
-    hours = "".join(f"{sum(s.seconds(n) for s in stages) / 3600:12.2f} h" for n in cores)
-    yield f"{'all':<10}{'':>22}{core_hours:12.2f}{hours}{n_bytes / 1e6:9.0f} MB"
+def forecast_lines(forecast: StudyForecast) -> Iterator[str]:
+    """Tabulate a forecast; with one further number of cores, it is 80 columns wide."""
+    yield f"study {forecast.study}: the rest of the work"
+    header = "".join(f"{f'{n:,} core' + 's' * (n > 1):>10}" for n in forecast.n_cores)
+    yield f"{'stage':<9}{'work':>19}{'core time':>11}{header}{'disk':>9}  cost from"
+    for stage in forecast.stages:
+        work = f"{stage.n_units:,.0f} {stage.unit}" if stage.n_units >= 1 else "< 1 unit" if stage.n_units else "done"
+        times = "".join(f"{_time(stage.seconds(n)):>10}" for n in forecast.n_cores)
+        line = f"{stage.stage:<9}{work:>19}{_time(stage.core_seconds):>11}{times}{_size(stage.n_bytes):>9}"
+        yield f"{line}  {stage.source}".rstrip()
+    core_seconds, n_bytes = sum(s.core_seconds for s in forecast.stages), sum(s.n_bytes for s in forecast.stages)
+    times = "".join(f"{_time(forecast.seconds(n)):>10}" for n in forecast.n_cores)
+    yield f"{'all':<28}{_time(core_seconds):>11}{times}{_size(n_bytes):>9}"
+    if forecast.store_bytes is not None:
+        yield f"The store holds {_size(forecast.store_bytes)} now."
+
+
+def _time(seconds: float) -> str:
+    """Write a time in the unit that a person would use, so that a short one is not 0.00 h."""
+    if seconds <= 0:
+        return "-"
+    if seconds < 100:
+        return f"{seconds:.0f} s" if seconds >= 1 else "< 1 s"
+    if seconds < 6000:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h" if seconds < 360_000 else f"{seconds / 3600:,.0f} h"
+
+
+def _size(n_bytes: float) -> str:
+    if n_bytes <= 0:
+        return "-"
+    if n_bytes >= 1e10:
+        return f"{n_bytes / 1e9:,.0f} GB"
+    return f"{n_bytes / 1e6:.0f} MB" if n_bytes >= 1e6 else "< 1 MB"

@@ -1,11 +1,12 @@
-"""puddle forecast: hours and bytes per stage."""
+"""puddle forecast: time and bytes per stage."""
 
+from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
 from pipeline.commands.exit_codes import interruptible, to_stderr
-from pipeline.commands.options import StudyOptions, with_options
+from pipeline.commands.options import AsJson, StudyOptions, print_json, with_options
 
 
 @with_options
@@ -14,10 +15,16 @@ def forecast(
     cores: Annotated[
         list[int] | None, typer.Option("--cores", min=1, help="Also forecast for this many cores like this machine's.")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Estimate how long the rest of a study will take, and how much disk it will use."""
-    from pipeline.commands.cost_model import forecast_lines
+    from pipeline.commands.cost_model import forecast_lines, forecast_study
 
     with interruptible():
-        for line in forecast_lines(options.settings(), options.store, tuple(cores or ()), say=to_stderr):
-            typer.echo(line)
+        found = forecast_study(options.settings(), options.find_store(), tuple(cores or ()), say=to_stderr)
+    if as_json:
+        stages = [{**asdict(one), "seconds": {str(n): one.seconds(n) for n in found.n_cores}} for one in found.stages]
+        print_json({**asdict(found), "stages": stages, "seconds": {str(n): found.seconds(n) for n in found.n_cores}})
+        return
+    for line in forecast_lines(found):
+        typer.echo(line)

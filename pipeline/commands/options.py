@@ -116,6 +116,15 @@ class StudyOptions:
 
         return Store.open(self.store, create=create)
 
+    def find_store(self) -> Store | None:
+        """Open the store if there is one."""
+        from pipeline.store import disk
+
+        root = self.store.expanduser().resolve()
+        with disk.explained("looking for a store", root):
+            exists = (root / "store.json").exists()
+        return self.open_store(create=False) if exists else None
+
     def command(self, name: str) -> str:
         """Return the command line that runs another command with the same options."""
         words = ["puddle", name]

@@ -1,13 +1,19 @@
 """puddle study, and one command per stage: run what is not done yet."""
 
+import functools
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING
 
 import typer
 
 from pipeline.cluster import Cluster
 from pipeline.commands.exit_codes import INCOMPLETE, interruptible, to_stderr
 from pipeline.commands.options import ExecutionOptions, StudyOptions, with_options
+
+if TYPE_CHECKING:
+    from pipeline.config.settings import Settings
+    from pipeline.workflow.stage import AnyStage
 
 STAGE_SUMMARIES = {
     "collect": "Throw rectangles into slush and record what the base simulator gets wrong.",
@@ -51,17 +57,21 @@ def run_stages(
         open_cluster: starts or joins the cluster, once there is something to compute.
         tracking_uri: an MLflow server; the store's own database by default.
     """
+    from pipeline.commands.expected_time import expected_seconds
+    from pipeline.commands.headline import headline_lines
     from pipeline.stages import STAGES
     from pipeline.tracking.mirror import Tracker
     from pipeline.workflow.driver import drive
     from pipeline.workflow.progress import progress
 
     settings = options.settings()
+    wanted = [stage for stage in STAGES if not stages or stage.name in stages]
+    _check_inputs(options, settings, wanted[0])
     store = options.open_store(create=True)
     with interruptible(), progress() as show:
         upstream = drive(
             settings,
-            [stage for stage in STAGES if not stages or stage.name in stages],
+            wanted,
             stages=STAGES,
             store=store,
             open_cluster=open_cluster,
@@ -69,7 +79,11 @@ def run_stages(
             progress=show,
             how_to_run=options.command,
             source=options.source,
+            expected_seconds=functools.partial(expected_seconds, settings),
         )
+    if wanted[-1] is STAGES[-1]:
+        for line in headline_lines(settings, upstream, store, how_to_run=options.named(settings.name).command):
+            typer.echo(line)
     found = upstream.items()
     failed = [f"{name}: {of.label}: {why}" for name, results in found for of, why in results.failed.items()]
     diverged = [f"{name}: {of.label}: {what}" for name, results in found for of, what in results.diverged.items()]
@@ -79,3 +93,18 @@ def run_stages(
         to_stderr("\n".join(["Designs diverged; the rest is done:", *diverged, _ADVICE_ON_DIVERGENCE]))
     if failed or diverged:
         raise typer.Exit(INCOMPLETE)
+
+
+def _check_inputs(options: StudyOptions, settings: "Settings", first: "AnyStage") -> None:
+    """Refuse a stage whose inputs are missing before anything is written: no store, no record."""
+    from pipeline.stages import STAGES
+    from pipeline.workflow.graph import ChainProgress, require, results_of, survey
+
+    earlier = STAGES[: STAGES.index(first)]
+    if (store := options.find_store()) is None:
+        plans = [(stage, [ChainProgress(chain) for chain in stage.plan(settings)]) for stage in earlier]
+        upstream = {stage.name: results_of(stage, chains) for stage, chains in plans}
+    else:
+        with store.lock_to_read():
+            upstream = survey(settings, earlier, store, say=lambda line: None)  # the driver names damage
+    require(settings, first, STAGES, upstream, how_to_run=options.command)

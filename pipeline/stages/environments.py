@@ -135,10 +135,14 @@ def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
     """Estimate the cost of a generation, relative to one on dry land."""
     if environment not in RESIDUAL_ENVIRONMENTS:
         return 1.0
-    width, n_hidden = settings.network.width, settings.network.hidden_layers
-    flops = 2 * (6 * width + (n_hidden - 1) * width**2 + width * 6)
     n_members = settings.ensemble.n_members if ENVIRONMENTS[environment].networks == "all" else 1
-    return n_members * (1 + flops / _FLOPS_OF_PHYSICS)
+    return n_members * (1 + network_flops(settings) / _FLOPS_OF_PHYSICS)
+
+
+def network_flops(settings: Settings) -> int:
+    """Return the floating-point operations of one network for one link."""
+    width, n_hidden = settings.network.width, settings.network.hidden_layers
+    return 2 * (6 * width + (n_hidden - 1) * width**2 + width * 6)
 
 
 def roll_out(

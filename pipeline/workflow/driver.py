@@ -1,7 +1,8 @@
 """The driver: the one process that runs a study's stages, commits their results and mirrors them to MLflow."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from pipeline.tracking.mirror import Run, Tracker
 from pipeline.workflow.background import Background
 from pipeline.workflow.dispatcher import Limits, run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, require, results_of
-from pipeline.workflow.progress import NOTHING, Progress
+from pipeline.workflow.progress import NOTHING, Progress, StudyPace
 from pipeline.workflow.record import DrivenStudy, RecordingBar
 from pipeline.workflow.stage import AnyStage, Results, Summary, Upstream
 from tasks.simulation import batch
@@ -32,6 +33,7 @@ def drive(
     progress: Progress,
     how_to_run: Callable[[str], str],
     source: str = "",
+    expected_seconds: Callable[[float], Mapping[str, float]] = lambda n_cores: {},
     limits: Limits = Limits(),  # noqa: B008 (frozen)
     is_compiled: Callable[[], bool] = batch.is_compiled,
 ) -> Upstream:
@@ -50,6 +52,7 @@ def drive(
         progress: shows progress to the user.
         how_to_run: returns the command line that runs a stage, for messages.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
+        expected_seconds: returns about how long each stage will take on so many cores [s], for the time left.
         limits: how long an item may take.
         is_compiled: returns whether this machine has compiled the kernels.
 
@@ -80,7 +83,14 @@ def drive(
             background.do(lambda: tracker.mirror(study, stage, trials))
 
         record = DrivenStudy(settings, store, progress.say, source)
-        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, how_to_run, limits)
+
+        def study_pace() -> StudyPace:
+            expected = expected_seconds(cluster().n_cores)
+            names = tuple(stage.name for stage in stages)
+            return StudyPace(names, {stage.name: expected.get(stage.name, 0.0) for stage in wanted})
+
+        pace = functools.cache(study_pace)
+        driver = _Driver(settings, stages, store, record, cluster, mirror, progress, pace, how_to_run, limits)
         discarded: set[tuple[str, str]] = set()
         while True:
             try:
@@ -104,6 +114,7 @@ class _Driver:
     cluster: Callable[[], Cluster]
     mirror: Callable[[Run, Run, Sequence[Run]], None]
     progress: Progress
+    pace: Callable[[], StudyPace]
     how_to_run: Callable[[str], str]
     limits: Limits
 
@@ -137,7 +148,8 @@ class _Driver:
         left = sum((chain.left for chain in chains if chain.open), NOTHING)
         done = sum((chain.done for chain in chains), NOTHING)
         cluster = self.cluster()
-        with self.progress.stage(run.stage.name, unit=run.stage.unit, total=left + done, done=done) as bar:
+        name, unit, pace = run.stage.name, run.stage.unit, self.pace()
+        with self.progress.stage(name, unit=unit, total=left + done, done=done, study=pace) as bar:
             run_stage(run, chains, cluster=cluster, bar=RecordingBar(bar, self.record), limits=self.limits)
 
 

@@ -1,4 +1,4 @@
-"""Progress of a stage: the share done, the rate and the time left.
+"""Progress of a stage: the share done, the rate, and the time left for it and for the whole study.
 
 A terminal shows a bar; anything else (a log, a pipe, a batch job) gets a line now and then. Both go to standard error,
 so that results on standard output can be piped. The count is in units, but the share done and the time left follow
@@ -9,7 +9,7 @@ not toward the rate.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -21,6 +21,7 @@ from rich.text import Text
 
 _BAR_FPS, _BAR_WIDTH = 4.0, 30
 _ROUNDING = 1e-9  # relative error of a sum of costs
+_TRUSTED_SECONDS = 60.0  # the expected times of stages count as much as this long a run [s]
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,9 @@ class Progress(Protocol):
         """Show a line that stays, above any bar."""
 
     @contextmanager
-    def stage(self, name: str, *, unit: str, total: Work, done: Work = NOTHING) -> Iterator[Bar]:
+    def stage(
+        self, name: str, *, unit: str, total: Work, done: Work = NOTHING, study: StudyPace | None = None
+    ) -> Iterator[Bar]:
         """Return a context manager that shows a stage while it runs, and gives the bar to advance.
 
         Args:
@@ -62,7 +65,43 @@ class Progress(Protocol):
             unit: unit of work, in the plural.
             total: work of the whole stage, including what is done.
             done: work that the store already has.
+            study: the study that the stage belongs to, if it is one of a study's.
         """
+
+
+@dataclass
+class StudyPace:
+    """The time left for a study: the expected times of its stages, corrected by how long they really take."""
+
+    stages: tuple[str, ...]  # names of all stages, in order
+    expected: Mapping[str, float]  # time of every stage that is to run [s]
+    took: float = 0.0  # time of the stages that have run [s]
+    should_have_taken: float = 0.0  # what was expected for the work that they did [s]
+
+    def place(self, stage: str) -> str:
+        """Return which of the stages one is."""
+        return f"stage {self.stages.index(stage) + 1} of {len(self.stages)}, {stage}"
+
+    def seconds_left(self, stage: Pace) -> float | None:
+        """Return the time left for the rest of a stage and those after it [s]; None if none follows it."""
+        later = [self.expected.get(name, 0.0) for name in self.stages[self.stages.index(stage.name) + 1 :]]
+        if not any(later):
+            return None
+        trust = _TRUSTED_SECONDS + 0.05 * sum(self.expected.values())
+        slowness = (self.took + stage.seconds + trust) / (self.should_have_taken + self._expected_so_far(stage) + trust)
+        left = stage.seconds_left
+        if left is None:
+            left = (1 - stage.fraction) * self.expected.get(stage.name, 0.0) * slowness
+        return left + sum(later) * slowness
+
+    def finish(self, stage: Pace) -> None:
+        """Learn from a stage that has ended."""
+        self.should_have_taken += self._expected_so_far(stage)
+        self.took += stage.seconds
+
+    def _expected_so_far(self, stage: Pace) -> float:
+        found = stage.found.cost / stage.total.cost if stage.total.cost > 0 else 0.0
+        return max(0.0, stage.fraction - found) * self.expected.get(stage.name, 0.0)
 
 
 @dataclass
@@ -73,6 +112,7 @@ class Pace:
     unit: str
     total: Work
     found: Work  # work done before the stage started
+    study: StudyPace | None = None
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
@@ -99,17 +139,40 @@ class Pace:
         """Share of the cost that is done, from 0 to 1."""
         return min(1.0, self.done.cost / self.total.cost) if self.total.cost > 0 else 1.0
 
+    @property
+    def place(self) -> str:
+        """The stage's name, and which of the study's stages it is."""
+        return self.study.place(self.name) if self.study else self.name
+
+    @property
+    def study_left(self) -> str:
+        """The time left for the whole study in words; empty if no other stage follows."""
+        seconds = self.study.seconds_left(self) if self.study else None
+        return "" if seconds is None else f"study: about {_about(seconds)} left"
+
     def __str__(self) -> str:
-        counts = f"{self.fraction:.0%}, {_count(self.done.units)}/{_count(self.total.units)} {self.unit}"
+        counts = f"{self.fraction:.0%}"
+        if self.total.units >= 1:  # less than one unit is work beside the units, such as scoring what was made of them
+            counts += (
+                f", {_count(int(self.done.units + _ROUNDING))}/{_count(int(self.total.units + _ROUNDING))} {self.unit}"
+            )
+        rate = f", {_count(self.rate)}/s" if self.total.units >= 1 else ""
         if self.fraction >= 1 - _ROUNDING:
-            return f"{counts}, {_count(self.rate)}/s, took {_duration(self.seconds)}"
+            return f"{counts}{rate}, took {_duration(self.seconds)}"
         if self.seconds_left is None:
             return f"{counts}, {_duration(self.seconds)} so far"
-        return f"{counts}, {_count(self.rate)}/s, {_duration(self.seconds_left)} left"
+        return f"{counts}{rate}, {_duration(self.seconds_left)} left"
 
 
 def _count(units: float) -> str:
     return f"{units:,.0f}" if units >= 10 else f"{units:.2g}"
+
+
+def _about(seconds: float) -> str:
+    """Write an estimate in the coarse unit that a person thinks in."""
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    return f"{round(seconds / 60)} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _duration(seconds: float) -> str:
@@ -137,14 +200,16 @@ class _Bars:
         self._live.console.print(line, markup=False)
 
     @contextmanager
-    def stage(self, name: str, *, unit: str, total: Work, done: Work = NOTHING) -> Iterator[Bar]:
-        pace = Pace(name, unit, total, done)
+    def stage(
+        self, name: str, *, unit: str, total: Work, done: Work = NOTHING, study: StudyPace | None = None
+    ) -> Iterator[Bar]:
+        pace = Pace(name, unit, total, done, study)
         self._live.update(_Drawing(pace))
         try:
             yield _Counter(pace)  # the live display draws by itself
         finally:
             self._live.update(Group())
-            self.say(f"{name}: {pace}")
+            _conclude(pace, self.say)
 
 
 @dataclass(frozen=True)
@@ -156,7 +221,17 @@ class _Drawing:
     def __rich__(self) -> Text:
         n_full = round(_BAR_WIDTH * self.pace.fraction)
         full, empty = "━" * n_full, "─" * (_BAR_WIDTH - n_full)
-        return Text.assemble(f"{self.pace.name:<9} ", (full, "cyan"), (empty, "dim"), f" {self.pace}")
+        bar = Text.assemble(f"{self.pace.place:<9} ", (full, "cyan"), (empty, "dim"))
+        if self.pace.study is None:
+            return bar.append(f" {self.pace}")
+        study_left = self.pace.study_left
+        return bar.append(f"  {study_left}\n  {self.pace}" if study_left else f"\n  {self.pace}")
+
+
+def _conclude(pace: Pace, say: Callable[[str], None]) -> None:
+    say(f"{pace.place}: {pace}")
+    if pace.study is not None:
+        pace.study.finish(pace)
 
 
 class _Lines:
@@ -170,19 +245,21 @@ class _Lines:
         self._console.print(line, markup=False, soft_wrap=True)
 
     @contextmanager
-    def stage(self, name: str, *, unit: str, total: Work, done: Work = NOTHING) -> Iterator[Bar]:
-        pace = Pace(name, unit, total, done)
+    def stage(
+        self, name: str, *, unit: str, total: Work, done: Work = NOTHING, study: StudyPace | None = None
+    ) -> Iterator[Bar]:
+        pace = Pace(name, unit, total, done, study)
 
         def now_and_then() -> None:
             if pace.fraction < 1 - _ROUNDING and pace.clock() - self._last >= self._seconds_between_lines:
                 self._last = pace.clock()
-                self.say(f"{name}: {pace}")
+                self.say("; ".join(filter(None, [f"{pace.place}: {pace}", pace.study_left])))
 
         now_and_then()
         try:
             yield _Counter(pace, now_and_then)
         finally:
-            self.say(f"{name}: {pace}")
+            _conclude(pace, self.say)
 
 
 @dataclass(frozen=True)

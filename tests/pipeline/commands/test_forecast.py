@@ -1,11 +1,22 @@
 """A forecast: costs are fitted to items of the store or of a calibration run, and added up."""
 
+import json
 import shutil
 
 import pytest
 from command_line import call
 
-from pipeline.commands.cost_model import Cost, Sample, forecast_lines, forecast_stages, kind_of, remaining_chains
+from pipeline.commands.cost_model import (
+    Cost,
+    Sample,
+    StageForecast,
+    StudyForecast,
+    forecast_lines,
+    forecast_stages,
+    forecast_study,
+    kind_of,
+    remaining_chains,
+)
 from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
@@ -59,8 +70,8 @@ def test_the_longest_chain_is_divided_by_the_batches_of_a_generation():
 def test_a_finished_study_costs_nothing(study, settings):
     store, upstream = study
     assert remaining_chains(settings, upstream) == []
-    *_, total, _ = forecast_lines(settings, store.root, (), say=stop_calibration)
-    assert total.split()[:2] == ["all", "0.00"]
+    *_, total, _ = forecast_lines(forecast_study(settings, store, (), say=stop_calibration))
+    assert total.split() == ["all", "-", "-", "-"]
 
 
 def test_items_of_another_study_are_samples_if_their_units_cost_the_same(study, settings, tmp_path):
@@ -69,24 +80,53 @@ def test_items_of_another_study_are_samples_if_their_units_cost_the_same(study, 
     store.write_study(StudyRecord(settings.name, settings.model_dump(mode="json"), ()))
     more = ("name=more", "seed=7", "grid.n_trials=5", "evolution.n_generations=9", "work.generations_per_item=3")
     longer = parse(Settings, settings.model_dump_json(), name="longer", overrides=more)
-    lines = list(forecast_lines(longer, store.root, (8,), say=stop_calibration))
+    lines = list(forecast_lines(forecast_study(longer, store, (8,), say=stop_calibration)))
     assert "8 cores" in lines[1] and lines[2].endswith(" store") and "180 generations" in "\n".join(lines)
     larger = parse(Settings, settings.model_dump_json(), name="larger", overrides=["rollout.n_measure=40"])
     with pytest.raises(CalibrationStarted):
-        list(forecast_lines(larger, store.root, (), say=stop_calibration))
+        forecast_study(larger, store, (), say=stop_calibration)
 
 
 def test_a_calibration_run_forecasts_a_real_study(study, settings, tmp_path):
     """Bytes are compared, which do not depend on the machine; the seconds of a real study are in cost_model.py."""
     store, _ = study
-    lines = list(forecast_lines(settings, tmp_path / "none", (), say=lambda line: None))
-    assert not (tmp_path / "none").exists()
-    for stage, line in zip(STAGES, lines[2:], strict=False):
-        words = line.split()
-        assert words[0] == stage.name and words[-1] == "calibration"
-        copies = 2 if stage.name == "report" else 1
-        n_bytes = copies * sum(store.item_bytes(stage.name, key) for key in store.keys(stage.name))
-        assert float(words[words.index("MB") - 1]) == pytest.approx(n_bytes / 1e6, rel=0.6, abs=0.51), stage.name
+    found = forecast_study(settings, None, (), say=lambda line: None)
+    assert [stage.stage for stage in found.stages] == [stage.name for stage in STAGES] and found.store_bytes is None
+    for stage in found.stages:
+        assert stage.source == "calibration"
+        copies = 2 if stage.stage == "report" else 1
+        n_bytes = copies * sum(store.item_bytes(stage.stage, key) for key in store.keys(stage.stage))
+        assert stage.n_bytes / 1e6 == pytest.approx(n_bytes / 1e6, rel=0.6, abs=0.51), stage.stage
+
+
+def test_short_and_long_times_are_written_in_their_units():
+    """0.00 h says nothing of 12 s."""
+    stages = [
+        StageForecast("collect", "throws", 500, 0.4, 0.4, 2e5, "store"),
+        StageForecast("train", "iterations", 44_000, 24.0, 12.0, 3e6, "store"),
+        StageForecast("evolve", "generations", 124_000, 40_000.0, 60.0, 2e10, "store and calibration"),
+        StageForecast("transfer", "generations", 0.09, 600_000.0, 1.0, 1.0, "store"),
+        StageForecast("assess", "designs", 0, 0.0, 0.0, 0.0, ""),
+    ]
+    forecast = StudyForecast("tiny", tuple(stages), (2, 64), 5_000_000)
+    _, header, collect, train, evolve, transfer, assess, total, now = forecast_lines(forecast)
+    assert header.split() == ["stage", "work", "core", "time", "2", "cores", "64", "cores", "disk", "cost", "from"]
+    assert collect.split("  ")[-1] == "store" and "500 throws" in collect and collect.count("< 1 s") == 3
+    assert "24 s" in train and train.count("12 s") == 2 and "3 MB" in train
+    assert "11.1 h" in evolve and "5.6 h" in evolve and "10 min" in evolve and "20 GB" in evolve
+    assert "< 1 unit" in transfer and "167 h" in transfer and "< 1 MB" in transfer
+    assert assess.split() == ["assess", "done", "-", "-", "-", "-"]
+    assert "0.00" not in "".join([collect, train, evolve, transfer, assess, total]) and now.endswith("5 MB now.")
+    assert max(map(len, (header, collect, train, transfer, assess, total))) <= 80
+
+
+def test_forecast_as_json(study, settings, tmp_path, capsys):
+    (tmp_path / "tiny.yaml").write_text(settings.model_dump_json())
+    chosen = ("--settings", str(tmp_path / "tiny.yaml"), "--store", str(study[0].root), "--cores", "8")
+    assert call("forecast", "--json", *chosen) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["study"] == "tiny" and found["seconds"]["8"] == 0 and len(found["stages"]) == len(STAGES)
+    assert found["stages"][2]["unit"] == "generations" and found["stages"][2]["core_seconds"] == 0
 
 
 def test_kinds_tell_apart_what_costs_differ(settings):

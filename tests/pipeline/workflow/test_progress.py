@@ -10,7 +10,7 @@ import time
 import pytest
 from rich.console import Console
 
-from pipeline.workflow.progress import NOTHING, Pace, Work, progress
+from pipeline.workflow.progress import NOTHING, Pace, StudyPace, Work, _about, progress
 
 
 class Clock:
@@ -171,3 +171,63 @@ def test_weighted_units_that_do_not_add_up_exactly_are_a_whole_stage():
     assert "took" in str(evolve)
     evolve.done = even(0.999)
     assert "left" in str(evolve)
+
+
+def test_work_beside_the_units_is_not_counted_in_them():
+    """Scoring champions without adapting them is a tenth of a generation: "0.094/0.094 generations" says nothing."""
+    scoring, clock = pace(total=Work(0.094, cost=0.094))
+    clock.now += 2
+    scoring.done += Work(0.047, cost=0.047)
+    assert str(scoring) == "50%, 0:00:02 left"
+    scoring.done += Work(0.047, cost=0.047)
+    assert str(scoring) == "100%, took 0:00:02"
+
+
+def test_counts_are_whole_numbers():
+    transfer, clock = pace(total=even(8.094))
+    clock.now += 2
+    transfer.done += even(4.094)
+    assert str(transfer).startswith("51%, 4/8 generations, 2/s, ")
+
+
+def study_of_three() -> tuple[StudyPace, Clock]:
+    return StudyPace(("train", "evolve", "report"), {"train": 60.0, "evolve": 600.0, "report": 60.0}), Clock()
+
+
+def test_the_time_left_for_a_study_follows_the_pace_of_its_stages():
+    study, clock = study_of_three()
+    train = Pace("train", "iterations", even(100), NOTHING, study, clock)
+    assert train.place == "stage 1 of 3, train"
+    assert study.seconds_left(train) == 720  # as expected, before anything has run
+    clock.now += 60
+    train.done += even(50)  # half as fast as expected
+    # 60 s + 5 % of 720 s of trust: 156 s instead of 126 s. The stage itself: 60 s for the other half.
+    assert study.seconds_left(train) == pytest.approx(60 + 660 * 156 / 126)
+    assert train.study_left == "study: about 15 min left"
+    clock.now += 60
+    train.done += even(50)
+    study.finish(train)
+    evolve = Pace("evolve", "generations", even(1000), even(500), study, clock)
+    assert study.seconds_left(evolve) == pytest.approx((300 + 60) * 216 / 156)
+    report = Pace("report", "pictures", even(10), NOTHING, study, clock)
+    assert report.study_left == ""  # it is the last: its own time left is the study's
+
+
+def test_a_line_names_the_stage_and_the_time_left_for_the_study():
+    out = io.StringIO()
+    study, _ = study_of_three()
+    with progress(Console(file=out), seconds_between_lines=0) as show:  # noqa: SIM117
+        with show.stage("evolve", unit="generations", total=even(10), study=study) as bar:
+            bar.advance(even(5))
+            bar.advance(even(5))
+    first, half, done = out.getvalue().splitlines()
+    assert first.startswith("stage 2 of 3, evolve: 0%, 0/10 generations, ") and "; study: about 11 min left" in first
+    assert "study: about" in half and done.startswith("stage 2 of 3, evolve: 100%, 10/10 generations")
+    assert study.took > 0 and study.should_have_taken == 600
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.2, "1 s"), (89, "89 s"), (90, "2 min"), (3600, "60 min"), (7200, "2.0 h")]
+)
+def test_an_estimate_is_coarse(seconds, text):
+    assert _about(seconds) == text

@@ -1,0 +1,64 @@
+"""What `puddle study` shows when it is done: the headline figures, where the page is, and what to do next."""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from pipeline.config.settings import Settings
+from pipeline.stages import segments
+from pipeline.stages.report import PAGE
+from pipeline.stages.transfer import read_scores
+from pipeline.store.store import Store
+from pipeline.workflow.stage import Upstream
+from tasks.world import ENVIRONMENTS
+
+
+def headline_lines(
+    settings: Settings, upstream: Upstream, store: Store, *, how_to_run: Callable[[str], str]
+) -> Iterator[str]:
+    """Yield the champions' displacement at the greatest depth, the page's address, and the commands to try next.
+
+    Args:
+        settings: the study's settings.
+        upstream: results of all stages.
+        store: where they are.
+        how_to_run: returns the command line that runs a command on this study.
+    """
+    yield ""
+    yield from _figures(settings, upstream, store)
+    page = store.export_path(settings.name) / PAGE
+    if page.is_file():
+        yield f"Open: {page.as_uri()}"
+    yield "Next:"
+    by_name = f" --study {settings.name}"
+    commands = {
+        how_to_run("champions"): "rank the champions",
+        f"{how_to_run('export')} --out {settings.name}".replace(by_name, f" {settings.name}"): "take the results out",
+        how_to_run("ui").replace(by_name, ""): "browse runs and curves in MLflow",
+    }
+    width = max(map(len, commands))
+    yield from (f"  {command:<{width}}  {what}" for command, what in commands.items())
+
+
+def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[str]:
+    depth = max(settings.grid.depths)
+    scores = [score for score in read_scores(settings, upstream["transfer"], store) if score["depth"] == depth]
+    best = _mean([score.get("zero_shot") for score in scores if score["environment"] == "true_slush"])
+    yield f"Champions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]"
+    yield f"  {'evolved in':<28} {'predicted':>14} {'zero-shot':>14} {'adapted':>14}"
+    for environment, style in ENVIRONMENTS.items():
+        arm = [score for score in scores if score["environment"] == environment]
+        if not arm:
+            continue
+        columns = {name: [score.get(name) for score in arm] for name in ("predicted", "zero_shot", "adapted")}
+        cells = [segments.mean_and_deviation([value for value in of if value is not None]) for of in columns.values()]
+        yield f"  {style.label:<28} " + " ".join(f"{cell:>14}" for cell in cells)
+        if best is not None and best > 0 and environment != "true_slush":
+            shares = [_mean(columns[name]) for name in ("zero_shot", "adapted")]
+            percent = ["" if share is None else f"{share / best:.0%}" for share in shares]
+            yield f"  {'  of True Slush, zero-shot':<28} {'':>14} " + " ".join(f"{cell:>14}" for cell in percent)
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
