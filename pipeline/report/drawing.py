@@ -8,6 +8,7 @@ page replaces by its own in dark mode.
 import io
 import re
 from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,7 +56,7 @@ _STYLE: dict[str, Any] = {
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
 }
-_NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
+NO_METADATA = {"Creator": None, "Date": None, "Format": None, "Type": None}
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,11 @@ class NothingToDraw(Exception):  # noqa: N818 (a condition, not a failure)
     """Raised by a figure that has no data; the message is the reason shown to the reader."""
 
 
+def figure_style() -> AbstractContextManager[None]:
+    """Return the context in which figures are drawn and encoded; it overrides any style that the user has set."""
+    return mpl_style.context(["default", _STYLE])
+
+
 def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Drawing | Missing:
     """Return a figure, encoded as SVG and PNG, or the reason why there is none.
 
@@ -90,20 +96,18 @@ def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Dra
         title: heading.
         draw: returns the figure and its description, or raises NothingToDraw.
     """
-    with mpl_style.context(["default", _STYLE]):  # overrides any style that the user has set
+    with figure_style():
         try:
             figure, description = draw()
         except NothingToDraw as nothing:
             return Missing(name=name, title=title, reason=str(nothing))
         svg, png = io.BytesIO(), io.BytesIO()
-        figure.savefig(svg, format="svg", metadata=_NO_METADATA)
+        figure.savefig(svg, format="svg", metadata=NO_METADATA)
         figure.savefig(png, format="png", dpi=216, facecolor="white", metadata={"Software": None})
-    return Drawing(
-        name=name, title=title, description=description, svg=_round_paths(svg.getvalue()), png=png.getvalue()
-    )
+    return Drawing(name=name, title=title, description=description, svg=round_paths(svg.getvalue()), png=png.getvalue())
 
 
-def _round_paths(svg: bytes) -> bytes:
+def round_paths(svg: bytes) -> bytes:
     """Round the coordinates of paths to hundredths of a unit, so that a figure of many lines stays small."""
     return re.sub(rb' d="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path[0]), svg)
 

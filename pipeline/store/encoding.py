@@ -250,6 +250,12 @@ def decode_table(data: bytes, *, schema: str, version: int, source: str) -> dict
     return columns
 
 
+def units_of(data: bytes, source: str) -> dict[str, str]:
+    """Return the units that a table states, by column; ``source`` is its name in messages."""
+    metadata = pq.read_metadata(pa.BufferReader(data)).metadata or {}
+    return dict(_read_label(metadata.get(_METADATA_KEY.encode()), source).get("units", {}))
+
+
 def _bytes_in_memory(metadata: pq.FileMetaData, kinds: Mapping[str, pa.DataType]) -> int:
     width = sum(_width(name, kind) for name, kind in kinds.items())
     groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]

@@ -33,8 +33,15 @@ def test_the_wheel_holds_the_files_that_the_command_reads(wheel):
         str(path.relative_to(ROOT)) for kind in ("html", "css", "js") for path in ROOT.glob(f"pipeline/*/*.{kind}")
     }
     assert presets and templates
-    assert {"pipeline/constraints.txt", "pipeline/py.typed", "tasks/py.typed", *presets, *templates} <= names
-    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"pipeline", "tasks"}
+    assert {
+        "pipeline/constraints.txt",
+        "pipeline/py.typed",
+        "puddle/py.typed",
+        "tasks/py.typed",
+        *presets,
+        *templates,
+    } <= names
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"pipeline", "puddle", "tasks"}
 
 
 def test_the_wheel_describes_itself(wheel):
@@ -65,11 +72,11 @@ def test_the_smoke_study_runs_from_an_installed_wheel_in_an_empty_folder(wheel, 
         assert ran.returncode == 0, ran.stderr
         return ran.stdout
 
-    where = "import pipeline, tasks; print(pipeline.__file__, tasks.__file__)"
+    where = "import puddle, pipeline, tasks; print(puddle.__file__, pipeline.__file__, tasks.__file__)"
     shown = subprocess.run(
         [str(python), "-c", where], cwd=empty, env=environment, capture_output=True, text=True, check=True
     )
-    assert shown.stdout.count(str(site)) == 2
+    assert shown.stdout.count(str(site)) == 3
     puddle("study", "--preset", "smoke", "--workers", "0")
     assert (empty / "store" / "studies" / "smoke" / "report" / "index.html").stat().st_size > 100_000
     assert "report    done" in puddle("status", "--preset", "smoke")

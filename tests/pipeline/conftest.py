@@ -7,12 +7,13 @@ from pathlib import Path
 import pytest
 from browser import CHROMIUM, Browser
 from command_line import call
-from small_study import ON_DRY_LAND, run
+from small_study import ON_DRY_LAND, run, silent
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.store.store import Store
+from pipeline.workflow.record import DrivenStudy
 
 TINY = """
 name: tiny
@@ -45,6 +46,16 @@ def study(settings, tmp_path_factory):
     store = Store.open(tmp_path_factory.mktemp("stages") / "store", create=True)
     with serial_cluster() as cluster:
         return store, run(settings, store, cluster)
+
+
+@pytest.fixture(scope="session")
+def recorded(settings, study, tmp_path_factory) -> Path:
+    """A store like that of ``study``, with the study's record. Tests that change it change a copy."""
+    store, results = study
+    root = tmp_path_factory.mktemp("recorded") / "store"
+    shutil.copytree(store.root, root)
+    DrivenStudy(settings, Store.open(root, create=False), silent).update(results, finished=True)
+    return root
 
 
 @pytest.fixture(scope="session")

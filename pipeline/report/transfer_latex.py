@@ -1,0 +1,79 @@
+"""The table of transfer in LaTeX, which a paper reads with the command input."""
+
+import unicodedata
+from collections.abc import Sequence
+
+from pipeline.report.data import Measure, TrialResult, arm, depths, ratio, trial_mean
+from tasks.world import ENVIRONMENTS
+
+_NONE = "--"
+_SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+_SPECIAL |= {character: f"\\{character}" for character in "&%$#_{}"}
+_ACCENTS = {
+    "\N{COMBINING CIRCUMFLEX ACCENT}": r"\hat",
+    "\N{COMBINING TILDE}": r"\tilde",
+    "\N{COMBINING MACRON}": r"\bar",
+}
+_HEAD = r"""% Transfer results of study {name}. Needs \usepackage{{booktabs}}.
+% Displacement of the root link [m], mean over n trials +- sample standard deviation. "of E": the mean divided by the
+% zero-shot mean of the designs evolved in True Slush at the same depth.
+\begin{{tabular}}{{rlrrrrrr}}
+\toprule
+depth & evolved in & $n$ & predicted & zero-shot & of $E$ & adapted & of $E$ \\
+"""
+
+
+def transfer_latex(name: str, trials: Sequence[TrialResult]) -> str:
+    """Tabulate the champions' displacement by depth and environment, as a ``tabular``."""
+    lines = [_HEAD.format(name=name)]
+    for depth in depths(trials):
+        lines.append("\\midrule\n")
+        best = trial_mean(arm(trials, "true_slush", depth), "zero_shot")
+        for environment, style in ENVIRONMENTS.items():
+            chosen = arm(trials, environment, depth)
+            if not chosen:
+                continue
+            shares = [ratio(trial_mean(chosen, measure), best) for measure in _TRANSFERRED]
+            zero_shot, adapted = (_NONE if share is None else rf"{100 * share:.0f}\,\%" for share in shares)
+            cells = (
+                rf"{depth:g}\,m",
+                f"{_text(style.label)} {_symbol(style.symbol)}",
+                str(len(chosen)),
+                _mean(chosen, "predicted"),
+                _mean(chosen, "zero_shot"),
+                zero_shot,
+                _mean(chosen, "adapted"),
+                adapted,
+            )
+            lines.append(f"{' & '.join(cells)} \\\\\n")
+    return "".join([*lines, "\\bottomrule\n\\end{tabular}\n"])
+
+
+_TRANSFERRED: tuple[Measure, Measure] = ("zero_shot", "adapted")
+
+
+def _mean(trials: Sequence[TrialResult], measure: Measure) -> str:
+    found = trial_mean(trials, measure)
+    if found is None:
+        return _NONE
+    return f"${found.mean:z.1f}" + (rf" \pm {found.sd:.1f}$" if found.sd is not None else "$")
+
+
+def _text(words: str) -> str:
+    return "".join(_SPECIAL.get(character, character) for character in words)
+
+
+def _symbol(symbol: str) -> str:
+    """Write a symbol of the paper, such as Ê₁ or E′, in mathematics."""
+    written = ""
+    for character in unicodedata.normalize("NFD", symbol):
+        digit = unicodedata.digit(character, None)
+        if character in _ACCENTS:
+            written = f"{written[:-1]}{_ACCENTS[character]}{{{written[-1:]}}}"
+        elif character == "′":
+            written += "'"
+        elif digit is not None and not character.isascii():
+            written += f"_{{{digit}}}"
+        else:
+            written += _text(character)
+    return f"${written}$"

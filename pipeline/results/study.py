@@ -1,0 +1,202 @@
+"""A recorded study, read back from its store."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
+from pipeline.results import catalogue
+from pipeline.results.catalogue import CATALOGUE, KEYS
+from pipeline.stages import STAGES, environments
+from pipeline.stages.transfer import CHAMPION, SCORE
+from pipeline.store.design_file import design_from
+from pipeline.store.encoding import decode_json
+from pipeline.store.store import Store, StudyRecord
+from pipeline.workflow.graph import survey
+from pipeline.workflow.identity import trials_of
+from pipeline.workflow.record import recorded_study, settings_of
+from pipeline.workflow.stage import Upstream
+from tasks.design import Designs
+
+if TYPE_CHECKING:
+    from tasks.world import EnsembleMedium
+
+CHAMPIONS = "champions"  # name of the table of champions
+
+_CHAMPION_FIELDS = pa.schema(
+    [pa.field(name, kind, metadata={"unit": "m" if name == "depth" else ""}) for name, kind in KEYS.items()]
+    + [pa.field(name, pa.float64(), metadata={"unit": "m"}) for name in ("predicted", "zero_shot", "adapted")]
+    + [pa.field("design_json", pa.string(), metadata={"unit": ""})]
+)
+
+
+@dataclass(frozen=True)
+class StageProgress:
+    """Numbers of work items of a stage."""
+
+    done: int
+    failed: int  # that can't be computed, because they or work items before them failed
+    missing: int  # that are still to be computed
+
+
+@dataclass(frozen=True)
+class Study:
+    """A recorded study as it is when it is first read; open it again to see what has been added since.
+
+    Nothing is written, so that another user's store, or one on a read-only disk, can be read too.
+    """
+
+    store: Store
+    record: StudyRecord
+    settings: Settings
+
+    @property
+    def name(self) -> str:
+        """Name of the study."""
+        return self.record.name
+
+    @cached_property
+    def upstream(self) -> Upstream:
+        """What the store holds of each stage, by name."""
+        with self.store.lock_to_read():
+            return survey(self.settings, STAGES, self.store, say=lambda line: None)
+
+    @property
+    def progress(self) -> dict[str, StageProgress]:
+        """Work items that are done, failed and missing, by stage."""
+        found = {}
+        for stage in STAGES:
+            results, chains = self.upstream[stage.name], stage.plan(self.settings)
+            labels = {one.label for one in self.record.failed if one.stage == stage.name}
+            n_left = {chain.identity: chain.n_items - results.n_done.get(chain.identity, 0) for chain in chains}
+            n_failed = sum(n for of, n in n_left.items() if of in results.failed or of.label in labels)
+            n_done = sum(chain.n_items for chain in chains) - sum(n_left.values())
+            found[stage.name] = StageProgress(n_done, n_failed, sum(n_left.values()) - n_failed)
+        return found
+
+    @property
+    def tables(self) -> list[str]:
+        """Names of the tables that the study has."""
+        return [*([CHAMPIONS] if self.upstream["transfer"].done else []), *catalogue.available(self.upstream)]
+
+    def table(
+        self, name: str, *, environment: str | None = None, depth: float | None = None, trial: int | None = None
+    ) -> pa.Table:
+        """Return a table. Its first columns are environment, depth and trial; its schema names the units.
+
+        Args:
+            name: name of the table, such as "histories", "champions" or "predictions"; see ``tables``.
+            environment: where designs evolved; None for all environments.
+            depth: of the slush [m]; None for all depths.
+            trial: number of the trial; None for all trials.
+
+        Raises:
+            PuddleError: there is no such table, environment, depth or trial, or an item of the store is damaged.
+        """
+        given = {"environment": environment, "depth": depth, "trial": trial}
+        only = {key: value for key, value in given.items() if value is not None}
+        self._check(only)
+        if name == CHAMPIONS:
+            table = self.champions()
+        elif name in self.tables:
+            with self.store.lock_to_read():
+                results = self.upstream[CATALOGUE[name].stage]
+                parts = list(catalogue.parts_of(name, results, self.store, only=only))
+            if not parts:
+                raise PuddleError(f"table {name}: study {self.name} has no rows with {_words(only)} yet")
+            table = pa.concat_tables(parts)
+        else:
+            raise PuddleError(self._why_no_table(name))
+        for key, value in only.items():
+            if len(table) and table[key].null_count == len(table):
+                raise PuddleError(f"table {name}: its rows have no {key}; expected no {key}, got {value!r}")
+            table = table.filter(pc.equal(table[key], value))
+        return table
+
+    def champions(self) -> pa.Table:
+        """Return the champion of every trial that is done and has one, in the order of the trials.
+
+        Columns: environment, depth, trial; predicted (fitness where it evolved), zero_shot and adapted (displacement in
+        True Slush) [m], null where there is none; design_json (content of a design file).
+        """
+        rows = []
+        transferred = self.upstream["transfer"].done
+        with self.store.lock_to_read():
+            for trial in trials_of(self.settings, "transfer"):
+                if trial in transferred and CHAMPION in (scored := transferred[trial][-1]).files:
+                    scores = decode_json(self.store.read(scored, SCORE), trial.label)
+                    design = self.store.read(scored, CHAMPION).decode()
+                    rows.append({**catalogue.keys_of(trial), **scores, "design_json": design})
+        return pa.Table.from_pylist(rows, schema=_CHAMPION_FIELDS)
+
+    def champion(self, environment: str, *, depth: float, trial: int) -> Designs:
+        """Return the champion of a trial, a design.
+
+        Args:
+            environment: where it evolved.
+            depth: of the slush [m].
+            trial: number of the trial.
+
+        Raises:
+            PuddleError: there is no such trial, it is not done, or all its designs diverged.
+        """
+        found = self.table(CHAMPIONS, environment=environment, depth=depth, trial=trial)
+        where = f"study {self.name}: {environment} at {depth:g} m, trial {trial}"
+        if not len(found):
+            raise PuddleError(f"{where} has no champion: it is not done yet, or every design diverged")
+        return design_from(decode_json(found["design_json"][0].as_py().encode(), where), where)
+
+    def ensemble(self) -> EnsembleMedium:
+        """Return the trained networks, for ``ResidualSlush(depth=9.0, ensemble=study.ensemble())``.
+
+        Raises:
+            MissingInputs: a network is not trained yet, or the study needs none.
+        """
+        with self.store.lock_to_read():
+            inputs = environments.member_inputs(self.settings, "residual_slush", 0, self.upstream)
+            files = {
+                name: {file: self.store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()
+            }
+        return environments.ensemble_of(files)
+
+    def _check(self, only: Mapping[str, Any]) -> None:
+        """Refuse values of keys that no trial of the study has."""
+        trials = trials_of(self.settings, "evolve")
+        for key, value in only.items():
+            known = list(dict.fromkeys(catalogue.keys_of(trial)[key] for trial in trials))
+            if value not in known:
+                listed = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in known)
+                raise PuddleError(f"study {self.name}: {key}: expected one of {listed}, got {value!r}")
+
+    def _why_no_table(self, name: str) -> str:
+        if name in CATALOGUE:
+            stage = CATALOGUE[name].stage
+            return (
+                f"table {name}: study {self.name} has none: nothing of it is done, or its settings need none ({stage})"
+            )
+        listed = ", ".join((CHAMPIONS, *CATALOGUE))
+        return f"study {self.name}: expected a table, one of {listed}; got {name!r}"
+
+
+def _words(only: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in only.items())
+
+
+def open_study(name: str, store: str | Path = "store") -> Study:
+    """Open a recorded study.
+
+    Raises:
+        PuddleError: there is no store or no such study (the message lists those there are), or its record is damaged
+            or that of another version of puddle.
+    """
+    opened = Store.open(Path(store), create=False)
+    record = recorded_study(opened, name)
+    return Study(opened, record, settings_of(record))

@@ -1,0 +1,55 @@
+"""puddle: evolve robots for a world whose physics the simulator lacks.
+
+Designs, environments and the simulator, as arrays in memory::
+
+    designs = puddle.random_designs(64, np.random.default_rng(seed=1))
+    puddle.simulate(designs, puddle.TrueSlush(depth=9.0)).displacement
+
+and what `puddle study` has recorded in a store::
+
+    study = puddle.open_study("laptop", store="store")
+    study.champions().to_pandas()
+    study.table("histories", environment="true_slush", depth=9.0, trial=0)
+
+Mistakes in arguments, and damage to a store, raise :class:`PuddleError`.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipeline.errors import PuddleError
+from tasks.design import Designs, crossover, mutate, random_designs
+from tasks.simulation import simulate
+from tasks.world import DryLand, ResidualSlush, TrueSlush
+
+if TYPE_CHECKING:
+    from pipeline.results.study import Study
+
+__all__ = [
+    "Designs",
+    "DryLand",
+    "PuddleError",
+    "ResidualSlush",
+    "TrueSlush",
+    "crossover",
+    "mutate",
+    "open_study",
+    "random_designs",
+    "simulate",
+]
+
+__version__ = importlib.metadata.version("puddle")
+
+
+def open_study(name: str, store: str | Path = "store") -> Study:
+    """Open a recorded study, to read its settings, progress, tables and champions.
+
+    Raises PuddleError if there is no such store or study (the message lists the studies there are), or if the study's
+    record is damaged.
+    """
+    from pipeline.results import study  # imports what draws figures, which takes a second
+
+    return study.open_study(name, store)

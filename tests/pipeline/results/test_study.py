@@ -1,0 +1,162 @@
+"""A recorded study, read back: its progress, tables, champions and networks, and what is refused."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+
+import puddle
+from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.results.catalogue import CATALOGUE, KEYS
+from pipeline.results.study import CHAMPIONS, StageProgress, open_study
+from pipeline.stages import STAGES
+from pipeline.store.design_file import design_document
+from pipeline.store.store import FailedChain, Store
+from tasks.evolution import OPERATORS
+from tasks.simulation import simulate
+from tasks.world import ResidualSlush, TrueSlush
+
+N_TRIALS, POPULATION, N_GENERATIONS = 2, 4, 4
+ARMS = ("true_slush", "dry_land", "residual_slush", "single_member")
+
+
+@pytest.fixture(scope="module")
+def opened(recorded):
+    return puddle.open_study("tiny", store=str(recorded))
+
+
+def test_settings_are_those_of_the_record(opened, settings):
+    assert opened.settings == settings and opened.name == "tiny"
+
+
+def test_progress_counts_the_work_items_of_every_stage(opened):
+    assert list(opened.progress) == [stage.name for stage in STAGES]
+    assert opened.progress["collect"] == StageProgress(done=3, failed=0, missing=0)
+    assert opened.progress["evolve"] == StageProgress(done=2 * len(ARMS) * N_TRIALS, failed=0, missing=0)
+
+
+def test_progress_tells_failed_from_missing(recorded, tmp_path):
+    root = shutil.copytree(recorded, tmp_path / "store")
+    store = Store.open(root, create=False)
+    record = store.read_study("tiny")
+    evolved = [item for item in record.items if item.stage == "evolve"]
+    of_two = [item for item in evolved if item.label.startswith(("true_slush/1m/trial-0#1", "dry_land/1m/trial-1#1"))]
+    for item in of_two:  # the second segment of both trials
+        store.discard(item.stage, item.key)
+    store.write_study(replace(record, failed=(FailedChain("evolve", "true_slush/1m/trial-0", "its worker died"),)))
+    found = open_study("tiny", root).progress
+    assert found["evolve"] == StageProgress(done=14, failed=1, missing=1)
+    assert found["collect"].missing == found["train"].missing == 0
+
+
+def test_every_table_has_the_keys_and_is_read(opened):
+    assert set(opened.tables) == {CHAMPIONS, *CATALOGUE} - {"tank"}
+    for name in opened.tables:
+        table = opened.table(name)
+        assert table.column_names[:3] == list(KEYS) and table.schema.types[:3] == list(KEYS.values()), name
+        assert all(field.metadata.keys() == {b"unit"} for field in table.schema), name
+        assert len(pl.from_arrow(table)) == len(table.to_pandas()) == len(table) > 0, name
+
+
+def test_histories_hold_every_design_with_the_name_of_its_operator(opened):
+    histories = opened.table("histories")
+    assert len(histories) == len(ARMS) * N_TRIALS * POPULATION * N_GENERATIONS
+    assert set(histories["operator"].to_pylist()) <= set(OPERATORS)
+    first = histories.filter(pc.equal(histories["generation"], 0))
+    assert set(first["operator"].to_pylist()) == {"random"}
+    assert histories.schema.field("fitness").metadata[b"unit"] == b"m"
+    assert histories.schema.field("operator").metadata[b"unit"] == b""
+
+
+def test_filters_select_what_polars_would(opened):
+    frame = pl.from_arrow(opened.table("histories"))
+    chosen = opened.table("histories", environment="residual_slush", depth=1.0, trial=1)
+    expected = frame.filter((pl.col("environment") == "residual_slush") & (pl.col("trial") == 1))
+    assert pl.from_arrow(chosen).equals(expected) and len(expected) == POPULATION * N_GENERATIONS
+    drawn = pl.from_arrow(opened.table("predictions"))
+    assert pl.from_arrow(opened.table("predictions", trial=0)).equals(drawn.filter(pl.col("trial") == 0))
+    assert set(opened.table("exploiters", environment="dry_land")["environment"].to_pylist()) == {"dry_land"}
+
+
+def test_tables_of_members_name_them(opened):
+    assert set(opened.table("learning_curves")["member"].to_pylist()) == {0, 1}
+
+
+def test_a_champion_scores_again_what_the_table_says(opened, settings):
+    champions = opened.champions()
+    assert champions.column_names == [*KEYS, "predicted", "zero_shot", "adapted", "design_json"]
+    assert len(champions) == len(ARMS) * N_TRIALS
+    settle = {"n_settle": settings.rollout.n_settle, "n_measure": settings.rollout.n_measure}
+    for row in champions.to_pylist():
+        assert (row["adapted"] is None) == (row["environment"] != "dry_land")
+        champion = opened.champion(row["environment"], depth=1.0, trial=row["trial"])
+        assert len(champion) == 1 and design_document(champion) == json.loads(row["design_json"])
+        assert simulate(champion, TrueSlush(depth=1.0), **settle).displacement[0] == row["zero_shot"]
+        if row["environment"] == "residual_slush":
+            under = simulate(champion, ResidualSlush(depth=1.0, ensemble=opened.ensemble()), **settle).displacement
+            penalised = under.mean(axis=0) - under.std(axis=0)
+            np.testing.assert_allclose(penalised[0], row["predicted"], rtol=1e-6)
+
+
+def test_the_best_fitness_of_a_history_is_that_of_its_champion(opened):
+    for row in opened.champions().to_pylist():
+        where = {key: row[key] for key in KEYS}
+        assert pc.max(opened.table("histories", **where)["fitness"]).as_py() == row["predicted"]
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("history", {}, "expected a table, one of champions, histories"),
+        ("tank", {}, "study tiny has none"),
+        ("histories", {"environment": "mud"}, "expected one of true_slush, dry_land, residual_slush, single_member"),
+        ("histories", {"depth": 2.0}, "depth: expected one of 1, got 2.0"),
+        ("champions", {"trial": 2}, "trial: expected one of 0, 1, got 2"),
+        ("regressions", {"trial": 0}, "its rows have no trial"),
+    ],
+)
+def test_what_is_not_there_is_refused(opened, name, given, message):
+    with pytest.raises(PuddleError, match=message):
+        opened.table(name, **given)
+
+
+def test_a_study_that_has_only_begun_has_progress_and_no_tables(settings, tmp_path, recorded):
+    shutil.copytree(recorded, tmp_path / "store", ignore=shutil.ignore_patterns("items"))
+    begun = open_study("tiny", tmp_path / "store")
+    assert begun.progress["evolve"] == StageProgress(done=0, failed=0, missing=16) and begun.tables == []
+    assert len(begun.champions()) == 0 and begun.champions().schema.field("zero_shot").type == pa.float64()
+    with pytest.raises(PuddleError, match="has no champion: it is not done yet"):
+        begun.champion("dry_land", depth=1.0, trial=0)
+    with pytest.raises(PuddleError, match="evolve is not done"):
+        begun.table("histories")
+    with pytest.raises(PuddleError, match="not done"):
+        begun.ensemble()
+
+
+def test_a_damaged_history_is_named(recorded, tmp_path):
+    root = shutil.copytree(recorded, tmp_path / "store")
+    record = Store.open(root, create=False).read_study("tiny")
+    item = next(item for item in record.items if item.stage == "evolve")
+    history = root / "items" / "evolve" / item.key[:2] / item.key / "history.parquet"
+    history.write_bytes(history.read_bytes()[:-1] + b"x")
+    with pytest.raises(DamagedArtifact, match=r"history\.parquet: expected SHA-256"):
+        open_study("tiny", root).table("histories")
+
+
+def test_an_unknown_study_a_damaged_record_and_no_store(recorded, tmp_path):
+    with pytest.raises(PuddleError, match=r"study '\.\./tiny': .* holds tiny"):
+        open_study("../tiny", recorded)
+    with pytest.raises(PuddleError, match="expected a store"):
+        open_study("tiny", tmp_path / "none")
+    root = shutil.copytree(recorded, tmp_path / "store")
+    (root / "studies" / "tiny" / "study.json").write_text("{}")
+    with pytest.raises(PuddleError, match=r"study\.json"):
+        open_study("tiny", root)
+    shutil.rmtree(root / "studies")
+    with pytest.raises(PuddleError, match="holds no study yet"):
+        open_study("tiny", root)
