@@ -26,7 +26,7 @@ from tasks.simulation import simulate
 from tasks.world import DryLand, ResidualSlush, TrueSlush
 
 if TYPE_CHECKING:
-    from pipeline.results.study import Study
+    from pipeline.results.recorded_study import Study
 
 __all__ = [
     "Designs",
@@ -50,6 +50,6 @@ def open_study(name: str, store: str | Path = "store") -> Study:
     Raises PuddleError if there is no such store or study (the message lists the studies there are), or if the study's
     record is damaged.
     """
-    from pipeline.results import study  # imports what draws figures, which takes a second
+    from pipeline.results import recorded_study  # imports what draws figures, which takes a second
 
-    return study.open_study(name, store)
+    return recorded_study.open_study(name, store)

@@ -16,9 +16,11 @@ from pipeline.cluster import pin_threads
 from pipeline.commands import study
 from pipeline.commands.doctor import doctor
 from pipeline.commands.exit_codes import DEFECT, USER_ERROR, to_stderr
+from pipeline.commands.export import export
 from pipeline.commands.fabricate import fabricate
 from pipeline.commands.forecast import forecast
 from pipeline.commands.gc import gc
+from pipeline.commands.list_champions import list_champions
 from pipeline.commands.list_settings import list_settings
 from pipeline.commands.servo_commands import drive, servo
 from pipeline.commands.simulate import simulate
@@ -43,7 +45,14 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "settings": list_settings,
         "forecast": forecast,
     },
-    "Look": {"status": status, "studies": studies, "simulate": simulate, "ui": ui},
+    "Look": {
+        "status": status,
+        "studies": studies,
+        "champions": list_champions,
+        "simulate": simulate,
+        "export": export,
+        "ui": ui,
+    },
     "Build": {"fabricate": fabricate},
     "Maintain": {"doctor": doctor, "verify": verify, "gc": gc},
 }

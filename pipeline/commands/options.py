@@ -55,6 +55,9 @@ StudyName = Annotated[
         "--study", metavar="NAME", autocompletion=_names_of_studies, help="A study of the store: its recorded settings."
     ),
 ]
+StudyArgument = Annotated[
+    str, typer.Argument(metavar="NAME", autocompletion=_names_of_studies, help="A study of the store.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]
 
 

@@ -1,7 +1,7 @@
-"""The figures of a study for print: as wide as a column or a page of a two-column paper, as SVG, PNG and PDF.
+"""The figures of a study for print: as wide as a column of a two-column paper, or at most as its page.
 
-They are those of the page, scaled as a whole, so that their text is about 7 points high. The same report always gives
-the same bytes.
+They are those of the study's page, scaled as a whole, so that their text is about 7 points high. The same report always
+gives the same bytes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from pipeline.report.data import StudyReport
 from pipeline.report.drawing import FIGURE_WIDTH, NO_METADATA, Missing, NothingToDraw, figure_style, round_paths
-from pipeline.report.figures import FIGURES
+from pipeline.report.figures import FIGURES, WIDE
 
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.16  # of a two-column paper [inch]
 
@@ -48,7 +48,9 @@ def draw_for_print(report: StudyReport) -> Iterator[ColumnFigure | Missing]:
                 yield Missing(name=name, title=title, reason=str(nothing))
                 continue
             width = figure.get_size_inches()[0]
-            scale = (COLUMN_WIDTH if width <= FIGURE_WIDTH else PAGE_WIDTH) / width
+            if name.endswith(WIDE) and width <= FIGURE_WIDTH:
+                continue  # the same figure
+            scale = min(COLUMN_WIDTH / FIGURE_WIDTH, PAGE_WIDTH / width)
             yield ColumnFigure(name, caption, _svg(figure, scale), _png(figure, scale), _pdf(figure, scale))
 
 
@@ -84,6 +86,7 @@ def _pdf(figure: Figure, scale: float) -> bytes:
     file: Any = PdfFile(sink, metadata=_PDF_METADATA)
     try:
         file.newPage(scale * width, scale * height)
+        file.width, file.height = width, height  # to which paths are clipped
         file.output(scale, 0, 0, scale, 0, 0, Op.concat_matrix)
         canvas = RendererPdf(file, scale * _PNG_DPI, height, width)
         renderer = MixedModeRenderer(figure, width, height, scale * _PNG_DPI, canvas)

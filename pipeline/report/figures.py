@@ -16,6 +16,8 @@ def draw_all(report: StudyReport) -> dict[str, Drawing | Missing]:
     return {name: finish(name, title, partial(draw, report)) for name, (title, draw) in FIGURES.items()}
 
 
+WIDE = "_wide"  # suffix of the variant for a desktop
+
 FIGURES: dict[str, tuple[str, Callable[[StudyReport], tuple[Figure, str]]]] = {
     "transfer_at_depth": ("Transfer at the greatest depth", champion_figures.transfer_at_depth),
     "transfer_across_depths": ("Transfer across depths", champion_figures.transfer_across_depths),

@@ -34,7 +34,7 @@ def transfer_latex(name: str, trials: Sequence[TrialResult]) -> str:
             if not chosen:
                 continue
             shares = [ratio(trial_mean(chosen, measure), best) for measure in _TRANSFERRED]
-            zero_shot, adapted = (_NONE if share is None else rf"{100 * share:.0f}\,\%" for share in shares)
+            zero_shot, adapted = (_NONE if share is None else rf"${100 * share:z.0f}$\,\%" for share in shares)
             cells = (
                 rf"{depth:g}\,m",
                 f"{_text(style.label)} {_symbol(style.symbol)}",

@@ -78,7 +78,7 @@ KEYS: Mapping[str, pa.DataType] = {"environment": pa.string(), "depth": pa.float
 _SAME_AS = {"environment": "evolved_in", "depth": "trained"}  # columns that give a key under another name
 
 
-def parts_of(name: str, results: Results, store: Store, *, only: Mapping[str, Any] | None = None) -> Iterator[pa.Table]:
+def parts_of(name: str, results: Results, store: Store, *, only: Mapping[str, Any]) -> Iterator[pa.Table]:
     """Yield the rows of a table, one Arrow table for each chain.
 
     Args:
@@ -90,7 +90,7 @@ def parts_of(name: str, results: Results, store: Store, *, only: Mapping[str, An
     source = CATALOGUE[name]
     for chain, files in files_of(source, results).items():
         keys = keys_of(chain)
-        if any(keys.get(key, value) != value for key, value in (only or {}).items()):
+        if any(keys.get(key, value) != value for key, value in only.items()):
             continue
         decoded = []
         units: Mapping[str, str] = {}

@@ -232,7 +232,7 @@ def _report(spec: PageItemSpec, inputs: Inputs, replays: Sequence[Replay]) -> St
 
 
 def read_report(settings: Settings, upstream: Upstream, store: Store) -> StudyReport:
-    """Read what the page shows of a study, without its replays.
+    """Return what the page shows of a study, without its replays.
 
     Args:
         settings: the study's settings.

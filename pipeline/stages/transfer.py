@@ -37,7 +37,7 @@ SCORED = "scored"  # role of the inputs of later stages that are a trial's score
 _ADAPTED_TO = InputName("adapted")  # the last segment of the adaptation
 _SCORING_UNITS = 2 / 64  # cost of scoring a champion before and after: two rollouts, of about 64 in a generation
 _ADAPTED_DIVERGED = "adapted_n_designs_diverged"  # MLflow metric: designs of an adaptation that diverged
-SCORE, CHAMPION, _ADAPTED = "score.json", "champion.json", "adapted.json"
+SCORE, CHAMPION, ADAPTED = "score.json", "champion.json", "adapted.json"
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def _score(job: Job[TransferSpec], inputs: Inputs) -> Files:
     if _ADAPTED_TO in inputs:
         adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))
         if adapted is not None:
-            files[_ADAPTED] = encode_json(design_document(adapted))
+            files[ADAPTED] = encode_json(design_document(adapted))
             scores |= _in_true_slush(job, adapted, "adapted")
     return {**files, SCORE: encode_json(scores)}
 

@@ -13,7 +13,7 @@ import pytest
 import puddle
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.results.catalogue import CATALOGUE, KEYS
-from pipeline.results.study import CHAMPIONS, StageProgress, open_study
+from pipeline.results.recorded_study import CHAMPIONS, StageProgress, open_study
 from pipeline.stages import STAGES
 from pipeline.store.design_file import design_document
 from pipeline.store.store import FailedChain, Store

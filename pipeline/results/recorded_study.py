@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -77,7 +78,7 @@ class Study:
             results, chains = self.upstream[stage.name], stage.plan(self.settings)
             labels = {one.label for one in self.record.failed if one.stage == stage.name}
             n_left = {chain.identity: chain.n_items - results.n_done.get(chain.identity, 0) for chain in chains}
-            n_failed = sum(n for of, n in n_left.items() if of in results.failed or of.label in labels)
+            n_failed = sum(n for of, n in n_left.items() if of.label in labels)
             n_done = sum(chain.n_items for chain in chains) - sum(n_left.values())
             found[stage.name] = StageProgress(n_done, n_failed, sum(n_left.values()) - n_failed)
         return found
@@ -108,8 +109,7 @@ class Study:
             table = self.champions()
         elif name in self.tables:
             with self.store.lock_to_read():
-                results = self.upstream[CATALOGUE[name].stage]
-                parts = list(catalogue.parts_of(name, results, self.store, only=only))
+                parts = list(self.parts(name, only))
             if not parts:
                 raise PuddleError(f"table {name}: study {self.name} has no rows with {_words(only)} yet")
             table = pa.concat_tables(parts)
@@ -120,6 +120,13 @@ class Study:
                 raise PuddleError(f"table {name}: its rows have no {key}; expected no {key}, got {value!r}")
             table = table.filter(pc.equal(table[key], value))
         return table
+
+    def parts(self, name: str, only: Mapping[str, Any] = MappingProxyType({})) -> Iterator[pa.Table]:
+        """Yield a table chain by chain, for tables that are too long for the memory; ``only`` chains with such keys."""
+        if name == CHAMPIONS:
+            yield self.champions()
+        else:
+            yield from catalogue.parts_of(name, self.upstream[CATALOGUE[name].stage], self.store, only=only)
 
     def champions(self) -> pa.Table:
         """Return the champion of every trial that is done and has one, in the order of the trials.
@@ -179,9 +186,7 @@ class Study:
     def _why_no_table(self, name: str) -> str:
         if name in CATALOGUE:
             stage = CATALOGUE[name].stage
-            return (
-                f"table {name}: study {self.name} has none: nothing of it is done, or its settings need none ({stage})"
-            )
+            return f"table {name}: study {self.name} has none: {stage} is not done, or its settings need none"
         listed = ", ".join((CHAMPIONS, *CATALOGUE))
         return f"study {self.name}: expected a table, one of {listed}; got {name!r}"
 

@@ -1,0 +1,210 @@
+"""The folder of `puddle export`: champions, tables, figures and a LaTeX table of a study, for use outside puddle.
+
+::
+
+    export.json                     what made the folder, the settings, the progress, and the SHA-256 of every file
+    settings.yaml                   the study's settings, for `puddle study --settings`
+    champions/ARM-trial-N.json      a design file for each champion; ARM-trial-N-adapted.json: with adapted controller
+    tables/NAME.parquet or .csv     pipeline/results/catalogue.py names them
+    tables/columns.csv              type and unit of every column
+    figures/NAME.svg, .png, .pdf    as wide as a column of a two-column paper, or at most as its page
+    figures/captions.txt            what each figure shows
+    transfer.tex                    the transfer results
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet as pq
+import yaml
+
+from pipeline.errors import PuddleError
+from pipeline.report.column_figures import draw_for_print
+from pipeline.report.drawing import Missing
+from pipeline.report.transfer_latex import transfer_latex
+from pipeline.results.recorded_study import Study
+from pipeline.stages.report import REPORT, read_report
+from pipeline.stages.transfer import ADAPTED, CHAMPION
+from pipeline.store import disk
+from pipeline.store.encoding import Json
+from pipeline.store.owned_folder import FolderKind, NewFolder
+from pipeline.store.provenance import environment as provenance
+from pipeline.workflow.identity import trials_of
+
+EXPORT = FolderKind("an export", "puddle.export", 1, "export.json")
+
+_ROWS_PER_GROUP = 100_000  # of a Parquet file, which is written trial by trial
+
+
+def export_study(study: Study, out: Path, kind: Literal["parquet", "csv"], *, say: Callable[[str], None]) -> list[str]:
+    """Write the folder, or nothing.
+
+    Args:
+        study: the study.
+        out: the folder: a new one, an empty one, or an earlier export, which is replaced.
+        kind: format of the tables.
+        say: shows what is being written.
+
+    Returns:
+        Lines that say what was written, what was preserved and what is missing.
+
+    Raises:
+        PuddleError: the folder is somebody else's or can't be written, the study has no results yet, or an item of the
+            store is damaged.
+    """
+    place = EXPORT.check_place(out)
+    if place.is_relative_to(study.store.root):
+        raise PuddleError(f"{out}: expected a folder outside the store {study.store.root}. Choose another with --out.")
+    if not study.tables:
+        raise PuddleError(f"study {study.name}: none of its work is done yet, so there is nothing to export")
+    settings = study.settings.model_dump(mode="json")
+    progress: dict[str, Json] = {name: vars(one) for name, one in study.progress.items()}
+    manifest: dict[str, Json] = {"study": study.name, "settings": settings, "progress": progress}
+    with study.store.lock_to_read(), EXPORT.replace(place, {**manifest, "made_with": provenance()}) as folder:
+        folder.write("settings.yaml", yaml.safe_dump(settings, sort_keys=False).encode())
+        n_champions = _write_champions(study, folder)
+        say(f"writing {len(study.tables)} tables")
+        n_rows = _write_tables(study, folder, kind)
+        say("drawing figures")
+        drawn = _write_figures(study, folder)
+    lines = [*folder.preserved, *(f"No figure {figure.name}: {figure.reason}." for figure in drawn.missing)]
+    for name, one in study.progress.items():
+        if name != REPORT.name and (one.missing or one.failed):  # the export draws its own figures
+            lines.append(
+                f"{name}: {one.missing} work items are missing and {one.failed} failed; the export lacks them."
+            )
+    n_tables, n_figures = len(study.tables), len(drawn.captions)
+    counts = f"{n_champions} champions, {n_tables} tables of {n_rows:,} rows, {n_figures} figures, transfer.tex"
+    return [*lines, f"study {study.name}: {counts}: {place}"]
+
+
+def _write_champions(study: Study, folder: NewFolder) -> int:
+    """Write the design file of every champion, as it evolved and with its adapted controller; return their number."""
+    n_champions = 0
+    for trial in trials_of(study.settings, "transfer"):
+        scored = study.upstream["transfer"].done.get(trial, (None,))[-1]
+        for file, suffix in ((CHAMPION, ""), (ADAPTED, "-adapted")):
+            if scored is not None and file in scored.files:
+                name = f"{trial.environment}-{trial.depth:g}m-trial-{trial.index}{suffix}.json"
+                folder.write(f"champions/{name}", study.store.read(scored, file))
+                n_champions += file == CHAMPION
+    return n_champions
+
+
+# -- tables ----------------------------------------------------------------------------------------------------------
+
+
+def _write_tables(study: Study, folder: NewFolder, kind: str) -> int:
+    """Write every table, and the list of their columns; return the number of rows."""
+    n_rows = 0
+    sheet = io.StringIO()
+    columns = csv.writer(sheet, lineterminator="\n")
+    columns.writerow(("table", "column", "type", "unit"))
+    write = _write_parquet if kind == "parquet" else _write_csv
+    for name in study.tables:
+        path = folder.place(f"tables/{name}.{kind}")
+        schema, n_of_table = write(path, partial(study.parts, name))
+        disk.fsync(path)
+        columns.writerows((name, one.name, one.type, one.metadata[b"unit"].decode()) for one in schema)
+        n_rows += n_of_table
+    folder.write("tables/columns.csv", sheet.getvalue().encode())
+    return n_rows
+
+
+def _write_parquet(path: Path, parts: Callable[[], Iterator[pa.Table]]) -> tuple[pa.Schema, int]:
+    """Write a table of any length in the memory of some of its parts; return its schema and number of rows."""
+    groups = _groups(parts())
+    first = next(groups)
+    n_rows = 0
+    with pq.ParquetWriter(path, first.schema, compression="zstd") as writer:
+        for group in (first, *groups):
+            writer.write_table(group)
+            n_rows += len(group)
+    return first.schema, n_rows
+
+
+def _groups(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
+    """Join short parts."""
+    waiting: list[pa.Table] = []
+    for part in parts:
+        waiting.append(part)
+        if sum(map(len, waiting)) >= _ROWS_PER_GROUP:
+            yield pa.concat_tables(waiting)
+            waiting = []
+    if waiting:
+        yield pa.concat_tables(waiting)
+
+
+def _write_csv(path: Path, parts: Callable[[], Iterator[pa.Table]]) -> tuple[pa.Schema, int]:
+    """Write a table as :func:`_write_parquet` does; NaN becomes an empty field, and a list a column per element."""
+    widths: dict[str, int] = {}
+    for part in parts():
+        for one in part.schema:
+            width = (pc.max(pc.list_value_length(part[one.name])).as_py() or 1) if _is_list(one) else 0
+            widths[one.name] = max(width, widths.get(one.name, 0))
+    n_rows = 0
+    sheets = (_flat(part, widths) for part in parts())
+    first = next(sheets)
+    with pyarrow.csv.CSVWriter(path, first.schema) as writer:
+        for sheet in (first, *sheets):
+            writer.write_table(sheet)
+            n_rows += len(sheet)
+    return first.schema, n_rows
+
+
+def _is_list(one: pa.Field) -> bool:
+    return bool(pa.types.is_list(one.type))
+
+
+def _flat(part: pa.Table, widths: Mapping[str, int]) -> pa.Table:
+    """Replace lists by a column per element, which are empty where the list is shorter, and NaN by null."""
+    columns: list[pa.ChunkedArray] = []
+    fields: list[pa.Field] = []
+    for one, column in zip(part.schema, part.columns, strict=True):
+        names, values = [one.name], [column]
+        if _is_list(one):
+            names = [f"{one.name}_{index}" for index in range(widths[one.name])]
+            padded = pc.list_slice(column, 0, len(names), return_fixed_size_list=True)
+            values = [pc.list_element(padded, index) for index in range(len(names))]
+        for name, value in zip(names, values, strict=True):
+            floating = pa.types.is_floating(value.type)
+            columns.append(pc.if_else(pc.is_nan(value), None, value) if floating else value)
+            fields.append(pa.field(name, value.type, metadata=one.metadata))
+    return pa.Table.from_arrays(columns, schema=pa.schema(fields))
+
+
+# -- figures ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class DrawnFigures:
+    """The figures of an export."""
+
+    captions: list[str] = field(default_factory=list)
+    missing: list[Missing] = field(default_factory=list)
+
+
+def _write_figures(study: Study, folder: NewFolder) -> DrawnFigures:
+    """Draw the figures, and write their captions and the table of transfer."""
+    report = read_report(study.settings, study.upstream, study.store)
+    drawn = DrawnFigures()
+    for figure in draw_for_print(report):
+        if isinstance(figure, Missing):
+            drawn.missing.append(figure)
+            continue
+        drawn.captions.append(f"{figure.name}: {figure.caption}\n")
+        for suffix, content in (("svg", figure.svg), ("png", figure.png), ("pdf", figure.pdf)):
+            folder.write(f"figures/{figure.name}.{suffix}", content)
+    folder.write("figures/captions.txt", "\n".join(drawn.captions).encode())
+    folder.write("transfer.tex", transfer_latex(study.name, report.trials).encode())
+    return drawn

@@ -1,0 +1,47 @@
+"""The table of transfer in LaTeX: the numbers of the page, in ASCII that pdflatex reads."""
+
+import re
+
+from matplotlib.mathtext import MathTextParser
+
+from pipeline.report import data
+from pipeline.report.data import TrialResult
+from pipeline.report.transfer_latex import transfer_latex
+from tasks.world import ENVIRONMENTS
+
+
+def rows(text: str) -> list[list[str]]:
+    return [line.removesuffix(r" \\").split(" & ") for line in text.splitlines() if line.endswith(r"\\")]
+
+
+def test_the_rows_are_those_of_the_page(study):
+    head, *body = rows(transfer_latex("tiny", study.trials))
+    assert head[3:] == ["predicted", "zero-shot", "of $E$", "adapted", "of $E$"]
+    assert {len(row) for row in (head, *body)} == {8}
+    slush = next(row for row in body if row[:2] == [r"9\,m", "True Slush $E$"])
+    found = data.trial_mean(data.arm(study.trials, "true_slush", 9.0), "zero_shot")
+    assert slush[4] == rf"${found.mean:.1f} \pm {found.sd:.1f}$" and slush[5] == r"$100$\,\%"
+    land = next(row for row in body if row[:2] == [r"9\,m", "Dry Land $E'$"])
+    assert land[4].startswith("$-1.0") and land[5].startswith("$-")
+    assert [row[1].split("$")[1] for row in body if row[0] == r"9\,m"] == ["E", "E'", r"\hat{E}", r"\hat{E}_{1}"]
+
+
+def test_it_is_ascii_with_balanced_braces_and_mathematics_that_parses(study):
+    text = transfer_latex("tiny", study.trials)
+    assert text.isascii() and text.count("{") == text.count("}")
+    begin, end = text.index(r"\begin{tabular}{rlrrrrrr}"), text.index(r"\end{tabular}")
+    assert begin < text.index(r"\toprule") < text.index(r"\midrule") < text.index(r"\bottomrule") < end
+    parser = MathTextParser("path")
+    for formula in re.findall(r"\$[^$]+\$", text[begin:end]):
+        parser.parse(formula)
+
+
+def test_what_is_missing_is_a_dash():
+    trials = [TrialResult("dry_land", 2.0, 0, predicted=3.0, zero_shot=float("nan"))]
+    (row,) = rows(transfer_latex("tiny", trials))[1:]
+    assert row == [r"2\,m", "Dry Land $E'$", "1", "$3.0$", "--", "--", "--", "--"]
+
+
+def test_every_registered_symbol_is_written_in_ascii():
+    trials = [TrialResult(name, 1.0, 0, 1.0, 1.0) for name in ENVIRONMENTS]
+    assert transfer_latex("tiny", trials).isascii()

@@ -1,0 +1,219 @@
+"""`puddle export` and `puddle champions`: what they write and print, and what they refuse."""
+
+import csv
+import json
+import os
+import shutil
+from pathlib import Path
+
+import polars as pl
+import pytest
+from command_line import call
+
+import puddle
+from pipeline.config.loading import load
+from pipeline.config.settings import Settings
+from pipeline.report import column_figures
+from pipeline.report.figures import FIGURES
+from pipeline.results.catalogue import CATALOGUE, KEYS
+from pipeline.store import disk
+from pipeline.store.design_file import design_document, read_design
+from pipeline.store.store import Store
+
+pytestmark = pytest.mark.usefixtures("one_figure")
+
+
+@pytest.fixture(scope="module")
+def one_figure():
+    """All figures take ten seconds; tests/pipeline/report draws them."""
+    with pytest.MonkeyPatch.context() as patch:
+        names = ("transfer_at_depth", "transfer_across_depths")  # the study has one depth
+        patch.setattr(column_figures, "FIGURES", {name: FIGURES[name] for name in names})
+        yield
+
+
+@pytest.fixture(scope="module")
+def exported(one_figure, recorded, tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("export") / "out"
+    assert call("export", "tiny", "--out", str(out), "--store", str(recorded)) == 0
+    return out
+
+
+@pytest.fixture
+def store(recorded, tmp_path) -> Path:
+    """A copy of the store, to be damaged."""
+    return shutil.copytree(recorded, tmp_path / "store")
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_every_champion_is_a_design_file(exported, recorded):
+    study = puddle.open_study("tiny", recorded)
+    rows = study.champions().to_pylist()
+    names = {f"{row['environment']}-1m-trial-{row['trial']}" for row in rows}
+    adapted = {f"dry_land-1m-trial-{trial}-adapted" for trial in (0, 1)}
+    assert {path.stem for path in (exported / "champions").iterdir()} == names | adapted
+    design = read_design(exported / "champions" / "dry_land-1m-trial-1.json")
+    assert design_document(design) == design_document(study.champion("dry_land", depth=1.0, trial=1))
+    body = read_design(exported / "champions" / "dry_land-1m-trial-1-adapted.json")
+    assert (body.parent == design.parent).all() and not (body.phase == design.phase).all()
+
+
+def test_tables_are_those_of_the_study(exported, recorded):
+    study = puddle.open_study("tiny", recorded)
+    assert {path.stem for path in (exported / "tables").glob("*.parquet")} == set(study.tables)
+    for name in study.tables:
+        assert pl.read_parquet(exported / "tables" / f"{name}.parquet").equals(pl.from_arrow(study.table(name))), name
+    histories = pl.read_parquet(exported / "tables" / "histories.parquet")
+    assert histories.columns[:4] == [*KEYS, "generation"] and "mutation" in histories["operator"]
+    with (exported / "tables" / "columns.csv").open() as sheet:
+        listed = list(csv.DictReader(sheet))
+    assert {"table": "histories", "column": "fitness", "type": "double", "unit": "m"} in listed
+    assert {row["table"] for row in listed} == set(study.tables)
+
+
+def test_figures_and_latex_are_there_and_settings_load(exported, settings):
+    names = {path.name for path in (exported / "figures").iterdir()}
+    assert names == {"transfer_at_depth.svg", "transfer_at_depth.png", "transfer_at_depth.pdf", "captions.txt"}
+    assert (exported / "figures" / "captions.txt").read_text().startswith("transfer_at_depth: Displacement in True")
+    assert r"\begin{tabular}" in (exported / "transfer.tex").read_text()
+    assert load(Settings, exported / "settings.yaml") == settings
+
+
+def test_the_manifest_names_every_file(exported):
+    manifest = json.loads((exported / "export.json").read_text())
+    assert manifest["study"] == "tiny" and set(manifest["files"]) == files(exported).keys() - {"export.json"}
+
+
+def test_csv_has_a_column_for_each_element(recorded, exported, tmp_path, capsys):
+    assert call("export", "tiny", "--out", str(tmp_path / "out"), "--store", str(recorded), "--format", "csv") == 0
+    said = capsys.readouterr().out
+    assert "No figure transfer_across_depths" in said and "8 champions, 24 tables" in said
+    flat = pl.read_csv(tmp_path / "out" / "tables" / "histories.csv", infer_schema_length=None)
+    whole = pl.read_parquet(exported / "tables" / "histories.parquet")
+    assert len(flat) == len(whole) and flat["operator"].equals(whole["operator"])
+    assert flat["phase_5"].to_list() == pytest.approx(whole["phase"].list.get(5).to_list())
+    # Residual Slush has two members, the others one displacement.
+    alone = flat["displacement_1"].is_null()
+    assert alone.equals(~whole["environment"].is_in(["residual_slush"]).rename("displacement_1"))
+    assert {path.stem for path in (tmp_path / "out" / "tables").glob("*.csv")} == {
+        "champions",
+        "columns",
+        *CATALOGUE,
+    } - {"tank"}
+
+
+def test_an_export_replaces_an_export_and_keeps_what_the_user_added(recorded, exported, tmp_path, capsys):
+    out = shutil.copytree(exported, tmp_path / "out")
+    (out / "notes.md").write_text("mine")
+    (out / "transfer.tex").write_text("edited")
+    (out / "tables" / "scores.parquet").unlink()
+    assert call("export", "tiny", "--out", str(out), "--store", str(recorded)) == 0
+    said = capsys.readouterr().out
+    assert "Preserved notes.md." in said and "as transfer-yours-1.tex" in said
+    kept = {"notes.md": b"mine", "transfer-yours-1.tex": b"edited"}
+    assert {name: data for name, data in files(out).items() if name != "export.json"} == {
+        **{name: data for name, data in files(exported).items() if name != "export.json"},
+        **kept,
+    }
+
+
+def test_a_study_that_has_only_begun_exports_what_is_done_and_says_what_is_missing(store, tmp_path, capsys):
+    for stage in ("transfer", "assess", "analyse", "report"):
+        shutil.rmtree(store / "items" / stage)
+    assert call("export", "tiny", "--out", str(tmp_path / "out"), "--store", str(store)) == 0
+    said = capsys.readouterr().out
+    assert "transfer: 10 work items are missing" in said and "0 champions" in said
+    assert "No figure transfer_at_depth: no trial has finished yet." in said
+    assert (tmp_path / "out" / "tables" / "histories.parquet").exists()
+    assert call("champions", "--study", "tiny", "--store", str(store)) == 2
+    assert "no champions" in capsys.readouterr().err
+
+
+# -- what is refused -------------------------------------------------------------------------------------------------
+
+
+def refused(capsys, *arguments: str) -> str:
+    capsys.readouterr()
+    assert call(*arguments) == 2
+    said = capsys.readouterr()
+    assert not said.out and "Traceback" not in said.err
+    return said.err
+
+
+def test_folders_that_are_not_ours(recorded, tmp_path, capsys):
+    theirs = tmp_path / "thesis"
+    theirs.mkdir()
+    (theirs / "thesis.tex").write_text("mine")
+    kit = tmp_path / "kit"
+    kit.mkdir()
+    (kit / "kit.json").write_text("{}")
+    (tmp_path / "file").write_text("")
+    (tmp_path / "link").symlink_to(theirs)
+    before = files(tmp_path)
+    for name, message in (
+        ("thesis", "expected a new folder or an export, found thesis.tex"),
+        ("kit", "found kit.json and no export.json"),
+        ("file", "a file or a link"),
+        ("link", "a file or a link"),
+        ("none/out", "does not exist"),
+    ):
+        assert message in refused(capsys, "export", "tiny", "--out", str(tmp_path / name), "--store", str(recorded))
+    inside = refused(capsys, "export", "tiny", "--out", str(recorded / "out"), "--store", str(recorded))
+    assert "outside the store" in inside and not (recorded / "out").exists()
+    assert files(tmp_path) == before
+
+
+def test_a_folder_that_cannot_be_written(recorded, exported, tmp_path, capsys, monkeypatch):
+    out = shutil.copytree(exported, tmp_path / "out")
+    before = files(tmp_path)
+
+    def full(path, data):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(disk, "write", full)
+    assert "No space left" in refused(capsys, "export", "tiny", "--out", str(out), "--store", str(recorded))
+    monkeypatch.setattr(Path, "mkdir", lambda *arguments, **options: full(*arguments, b""))
+    assert "No space left" in refused(capsys, "export", "tiny", "--out", str(out), "--store", str(recorded))
+    assert files(tmp_path) == before
+
+
+@pytest.mark.parametrize("command", [["export", "NAME", "--out", "OUT"], ["champions", "--study", "NAME"]])
+def test_studies_that_are_unknown_or_damaged(command, store, tmp_path, capsys):
+    def run(name: str) -> str:
+        words = [name if word == "NAME" else str(tmp_path / "out") if word == "OUT" else word for word in command]
+        return refused(capsys, *words, "--store", str(store))
+
+    assert "holds tiny; did you mean tiny?" in run("tinny")
+    (store / "studies" / "tiny" / "study.json").write_bytes(b"{}")
+    assert "study.json: expected" in run("tiny")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_item_leaves_the_earlier_export(store, exported, tmp_path, capsys):
+    out = shutil.copytree(exported, tmp_path / "out")
+    before = files(out)
+    item = next(item for item in Store.open(store, create=False).read_study("tiny").items if item.stage == "evolve")
+    history = store / "items" / "evolve" / item.key[:2] / item.key / "history.parquet"
+    history.write_bytes(history.read_bytes()[:-1] + b"x")
+    assert "history.parquet: expected SHA-256" in refused(
+        capsys, "export", "tiny", "--out", str(out), "--store", str(store)
+    )
+    assert files(out) == before and sorted(path.name for path in tmp_path.iterdir()) == ["out", "store"]
+
+
+# -- champions -------------------------------------------------------------------------------------------------------
+
+
+def test_champions_are_ranked_by_what_they_do_in_true_slush(recorded, capsys):
+    assert call("champions", "--study", "tiny", "--store", str(recorded)) == 0
+    printed = capsys.readouterr().out
+    rows = [line.split() for line in printed.splitlines() if line[:6].strip().isdigit()]
+    champions = puddle.open_study("tiny", recorded).champions().to_pylist()
+    assert [row[0] for row in rows] == [str(rank) for rank in range(1, len(champions) + 1)]
+    ranked = sorted(champions, key=lambda row: -row["zero_shot"])
+    assert [row[1:3] for row in rows] == [[row["environment"], str(row["trial"])] for row in ranked]
+    assert [row[4] for row in rows] == [f"{row['zero_shot']:z.2f}" for row in ranked]
+    assert all(len(line) <= 80 for line in printed.splitlines())
