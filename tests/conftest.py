@@ -54,6 +54,7 @@ LONGEST_FIRST = (
     "tracking/test_mirror.py",
     "torture/test_order.py",
     "cluster/test_cluster.py",
+    "cluster/test_slurm.py",
     "stages/test_stages.py",
     "simulation/test_batch.py",
     "architecture/test_words.py",

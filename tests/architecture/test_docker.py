@@ -8,6 +8,7 @@ tests/torture/test_two_machines.py, MLflow's server in tests/pipeline/tracking/t
 that Kubernetes runs the same commands. ONLY_PARSED lists the exceptions.
 """
 
+import importlib
 import os
 import re
 import shlex
@@ -28,6 +29,7 @@ from sqlalchemy import make_url
 from pipeline.commands.app import app
 from pipeline.commands.exit_codes import INCOMPLETE
 from pipeline.config.loading import PRESETS
+from pipeline.workflow import dispatcher
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # Ray's, about pydantic
@@ -260,7 +262,8 @@ def test_a_ray_cluster_has_the_fields_that_its_definition_requires(group):
     cluster = KUBERNETES["RayCluster"]
     assert cluster["apiVersion"] == "ray.io/v1" and cluster["metadata"]["name"] == "puddle"
     spec = cluster["spec"]
-    assert set(spec) <= {"rayVersion", "headGroupSpec", "workerGroupSpecs"}
+    known = {"rayVersion", "headGroupSpec", "workerGroupSpecs", "enableInTreeAutoscaling", "autoscalerOptions"}
+    assert set(spec) <= known
     groups = [spec["headGroupSpec"]] if group == "head" else spec["workerGroupSpecs"]
     for one in groups:
         own = {"serviceType"} if group == "head" else {"groupName", "replicas", "minReplicas", "maxReplicas"}
@@ -268,7 +271,7 @@ def test_a_ray_cluster_has_the_fields_that_its_definition_requires(group):
         assert all(isinstance(value, str) for value in one["rayStartParams"].values())  # a map of strings
         options = {option for parameter in ray_cli.commands["start"].params for option in parameter.opts}
         assert {f"--{name}" for name in one["rayStartParams"]} <= options
-        secured(one["template"]["spec"])
+        secured(one["template"]["spec"], of_autoscaler=group == "head")
         (ray,) = one["template"]["spec"]["containers"]
         address = "localhost" if group == "head" else "puddle-head-svc"
         words = [w.replace("head:", f"{address}:") for w in COMPOSE["services"]["head"]["healthcheck"]["test"][1:]]
@@ -312,9 +315,54 @@ def test_a_cluster_that_does_not_answer_yet_does_not_end_the_job(tmp_path, there
     assert subprocess.run(driver["command"], env=environment).returncode == code
 
 
-def secured(pod: dict) -> None:
-    assert pod["securityContext"]["runAsNonRoot"] and pod["automountServiceAccountToken"] is False
+def secured(pod: dict, *, of_autoscaler: bool = False) -> None:
+    """Check that a Pod's Ray asks for the token, and that only the autoscaler's Pod may speak to Kubernetes."""
+    assert pod["securityContext"]["runAsNonRoot"] and pod["automountServiceAccountToken"] is of_autoscaler
     for container in pod["containers"]:
-        environment = {one["name"]: one for one in container["env"]}
-        assert environment["RAY_AUTH_MODE"]["value"] == "token"
-        assert environment["RAY_AUTH_TOKEN"]["valueFrom"]["secretKeyRef"] == {"name": "puddle-token", "key": "token"}
+        has_the_token(container)
+
+
+def has_the_token(container: dict) -> None:
+    environment = {one["name"]: one for one in container["env"]}
+    assert environment["RAY_AUTH_MODE"]["value"] == "token"
+    assert environment["RAY_AUTH_TOKEN"]["valueFrom"]["secretKeyRef"] == {"name": "puddle-token", "key": "token"}
+
+
+def test_workers_come_and_go_with_the_work():
+    """The operator adds `ray kuberay-autoscaler` to the head's Pod; its options become that container's."""
+    spec = KUBERNETES["RayCluster"]["spec"]
+    assert spec["enableInTreeAutoscaling"] is True
+    options = spec["autoscalerOptions"]
+    assert set(options) == {"idleTimeoutSeconds", "env", "resources"} and options["idleTimeoutSeconds"] >= 60
+    has_the_token(options)  # it is a client of Ray's head
+    container = {
+        "name": "autoscaler",
+        "image": "puddle:latest",
+        "env": options["env"],
+        "resources": options["resources"],
+    }
+    pod = {"apiVersion": "v1", "kind": "Pod", "metadata": {"name": "head"}, "spec": {"containers": [container]}}
+    kubernetes_validate.validate(pod, KUBERNETES_VERSIONS[-1], strict=True)
+    command = ray_cli.commands["kuberay-autoscaler"]
+    assert {"--cluster-name", "--cluster-namespace"} <= {one for part in command.params for one in part.opts}
+    importlib.import_module("ray.autoscaler._private.kuberay.run_autoscaler")  # Ray's minimal installation has it
+    (workers,) = spec["workerGroupSpecs"]
+    assert workers["minReplicas"] < workers["replicas"] < workers["maxReplicas"]
+    # It scales by the work that waits in Ray, so a study must submit more than the cores can take.
+    assert dispatcher._QUEUED_PER_CORE > 1
+
+
+def test_links_of_the_image_lead_to_what_it_copies(tmp_path):
+    """Presets and constraints lie in the package as links to the checkout's own; COPY copies links as they are."""
+    for line in instructions("COPY"):
+        *sources, target = line.split()
+        for source in sources:
+            place = tmp_path / target / ("" if target.rstrip("/").endswith(source) else source)
+            if (ROOT / source).is_dir():
+                shutil.copytree(ROOT / source, place, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(ROOT / source, place)
+    links = [path for path in tmp_path.rglob("*") if path.is_symlink()]
+    assert {str(path.relative_to(tmp_path)) for path in links} >= {"pipeline/presets", "pipeline/constraints.txt"}
+    for link in links:
+        assert link.exists() and link.resolve().is_relative_to(tmp_path), link

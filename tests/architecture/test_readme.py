@@ -87,7 +87,7 @@ BLOCKS = [
 ]
 
 COMMAND = r"(?:\.venv/bin/)?puddle ([^#]+?)(?: > \S+)?(?:\s+# (.*))?"
-OF_THE_SHELL = r"(\.venv/bin/python -m pip install|ray start|export|\(umask) .*"
+OF_THE_SHELL = r"(\.venv/bin/python -m pip install|ray start|export|\(umask|sbatch|squeue) .*"
 """Commands of other programs, which the pages show as they are."""
 
 

@@ -1,0 +1,203 @@
+"""docker/slurm.sbatch, run on this machine: real Ray, and stand-ins for Slurm's programs."""
+
+import contextlib
+import os
+import re
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import psutil
+import pytest
+from containers import DOCKER, SMALL_MEMORY
+from small_study import ON_DRY_LAND
+
+from pipeline.commands.study_status import digest_lines
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.store.store import Store
+
+ROOT = Path(__file__).parents[3]
+SCRIPT = DOCKER / "slurm.sbatch"
+HERE = socket.gethostbyname(socket.gethostname())
+
+SRUN = f"""#!{sys.executable}
+import os, pathlib, signal, subprocess, sys
+options, words = [], sys.argv[1:]
+while words[0].startswith("--"):
+    options.append(words.pop(0))
+with open("srun.log", "a") as log:
+    print(*options, file=log)
+(n_nodes,) = (int(option.partition("=")[2]) for option in options if option.startswith("--nodes="))
+environment = dict(os.environ, SLURM_CPUS_ON_NODE="1")
+tasks = [subprocess.Popen(words, env=environment, start_new_session=True) for _ in range(n_nodes)]
+def forward(number, frame):
+    for task in tasks:
+        os.killpg(task.pid, number)
+signal.signal(signal.SIGTERM, forward)
+sys.exit(max(task.wait() for task in tasks))
+"""
+"""Runs a command as often as there are nodes, here, and forwards signals to it, as srun does."""
+
+SCONTROL = """#!/bin/sh
+test "$1 $2 $3" = "show hostnames node[1-2]" && printf '%s\\n' FIRST other
+"""
+
+RAY = """#!/bin/sh
+test "$1" = health-check && { grep -q -e --head ray.log; exit; }
+test -e broken && exit 1
+echo "$@" >> ray.log
+trap 'echo ended >> ray.log; exit 0' TERM
+while :; do sleep 0.05; done
+"""
+
+PUDDLE = """#!/bin/sh
+until test "$(grep -c -e --block ray.log)" = "$SLURM_JOB_NUM_NODES"; do sleep 0.05; done
+echo "$@" >> puddle.log
+trap 'echo stopped >> puddle.log; exit 143' TERM
+case "$*" in *waits*) while :; do sleep 0.05; done;; esac
+exit 1
+"""
+
+
+@pytest.fixture
+def place(tmp_path) -> Path:
+    """A folder with stand-ins for Slurm's programs."""
+    (tmp_path / "bin").mkdir()
+    write(tmp_path, srun=SRUN, scontrol=SCONTROL.replace("FIRST", HERE))
+    return tmp_path
+
+
+class Job(NamedTuple):
+    """The script's process, and the mark in the environment of every process that it starts."""
+
+    process: subprocess.Popen[bytes]
+    mark: str
+
+    def ended(self) -> bool:
+        """Return whether the script has ended and has left no process behind."""
+        return self.process.poll() is not None and not list(marked(self.mark))
+
+
+def write(place: Path, **programs: str) -> None:
+    for name, text in programs.items():
+        (place / "bin" / name).write_text(text)
+        (place / "bin" / name).chmod(0o755)
+
+
+@contextlib.contextmanager
+def submitted(place: Path, *words: str, number: int, script: Path = SCRIPT, n_nodes: int = 2) -> Iterator[Job]:
+    """Run the script as Slurm would; kill what is left of it at the end."""
+    mark = secrets.token_hex(16)
+    ours = {name: value for name, value in os.environ.items() if not name.startswith(("RAY_", "PUDDLE_", "MLFLOW_"))}
+    ours |= {
+        "PATH": os.pathsep.join([str(place / "bin"), str(Path(sys.executable).parent), os.environ["PATH"]]),
+        "PYTHONPATH": str(ROOT),
+        "PUDDLE_MARK": mark,
+        "SLURM_SUBMIT_DIR": str(place),
+        "SLURM_JOB_ID": str(number),
+        "SLURM_JOB_NODELIST": "node[1-2]",
+        "SLURM_JOB_NUM_NODES": str(n_nodes),
+    }
+    with (place / "job.log").open("wb") as log:
+        process = subprocess.Popen(["bash", script, *words], env=ours, stdout=log, stderr=log)
+    try:
+        yield Job(process, mark)
+    finally:
+        for left in marked(mark):
+            with contextlib.suppress(psutil.Error):
+                left.kill()
+        process.wait()
+
+
+def marked(mark: str) -> Iterator[psutil.Process]:
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):
+            if process.environ().get("PUDDLE_MARK") == mark and process.status() != psutil.STATUS_ZOMBIE:
+                yield Job(process, mark)
+
+
+def wait_for(found: Callable[[], object], place: Path, seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not found():
+        assert time.monotonic() < end, (place / "job.log").read_text()
+        time.sleep(0.05)
+
+
+@pytest.mark.timeout(600)
+def test_a_job_runs_a_study_on_its_nodes_and_leaves_nothing(place):
+    """The one test with real Ray: it takes as long as two Ray nodes and a driver need to start, half a minute."""
+    write(place, puddle=f'#!/bin/sh\nexec {sys.executable} -m pipeline "$@"\n')  # this checkout's
+    (place / "tiny.yaml").write_text(ON_DRY_LAND)
+    ((option, small),) = SMALL_MEMORY.items()
+    number = int.from_bytes(os.urandom(3))
+    script = place / "slurm.sbatch"
+    script.write_text(SCRIPT.read_text().replace(option, small))
+    assert small in script.read_text()
+    with submitted(place, "--settings", "tiny.yaml", "--store", "store", number=number, script=script) as job:
+        wait_for(lambda: job.process.poll() is not None, place, 500)
+        said = (place / "job.log").read_text()
+        assert job.process.returncode == 0, said
+        assert said.count("Ray runtime started") == 2, said
+        wait_for(job.ended, place)
+    assert not Path(f"/tmp/puddle-{number}").exists()
+    first, other = (place / "srun.log").read_text().splitlines()
+    assert "--nodes=1 " in first and "--nodelist=" in first and "--nodes=1 " in other and "--exclude=" in other
+    store = Store.open(place / "store", create=False)
+    assert any("  report/" in line for line in digest_lines(parse(Settings, ON_DRY_LAND, name="tiny"), store))
+
+
+def test_the_exit_code_is_that_of_the_study_and_the_steps_end(place):
+    write(place, ray=RAY, puddle=PUDDLE)
+    with submitted(place, "--preset", "paper", number=7) as job:
+        wait_for(job.ended, place)
+        assert job.process.returncode == 1, (place / "job.log").read_text()
+    assert (place / "puddle.log").read_text() == f"study --preset paper --address {HERE}:20007\n"
+    lines = (place / "ray.log").read_text().splitlines()
+    assert sorted(lines)[:2] == ["ended", "ended"] and len(lines) == 4
+    assert any("--head --port=20007" in line for line in lines) and any(
+        f"--address={HERE}:20007" in line for line in lines
+    )
+    assert all("--temp-dir=/tmp/puddle-7 --num-cpus=1" in line for line in lines if line != "ended")
+
+
+def test_one_node_has_no_other_step(place):
+    write(place, ray=RAY, puddle=PUDDLE)
+    with submitted(place, number=8, n_nodes=1) as job:
+        wait_for(job.ended, place)
+    assert len((place / "srun.log").read_text().splitlines()) == 1
+
+
+def test_the_signal_before_the_time_limit_stops_the_driver_first(place):
+    write(place, ray=RAY, puddle=PUDDLE)
+    with submitted(place, "waits", number=9) as job:
+        wait_for((place / "puddle.log").exists, place)
+        job.process.send_signal(signal.SIGTERM)
+        wait_for(job.ended, place)
+        assert job.process.returncode == 143
+    assert (place / "puddle.log").read_text().endswith("stopped\n")
+    assert (place / "ray.log").read_text().endswith("ended\nended\n")
+
+
+def test_a_head_that_does_not_start_ends_the_job_with_a_message(place):
+    write(place, ray=RAY, puddle=PUDDLE)
+    (place / "broken").touch()
+    with submitted(place, number=10) as job:
+        wait_for(job.ended, place)
+        assert job.process.returncode == 2
+    assert "Ray's head did not start on" in (place / "job.log").read_text()
+    assert not (place / "puddle.log").exists()
+
+
+def test_every_job_has_a_token_of_its_own_and_kills_no_other_ray():
+    script = SCRIPT.read_text()
+    commands = "\n".join(line for line in script.splitlines() if not line.startswith("#"))
+    assert "ray stop" not in commands and "symmetric-run" not in commands and "/dev/urandom" in commands
+    assert re.search(r"^unset .*RAY_AUTH_TOKEN_PATH", commands, flags=re.M)
+    assert "RAY_AUTH_MODE=token" in commands and not re.search(r"(echo|printf).*TOKEN", commands)
