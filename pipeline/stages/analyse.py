@@ -66,7 +66,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.analyses import champions, instruments, specs, statistics, tank_tests
 from pipeline.stages.analyses.analysis_tables import ANALYSIS_VERSION, Reasons, Tables, encode, read_reasons, read_table
-from pipeline.stages.analyses.summary import highlights
+from pipeline.stages.analyses.summary import highlights, wrapped
 from pipeline.stages.assess import ASSESSED, ASSESSED_ENVIRONMENTS, PREDICTIONS
 from pipeline.stages.collect import data_set
 from pipeline.stages.part import PartId
@@ -192,7 +192,8 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     }
     lines, metrics = highlights(found, settings.tank)
     for analysis, files in found.items():
-        lines += [f"{analysis.label}: {table}: {why}" for table, why in read_reasons(files).items()]
+        reasons = [f"{analysis.label}: {table}: {why}" for table, why in read_reasons(files).items()]
+        lines += [part for reason in reasons for part in wrapped(reason)]
     artifacts = {
         f"{analysis.label}/{PurePosixPath(name).stem}.csv": csv_of(read_table(files, PurePosixPath(name).stem))
         for analysis, files in found.items()

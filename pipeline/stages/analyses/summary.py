@@ -3,7 +3,9 @@
 Part of the stage analyse, whose page lists the tables.
 """
 
-from collections.abc import Callable, Mapping
+import itertools
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 
 import numpy as np
@@ -22,6 +24,9 @@ from tasks.analysis.tank import Crossing, Tank
 
 Highlights = tuple[list[str], dict[str, float]]  # lines for the terminal, and metrics
 
+_HEADINGS = ("", "paper", "this run (95 %)", "verdict")
+_COLUMN_WIDTHS = (30, 12, 16, 14)  # with two spaces between them and the terminal's indent, 80 columns
+
 _AGGREGATE_METRICS = {mean_less_deviations(0): "mean", mean_less_deviations(1): "mean_less_1_sd"}
 
 
@@ -37,17 +42,14 @@ def highlights(found: Mapping[ChainId, Files], tank: Tank | None) -> Highlights:
         if tank is not None and isinstance(analysis, PartId) and analysis.name == TANK and analysis.arm:
             parts.append(_tank(analysis.arm, files, tank))
     metrics = {name: value for _, of_part in parts for name, value in of_part.items()}
-    return [line for lines, _ in parts for line in lines], metrics
+    return [part for lines, _ in parts for line in lines for part in wrapped(line)], metrics
 
 
 def _statistics(files: Files) -> Highlights:
     """List the paper's numbers beside this run's; the metrics are ratios and regressions."""
     rows = read_rows(files, "paper", Row)
-    lines = [f"{'':<58} {'paper':>14} {'this run':>12} {'(95 %)':<18}"]
-    for row in rows:
-        if not row.what.startswith(("Student", "the built robot")):
-            interval = f"({row.interval})" if row.interval else ""
-            lines.append(f"{row.what:<58} {row.paper:>14} {row.this_run:>12} {interval:<18} {row.verdict}")
+    shown = [row for row in rows if not row.what.startswith(("Student", "the built robot"))]
+    lines = _table([(row.what, row.paper, f"{row.this_run}\n{_bracketed(row.interval)}", row.verdict) for row in shown])
     tests = [row.verdict for row in rows if row.what.startswith("Student")]
     counts = ", ".join(f"{tests.count(verdict)} {verdict}" for verdict in ("agrees", "differs", "not comparable"))
     lines.append(f"of the paper's {len(tests)} t tests: {counts}")
@@ -63,6 +65,29 @@ def _statistics(files: Files) -> Highlights:
             name = _AGGREGATE_METRICS.get(fit.name, fit.name.replace(" ", "-"))
             metrics |= {f"accuracy.r.{name}": fit.r.value, f"accuracy.slope.{name}": fit.slope.value}
     return lines, _known(metrics)
+
+
+def _table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lay out the comparison with the paper, its cells wrapped to the widths of their columns."""
+    lines = []
+    for row in (_HEADINGS, *rows):
+        cells = [
+            [part for line in cell.splitlines() for part in textwrap.wrap(line, width, break_on_hyphens=False)]
+            for cell, width in zip(row, _COLUMN_WIDTHS, strict=True)
+        ]
+        for parts in itertools.zip_longest(*cells, fillvalue=""):
+            line = "  ".join(f"{part:<{width}}" for part, width in zip(parts, _COLUMN_WIDTHS, strict=True))
+            lines.append(line.rstrip())
+    return lines
+
+
+def _bracketed(interval: str) -> str:
+    return f"({interval})" if interval else ""
+
+
+def wrapped(line: str) -> list[str]:
+    """Break a long line of the summary, so that it fits where the table fits."""
+    return textwrap.wrap(line, sum(_COLUMN_WIDTHS) + 2 * len(_COLUMN_WIDTHS) - 2, subsequent_indent="    ")
 
 
 def _members(files: Files) -> Highlights:

@@ -276,3 +276,5 @@ def test_summary_gives_every_table_to_read_and_the_metrics_by_which_studies_are_
     )
     assert set(metrics) <= set(summary.metrics)
     assert any("True Slush at 9 m" in line and "not comparable" in line for line in summary.lines)
+    assert max(map(len, summary.lines)) <= 78  # the terminal indents them by two
+    assert any(line.startswith(" " * 30) and "paper         this run (95 %)" in line for line in summary.lines)
