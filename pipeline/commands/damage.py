@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store import disk
@@ -11,6 +12,7 @@ from pipeline.workflow.progress import Progress, Work
 
 def find_damage(
     store: Store,
+    study: str | None = None,
     *,
     checked: Callable[[int], None] = lambda n_bytes: None,
     say: Callable[[str], None] = lambda line: None,
@@ -19,17 +21,18 @@ def find_damage(
 
     Args:
         store: the store to verify.
+        study: name of the only study to verify; None for the whole store.
         checked: called with the number of bytes checked, file by file.
         say: called with a line about what was skipped.
     """
-    wrong = store.verify(checked=checked)
+    wrong = store.verify(study, checked=checked)
     if not store.links():
-        for name in store.studies(recorded=False):
+        for name in store.studies(recorded=False) if study is None else ():
             if store.driver_of(name):  # it has just started, and is about to write the record
                 continue
             path = store.study_path(name) / "study.json"
             wrong.append(DamagedArtifact(f"{path}: expected a study's record, found no file. {WRITTEN_ANEW}"))
-        for name in store.studies():
+        for name in store.studies() if study is None else (study,):
             wrong += _missing(store, name, say)
     return list({str(error): error for error in wrong}.values())  # a damaged manifest is found twice
 
@@ -87,45 +90,88 @@ def _uncommitted_lines(store: Store, wrong: Sequence[PuddleError]) -> Iterator[s
         )
 
 
-def verify_lines(
-    store: Store, *, discard: bool, progress: Progress, how_to_run: Callable[[str], str]
-) -> tuple[list[str], bool]:
-    """Return what was skipped, unfinished and wrong, and how to repair it; and whether the store is intact.
+@dataclass(frozen=True)
+class Verification:
+    """What came of hashing a store, or a study of it, again."""
+
+    store: str
+    study: str | None  # the only study that was verified
+    n_items: int
+    n_bytes: int
+    problems: tuple[str, ...]
+    damaged: tuple[str, ...]  # what has to be computed again, each a study's item
+    discarded: bool  # whether the damaged items were removed
+    notes: tuple[str, ...]  # what was skipped or is unfinished
+
+    @property
+    def intact(self) -> bool:
+        """Whether every byte is as it was committed."""
+        return not self.problems
+
+
+def verify(store: Store, study: str | None, *, discard: bool, progress: Progress) -> Verification:
+    """Hash a store, or a study of it, again.
 
     Args:
         store: the store, which the caller has locked: an item being removed would look damaged.
+        study: name of the only study to verify; None for the whole store.
         discard: whether to remove the damaged items. The caller then holds the store alone.
         progress: the progress display.
-        how_to_run: returns the command line that runs a command, for messages.
     """
-    n_bytes = store.bytes_to_verify()
-    lines: list[str] = []
+    n_bytes = store.bytes_to_verify(study)
+    notes: list[str] = []
 
     def megabytes(n: int) -> Work:
         return Work(n / 1e6, cost=n / 1e6)
 
     with progress.stage("verify", unit="MB", total=megabytes(n_bytes)) as bar:
-        wrong = find_damage(store, checked=lambda n_checked: bar.advance(megabytes(n_checked)), say=lines.append)
-    n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
-    lines += _uncommitted_lines(store, wrong)
-    if not wrong:
-        intact = f"{store.root}: {n_items:,} items, {n_bytes / 1e6:,.1f} MB: every byte is as it was committed."
-        return [*lines, intact], True
-    lines += [str(error) for error in wrong]
-    lines.append(f"{store.root}: {len(wrong)} problems in {n_items:,} items.")
-    if damaged := damaged_items(wrong):
-        used = [
-            (f"  study {name}: {item.stage} {item.label}", (item.stage, item.key))
-            for name in store.studies()
-            for item in _items(store, name)
-            if (item.stage, item.key) in damaged
-        ]
-        lines += ["Only these have to be computed again:", *(line for line, _ in used)]
-        lines += [f"  of no study: {stage} {key}" for stage, key in sorted(damaged - {item for _, item in used})]
-        if discard:
-            for stage, key in damaged:
-                store.discard(stage, key)
-            lines.append(f"They are discarded: `{how_to_run('study')}` computes them again.")
+        wrong = find_damage(store, study, checked=lambda n_checked: bar.advance(megabytes(n_checked)), say=notes.append)
+    if study is None:
+        notes += _uncommitted_lines(store, wrong)
+        n_items = sum(1 for stage in store.stages() for _ in store.keys(stage))
+    else:
+        n_items = len(_items(store, study))
+    damaged = damaged_items(wrong)
+    used = [
+        (f"study {name}: {item.stage} {item.label}", (item.stage, item.key))
+        for name in (store.studies() if damaged else ())
+        for item in _items(store, name)
+        if (item.stage, item.key) in damaged
+    ]
+    of_none = [f"of no study: {stage} {key}" for stage, key in sorted(damaged - {item for _, item in used})]
+    if discard:
+        for stage, key in damaged:
+            store.discard(stage, key)
+    return Verification(
+        str(store.root),
+        study,
+        n_items,
+        n_bytes,
+        tuple(map(str, wrong)),
+        (*(line for line, _ in used), *of_none),
+        discard and bool(damaged),
+        tuple(notes),
+    )
+
+
+def verification_lines(found: Verification, *, how_to_run: Callable[[str], str]) -> Iterator[str]:
+    """Describe what was skipped, unfinished and wrong, and how to repair it.
+
+    Args:
+        found: the verification.
+        how_to_run: returns the command line that runs a command, for messages.
+    """
+    yield from found.notes
+    where = found.store if found.study is None else f"study {found.study} in {found.store}"
+    if found.intact:
+        yield f"{where}: {found.n_items:,} items, {found.n_bytes / 1e6:,.1f} MB: every byte is as it was committed."
+        return
+    yield from found.problems
+    yield f"{where}: {len(found.problems)} problems in {found.n_items:,} items."
+    if found.damaged:
+        yield "Only these have to be computed again:"
+        yield from (f"  {line}" for line in found.damaged)
+        if found.discarded:
+            yield f"They are discarded: `{how_to_run('study')}` computes them again."
         else:
-            lines.append(f"`{how_to_run('verify')} --discard` removes them; then `{how_to_run('study')}` does it.")
-    return lines, False
+            yield f"`{how_to_run('verify')} --discard` removes them; then `{how_to_run('study')}` does it."

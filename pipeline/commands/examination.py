@@ -138,9 +138,10 @@ def examine_store(root: Path, settings: Settings) -> Iterator[Check]:
     except PuddleError as error:
         yield Check("fail", "store", f"{error}")
         return
-    needed = _SPARE_BYTES + bytes_left_of_study(settings, done)
+    left = bytes_left_of_study(settings, done)
+    needed = _SPARE_BYTES + left if left else 0.0
     needs = f"at most {needed / 1e9:.1f} GB needed for the rest of study {settings.name}"
-    found = f"{free / 1e9:.1f} GB free at {existing}, {needs}"
+    found = f"{free / 1e9:.1f} GB free at {existing}, {needs if left else f'study {settings.name} is done'}"
     if free < needed:
         yield Check("fail", "disk", found, "Free some space (`puddle gc`), or put the store elsewhere: --store.")
     else:

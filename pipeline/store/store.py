@@ -109,10 +109,13 @@ class Store(Items):
             if not (root / "store.json").exists():
                 disk.place(root / "store.json", encode_sealed({}, schema=STORE_SCHEMA, version=STORE_VERSION))
 
-    def verify(self, *, checked: Callable[[int], None] = lambda n_bytes: None) -> list[PuddleError]:
-        """Hash everything again.
+    def verify(
+        self, study: str | None = None, *, checked: Callable[[int], None] = lambda n_bytes: None
+    ) -> list[PuddleError]:
+        """Hash everything again, or what one study has on record.
 
         Args:
+            study: name of the only study to verify.
             checked: called with the length of each item or record after it has been verified [bytes].
 
         Returns:
@@ -121,7 +124,7 @@ class Store(Items):
             links, nothing else is verified.
         """
         wrong = []
-        for path, check in self._checks():
+        for path, check in self._checks(study):
             try:
                 check()
             except PuddleError as error:
@@ -129,18 +132,26 @@ class Store(Items):
             checked(disk.size_bytes(path))
         return wrong
 
-    def bytes_to_verify(self) -> int:
+    def bytes_to_verify(self, study: str | None = None) -> int:
         """Return the total length of what :meth:`verify` reads [bytes]; the MLflow mirror is not part of it."""
-        return sum(disk.size_bytes(path) for path, _ in self._checks())
+        return sum(disk.size_bytes(path) for path, _ in self._checks(study))
 
-    def _checks(self) -> list[tuple[Path, Callable[[], object]]]:
+    def _checks(self, study: str | None) -> list[tuple[Path, Callable[[], object]]]:
         """List the paths to verify, each with its check."""
         if links := self.links():
             return [(self.root / link, functools.partial(disk.inside, self.root, *link.parts)) for link in links]
         items = [(stage, key) for stage in self.stages() for key in self.keys(stage)]
+        if study is not None:
+            record = self.read_study(study)
+            listed = {(item.stage, item.key) for item in record.items} if record else set()
+            items = [item for item in items if item in listed]
         return [
             *((self._item(*item), functools.partial(self._verified, *item)) for item in items),
-            *((self.study_path(name), functools.partial(self.read_study, name)) for name in self.studies()),
+            *(
+                (self.study_path(name), functools.partial(self.read_study, name))
+                for name in self.studies()
+                if study in (None, name)
+            ),
         ]
 
     def links(self) -> list[Path]:

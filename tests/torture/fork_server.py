@@ -27,7 +27,7 @@ import crash_consistency_disk
 import yaml
 
 from pipeline.cluster import Cluster, serial_cluster
-from pipeline.commands.damage import find_damage, verify_lines
+from pipeline.commands.damage import find_damage, verify
 from pipeline.commands.garbage import find_garbage, remove_garbage
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
@@ -213,7 +213,7 @@ def child(command: dict[str, Any], settings: Settings, answers: list[dict[str, A
         if "survey" in command:
             survey = crash_consistency_disk.survey(root.parent, answers[-1]["committed"], **command["survey"])
         if command.get("discard"):
-            verify_lines(Store.open(root, create=False), discard=True, progress=QuietTerminal([]), how_to_run=str)
+            verify(Store.open(root, create=False), None, discard=True, progress=QuietTerminal([]))
         if command.get("collect"):
             collect_garbage(Store.open(root, create=False))
         if command.get("drive", True):

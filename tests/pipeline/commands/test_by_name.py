@@ -71,7 +71,7 @@ def test_an_unknown_name_lists_the_studies(store, capsys):
     assert "holds other, tiny, tiny-2" in message("../tiny")
 
 
-@pytest.mark.parametrize("command", ["study", "report", "status", "forecast", "doctor"])
+@pytest.mark.parametrize("command", ["study", "report", "status", "forecast", "verify", "doctor"])
 def test_a_damaged_record_is_refused_and_stays(command, store, capsys):
     path = store.study_path("tiny") / "study.json"
     damaged = path.read_bytes()[:-20]

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import json
 import os
 import socket
 from collections.abc import Iterator
@@ -30,6 +31,19 @@ def examined(store: Path, n_workers: int = 0) -> dict[str, Check]:
     return {check.what: check for check in examination.examine(settings, store, n_workers=n_workers)}
 
 
+def test_checks_as_json(options, capsys, monkeypatch):
+    found = [Check("ok", "disk", "1 GB free"), Check("fail", "ray", "no answer", "Use --workers 0.")]
+    monkeypatch.setattr(examination, "examine", lambda settings, store, *, n_workers: iter(found))
+    assert call("doctor", "--json", *options) == 1
+    said = json.loads(capsys.readouterr().out)
+    assert not said["ok"] and said["checks"][1] == {
+        "verdict": "fail",
+        "what": "ray",
+        "found": "no answer",
+        "advice": "Use --workers 0.",
+    }
+
+
 def test_every_check_passes_where_the_tests_run(options, capsys):
     assert call("doctor", "--workers", "0", *options) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -46,6 +60,8 @@ def test_problems_are_found(store, tmp_path, monkeypatch):
     constraints.write_text("numpy==0.1\nBox2D==2.3.10\n")
     monkeypatch.setattr(examination, "_CONSTRAINTS", constraints)
     monkeypatch.setattr(examination, "_ray", lambda: Check("ok", "ray", "not asked"))
+    for key in store.keys("report"):  # a study that is done needs no space
+        store.discard("report", key)
     with store.lock_study("tiny"):
         found = examined(store.root, n_workers=1)
     assert found["disk"].verdict == "fail" and "puddle gc" in found["disk"].advice
@@ -110,6 +126,8 @@ def test_finished_work_needs_no_disk_space(store, tmp_path, monkeypatch):
 
     assert disk_of(tmp_path / "new").verdict == "fail"
     assert disk_of(store.root).verdict == "ok"
+    free = 0
+    assert disk_of(store.root).verdict == "ok" and disk_of(store.root).found.endswith("study tiny is done")
     for key in store.keys("report"):  # the page: most of such a small study
         store.discard("report", key)
     assert disk_of(store.root).verdict == "fail"

@@ -164,3 +164,22 @@ def test_the_advice_in_a_message_repairs_the_damage(options, store, capsys):
     assert call(study, "--workers", "0", *options) == 0
     assert path.read_bytes() == good
     assert call("verify", *options) == 0
+
+
+def test_one_study_of_a_store_is_verified_by_its_name(options, store, capsys):
+    record = store.read_study("tiny")
+    store.write_study(StudyRecord("other", {**record.settings, "name": "other"}, record.items[:1]))
+    damaged = record.items[-1]
+    path = next(store.manifest_path(damaged.stage, damaged.key).parent.glob("[!m]*"))
+    path.write_bytes(path.read_bytes() + b"?")
+    by_name = ("--store", str(store.root), "--json", "--study")
+    assert call("verify", *by_name, "other") == 0
+    intact = json.loads(capsys.readouterr().out)
+    assert (intact["study"], intact["intact"], intact["n_items"]) == ("other", True, 1)
+    assert call("verify", *by_name, "tiny") == 1
+    found = json.loads(capsys.readouterr().out)
+    assert not found["intact"] and str(path) in found["problems"][0] and not found["discarded"]
+    assert found["damaged"] == [f"study tiny: {damaged.stage} {damaged.label}"]
+    assert call("verify", "--store", str(store.root), "--study", "tiny", "--discard") == 1
+    assert "`puddle study --study tiny --store" in capsys.readouterr().out and not path.exists()
+    assert call("verify", *by_name, "unknown") == 2

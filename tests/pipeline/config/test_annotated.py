@@ -1,6 +1,10 @@
 """Settings written out: each has its reason, and the text loads as the same settings."""
 
+import json
+
+import jsonschema
 import pytest
+import yaml
 
 from pipeline.commands.app import main
 from pipeline.config.annotated import annotated_lines
@@ -36,3 +40,18 @@ def test_the_command_lists_the_chosen_settings(capsys):
         main(["settings", "--preset", "smoke", "--set", "seed=7"])
     assert not ended.value.code
     assert "seed: 7  # default: 1" in capsys.readouterr().out
+
+
+def test_the_schema_accepts_the_presets_and_refuses_what_loading_refuses(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["settings", "--schema"])
+    assert not ended.value.code
+    schema = json.loads(capsys.readouterr().out)
+    check = jsonschema.Draft202012Validator(schema)
+    check.check_schema(schema)
+    for name in preset_names():
+        check.validate(load(Settings, preset_path(name)).model_dump(mode="json"))
+        check.validate(yaml.safe_load(preset_path(name).read_text().replace("1e-2", "0.01")))  # as an editor reads it
+    for wrong in ({"wobble": 3}, {"seed": "many"}, {"grid": {"depths": [-1.0]}}, {"work": {"engine": "warp"}}):
+        assert list(check.iter_errors(wrong)), wrong
+    assert "Depths of the ground below the surface [m]. [P]" in json.dumps(schema, ensure_ascii=False)
