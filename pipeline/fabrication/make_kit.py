@@ -17,7 +17,8 @@ from pipeline.fabrication.timeline_file import calibration_yaml, timeline_csv, t
 from pipeline.store.design_file import design_document
 from pipeline.store.encoding import Json, canonical_json, digest, encode_json
 from pipeline.store.store import Store
-from pipeline.tracking.mirror import Run, Tracker
+from pipeline.tracking.mirror import Tracker
+from pipeline.tracking.run import Run
 from tasks.design import DesignError
 from tasks.fabrication.kit_settings import FabricationSettings
 

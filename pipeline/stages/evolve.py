@@ -7,8 +7,11 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.segments import SegmentSpec, TrialSpec
+from pipeline.store.design_file import design_document
+from pipeline.store.encoding import encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
+from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, trials_of
 from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, TrialSummary, Upstream
 from tasks.evolution import OPERATORS
@@ -47,12 +50,10 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         curve = segments.read_curve(store, results.done[trial])
         final = float(curve["best_fitness"][-1])
         best.setdefault(trial.arm, []).append(final)
-        curves = {name: curve[name].astype(np.float64) for name in ("best_fitness", "median_fitness")}
         for operator in OPERATORS:
             drawn[operator] += int(curve[segments.drawn_column(operator)].sum())
             rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
-        metrics = {"champion_fitness": final, _DIVERGED: float(curve["n_diverged"].sum())}
-        trials.append(TrialSummary(trial, segments.mlflow_params(trial), metrics, curves))
+        trials.append(_summarise_trial(store, trial, results.done[trial]))
     lines = []
     metrics = {"n_diverged": sum(trial.metrics[_DIVERGED] for trial in trials)}
     for arm, fitness in best.items():
@@ -69,6 +70,21 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         lines.append(f"drawn again because unjoined links overlapped at rest: {listed}")
         metrics |= {f"rejected_share.{operator}": share for operator, share in shares.items()}
     return Summary(lines=lines, metrics=metrics, trials=trials)
+
+
+def _curves(store: Store, segment: Manifest) -> CurvePoints:
+    curve = segments.read_curve(store, [segment])
+    return CurvePoints(curve["generation"].tolist(), {name: curve[name] for name in ("best_fitness", "median_fitness")})
+
+
+def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) -> TrialSummary:
+    """Report a trial's champion."""
+    curve = segments.read_curve(store, parts)
+    metrics = {"champion_fitness": float(curve["best_fitness"][-1]), _DIVERGED: float(curve["n_diverged"].sum())}
+    files = {segments.POPULATION: store.read(parts[-1], segments.POPULATION)}
+    champion = segments.champion_of(segments.population_of(files))
+    artifacts = {} if champion is None else {"champion.json": encode_json(design_document(champion))}
+    return TrialSummary(trial, metrics, artifacts)
 
 
 def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:
@@ -90,4 +106,6 @@ EVOLVE = Stage(
     compute_batch=segments.compute_segments,
     summarise=_summarise,
     diverged=_diverged,
+    curves=_curves,
+    summarise_trial=_summarise_trial,
 )

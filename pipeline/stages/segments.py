@@ -218,11 +218,6 @@ def join_curves(parts: Mapping[str, bytes]) -> dict[str, npt.NDArray[Any]]:
     return {name: np.concatenate([table[name] for table in tables]) for name in CURVE_UNITS}
 
 
-def mlflow_params(trial: TrialId) -> dict[str, str | int | float]:
-    """Return the parameters by which MLflow finds a trial."""
-    return {"environment": trial.environment, "depth": trial.depth, "trial": trial.index}
-
-
 def mean_and_deviation(values: Sequence[float]) -> str:
     """Format the mean ± sample standard deviation; one value has no deviation, and none is a dash."""
     if not values:

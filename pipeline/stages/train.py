@@ -8,10 +8,12 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.stages.collect import data_set, read_transitions, throws_among
 from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_id
-from pipeline.store.encoding import decode_table, encode_arrays, encode_table
+from pipeline.store.encoding import canonical_json, decode_table, digest, encode_arrays, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns
+from pipeline.tracking.run import CurvePoints, Model
+from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -93,28 +95,54 @@ def read_errors(data: bytes, source: str) -> Columns:
     return decode_table(data, schema="errors", version=1, source=source)
 
 
+def _curves(store: Store, member: Manifest) -> CurvePoints:
+    learning = decode_table(store.read(member, _LEARNING), schema="learning", version=1, source=member.key)
+    losses = {name: learning[name] for name in ("training_loss", "validation_loss")}
+    return CurvePoints(learning["iteration"].tolist(), losses)
+
+
+def _summarise_member(store: Store, chain: ChainId, parts: Sequence[Manifest]) -> TrialSummary:
+    """Report a member's errors, at the speeds of robots and over all throws."""
+    errors = read_errors(store.read(parts[0], MEMBER_ERRORS), chain.label)
+    metrics = {}
+    for component in ("vx", "vy", "omega"):
+        for band in ("all", "< 0.5"):
+            row = np.flatnonzero((errors["component"] == component) & (errors["band"] == band))[0]
+            name = f"{component}.{'low_speed' if band != 'all' else 'all'}"
+            metrics[f"relative_error.{name}"] = float(errors["relative_error"][row])
+            metrics[f"bias.{name}"] = float(errors["bias"][row])
+    return TrialSummary(chain, metrics)
+
+
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Report the error of each member, at the speeds of robots and over all throws."""
-    lines, trials = [], []
-    for chain, (member,) in results.done.items():
-        errors = read_errors(store.read(member, MEMBER_ERRORS), chain.label)
-        learning = decode_table(store.read(member, _LEARNING), schema="learning", version=1, source=member.key)
-        metrics = {}
-        for component in ("vx", "vy", "omega"):
-            for band in ("all", "< 0.5"):
-                row = np.flatnonzero((errors["component"] == component) & (errors["band"] == band))[0]
-                name = f"{component}.{'low_speed' if band != 'all' else 'all'}"
-                metrics[f"relative_error.{name}"] = float(errors["relative_error"][row])
-                metrics[f"bias.{name}"] = float(errors["bias"][row])
-        lines.append(
-            f"{chain.label}: relative error of vx {metrics['relative_error.vx.all']:.3f}, "
-            f"below 0.5 m/s {metrics['relative_error.vx.low_speed']:.2f} "
-            f"(bias {metrics['bias.vx.low_speed']:+.4f} m/s a step)"
-        )
-        curves = {name: learning[name] for name in ("training_loss", "validation_loss")}
-        steps = learning["iteration"].tolist()
-        trials.append(TrialSummary(chain, params={}, metrics=metrics, curves=curves, steps=steps))
-    return Summary(lines=lines or ["no trial needs residual networks"], trials=trials)
+    """Report the error of each member, and the ensemble as a model."""
+    trials = [_summarise_member(store, chain, done) for chain, done in results.done.items()]
+    lines = [
+        f"{trial.chain.label}: relative error of vx {trial.metrics['relative_error.vx.all']:.3f}, "
+        f"below 0.5 m/s {trial.metrics['relative_error.vx.low_speed']:.2f} "
+        f"(bias {trial.metrics['bias.vx.low_speed']:+.4f} m/s a step)"
+        for trial in trials
+    ]
+    complete = bool(trials) and len(trials) == settings.ensemble.n_members
+    model = _ensemble(settings, trials, results, store) if complete else None
+    return Summary(lines=lines or ["no trial needs residual networks"], trials=trials, model=model)
+
+
+def _ensemble(settings: Settings, trials: Sequence[TrialSummary], results: Results, store: Store) -> Model:
+    """Describe the ensemble: its members' weights, what they are, and their mean errors."""
+    weights = {f"{chain.label}.safetensors": store.read(member, WEIGHTS) for chain, (member,) in results.done.items()}
+    params = {
+        "network": settings.network.model_dump(mode="json"),
+        "training": settings.training.model_dump(mode="json"),
+    }
+    listed = {name: digest(content) for name, content in weights.items()}
+    return Model(
+        f"{settings.name}-ensemble",
+        digest(canonical_json(listed)),
+        params={"n_members": len(weights), **params},
+        metrics={name: float(np.mean([of.metrics[name] for of in trials])) for name in trials[0].metrics},
+        artifacts={**weights, "ensemble.json": encode_json({**params, "sha256": listed})},
+    )
 
 
 TRAIN = Stage(
@@ -126,4 +154,6 @@ TRAIN = Stage(
     item=_item,
     compute=_compute,
     summarise=_summarise,
+    curves=_curves,
+    summarise_trial=_summarise_member,
 )

@@ -17,6 +17,7 @@ from pipeline.store.design_file import design_document
 from pipeline.store.encoding import decode_json, encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
+from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import (
     Chain,
@@ -133,7 +134,12 @@ def read_scores(settings: Settings, results: Results, store: Store) -> list[dict
         store: where it is.
     """
     return [
-        {**segments.mlflow_params(trial), **decode_json(store.read(results.done[trial][-1], SCORE), trial.label)}
+        {
+            "environment": trial.environment,
+            "depth": trial.depth,
+            "trial": trial.index,
+            **decode_json(store.read(results.done[trial][-1], SCORE), trial.label),
+        }
         for trial in trials_of(settings, "transfer")
         if trial in results.done
     ]
@@ -154,21 +160,27 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
                 if values:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
             lines.append(f"{depth:7g}  {environment:<15} {len(arm):>3}  " + "  ".join(f"{cell:>14}" for cell in cells))
-    trials = [_trial_summary(row, results, store) for row in rows]
+    trials = [_summarise_trial(store, trial, done) for trial, done in results.done.items()]
     metrics["n_diverged"] = sum(trial.metrics.get(_ADAPTED_DIVERGED, 0.0) for trial in trials)
     return Summary(lines=lines, metrics=metrics, trials=trials)
 
 
-def _trial_summary(row: Mapping[str, Any], results: Results, store: Store) -> TrialSummary:
-    """Sum up a trial's scores, and its adaptation where there was one."""
-    trial = TrialId("transfer", row["environment"], row["depth"], row["trial"])
-    metrics = {k: v for k, v in row.items() if isinstance(v, float) and k != "depth"}
-    curves = {}
-    if adaptation := results.done[trial][:-1]:
-        curve = segments.read_curve(store, adaptation)
-        curves = {"adapted_best_fitness": curve["best_fitness"].astype(np.float64)}
-        metrics[_ADAPTED_DIVERGED] = float(curve["n_diverged"].sum())
-    return TrialSummary(trial, segments.mlflow_params(trial), metrics, curves)
+def _curves(store: Store, part: Manifest) -> CurvePoints:
+    if segments.CURVE not in part.files:  # the scores
+        return CurvePoints()
+    curve = segments.read_curve(store, [part])
+    return CurvePoints(curve["generation"].tolist(), {"adapted_best_fitness": curve["best_fitness"]})
+
+
+def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) -> TrialSummary:
+    """Report a trial's scores and designs, and its adaptation where there was one."""
+    *adaptation, scored = parts
+    scores = decode_json(store.read(scored, SCORE), trial.label)
+    metrics = {name: value for name, value in scores.items() if isinstance(value, float)}
+    if adaptation:
+        metrics[_ADAPTED_DIVERGED] = float(segments.read_curve(store, adaptation)["n_diverged"].sum())
+    designs = {name: store.read(scored, name) for name in (CHAMPION, _ADAPTED) if name in scored.files}
+    return TrialSummary(trial, metrics, designs)
 
 
 def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:
@@ -192,4 +204,6 @@ TRANSFER = Stage(
     compute_batch=_compute_batch,
     summarise=_summarise,
     diverged=_diverged,
+    curves=_curves,
+    summarise_trial=_summarise_trial,
 )

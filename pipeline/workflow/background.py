@@ -1,8 +1,9 @@
-"""Background work on a thread: a stage is mirrored to MLflow while the next one computes."""
+"""Background work on a thread: a study is mirrored to MLflow while it computes."""
 
+import contextlib
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Self
 
@@ -22,6 +23,8 @@ class Background:
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
+        self._repeated: Callable[[], object] | None = None
+        self._period: float | None = None  # [s]
 
     def do(self, work: Callable[[], object]) -> None:
         """Run a call after those before it. If it raises an error, the end of the ``with`` block raises that error."""
@@ -30,8 +33,29 @@ class Background:
             self._thread.start()
         self._work.put(work)
 
+    @contextlib.contextmanager
+    def repeat(self, work: Callable[[], object], *, every: float) -> Iterator[None]:
+        """Run a call at once and then every few seconds while the block runs, after the calls before it.
+
+        Args:
+            work: the call.
+            every: time from the end of a call to the next one [s].
+        """
+        self._repeated, self._period = work, every
+        self.do(work)
+        try:
+            yield
+        finally:
+            self._repeated, self._period = None, None
+
     def _run(self) -> None:
-        while (work := self._work.get()) is not None:
+        while True:
+            try:
+                work = self._work.get(timeout=self._period)
+                if work is None:
+                    return
+            except queue.Empty:
+                work = self._repeated or (lambda: None)  # the block may just have ended
             try:
                 work()
             except BaseException as error:  # the end of the block raises it; the rest of the work continues

@@ -10,15 +10,14 @@ from pipeline.cluster import Cluster
 from pipeline.cluster.process import signals_unwind
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact
-from pipeline.store.encoding import canonical_json, digest, encode_json
 from pipeline.store.store import Store
-from pipeline.tracking.mirror import Run, Tracker
 from pipeline.workflow.background import Background
 from pipeline.workflow.dispatcher import Limits, run_stage
 from pipeline.workflow.graph import ChainProgress, StageRun, require, results_of
 from pipeline.workflow.progress import NOTHING, Progress, StudyPace
 from pipeline.workflow.record import DrivenStudy, RecordingBar
-from pipeline.workflow.stage import AnyStage, Results, Summary, Upstream
+from pipeline.workflow.stage import AnyStage, Results, Upstream
+from pipeline.workflow.study_mirror import StudyMirror, TracksRuns
 from tasks.simulation import batch
 
 
@@ -29,7 +28,7 @@ def drive(
     stages: Sequence[AnyStage],
     store: Store,
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
-    tracker: Tracker,
+    tracker: TracksRuns,
     progress: Progress,
     how_to_run: Callable[[str], str],
     source: str = "",
@@ -39,8 +38,8 @@ def drive(
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
 
-    The cluster is opened only once there is something to compute. A stage is mirrored to MLflow while the next one
-    computes: a study of hundreds of trials has hundreds of thousands of points.
+    The cluster is opened only once there is something to compute. Trials are mirrored to MLflow while they are
+    computed.
 
     Args:
         settings: the study's settings.
@@ -79,9 +78,7 @@ def drive(
                 opened.append(stack.enter_context(open_cluster()))
             return opened[0]
 
-        def mirror(study: Run, stage: Run, trials: Sequence[Run]) -> None:
-            background.do(lambda: tracker.mirror(study, stage, trials))
-
+        mirror = StudyMirror(settings, stages, store, tracker, background, source=source)
         record = DrivenStudy(settings, store, progress.say, source)
 
         def study_pace() -> StudyPace:
@@ -112,7 +109,7 @@ class _Driver:
     store: Store
     record: DrivenStudy
     cluster: Callable[[], Cluster]
-    mirror: Callable[[Run, Run, Sequence[Run]], None]
+    mirror: StudyMirror
     progress: Progress
     pace: Callable[[], StudyPace]
     how_to_run: Callable[[str], str]
@@ -139,7 +136,7 @@ class _Driver:
             upstream[stage.name] = replace(found, diverged=stage.diverged(self.settings, found, self.store))
             summary = stage.summarise(self.settings, found, self.store)
             self.progress.say(f"{stage.name}:\n" + "\n".join(f"  {line}" for line in summary.lines))
-            self.mirror(*_runs(self.settings, stage, upstream, summary, finished=stage is self.stages[-1]))
+            self.mirror.finish(stage, upstream, summary)
         return upstream
 
     def _compute(self, run: StageRun, chains: Sequence[ChainProgress]) -> None:
@@ -149,48 +146,8 @@ class _Driver:
         done = sum((chain.done for chain in chains), NOTHING)
         cluster = self.cluster()
         name, unit, pace = run.stage.name, run.stage.unit, self.pace()
-        with self.progress.stage(name, unit=unit, total=left + done, done=done, study=pace) as bar:
+        with (
+            self.mirror.live(run.stage, chains),
+            self.progress.stage(name, unit=unit, total=left + done, done=done, study=pace) as bar,
+        ):
             run_stage(run, chains, cluster=cluster, bar=RecordingBar(bar, self.record), limits=self.limits)
-
-
-def _runs(
-    settings: Settings, stage: AnyStage, upstream: Upstream, summary: Summary, *, finished: bool
-) -> tuple[Run, Run, list[Run]]:
-    """Describe the study, the stage and its trials as MLflow runs."""
-    chosen = settings.model_dump(mode="json")
-    results = upstream[stage.name]
-    study = Run(
-        name=settings.name,
-        key=digest(canonical_json(chosen)),
-        params=chosen,
-        metrics=summary.metrics if summary.of_study else {},
-        artifacts={"settings.json": encode_json(chosen), **(summary.artifacts if summary.of_study else {})},
-        status="FINISHED" if finished else None,
-    )
-    run = Run(
-        name=stage.name,
-        key=stage.name,
-        metrics={**summary.metrics, "core_seconds": results.seconds, "n_failed": len(results.failed)},
-        inputs={name: _digest_of(upstream[name]) for name in stage.reads(settings)},
-        outputs={stage.name: _digest_of(results)},
-        artifacts=summary.artifacts,
-        status="FAILED" if results.failed else "FINISHED",
-    )
-    trials = [
-        Run(
-            name=trial.chain.label,
-            key=trial.chain.label,
-            params=trial.params,
-            metrics=trial.metrics,
-            curves={name: curve.tolist() for name, curve in trial.curves.items()},
-            steps=trial.steps,
-            outputs={trial.chain.label: results.done[trial.chain][-1].digest},
-            status="FINISHED",
-        )
-        for trial in summary.trials
-    ]
-    return study, run, trials
-
-
-def _digest_of(results: Results) -> str:
-    return digest(canonical_json({chain.label: [m.digest for m in done] for chain, done in results.done.items()}))

@@ -18,8 +18,8 @@ from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.identity import Arm, ChainId, InputName, to_json
-from tasks.arrays import Float64
+from pipeline.tracking.run import CurvePoints, Model
+from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId, to_json
 
 ChainSpecT = TypeVar("ChainSpecT")
 ItemSpecT = TypeVar("ItemSpecT")
@@ -135,13 +135,11 @@ Upstream = Mapping[str, Results]  # results of earlier stages, by stage name
 
 @dataclass(frozen=True)
 class TrialSummary:
-    """One chain, as MLflow shows it."""
+    """One complete chain, as MLflow shows it beside its curves."""
 
     chain: ChainId
-    params: Mapping[str, str | int | float]
     metrics: Mapping[str, float]
-    curves: Mapping[str, Float64]  # metrics by generation
-    steps: Sequence[int] | None = None  # generations of the curves' points; None for 0, 1, 2 …
+    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files that a person may want to open, by path
 
 
 @dataclass(frozen=True)
@@ -152,6 +150,8 @@ class Summary:
     metrics: Mapping[str, float] = field(default_factory=dict)
     trials: Sequence[TrialSummary] = ()
     artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files that a person may want to open, by path
+    films: Mapping[TrialId, Mapping[str, bytes]] = field(default_factory=dict)  # of trials of other stages, by path
+    model: Model | None = None  # that the stage made
     of_study: bool = False  # whether the study as a whole shows these metrics and artifacts too, to compare studies
 
 
@@ -172,6 +172,10 @@ class Stage(Generic[ChainSpecT, ItemSpecT]):
     """Compute items that form a batch in one call: the same files as ``compute`` makes of each, but faster."""
     diverged: Callable[[Settings, Results, Store], Mapping[ChainId, str]] = lambda settings, results, store: {}
     """Describe what diverged, by complete chain; chains that stayed finite are left out."""
+    curves: Callable[[Store, Manifest], CurvePoints] | None = None
+    """Read the points that an item adds to its chain's curves. MLflow shows a stage that has some chain by chain."""
+    summarise_trial: Callable[[Store, ChainId, Sequence[Manifest]], TrialSummary] | None = None
+    """Sum up a complete chain of a stage with curves, as soon as it is complete."""
 
 
 AnyStage: TypeAlias = Stage[Any, Any]

@@ -84,9 +84,12 @@ class Browser:
         return json.loads(message)
 
     def open(self, page: Path, *, width: int, height: int = 800) -> None:
+        self.visit(page.as_uri(), width=width, height=height)
+
+    def visit(self, address: str, *, width: int, height: int = 800) -> None:
         self("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
         self.events.clear()
-        self("Page.navigate", url=page.as_uri())
+        self("Page.navigate", url=address)
         self.until("document.readyState === 'complete'")
 
     def evaluate(self, script: str) -> Any:

@@ -1,25 +1,27 @@
 """The mirror in a real MLflow database: complete, never double, and never in the study's way."""
 
+import contextlib
+import getpass
 import json
 import math
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 import time
-import urllib.request
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 from mlflow.tracking import MlflowClient
 
-from pipeline.errors import PuddleError
-from pipeline.tracking.mirror import EXPERIMENT, Run, Tracker, database_uri, serve_ui
+from pipeline.tracking.database import database_uri
+from pipeline.tracking.experiment import EXPERIMENT
+from pipeline.tracking.mirror import Tracker
+from pipeline.tracking.run import CurvePart, CurvePoints, Model, Run
 
 STUDY = Run("smoke", "5" * 64, params={"evolution": {"n_generations": 1500}}, tags={"preset": "smoke"})
 STAGE = Run(
@@ -32,10 +34,21 @@ STAGE = Run(
     status="FINISHED",
 )
 CURVE = np.linspace(0, 1, 1500)
-TRIALS = [
-    Run(f"trial {k}", str(k), params={"trial": k}, curves={"fitness": CURVE + k, "deviation": CURVE}, status="FINISHED")
-    for k in range(2)
-]
+
+
+def part(digest: str, first: int, **curves: Sequence[float]) -> CurvePart:
+    """Return part of a run's curves, as a segment adds it: a generation per second, from ``first`` on."""
+    n_points = len(next(iter(curves.values())))
+    points = CurvePoints(range(first, first + n_points), curves)
+    return CurvePart(digest, lambda: points, 1e9 + first, 1e9 + first + n_points)
+
+
+def parts(k: int) -> list[CurvePart]:
+    bounds = [(0, 700), (700, 1500)]
+    return [part(f"{k}-{a}", a, fitness=CURVE[a:b] + k, deviation=CURVE[a:b]) for a, b in bounds]
+
+
+TRIALS = [Run(f"trial {k}", str(k), params={"trial": k}, curves=parts(k), status="FINISHED") for k in range(2)]
 
 
 @pytest.fixture(autouse=True)
@@ -74,15 +87,15 @@ def runs(store: Path):
 
 
 def everything(store: Path):
-    """All that MLflow holds, times apart."""
+    """All that MLflow holds."""
     mlflow = client(store)
     return {
         run.info.run_id: (
-            run.info.status,
+            (run.info.status, run.info.start_time, run.info.end_time),
             run.data.params,
             run.data.tags,
             {
-                name: [(m.step, m.value) for m in mlflow.get_metric_history(run.info.run_id, name)]
+                name: [(m.step, m.value, m.timestamp) for m in mlflow.get_metric_history(run.info.run_id, name)]
                 for name in run.data.metrics
             },
             [(one.dataset.name, one.dataset.digest) for one in run.inputs.dataset_inputs],
@@ -150,7 +163,7 @@ def test_mirrored_twice_is_mirrored_once(store, said):
 
 def test_what_changed_is_brought_up_to_date_in_place(store, said):
     tracker = Tracker(store, say=said.append)
-    half = [replace(trial, curves={"fitness": trial.curves["fitness"][:700]}, status=None) for trial in TRIALS]
+    half = [replace(trial, curves=trial.curves[:1], status=None) for trial in TRIALS]
     tracker.mirror(STUDY, replace(STAGE, metrics={"best": 3.0}, inputs={}, status="FAILED"), half)
     before = runs(store)
     tracker.mirror(replace(STUDY, status="FINISHED"), STAGE, TRIALS)
@@ -176,7 +189,8 @@ def test_another_key_is_another_run(store, said):
 
 
 def test_only_finite_values_are_sent(store, said):
-    trial = Run("trial 0", "0", curves={"fitness": [1.0, math.nan, -math.inf, 4.0], "nothing": [math.nan]})
+    curves = {"fitness": [1.0, math.nan, -math.inf, 4.0], "nothing": [math.nan] * 4}
+    trial = Run("trial 0", "0", curves=[part("a", 0, **curves)])
     Tracker(store, say=said.append).mirror(STUDY, STAGE, [trial])
     found = runs(store)
     assert found["stage", "evolve"].data.metrics == {"best": 9.5}
@@ -237,15 +251,110 @@ def test_a_failing_mlflow_is_said_once_and_caught_up_with(tmp_path, said, monkey
     }
 
 
-def test_a_server_that_is_away_costs_seconds(tmp_path, said, monkeypatch):
+@contextlib.contextmanager
+def silent_server() -> Iterator[int]:
+    """Listen on a port, but never answer."""
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        yield listening.getsockname()[1]
+
+
+@contextlib.contextmanager
+def no_server() -> Iterator[int]:
+    """Return a port on which nothing listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        monkeypatch.setenv("MLFLOW_TRACKING_URI", f"http://127.0.0.1:{probe.getsockname()[1]}")
-    begin = time.monotonic()
-    Tracker(tmp_path, say=said.append).mirror(STUDY, STAGE, TRIALS)
-    assert time.monotonic() - begin < 120  # MLflow itself takes minutes
-    assert len(said) == 1 and os.environ["MLFLOW_TRACKING_URI"] in said[0]
+        yield probe.getsockname()[1]
+
+
+@pytest.mark.parametrize(
+    ("server", "scheme"), [(no_server, "http"), (silent_server, "http"), (no_server, "postgresql+psycopg2")]
+)
+def test_an_unreachable_database_is_noticed_within_seconds_and_once(tmp_path, said, monkeypatch, server, scheme):
+    with server() as port:
+        uri = f"{scheme}://127.0.0.1:{port}"
+        monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
+        tracker = Tracker(tmp_path, say=said.append)
+        for _ in range(2):
+            begin = time.monotonic()
+            tracker.mirror(STUDY, STAGE, TRIALS)
+            assert time.monotonic() - begin < 5  # MLflow itself takes minutes
+    assert len(said) == 1 and uri in said[0] and "does not answer" in said[0]
     assert not (tmp_path / "mlflow.db").exists()
+
+
+def test_a_run_has_the_times_user_and_description_of_its_work(store, said):
+    stage = replace(STAGE, description="Stage 3 of 7.", started=1.7e9, ended=1.7e9 + 60)
+    Tracker(store, say=said.append).mirror(STUDY, stage, TRIALS)
+    found = runs(store)["stage", "evolve"]
+    assert (found.info.start_time, found.info.end_time) == (1_700_000_000_000, 1_700_000_060_000)
+    assert found.info.user_id == getpass.getuser()
+    assert found.data.tags["mlflow.note.content"] == "Stage 3 of 7."
+    assert (found.data.tags["study"], found.data.tags["study_digest"]) == ("smoke", STUDY.key)
+    history = client(store).get_metric_history(runs(store)["trial", "trial 0"].info.run_id, "fitness")
+    by_step = {point.step: point.timestamp for point in history}
+    assert (by_step[0], by_step[700], by_step[1499]) == (1_000_000_001_000, 1_000_000_701_000, 1_000_001_500_000)
+    assert said == []
+
+
+def test_only_the_new_parts_of_a_growing_curve_are_read(store, said):
+    def refuse() -> CurvePoints:
+        raise AssertionError("read again")
+
+    trial = TRIALS[0]
+    first, second = trial.curves
+    Tracker(store, say=said.append).mirror(STUDY, STAGE, [replace(trial, curves=[first])])
+    for _ in range(2):  # another driver knows from MLflow what was sent
+        Tracker(store, say=said.append).mirror(
+            STUDY, STAGE, [replace(trial, curves=[replace(first, read=refuse), second])]
+        )
+        second = replace(second, read=refuse)
+    history = client(store).get_metric_history(runs(store)["trial", "trial 0"].info.run_id, "fitness")
+    assert sorted((point.step, point.value) for point in history) == list(enumerate(CURVE))
+    assert said == []
+
+
+def test_a_model_is_logged_once_and_linked_to_its_metrics_and_readers(store, said):
+    model = Model(
+        "ensemble",
+        "d" * 64,
+        params={"network": {"width": 16}},
+        metrics={"relative_error": 0.5, "undefined": math.nan},
+        data=("collect", "c" * 64),
+        artifacts={"member-00.safetensors": b"weights"},
+    )
+    train = Run("train", "train", model=model, status="FINISHED")
+    for _ in range(2):
+        tracker = Tracker(store, say=said.append)
+        tracker.mirror(STUDY, train)
+        tracker.mirror(STUDY, STAGE, [replace(TRIALS[0], model_read=model.digest)])
+    assert said == []
+    mlflow = client(store)
+    (logged,) = mlflow.search_logged_models([mlflow.get_experiment_by_name(EXPERIMENT).experiment_id])
+    assert (logged.name, logged.status, logged.params) == ("ensemble", "READY", {"network.width": "16"})
+    (metric,) = logged.metrics
+    assert (metric.key, metric.value, metric.dataset_name) == ("relative_error", 0.5, "collect")
+    assert metric.dataset_digest == "c" * 36 and logged.tags["puddle.digest"] == "d" * 64
+    assert [file.path for file in mlflow.list_logged_model_artifacts(logged.model_id)] == ["member-00.safetensors"]
+    found = runs(store)
+    assert logged.source_run_id == found["stage", "train"].info.run_id
+    trial = mlflow.get_run(found["trial", "trial 0"].info.run_id)
+    assert [one.model_id for one in trial.inputs.model_inputs] == [logged.model_id]
+
+
+def test_a_stage_adds_files_to_other_runs(store, said):
+    films = {("trial", "e" * 64 + "/0"): {"films/swim.mp4": b"film"}, ("trial", "gone"): {"films/swim.mp4": b""}}
+    report = Run("report", "report", attachments={**films, ("study", STUDY.key): {"page/index.html": b"<html>"}})
+    for _ in range(2):
+        tracker = Tracker(store, say=said.append)
+        tracker.mirror(STUDY, STAGE, TRIALS)
+        tracker.mirror(STUDY, report)
+    found, files = runs(store), store / "mlartifacts"
+    trial, study = found["trial", "trial 0"].info.run_id, found["study", "smoke"].info.run_id
+    assert (files / trial / "artifacts/films/swim.mp4").read_bytes() == b"film"
+    assert (files / study / "artifacts/page/index.html").read_bytes() == b"<html>"
+    assert said == []
 
 
 def test_a_store_that_cannot_be_written_does_not_stop_the_study(tmp_path, said):
@@ -258,7 +367,8 @@ def test_two_drivers_at_once_make_one_database(tmp_path):
     script = """
 import sys
 from pathlib import Path
-from pipeline.tracking.mirror import Run, Tracker
+from pipeline.tracking.mirror import Tracker
+from pipeline.tracking.run import Run
 def say(line):
     sys.exit(line)
 name = sys.argv[2]
@@ -278,53 +388,3 @@ Tracker(Path(sys.argv[1]), say=say).mirror(Run(name, name), Run("collect", "c", 
     assert [driver.returncode for driver in drivers] == [0] * 2, errors
     assert errors == [""] * 2  # nothing is logged to the terminal either
     assert {name for kind, name in runs(tmp_path) if kind == "study"} == {f"study-{k}" for k in range(2)}
-
-
-def test_the_ui_serves_on_loopback_and_stops_with_its_children(store, said):
-    Tracker(store, say=said.append).mirror(STUDY, STAGE)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    script = "import sys; from pathlib import Path; from pipeline.tracking.mirror import serve_ui; "
-    script += "serve_ui(Path(sys.argv[1]), int(sys.argv[2]))"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    server = subprocess.Popen(
-        [sys.executable, "-c", script, str(store), str(port)],
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    family = [psutil.Process(server.pid)]
-    try:
-        deadline = time.monotonic() + 60
-        while True:
-            try:
-                with urllib.request.urlopen(f"http://127.0.0.1:{port}/health", timeout=5) as answer:
-                    assert answer.status == 200
-                break
-            except OSError:
-                assert server.poll() is None and time.monotonic() < deadline
-                time.sleep(0.2)
-        family += family[0].children(recursive=True)
-        listening = [one.laddr for child in family for one in child.net_connections() if one.status == "LISTEN"]
-        assert {address.ip for address in listening} == {"127.0.0.1"}
-        server.send_signal(signal.SIGTERM)
-        server.wait(timeout=15)
-        _, left = psutil.wait_procs(family[1:], timeout=10)
-        assert not left
-    finally:
-        for child in family:
-            if child.is_running():
-                child.kill()
-        server.wait()
-
-
-def test_the_ui_says_what_it_lacks(tmp_path):
-    with pytest.raises(PuddleError, match=r"expected mlflow\.db"):
-        serve_ui(tmp_path, 5000)
-    (tmp_path / "mlflow.db").touch()
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        with pytest.raises(PuddleError, match=r"port \d+ is not available.*--port"):
-            serve_ui(tmp_path, taken.getsockname()[1])

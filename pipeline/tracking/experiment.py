@@ -1,0 +1,283 @@
+"""An MLflow experiment that holds puddle's runs, and the difference between them and what it should hold."""
+
+from __future__ import annotations
+
+import getpass
+import hashlib
+import json
+import math
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.tracking.run import CurvePart, Model, Run
+
+EXPERIMENT = "puddle"
+
+_MAX_METRICS = 800  # per log_batch, which takes 1,000 metrics, parameters and tags together
+_MAX_PARAMS = 100  # per log_batch; tags too
+_DATASET_DIGEST_LENGTH = 36  # characters that MLflow stores; the whole digest is in the data set's source
+_MODEL, _MODEL_READ = "puddle.model", "puddle.model_read"
+_CURVES, _FILES, _DESCRIPTION = "puddle.curves", "puddle.files", "mlflow.note.content"
+"""Tags. All but the last one say what has been sent."""
+
+_Slot = tuple[str, str]  # a run's kind and key
+
+
+@dataclass
+class _Sent:
+    """What MLflow holds of a run."""
+
+    id: str
+    started: int  # [ms since 1970]
+    status: str = "RUNNING"
+    ended: int | None = None  # [ms since 1970]
+    params: set[str] = field(default_factory=set)
+    tags: dict[str, str] = field(default_factory=dict)
+    metrics: dict[str, float] = field(default_factory=dict)
+    data_sets: set[tuple[str, str]] = field(default_factory=set)
+
+
+@dataclass
+class Experiment:
+    """An experiment, and what it is known to hold; another process may add studies but not change the same one."""
+
+    client: Any
+    id: str
+    _studies: dict[str, dict[_Slot, _Sent]] = field(default_factory=dict)
+    _model_ids: dict[str, list[str]] = field(default_factory=dict)  # by digest
+
+    def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
+        """Send what MLflow lacks of a study, one of its stages, and some of that stage's trials.
+
+        Args:
+            study: the study's run.
+            stage: the stage's run, a child of the study's.
+            trials: runs of the stage's trials, children of the stage's.
+        """
+        if study.key not in self._studies:
+            self._studies[study.key] = self._runs(study.key)
+        sent = self._studies[study.key]
+        shared = {**study.tags, "study": study.name, "study_digest": study.key}
+        parent = self._update(study, ("study", study.key), shared, sent)
+        shared["mlflow.parentRunId"] = parent.id
+        shared["stage"] = stage.name
+        child = self._update(stage, ("stage", stage.key), shared, sent)
+        shared["mlflow.parentRunId"] = child.id
+        for trial in trials:
+            self._update(trial, ("trial", f"{stage.key}/{trial.key}"), shared, sent)
+        for slot, files in stage.attachments.items():
+            if slot in sent:
+                self._send_files(sent[slot], files, f"{_FILES}.{stage.name}")
+
+    def _runs(self, study_key: str) -> dict[_Slot, _Sent]:
+        """Find a study's runs, by kind and key."""
+        runs: dict[_Slot, _Sent] = {}
+        page = None
+        while page is None or page.token:
+            token = page.token if page else None
+            page = self.client.search_runs([self.id], f"tags.study_digest = '{study_key}'", page_token=token)
+            runs |= {(run.data.tags["puddle.kind"], run.data.tags["puddle.key"]): _sent(run) for run in page}
+        return runs
+
+    def _update(self, wanted: Run, slot: _Slot, shared: Mapping[str, str], existing: dict[_Slot, _Sent]) -> _Sent:
+        """Send what MLflow lacks of a run, its status last; return what it then holds."""
+        tags = {f"puddle.output.{name}": digest for name, digest in wanted.outputs.items()}
+        tags |= {**shared, **wanted.tags, "puddle.kind": slot[0], "puddle.key": slot[1]}
+        if wanted.description:
+            tags[_DESCRIPTION] = wanted.description
+        run = existing.get(slot)
+        if run is None:
+            tags |= {"mlflow.user": _user(), "mlflow.source.name": "puddle", "mlflow.source.type": "LOCAL"}
+            started = _milliseconds(time.time() if wanted.started is None else wanted.started)
+            made = self.client.create_run(self.id, start_time=started, run_name=wanted.name, tags=tags)
+            run = existing[slot] = _Sent(made.info.run_id, started, tags=tags)
+        self._send_values(run, wanted, tags)
+        self._send_inputs(run, wanted)
+        if wanted.model is not None:
+            self._send_model(run, wanted.model)
+        files = dict(wanted.artifacts)
+        if wanted.inputs or wanted.outputs:
+            lineage = {"inputs": dict(wanted.inputs), "outputs": dict(wanted.outputs)}
+            files["lineage.json"] = json.dumps(lineage, indent=2, sort_keys=True).encode()
+        self._send_files(run, files, _FILES)
+        ended = run.ended if wanted.ended is None else _milliseconds(wanted.ended)
+        if wanted.status is not None and (run.status, run.ended) != (wanted.status, ended or run.ended):
+            self.client.set_terminated(run.id, wanted.status, end_time=ended)
+            run.status, run.ended = wanted.status, ended
+        return run
+
+    def _send_values(self, run: _Sent, wanted: Run, tags: Mapping[str, str]) -> None:
+        from mlflow.entities import Metric, Param, RunTag
+
+        params = {name: str(value) for name, value in _flat(wanted.params) if name not in run.params}
+        new_tags = {name: value for name, value in tags.items() if run.tags.get(name) != value}
+        now = _milliseconds(time.time())
+        changed = {
+            name: float(value)
+            for name, value in wanted.metrics.items()
+            if math.isfinite(value) and run.metrics.get(name) != value
+        }
+        metrics = [Metric(name, value, now, 0) for name, value in changed.items()]
+        if wanted.curves:
+            n_sent = _n_sent(run.tags.get(_CURVES), wanted.curves)
+            for part in wanted.curves[n_sent:]:
+                metrics += _points(part)
+            if n_sent < len(wanted.curves):
+                new_tags[_CURVES] = _curves_tag(wanted.curves)
+        for start in range(0, len(metrics), _MAX_METRICS):
+            self.client.log_batch(run.id, metrics=metrics[start : start + _MAX_METRICS])
+        # Tags after the points that they describe: after a failure, points are sent twice rather than never.
+        for start in range(0, max(len(params), len(new_tags)), _MAX_PARAMS):
+            batch = slice(start, start + _MAX_PARAMS)
+            self.client.log_batch(
+                run.id,
+                params=[Param(*param) for param in list(params.items())[batch]],
+                tags=[RunTag(*tag) for tag in list(new_tags.items())[batch]],
+            )
+        run.params |= set(params)
+        run.tags |= new_tags
+        run.metrics |= changed
+
+    def _send_inputs(self, run: _Sent, wanted: Run) -> None:
+        from mlflow.entities import Dataset, DatasetInput, InputTag, LoggedModelInput
+
+        cut = {(name, digest[:_DATASET_DIGEST_LENGTH]): digest for name, digest in wanted.inputs.items()}
+        inputs = [
+            DatasetInput(
+                Dataset(name, short, "puddle", json.dumps({"sha256": digest})),
+                [InputTag("mlflow.data.context", "input")],
+            )
+            for (name, short), digest in cut.items()
+            if (name, short) not in run.data_sets
+        ]
+        if inputs:
+            self.client.log_inputs(run.id, inputs)
+            run.data_sets |= set(cut)
+        read = wanted.model_read
+        if read is not None and run.tags.get(_MODEL_READ) != read:
+            if read not in self._model_ids:
+                self._model_ids[read] = [one.model_id for one in self._models(read)]
+            self.client.log_inputs(run.id, models=[LoggedModelInput(model) for model in self._model_ids[read]])
+            self._set_tag(run, _MODEL_READ, read)
+
+    def _send_files(self, run: _Sent, files: Mapping[str, bytes], tag: str) -> None:
+        """Send files, unless a tag says that they have been sent."""
+        digest = _digest({path: hashlib.sha256(content).hexdigest() for path, content in files.items()})
+        if not files or run.tags.get(tag) == digest:
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            _write(Path(folder), files)
+            self.client.log_artifacts(run.id, folder)
+        self._set_tag(run, tag, digest)
+
+    def _set_tag(self, run: _Sent, tag: str, value: str) -> None:
+        self.client.set_tag(run.id, tag, value)
+        run.tags[tag] = value
+
+    def _models(self, digest: str) -> Sequence[Any]:
+        found: Sequence[Any] = self.client.search_logged_models([self.id], f"tags.`puddle.digest` = '{digest}'")
+        return found
+
+    def _send_model(self, run: _Sent, model: Model) -> None:
+        """Log a model with its files and metrics, unless a tag says that it has been."""
+        from mlflow.entities import LoggedModelOutput, Metric
+
+        if run.tags.get(_MODEL) == model.digest:
+            return
+        known = next((one for one in self._models(model.digest) if one.source_run_id == run.id), None)
+        if known is None:
+            params = {name: str(value) for name, value in _flat(model.params)}
+            tags = {"puddle.digest": model.digest}
+            known = self.client.create_logged_model(self.id, model.name, run.id, tags, params, model_type="ensemble")
+        with tempfile.TemporaryDirectory() as folder:
+            _write(Path(folder), model.artifacts)
+            self.client.log_model_artifacts(known.model_id, folder)
+        name, digest = model.data or (None, None)
+        of_data = (name, digest and digest[:_DATASET_DIGEST_LENGTH])
+        metrics = [
+            Metric(metric, float(value), run.started, 0, known.model_id, *of_data)
+            for metric, value in model.metrics.items()
+            if math.isfinite(value)
+        ]
+        self.client.log_batch(run.id, metrics=metrics)
+        self.client.log_outputs(run.id, [LoggedModelOutput(known.model_id, step=0)])
+        self.client.finalize_logged_model(known.model_id, "READY")
+        self._set_tag(run, _MODEL, model.digest)
+
+
+def _sent(run: Any) -> _Sent:
+    info, data, inputs = run.info, run.data, run.inputs
+    return _Sent(
+        info.run_id,
+        info.start_time,
+        info.status,
+        info.end_time,
+        set(data.params),
+        dict(data.tags),
+        dict(data.metrics),
+        {(one.dataset.name, one.dataset.digest) for one in inputs.dataset_inputs} if inputs else set(),
+    )
+
+
+def _n_sent(tag: str | None, curves: Sequence[CurvePart]) -> int:
+    """Return how many parts of a run's curves a tag says were sent; 0 if they were others."""
+    n_sent = (tag or "").partition(" ")[0]
+    if n_sent.isdigit() and tag == _curves_tag(curves[: int(n_sent)]):
+        return int(n_sent)
+    return 0
+
+
+def _curves_tag(curves: Sequence[CurvePart]) -> str:
+    return f"{len(curves)} {_digest([part.digest for part in curves])}"
+
+
+def _points(part: CurvePart) -> list[Any]:
+    """Return the finite points of a part, timed evenly over it.
+
+    Their times are part of their identity: MLflow stores a point that is sent again with the same one once.
+    """
+    from mlflow.entities import Metric
+
+    points = part.read()
+    n_steps, started = len(points.steps), _milliseconds(part.started)
+    duration = _milliseconds(part.ended) - started
+    return [
+        Metric(name, float(y), started + (k + 1) * duration // n_steps, int(step))
+        for name, curve in points.values.items()
+        for k, (step, y) in enumerate(zip(points.steps, curve, strict=True))
+        if math.isfinite(y)
+    ]
+
+
+def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+    for path, content in files.items():
+        target = folder / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+
+
+def _milliseconds(seconds: float) -> int:
+    return round(1000 * seconds)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):  # a container's user may have no name
+        return "unknown"
+
+
+def _digest(values: Any) -> str:
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def _flat(params: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in params.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value

@@ -1,0 +1,59 @@
+"""What is mirrored: runs, their curves and models, as plain values."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class CurvePoints:
+    """Points of some curves, such as those of one segment of a trial."""
+
+    steps: Sequence[int] = ()  # generations or iterations
+    values: Mapping[str, Iterable[float]] = field(default_factory=dict)  # by name of the curve, one for each step
+
+
+@dataclass(frozen=True)
+class CurvePart:
+    """The points that one work item adds to a run's curves. They are read only if MLflow lacks them."""
+
+    digest: str  # of the item
+    read: Callable[[], CurvePoints]
+    started: float  # when the item was started [s since 1970]
+    ended: float  # when it was committed [s since 1970]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A logged model: files that belong together, and what was measured of them."""
+
+    name: str
+    digest: str  # identity
+    params: Mapping[str, Any] = field(default_factory=dict)  # nested mappings become dotted names
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    data: tuple[str, str] | None = None  # name and digest of the data set that the metrics were measured on
+    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # contents of its files, by path
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run in MLflow: a study, one of its stages, or a trial of a stage."""
+
+    name: str
+    key: str  # identity, unique among its siblings
+    description: str = ""
+    params: Mapping[str, Any] = field(default_factory=dict)  # settings used; nested mappings become dotted names
+    metrics: Mapping[str, float] = field(default_factory=dict)  # MLflow cannot store infinities and NaN
+    curves: Sequence[CurvePart] = ()  # metrics by generation
+    tags: Mapping[str, str] = field(default_factory=dict)  # further text to search by
+    inputs: Mapping[str, str] = field(default_factory=dict)  # digests by name
+    outputs: Mapping[str, str] = field(default_factory=dict)  # digests by name
+    artifacts: Mapping[str, bytes] = field(default_factory=dict)  # contents of files to open from the UI, by path
+    attachments: Mapping[tuple[str, str], Mapping[str, bytes]] = field(default_factory=dict)
+    """Files of other runs of the study, by kind and key of the run (``"trial", "stage key/trial key"``) and by path.
+    Runs that MLflow does not have are left out."""
+    model: Model | None = None  # that the run made
+    model_read: str | None = None  # digest of the model that the run used
+    started: float | None = None  # [s since 1970]; None for the time at which MLflow first hears of the run
+    ended: float | None = None  # likewise
+    status: Literal["FINISHED", "FAILED"] | None = None  # None leaves it unchanged, which for a new run is running

@@ -1,0 +1,234 @@
+"""A study as runs in MLflow: the study, its stages below it, and their trials below them, live and when all is done."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import PurePosixPath
+from typing import Protocol
+
+from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
+from pipeline.store.encoding import canonical_json, digest, encode_json
+from pipeline.store.manifest import Manifest
+from pipeline.store.store import Store
+from pipeline.tracking.run import CurvePart, Run
+from pipeline.workflow.background import Background
+from pipeline.workflow.graph import ChainProgress
+from pipeline.workflow.identity import ChainId, TrialId
+from pipeline.workflow.stage import AnyStage, Results, Summary, TrialSummary, Upstream
+from tasks.world import ENVIRONMENTS
+
+SECONDS_BETWEEN_UPDATES = 15.0  # so that a segment is in MLflow within 30 s of its commit
+_FOLDERS = {
+    **dict.fromkeys((".svg", ".png", ".pdf"), "figures"),
+    **dict.fromkeys((".mp4", ".gif"), "films"),
+    **dict.fromkeys((".csv", ".parquet"), "tables"),
+    ".html": "page",
+}
+"""Folders of a study's artifacts, by suffix; other files lie beside the folders."""
+
+
+class TracksRuns(Protocol):
+    """What mirrors runs: :class:`pipeline.tracking.mirror.Tracker`, which never raises an error of MLflow."""
+
+    def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
+        """Bring a stage of a study and some of its trials up to date."""
+
+
+class StudyMirror:
+    """Mirrors one study in the background, so that MLflow costs the study no time."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        stages: Sequence[AnyStage],
+        store: Store,
+        tracker: TracksRuns,
+        background: Background,
+        *,
+        source: str,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            settings: the study's settings.
+            stages: all its stages, in order.
+            store: where its results are committed.
+            tracker: sends runs to MLflow.
+            background: runs calls on a thread.
+            source: where the settings come from: "preset laptop", or the path of a file.
+        """
+        self._settings, self._stages, self._store = settings, stages, store
+        self._tracker, self._background = tracker, background
+        self._chosen = settings.model_dump(mode="json")
+        self._key = digest(canonical_json(self._chosen))
+        self._tags = {"preset": source.removeprefix("preset ")} if source.startswith("preset ") else {}
+        self._ensemble: str | None = None  # digest of the model that a stage has made
+
+    @contextlib.contextmanager
+    def live(self, stage: AnyStage, chains: Sequence[ChainProgress]) -> Iterator[None]:
+        """Mirror a stage's chains as they grow, while the block computes them.
+
+        Args:
+            stage: the stage.
+            chains: its chains, which the block advances.
+        """
+        n_mirrored = dict.fromkeys((progress.chain.identity for progress in chains), 0)
+        begun, since = False, time.time()
+
+        def update() -> None:
+            nonlocal begun
+            grown = []
+            for progress in chains if begun and stage.curves else ():
+                chain, parts = progress.chain, tuple(progress.manifests)
+                if len(parts) > n_mirrored[chain.identity]:
+                    with contextlib.suppress(PuddleError):  # damaged: the driver finds out when it needs the file
+                        summary = None
+                        if len(parts) == chain.n_items and stage.summarise_trial:
+                            summary = stage.summarise_trial(self._store, chain.identity, parts)
+                        grown.append(self._trial(stage, chain.identity, parts, summary))
+                        n_mirrored[chain.identity] = len(parts)
+            if grown or not begun:
+                begun = True
+                run = Run(stage.name, stage.name, self._about(stage), started=since)
+                self._tracker.mirror(replace(self._study(), started=since), run, grown)
+
+        with self._background.repeat(update, every=SECONDS_BETWEEN_UPDATES):
+            yield
+
+    def finish(self, stage: AnyStage, upstream: Upstream, summary: Summary) -> None:
+        """Mirror a stage that has ended.
+
+        Args:
+            stage: the stage.
+            upstream: its results, and those of the stages before it.
+            summary: its results in short.
+        """
+        results = upstream[stage.name]
+        inputs = {name: _digest_of(upstream[name]) for name in stage.reads(self._settings)}
+        manifests = [manifest for done in results.done.values() for manifest in done]
+        artifacts = {_path(name): content for name, content in summary.artifacts.items()}
+        attachments = {
+            ("trial", f"{trial.stage}/{trial.label}"): {_path(name): film for name, film in films.items()}
+            for trial, films in summary.films.items()
+        }
+        if summary.of_study:
+            attachments["study", self._key], artifacts = artifacts, {}
+        model = summary.model and replace(summary.model, data=next(iter(inputs.items()), None))
+        self._ensemble = model.digest if model else self._ensemble
+        started, ended = self._times(manifests)
+        run = Run(
+            stage.name,
+            stage.name,
+            self._about(stage),
+            metrics={**summary.metrics, "core_seconds": results.seconds, "n_failed": len(results.failed)},
+            inputs=inputs,
+            outputs={stage.name: _digest_of(results)},
+            tags=_commit(manifests),
+            artifacts=artifacts,
+            attachments=attachments,
+            model=model,
+            model_read=self._ensemble if "train" in inputs else None,
+            started=started,
+            ended=ended,
+            status="FAILED" if results.failed else "FINISHED",
+        )
+        study = replace(self._study(), metrics=summary.metrics if summary.of_study else {}, started=started)
+        if stage is self._stages[-1]:
+            study = replace(study, tags={**study.tags, **run.tags}, ended=ended, status="FINISHED")
+        trials = [self._trial(stage, one.chain, results.done[one.chain], one) for one in summary.trials]
+        if stage.curves:
+            trials += [
+                replace(self._trial(stage, chain, ()), tags={"failure": why}, status="FAILED")
+                for chain, why in results.failed.items()
+            ]
+        self._background.do(partial(self._tracker.mirror, study, run, trials))
+
+    def _study(self) -> Run:
+        trials, evolution = self._settings.grid.trials(), self._settings.evolution
+        environments = ", ".join(dict.fromkeys(environment for environment, _, _ in trials))
+        depths = ", ".join(f"{depth:g}" for depth in self._settings.grid.depths)
+        return Run(
+            name=self._settings.name,
+            key=self._key,
+            description=(
+                f"{len(trials)} trials of {evolution.n_generations} generations of {evolution.afpo.population_size} "
+                f"designs, in {environments}, at {depths} m."
+            ),
+            params=self._chosen,
+            tags=self._tags,
+            artifacts={"settings.json": encode_json(self._chosen)},
+        )
+
+    def _about(self, stage: AnyStage) -> str:
+        number = 1 + [one.name for one in self._stages].index(stage.name)
+        return f"Stage {number} of {len(self._stages)} of study {self._settings.name}."
+
+    def _trial(
+        self, stage: AnyStage, chain: ChainId, parts: Sequence[Manifest], summary: TrialSummary | None = None
+    ) -> Run:
+        """Describe a chain as far as it is done; with a summary if it is complete."""
+        started, ended = self._times(parts)
+        params: dict[str, str | int | float] = {}
+        about = f"{chain.label} of stage {stage.name} of study {self._settings.name}."
+        if isinstance(chain, TrialId):
+            params = {"environment": chain.environment, "depth": chain.depth, "trial": chain.index}
+            about = (
+                f"Trial {chain.index} of {chain.environment} at {chain.depth:g} m: stage {stage.name} of study "
+                f"{self._settings.name}."
+            )
+        return Run(
+            name=chain.label,
+            key=chain.label,
+            description=about,
+            params=params,
+            metrics=summary.metrics if summary else {},
+            curves=[self._part(stage, manifest) for manifest in parts],
+            tags={name: f"{value:g}" if name == "depth" else str(value) for name, value in params.items()}
+            | _commit(parts),
+            outputs={chain.label: parts[-1].digest} if summary else {},
+            model_read=self._ensemble if self._is_learned(stage, chain) else None,
+            artifacts=summary.artifacts if summary else {},
+            started=started,
+            ended=ended if summary else None,
+            status="FINISHED" if summary else None,
+        )
+
+    def _is_learned(self, stage: AnyStage, chain: ChainId) -> bool:
+        """Return whether a chain uses the networks."""
+        reads = "train" in stage.reads(self._settings)
+        return reads and isinstance(chain, TrialId) and ENVIRONMENTS[chain.environment].networks != "none"
+
+    def _part(self, stage: AnyStage, manifest: Manifest) -> CurvePart:
+        assert stage.curves is not None
+        started, ended = self._times([manifest])
+        return CurvePart(manifest.digest, partial(stage.curves, self._store, manifest), started or 0.0, ended or 0.0)
+
+    def _times(self, manifests: Sequence[Manifest]) -> tuple[float | None, float | None]:
+        """Return when the first of some items was started and the last one committed [s since 1970]."""
+        times = []
+        for manifest in manifests:
+            with contextlib.suppress(OSError):  # it may just have been discarded
+                committed = self._store.manifest_path(manifest.stage, manifest.key).stat().st_mtime
+                times.append((committed - float(manifest.record.get("seconds", 0.0)), committed))
+        return min((started for started, _ in times), default=None), max((ended for _, ended in times), default=None)
+
+
+def _commit(manifests: Sequence[Manifest]) -> dict[str, str]:
+    """Return the tag with the commit of the code that made the last of some items, if that is known."""
+    commit = manifests[-1].environment.get("commit", "") if manifests else ""
+    return {"mlflow.source.git.commit": commit} if commit[:40].isalnum() and len(commit) >= 40 else {}
+
+
+def _path(name: str) -> str:
+    """Return where an artifact lies: in the folder of its kind."""
+    folder = _FOLDERS.get(PurePosixPath(name).suffix)
+    return f"{folder}/{name}" if folder else name
+
+
+def _digest_of(results: Results) -> str:
+    return digest(canonical_json({chain.label: [m.digest for m in done] for chain, done in results.done.items()}))

@@ -1,0 +1,193 @@
+"""MLflow's pages in a real browser: the runs of a study, and the curve of a trial while it grows."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+from browser import Browser
+from mlflow.tracking import MlflowClient
+from small_study import ON_DRY_LAND, NoBar
+
+from pipeline.cluster import serial_cluster
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
+from pipeline.stages import STAGES
+from pipeline.store.store import Store
+from pipeline.tracking.database import database_uri
+from pipeline.tracking.mirror import Tracker
+from pipeline.tracking.server import runs_page, show_ui
+from pipeline.workflow import study_mirror
+from pipeline.workflow.driver import drive
+
+
+@pytest.fixture(autouse=True)
+def only_our_server(monkeypatch):
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+
+
+class Terminal:
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
+
+    @contextlib.contextmanager
+    def stage(self, *arguments, **options):
+        yield NoBar()
+
+
+@contextlib.contextmanager
+def paused_cluster(*, after: int, until: threading.Event):
+    """Open a cluster that waits for an event before it returns more than some results."""
+    with serial_cluster() as cluster:
+        next_done = cluster.next_done
+        left = iter(range(after))
+
+        def next_or_wait(timeout: float | None = None):
+            if next(left, None) is None:
+                until.wait(120)
+            return next_done(timeout)
+
+        cluster.next_done = next_or_wait
+        yield cluster
+
+
+@contextlib.contextmanager
+def live_study(store: Store, monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """Evolve one trial of two segments on a thread; the event lets it start the second one."""
+    monkeypatch.setattr(study_mirror, "SECONDS_BETWEEN_UPDATES", 0.2)
+    go_on, terminal, errors = threading.Event(), Terminal(), []
+
+    def evolve() -> None:
+        try:
+            drive(
+                parse(Settings, ON_DRY_LAND, name="tiny"),
+                STAGES[:3],
+                stages=STAGES,
+                store=store,
+                open_cluster=lambda: paused_cluster(after=1, until=go_on),
+                tracker=Tracker(store.root, say=terminal.say),
+                progress=terminal,
+                how_to_run=lambda name: f"puddle {name}",
+            )
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=evolve)
+    thread.start()
+    try:
+        yield go_on
+    finally:
+        go_on.set()
+        thread.join()
+    assert not errors and not any("MLflow" in line for line in terminal.said)
+
+
+def wait_for(condition, what: str, seconds: float = 120.0):
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, what
+        time.sleep(0.1)
+    return found
+
+
+def trials(store: Store) -> list:
+    mlflow = MlflowClient(database_uri(store.root))
+    found = mlflow.get_experiment_by_name("puddle")
+    return found and mlflow.search_runs([found.experiment_id], "tags.`puddle.kind` = 'trial'")
+
+
+@contextlib.contextmanager
+def pages(store: Path, *words: str) -> Iterator[tuple[subprocess.Popen, str]]:
+    """Run `puddle ui`; yield its process and the address that it prints once the server is up."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "pipeline", "ui", "--store", str(store), "--port", str(port), *words]
+    server = subprocess.Popen(
+        command,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    family = [psutil.Process(server.pid)]
+    try:
+        assert server.stdout is not None
+        line = next(line for line in server.stdout if line.startswith("MLflow: "))
+        family += family[0].children(recursive=True)
+        yield server, line.split()[1]
+    finally:
+        for child in family:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                child.kill()
+        server.wait()
+
+
+def curve_in(browser: Browser) -> int:
+    """Return how many points the page shows of the best fitness."""
+    lines = "[...document.querySelectorAll('path.js-line')].map(line => line.getAttribute('d').split('L').length)"
+    return browser.evaluate(f"Math.max(0, ...{lines})")
+
+
+def test_a_live_trial_is_seen_to_grow(store: Store, browser: Browser, monkeypatch):
+    """The stage waits in the middle of its only trial, while a browser looks at it."""
+    with live_study(store, monkeypatch) as go_on:
+        (trial,) = wait_for(lambda: trials(store), "the trial never appeared")
+        assert trial.info.status == "RUNNING" and not (store.root / "studies/tiny/report").exists()
+        with pages(store.root, "--study", "tiny") as (server, address):
+            assert address.endswith("runs?workflowType=machine_learning&searchFilter=tags.study%20%3D%20%27tiny%27")
+            browser.visit(address, width=1400)
+            browser.until("document.body.innerText.includes('tiny')")
+            browser.until("document.body.innerText.includes('Model training')")
+            page = address.partition("?")[0] + f"/{trial.info.run_id}/model-metrics?workflowType=machine_learning"
+            browser.visit(page, width=1400)
+            wait_for(lambda: curve_in(browser) == 2, "the page never showed the first segment")
+            assert trials(store)[0].info.status == "RUNNING"
+            go_on.set()
+            wait_for(lambda: trials(store)[0].info.status == "FINISHED", "the trial never ended")
+            browser.visit(page, width=1400)
+            wait_for(lambda: curve_in(browser) == 4, "the page never showed the whole trial")
+            own = psutil.Process(server.pid)
+            family = own.children(recursive=True)
+            listening = [c.laddr for one in (own, *family) for c in one.net_connections() if c.status == "LISTEN"]
+            assert {address.ip for address in listening} == {"127.0.0.1"}
+            server.send_signal(signal.SIGTERM)
+            server.wait(timeout=15)
+            _, left = psutil.wait_procs(family, timeout=10)
+            assert not left
+
+
+def test_the_runs_page_is_that_of_model_training():
+    assert runs_page("http://h:1", None) == "http://h:1/#/experiments?workflowType=machine_learning"
+    assert runs_page("http://h:1", "7") == "http://h:1/#/experiments/7/runs?workflowType=machine_learning"
+
+
+def test_the_ui_says_what_it_lacks(tmp_path):
+    with pytest.raises(PuddleError, match=r"expected mlflow\.db"):
+        show_ui(tmp_path, 5000)
+    (tmp_path / "mlflow.db").touch()
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(PuddleError, match=r"port \d+ is not available.*--port"):
+            show_ui(tmp_path, taken.getsockname()[1])
+
+
+def test_the_ui_of_a_server_that_is_away_is_refused(tmp_path):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        uri = f"http://127.0.0.1:{probe.getsockname()[1]}"
+    with pytest.raises(PuddleError, match=f"{uri} does not answer"):
+        show_ui(tmp_path, 5000, uri=uri)
