@@ -1,25 +1,30 @@
 """Kernels that are compiled once per machine, and again when their source changes.
 
-numba's disk cache depends on path and content of the file that defines a function. It misses edits of other modules
-that the function calls, and compiles copies of the file again, such as those that Ray makes for each session. So the
-cache folder is named by a digest of all modules that a kernel is compiled from. It is in the user's cache, which all
-processes of a machine share, or in NUMBA_CACHE_DIR if that is set. The package itself may be read-only.
+Compiled code lies in the user's cache, or in NUMBA_CACHE_DIR if that is set, in a folder that is named by a digest of
+all modules that a kernel is compiled from. numba's own cache would miss edits of modules that the kernel calls, compile
+copies of a file again, such as those that Ray makes for each session, and run whatever it finds on the disk.
 """
 
-# ruff: noqa: PTH100, PTH103, PTH111, PTH116, PTH118, PTH119, PTH120, PTH207 (tasks import no pathlib)
+# ruff: noqa: PTH103, PTH105, PTH111, PTH116, PTH118, PTH120, PTH123, PTH207 (tasks import no pathlib)
 
+import contextlib
+import fcntl
+import functools
 import glob
 import hashlib
 import inspect
 import os
+import pickle
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core.caching import UserProvidedCacheLocator
+from numba.core import compiler, serialize
+from numba.core.caching import NullCache
 from numba.core.event import Listener, register
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -45,13 +50,100 @@ class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
 register("numba:compile", _Announcement())
 
 
-class ByContent(UserProvidedCacheLocator):  # type: ignore[misc]
-    """Path of a kernel within its cache folder, independent of the path of its module."""
+_LONGEST_WAIT = 600.0  # time to wait for another process's compilation before compiling as well [s]
 
-    @classmethod
-    def get_suitable_cache_subpath(cls, py_file: str) -> str:
-        """Return the name of the module's package."""
-        return os.path.basename(os.path.dirname(os.path.abspath(py_file)))
+
+class _KernelCache(NullCache):  # type: ignore[misc]
+    """The compiled code of a kernel, a file per machine and types of arguments, behind the SHA-256 of its content.
+
+    While one process compiles, the others wait for its result. A file that is damaged is compiled again, and a folder
+    that can't be written costs compilation in every process; neither changes a result.
+    """
+
+    def __init__(self, function: Callable[..., Any], folder: str) -> None:
+        self._base = os.path.join(folder, function.__name__)
+        self._lock: int | None = None
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the kernel for a signature, or None; then this process holds the lock and is to compile it."""
+        target_context.refresh()
+        path = self._path(sig, target_context.codegen())
+        found = _read(path, target_context)
+        if found is None and self._lock is None:
+            self._lock = _locked(f"{self._base}.lock")
+            found = _read(path, target_context)
+            if found is not None:
+                self._unlock()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the compiled kernel and let other processes have it."""
+        content = serialize.dumps(data._reduce())
+        path = self._path(sig, data.codegen)
+        try:
+            descriptor, draft = tempfile.mkstemp(dir=os.path.dirname(path))
+            try:
+                with os.fdopen(descriptor, "wb") as file:
+                    file.write(hashlib.sha256(content).digest() + content)
+                    file.flush()
+                    os.fsync(descriptor)
+                os.replace(draft, path)
+            except OSError:
+                os.unlink(draft)  # noqa: PTH108
+                raise
+        except OSError as error:
+            _warn(f"a compiled kernel could not be kept for the next process: {error}")
+        self._unlock()
+
+    def _path(self, signature: Any, codegen: Any) -> str:
+        what = repr((numba.__version__, sys.version_info, str(signature), codegen.magic_tuple()))
+        return f"{self._base}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.kernel"
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+
+def _read(path: str, target_context: Any) -> Any:
+    """Return a kept kernel; None if there is none or it is damaged."""
+    try:
+        with open(path, "rb") as file:
+            digest, content = file.read(32), file.read()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        _warn(f"a compiled kernel can't be read and is compiled again: {error}")
+        return None
+    if hashlib.sha256(content).digest() != digest:
+        _warn(f"the compiled kernel {path} is damaged and is compiled again")
+        return None
+    return compiler.CompileResult._rebuild(target_context, *pickle.loads(content))
+
+
+@functools.cache
+def _warn(message: str) -> None:
+    """Print a message, once."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def _locked(path: str) -> int | None:
+    """Lock a file and return its descriptor; None where files can't be locked, or another process takes too long."""
+    end = time.monotonic() + _LONGEST_WAIT
+    with contextlib.suppress(OSError):
+        os.makedirs(os.path.dirname(path), mode=0o700, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(0.1)
+            except OSError:
+                break
+            else:
+                return descriptor
+        os.close(descriptor)
+    return None
 
 
 def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:
@@ -72,14 +164,8 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
     read = [sys.modules[__name__], *sources]  # this module decides on inlining
     digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in read).encode()).hexdigest()
     folder = os.path.join(_cache_folder(), digest[:16])
-    before = numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES
-    numba.config.CACHE_DIR = folder  # numba reads both when it decorates
-    numba.config.CACHE_LOCATOR_CLASSES = f"{__name__}.{ByContent.__name__}"
-    try:
-        kernel = numba.njit(error_model="numpy", cache=True)(function)
-    finally:
-        numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES = before
-
+    kernel = numba.njit(error_model="numpy")(function)
+    kernel._cache = _KernelCache(function, folder)
     _KERNELS[function] = folder, seconds
     return cast(Callable[..., Any], kernel)
 
@@ -90,7 +176,7 @@ def is_cached(kernel: Callable[..., Any]) -> bool:
     if function not in _KERNELS:
         return True  # there is no compiler
     folder, _ = _KERNELS[function]
-    return bool(glob.glob(os.path.join(folder, "*", f"*.{function.__name__}-*.nbc")))
+    return bool(glob.glob(os.path.join(folder, f"{function.__name__}-*.kernel")))
 
 
 def inline(function: F) -> F:
