@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -13,18 +14,19 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.config.settings import Settings
-from pipeline.errors import PuddleError
+from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.results import catalogue
 from pipeline.results.catalogue import CATALOGUE, KEYS
 from pipeline.stages import STAGES, environments
 from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
+from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import survey
-from pipeline.workflow.identity import trials_of
+from pipeline.workflow.identity import ChainId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
-from pipeline.workflow.stage import Upstream
+from pipeline.workflow.stage import AnyStage, Results, Upstream
 from tasks.design import Designs
 
 if TYPE_CHECKING:
@@ -66,9 +68,32 @@ class Study:
 
     @cached_property
     def upstream(self) -> Upstream:
-        """What the store holds of each stage, by name."""
+        """What the store holds of each stage, by name.
+
+        That is what the settings lead to, and what the record lists beyond an item that was lost.
+        """
         with self.store.lock_to_read():
-            return survey(self.settings, STAGES, self.store, say=lambda line: None)
+            found = survey(self.settings, STAGES, self.store, say=lambda line: None)
+            return {stage.name: self._with_recorded(stage, found[stage.name]) for stage in STAGES}
+
+    def _with_recorded(self, stage: AnyStage, found: Results) -> Results:
+        keys = {item.label: item.key for item in self.record.items if item.stage == stage.name}
+        done: dict[ChainId, tuple[Manifest, ...]] = {}
+        n_done = dict(found.n_done)
+        for chain in stage.plan(self.settings):
+            manifests = found.done.get(chain.identity, ())
+            if not manifests:
+                listed = [self._manifest(stage.name, keys.get(f"{chain.label}#{i}")) for i in range(chain.n_items)]
+                manifests = tuple(one for one in listed if one is not None)
+                n_done[chain.identity] = max(len(manifests), n_done.get(chain.identity, 0))
+            if len(manifests) == chain.n_items:
+                done[chain.identity] = manifests
+        return replace(found, done=done, n_done=n_done)
+
+    def _manifest(self, stage: str, key: str | None) -> Manifest | None:
+        with suppress(DamagedArtifact, OtherVersion):
+            return None if key is None else self.store.manifest(stage, key)
+        return None
 
     @property
     def progress(self) -> dict[str, StageProgress]:

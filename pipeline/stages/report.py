@@ -267,7 +267,7 @@ def _trial_result(trial: TrialId, inputs: Inputs, evolved: Mapping[ChainId, Colu
         if name in scores
     }
     predicted = scores.get("predicted", np.nan)
-    curve = evolved[trial.in_stage("evolve")]["best_fitness"]
+    curve = evolved.get(trial.in_stage("evolve"), {"best_fitness": np.empty(0)})["best_fitness"]
     return TrialResult(trial.environment, trial.depth, trial.index, predicted, **measured, curve=curve)
 
 

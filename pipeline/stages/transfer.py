@@ -179,7 +179,7 @@ def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) ->
     metrics = {name: value for name, value in scores.items() if isinstance(value, float)}
     if adaptation:
         metrics[_ADAPTED_DIVERGED] = float(segments.read_curve(store, adaptation)["n_diverged"].sum())
-    designs = {name: store.read(scored, name) for name in (CHAMPION, _ADAPTED) if name in scored.files}
+    designs = {name: store.read(scored, name) for name in (CHAMPION, ADAPTED) if name in scored.files}
     return TrialSummary(trial, metrics, designs)
 
 

@@ -15,6 +15,7 @@ from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.results.catalogue import CATALOGUE, KEYS
 from pipeline.results.recorded_study import CHAMPIONS, StageProgress, open_study
 from pipeline.stages import STAGES
+from pipeline.stages.report import read_report
 from pipeline.store.design_file import design_document
 from pipeline.store.store import FailedChain, Store
 from tasks.evolution import OPERATORS
@@ -52,6 +53,23 @@ def test_progress_tells_failed_from_missing(recorded, tmp_path):
     found = open_study("tiny", root).progress
     assert found["evolve"] == StageProgress(done=14, failed=1, missing=1)
     assert found["collect"].missing == found["train"].missing == 0
+
+
+def test_what_is_on_record_is_read_although_something_before_it_was_lost(recorded, opened, tmp_path):
+    root = shutil.copytree(recorded, tmp_path / "store")
+    store = Store.open(root, create=False)
+    for item in store.read_study("tiny").items:
+        if item.label in ("true_slush/1m/trial-0#0", "member-00#0") and item.stage in ("evolve", "train"):
+            store.discard(item.stage, item.key)
+    found = open_study("tiny", root)
+    assert found.progress["evolve"] == StageProgress(done=15, failed=0, missing=1)
+    assert found.progress["transfer"] == StageProgress(done=10, failed=0, missing=0)
+    assert found.champions() == opened.champions()
+    assert len(found.table("histories")) == len(opened.table("histories")) - POPULATION * N_GENERATIONS
+    report = read_report(found.settings, found.upstream, store)
+    assert [len(trial.curve) for trial in report.trials] == [0] + 7 * [N_GENERATIONS]
+    with pytest.raises(PuddleError, match="member-00 is not"):
+        found.ensemble()
 
 
 def test_every_table_has_the_keys_and_is_read(opened):

@@ -1,0 +1,75 @@
+"""The notebook and the tutorial of docs/: their Python runs on a study, and the notebook's outputs show no fault."""
+
+import json
+import re
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+
+ROOT = Path(__file__).parents[3]
+NOTEBOOK = ROOT / "docs" / "analysis.ipynb"
+OPENED = re.compile(r'puddle\.open_study\("nine-metres", store="\.\./store"\)')
+
+
+@pytest.fixture(scope="module")
+def notebook():
+    return json.loads(NOTEBOOK.read_text())
+
+
+def sources(notebook) -> list[str]:
+    return ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
+def test_its_cells_run_on_a_study(notebook, recorded, monkeypatch, capsys):
+    figures = []
+    monkeypatch.setattr("matplotlib.pyplot.subplots", drawn_into(figures))
+    code = sources(notebook)
+    code[0], n_changed = OPENED.subn(lambda _: f"puddle.open_study('tiny', store={str(recorded)!r})", code[0])
+    assert n_changed == 1
+    names: dict[str, object] = {}
+    with mpl.rc_context({"backend": "agg"}):
+        for number, cell in enumerate(code):
+            exec(compile(cell, f"cell {number} of {NOTEBOOK.name}", "exec"), names)
+    assert "128 designs in 8 trials" in capsys.readouterr().out
+    assert names["again"] == names["best"]["zero_shot"]
+    assert set(names["tests"]["environment"]) <= {"true_slush", "dry_land", "residual_slush", "single_member"}
+    (figure,) = figures
+    assert len(figure.axes) == 4 and all(axis.lines for axis in figure.axes)
+
+
+def test_the_python_of_the_tutorial_runs(recorded, capsys):
+    (code,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "tutorial.md").read_text(), flags=re.M | re.S)
+    code = code.replace('"smoke", store="store"', f'"tiny", store={str(recorded)!r}').replace("depth=9.0", "depth=1.0")
+    exec(compile(code, "tutorial.md", "exec"), {})
+    assert "StageProgress(done=16, failed=0, missing=0)" in capsys.readouterr().out
+
+
+def drawn_into(figures):
+    """Make figures without a window, and collect them."""
+
+    def subplots(*arguments, **options):
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=options.pop("figsize"), layout=options.pop("layout"))
+        figures.append(figure)
+        return figure, figure.subplots(*arguments, **options)
+
+    return subplots
+
+
+def test_it_was_run_from_top_to_bottom_without_errors_and_shows_a_figure(notebook):
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
+    outputs = [output for cell in cells for output in cell["outputs"]]
+    assert {output["output_type"] for output in outputs} <= {"execute_result", "display_data", "stream"}
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == 1
+    assert not any(output.get("name") == "stderr" for output in outputs)
+    table, simulated = re.search(r"trial \d+: (\S+) m in the table, (\S+) m simulated", json.dumps(outputs)).groups()
+    assert table == simulated
+
+
+def test_it_is_a_notebook_of_version_4_5(notebook):
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+    ids = [cell["id"] for cell in notebook["cells"]]
+    assert len(set(ids)) == len(ids) and all(re.fullmatch(r"[a-zA-Z0-9-_]{1,64}", one) for one in ids)
