@@ -16,6 +16,8 @@ from pipeline.report.films import render_films
 from pipeline.report.page import render_page
 from pipeline.report.replay import Replay
 from pipeline.stages import divergence, environments, segments
+from pipeline.stages.analyses.champions import champions
+from pipeline.stages.analyses.filmed_rollouts import best_of
 from pipeline.stages.assess import ASSESSED, PREDICTIONS, read_predictions
 from pipeline.stages.collect import data_set
 from pipeline.stages.environments import SimulationSpec
@@ -182,8 +184,11 @@ def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
     files: dict[str, bytes] = {}
     for name, shown in named.items():
         files[f"{name}.gif"], files[f"{name}.mp4"] = render_films(shown)
+    entrants = champions(spec.trials, inputs)
+    filmed = None if spec.together or not entrants else entrants[best_of(entrants)[0]].trial.index
     listed = {
-        name: [f"{one.title}, in {one.seen_in}, {one.depth:g} m" for one in shown] for name, shown in named.items()
+        name: {"shown": [f"{one.title}, in {one.seen_in}, {one.depth:g} m" for one in shown], "trial": filmed}
+        for name, shown in named.items()
     }
     return {**files, spec.listing: encode_json(listed)}
 
@@ -320,15 +325,31 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     folder = store.export(settings.name, files)
     no_page = f"no page: {results.failed.get(_PAGE_ID, 'it has not been made yet')}"
     # A GIF is ten times as large as an MP4, so MLflow gets only one GIF.
-    artifacts = {name: data for name, data in files.items() if not name.endswith(".gif") or name == f"{TOGETHER}.gif"}
+    artifacts = {
+        name: data
+        for name, data in files.items()
+        if name == f"{TOGETHER}.gif" or not (name.endswith(".gif") or name.startswith("films-"))
+    }
     lines = [f"{folder / PAGE}" if PAGE in files else no_page]
     lines += [f"{folder / name}: a robot to build" for name in files if name.startswith(PROPOSED)]
-    return Summary(lines=lines, artifacts=artifacts, of_study=True)
+    return Summary(lines=lines, artifacts=artifacts, films=_films_of_trials(results, files), of_study=True)
+
+
+def _films_of_trials(results: Results, files: Files) -> dict[TrialId, dict[str, bytes]]:
+    """Select the MP4s of each trial of the stage evolve whose champion was filmed."""
+    films: dict[TrialId, dict[str, bytes]] = {}
+    for part, (done,) in results.done.items():
+        if isinstance(part, PartId) and part.arm is not None:
+            (listing,) = (name for name in done.files if name.endswith(".json"))
+            for film, what in decode_json(files[listing], listing).items():
+                trial = TrialId("evolve", part.arm.environment, part.arm.depth, what["trial"])
+                films.setdefault(trial, {})[f"{film}.mp4"] = files[f"{film}.mp4"]
+    return films
 
 
 REPORT = Stage(
     name="report",
-    version=8,
+    version=9,
     unit="pictures",
     reads=_reads,
     plan=_plan,

@@ -36,7 +36,13 @@ class TracksRuns(Protocol):
     """What mirrors runs: :class:`pipeline.tracking.mirror.Tracker`, which never raises an error of MLflow."""
 
     def mirror(self, study: Run, stage: Run, trials: Sequence[Run]) -> None:
-        """Bring a stage of a study and some of its trials up to date."""
+        """Bring a stage of a study and some of its trials up to date.
+
+        Args:
+            study: the study's run.
+            stage: the stage's run.
+            trials: runs of the stage's trials; those left out stay as they are.
+        """
 
 
 class StudyMirror:

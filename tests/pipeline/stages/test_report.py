@@ -14,9 +14,9 @@ from pipeline.stages.proposed_design import ANALYSED
 from pipeline.stages.report import EVOLUTION, PAGE, REPORT
 from pipeline.stages.report_findings import findings
 from pipeline.stages.report_replays import replays_of
-from pipeline.stages.transfer import SCORE, SCORED
+from pipeline.stages.transfer import SCORE, SCORED, read_scores
 from pipeline.store.encoding import decode_json, encode_json
-from pipeline.workflow.identity import Arm, InputName, trials_of
+from pipeline.workflow.identity import Arm, InputName, TrialId, trials_of
 from pipeline.workflow.stage import NOT_POSSIBLE, Execution
 from tasks.world import ENVIRONMENTS
 
@@ -134,6 +134,12 @@ def test_each_replay_is_a_gif_and_an_mp4_and_mlflow_gets_the_small_ones(study, s
     assert {f"{name}.mp4" for name in names} | {PAGE} <= set(summary.artifacts)
     listed = [json.loads(path.read_text()) for path in folder.glob("films-*.json")]
     assert sorted(name for listing in listed for name in listing) == sorted(names)
+    assert not any(name.startswith("films-") for name in summary.artifacts)
+    scores = [row for row in read_scores(settings, upstream["transfer"], store) if row["environment"] == "dry_land"]
+    best = max(scores, key=lambda row: row["zero_shot"])["trial"]
+    films = {trial: set(films) for trial, films in summary.films.items() if trial.environment == "dry_land"}
+    both = {"replay-dry_land-1m.mp4", "replay-dry_land-1m-at-home.mp4"}
+    assert films == {TrialId("evolve", "dry_land", 1.0, best): both}
 
 
 def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings):
