@@ -56,7 +56,7 @@ def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[s
         if best is not None and best > 0 and environment != "true_slush":
             shares = [_mean(columns[name]) for name in ("zero_shot", "adapted")]
             percent = ["" if share is None else f"{share / best:.0%}" for share in shares]
-            yield f"  {'  of True Slush, zero-shot':<28} {'':>14} " + " ".join(f"{cell:>14}" for cell in percent)
+            yield f"  {'  share of True Slush':<28} {'':>14} " + " ".join(f"{cell:>14}" for cell in percent)
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

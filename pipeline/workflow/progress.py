@@ -83,9 +83,9 @@ class StudyPace:
         return f"stage {self.stages.index(stage) + 1} of {len(self.stages)}, {stage}"
 
     def seconds_left(self, stage: Pace) -> float | None:
-        """Return the time left for the rest of a stage and those after it [s]; None if none follows it."""
+        """Return the time left for a stage and those after it [s]; None if those after it are not to run."""
         later = [self.expected.get(name, 0.0) for name in self.stages[self.stages.index(stage.name) + 1 :]]
-        if not any(later):
+        if later and not any(later):
             return None
         trust = _TRUSTED_SECONDS + 0.05 * sum(self.expected.values())
         slowness = (self.took + stage.seconds + trust) / (self.should_have_taken + self._expected_so_far(stage) + trust)
@@ -146,7 +146,7 @@ class Pace:
 
     @property
     def study_left(self) -> str:
-        """The time left for the whole study in words; empty if no other stage follows."""
+        """The time left for the whole study in words; empty if only this stage is to run."""
         seconds = self.study.seconds_left(self) if self.study else None
         return "" if seconds is None else f"study: about {_about(seconds)} left"
 

@@ -68,6 +68,20 @@ def refused(capsys, *arguments: str) -> str:
     return said
 
 
+def check_headline(said: str, page: Path, store: str) -> None:
+    """Check what a study shows at its end: figures in 80 columns, the page's address, and commands that exist."""
+    heading, columns, *arms, opened, following = said.strip().partition("\nNext:\n")[0].splitlines() + ["Next:"]
+    assert heading.startswith("Champions of study tiny in True Slush, 1 m deep")
+    assert columns.split() == ["evolved", "in", "predicted", "zero-shot", "adapted"]
+    assert [arm.split("  ")[1] for arm in arms if "share" not in arm] == ["True Slush", "Dry Land", "Residual Slush"]
+    assert opened == f"Open: {page.as_uri()}" and following == "Next:"
+    assert max(len(line) for line in (heading, columns, *arms)) <= 80
+    advised = [line.strip() for line in said.partition("\nNext:\n")[2].splitlines()]
+    assert advised[0].startswith(f"puddle champions --study tiny --store {store}  ")
+    assert advised[1].startswith(f"puddle export tiny --store {store} --out tiny  ")
+    assert advised[2].startswith(f"puddle ui --store {store}  ")
+
+
 def test_a_study_from_the_command_line(study, capsys, tmp_path):
     assert call("status", *study) == 0
     said = capsys.readouterr().out
@@ -75,12 +89,13 @@ def test_a_study_from_the_command_line(study, capsys, tmp_path):
     for stage in ("collect", "train", "evolve", "transfer", "report"):
         assert f"  {stage:<9} done" in said
     assert call("study", "--workers", "0", *study) == 0
+    page = Path(study[-1]) / "studies" / "tiny" / "report" / "index.html"
+    check_headline(capsys.readouterr().out, page, study[-1])
     assert call("status", "--digests", *study) == 0
     lines = capsys.readouterr().out.splitlines()
     assert sum("history.parquet" in line for line in lines) == 6
     items = [json.loads(path.read_text()) for path in Path(study[-1]).glob("items/train/*/*/manifest.json")]
     assert {f"{item['digest']}  train/{item['record']['label']}/0" for item in items} <= set(lines)
-    page = Path(study[-1]) / "studies" / "tiny" / "report" / "index.html"
     assert page.read_text().lower().startswith("<!doctype html>")
 
 

@@ -210,7 +210,11 @@ def test_the_time_left_for_a_study_follows_the_pace_of_its_stages():
     evolve = Pace("evolve", "generations", even(1000), even(500), study, clock)
     assert study.seconds_left(evolve) == pytest.approx((300 + 60) * 216 / 156)
     report = Pace("report", "pictures", even(10), NOTHING, study, clock)
-    assert report.study_left == ""  # it is the last: its own time left is the study's
+    clock.now += 30
+    report.done += even(5)
+    assert report.seconds_left == study.seconds_left(report) == 30  # it is the last
+    alone = Pace("evolve", "generations", even(10), NOTHING, StudyPace(study.stages, {"evolve": 9.0}), clock)
+    assert alone.study_left == ""
 
 
 def test_a_line_names_the_stage_and_the_time_left_for_the_study():
