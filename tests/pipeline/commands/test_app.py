@@ -70,11 +70,11 @@ def refused(capsys, *arguments: str) -> str:
 
 def check_headline(said: str, page: Path, store: str) -> None:
     """Check what a study shows at its end: figures in 80 columns, the page's address, and commands that exist."""
-    heading, columns, *arms, opened, following = said.strip().partition("\nNext:\n")[0].splitlines() + ["Next:"]
+    heading, columns, *arms, opened = said.strip().partition("\nNext:\n")[0].splitlines()
     assert heading.startswith("Champions of study tiny in True Slush, 1 m deep")
     assert columns.split() == ["evolved", "in", "predicted", "zero-shot", "adapted"]
     assert [arm.split("  ")[1] for arm in arms if "share" not in arm] == ["True Slush", "Dry Land", "Residual Slush"]
-    assert opened == f"Open: {page.as_uri()}" and following == "Next:"
+    assert opened == f"Open: {page.as_uri()}"
     assert max(len(line) for line in (heading, columns, *arms)) <= 80
     advised = [line.strip() for line in said.partition("\nNext:\n")[2].splitlines()]
     assert advised[0].startswith(f"puddle champions --study tiny --store {store}  ")
