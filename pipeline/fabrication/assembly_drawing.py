@@ -53,6 +53,7 @@ _CHANGING_METADATA = {  # left out, because the same kit gives the same bytes
 _SMALL, _LARGE = 6.0, 13.0
 _GRID_MM = 4.0  # of the candidate positions of a part's name
 _DIMENSION_STEP_MM = 5.0  # between parallel dimensions
+_SMALLEST_DISTANCE_MM = 0.05  # between joints; a smaller one would read 0.0
 _SHORT_MM = 12.0  # a dimension too short for its text
 _LABEL_SHARES = (0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6, 0.05, 0.95)  # of a part's length in the top view
 _ARROWS = {"arrowstyle": "<|-|>", "color": INK, "lw": 0.5, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 5}
@@ -157,7 +158,8 @@ def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
         for a, b in combinations(kit.servo_joints, 2)
         if {a.carrier, a.driven} & {b.carrier, b.driven}
     ]
-    for number, (start, end, apart) in enumerate(sorted(ways, key=lambda way: way[2])):
+    measurable = [way for way in ways if way[2] >= _SMALLEST_DISTANCE_MM]
+    for number, (start, end, apart) in enumerate(sorted(measurable, key=lambda way: way[2])):
         _aside(sheet, labels, start, end, f"{apart:.1f}", number)
     return labels
 

@@ -66,7 +66,8 @@ def render_kit(
         servo=bench.servo,
         scaling=choices.scaling,
         findings=findings,
-        n_faults=sum(finding.severity == "fault" for finding in findings),
+        verdict=verdict(findings),
+        worst=findings[0].severity if findings else "note",
         figures={
             "torque": _figure(finish("torque", "Loads of the joints and limits of the servo", partial(_torque, bench))),
             "timeline": _figure(finish("gait", "Joint angles on the bench", partial(_timeline, bench))),
@@ -82,6 +83,17 @@ def render_kit(
     )
     css = files("pipeline.fabrication").joinpath("kit.css").read_text("utf-8")
     return document(title=escape(title), policy=_POLICY, body=body, css=f"\n{css}")
+
+
+def verdict(findings: Sequence[KitFinding]) -> str:
+    """Say whether a kit should be built, and how many faults and warnings it has."""
+    counts = {kind: sum(finding.severity == kind for finding in findings) for kind in ("fault", "warning")}
+    of = {kind: f"{n} {kind}{'s' * (n > 1)}" for kind, n in counts.items()}
+    if counts["fault"]:
+        return f"Do not build this kit: {of['fault']}{' and ' + of['warning'] if counts['warning'] else ''}."
+    if counts["warning"]:
+        return f"No fault, but {of['warning']}: read {'them' if counts['warning'] > 1 else 'it'} before you build."
+    return "No fault and no warning was found."
 
 
 def _figure(drawing: Drawing | Missing) -> Markup:

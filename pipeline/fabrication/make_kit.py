@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import resources
 from importlib.util import find_spec
 from math import isfinite
 from pathlib import Path
@@ -26,8 +27,7 @@ if TYPE_CHECKING:  # these import the CAD kernel, which takes ten seconds
     from tasks.fabrication.checks import KitFinding
     from tasks.fabrication.scaling import JointLoad
 
-_DOCS = Path(__file__).resolve().parents[2] / "docs"  # of a checkout
-_GUIDES = ("assembly.md", "servo.md", "servo-wiring.svg")  # copied into every kit
+_GUIDES = resources.files("pipeline.fabrication").joinpath("guides")  # pages of docs/, copied into every kit
 _SEVERITIES = ("fault", "warning", "note")
 
 
@@ -63,7 +63,7 @@ def fabricate(
     # Imported late, because the CAD kernel takes ten seconds.
     from pipeline.fabrication.bench import bench_of
     from pipeline.fabrication.exports import exports
-    from pipeline.fabrication.kit_page import render_kit
+    from pipeline.fabrication.kit_page import render_kit, verdict
     from tasks.fabrication.features import KitError
     from tasks.fabrication.kit import build_kit
     from tasks.fabrication.profile import SolidError
@@ -79,7 +79,7 @@ def fabricate(
     findings = sorted((*kit.findings, *bench.findings), key=lambda finding: _SEVERITIES.index(finding.severity))
     faults = sum(finding.severity == "fault" for finding in findings)
     files = exports(kit, title=source.name, n_faults=faults)
-    files |= {name: (_DOCS / name).read_bytes() for name in _GUIDES if (_DOCS / name).is_file()}
+    files |= {guide.name: guide.read_bytes() for guide in _GUIDES.iterdir()}
     files["design.json"] = encode_json(design_document(source.design))
     if bench.calibration is not None:
         heading = f"Servos of {source.name}, from the data sheet of a {bench.servo.name}. Measure yours (servo.md)."
@@ -102,9 +102,10 @@ def fabricate(
         "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in findings],
         "metrics": metrics,
     }
+    last = f"{verdict(findings)} Kit of a robot of {kit.mass_g:.0f} g: {out / 'index.html'}"
     lines = write_kit(place, files, manifest)
     _mirror(tracker, source, design is None, chosen, metrics, files)
-    return KitResult([*lines, *_lines(out, findings, bench.loads, kit.mass_g)], faults)
+    return KitResult([*lines, *_lines(findings, bench.loads), last], faults)
 
 
 def require_cad() -> None:
@@ -112,15 +113,15 @@ def require_cad() -> None:
     missing = [package for package in ("build123d", "ezdxf", "shapely") if find_spec(package) is None]
     if missing:
         raise PuddleError(
-            f"{', '.join(missing)} not installed, but needed to make parts. Run: pip install 'puddle[cad]' "
-            f"(in a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
+            f"{', '.join(missing)} not installed, but needed to make parts. Run `make setup EXTRAS=cad` in the "
+            f"checkout; without a checkout, `pip install 'puddle[cad]'`."
         )
 
 
-def _lines(out: Path, findings: Sequence[KitFinding], loads: Sequence[JointLoad], mass_g: float) -> list[str]:
+def _lines(findings: Sequence[KitFinding], loads: Sequence[JointLoad]) -> list[str]:
     lines = [f"{finding.severity:<8} {finding.where}: {finding.message.rstrip('.')}." for finding in findings]
     lines += [f"joint {load.joint}: the servo gives {load.margin:.2f} times what the run needs" for load in loads]
-    return [*lines, f"Kit of a robot of {mass_g:.0f} g: {out / 'index.html'}"]
+    return lines
 
 
 def _mirror(

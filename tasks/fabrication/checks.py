@@ -24,6 +24,7 @@ Severity = Literal["fault", "warning", "note"]
 
 _VARIANT_MOTORS = 2  # actuated joints of the physical variant; paper, "Manufacturing"
 _ROUNDING_MM, _ROUNDING_MM2 = 1e-6, 0.01
+_ONE_AXIS_MM = 0.05  # a smaller distance between two axes would read 0.0
 _YOUNG_PA = 193e9  # stainless steel 304
 _LAG_LIMIT = pi / 18  # lag of one pontoon behind the other that is worth a warning [rad]
 _NECK_STEP_MM = 0.25
@@ -42,7 +43,7 @@ class KitFinding:
 def findings_of(assembly: Assembly) -> tuple[KitFinding, ...]:
     """Check a robot to build. Returns faults first, then warnings, then notes."""
     checks = (
-        *(_variant, _travel, _cradles, _shared_space, _threads, _unmeasured),
+        *(_variant, _travel, _cradles, shared_space, _threads, _unmeasured),
         *(_walls, _necks, _collisions, _rods, _bed),
     )
     findings = [finding for check in checks for finding in check(assembly)]
@@ -94,14 +95,16 @@ def _cradles(assembly: Assembly) -> Iterator[KitFinding]:
             yield KitFinding("cradle stands out", "note", where, message)
 
 
-def _shared_space(assembly: Assembly) -> Iterator[KitFinding]:
+def shared_space(assembly: Assembly) -> Iterator[KitFinding]:
+    """Find joints so close on one part that their servos need the same space."""
     for a, b in combinations(assembly.servo_joints, 2):
         for body in {a.carrier, a.driven} & {b.carrier, b.driven}:
             first, second = (one.pocket if one.carrier == body else one.recess for one in (a, b))
             shared = first.intersection(second).area
             if shared > _ROUNDING_MM2:
                 apart = hypot(a.joint.at[0] - b.joint.at[0], a.joint.at[1] - b.joint.at[1])
-                message = f"are {apart:.1f} mm apart on part {body + 1}: their pockets overlap by {shared:.0f} mm²"
+                where = f"are {apart:.1f} mm apart" if apart >= _ONE_AXIS_MM else "turn about one axis"
+                message = f"{where} on part {body + 1}: their pockets overlap by {shared:.0f} mm²"
                 yield KitFinding("servos in one place", "fault", f"joints {a.joint.link} and {b.joint.link}", message)
 
 

@@ -1,6 +1,6 @@
 """The kit: everything needed to build one design as a robot. Paper, "Manufacturing".
 
-Needs the optional CAD packages: pip install 'puddle[cad]'.
+Needs the optional CAD packages: make setup EXTRAS=cad.
 """
 
 from dataclasses import dataclass

@@ -356,12 +356,12 @@ def test_links_of_the_image_lead_to_what_it_copies(tmp_path):
     """Presets and constraints lie in the package as links to the checkout's own; COPY copies links as they are."""
     for line in instructions("COPY"):
         *sources, target = line.split()
-        for source in sources:
-            place = tmp_path / target / ("" if target.rstrip("/").endswith(source) else source)
-            if (ROOT / source).is_dir():
-                shutil.copytree(ROOT / source, place, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+        for source in map(ROOT.__truediv__, sources):
+            if source.is_dir():  # COPY copies its content
+                shutil.copytree(source, tmp_path / target, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
             else:
-                shutil.copy(ROOT / source, place)
+                (tmp_path / target).mkdir(parents=True, exist_ok=True)
+                shutil.copy(source, tmp_path / target)
     links = [path for path in tmp_path.rglob("*") if path.is_symlink()]
     assert {str(path.relative_to(tmp_path)) for path in links} >= {"pipeline/presets", "pipeline/constraints.txt"}
     for link in links:

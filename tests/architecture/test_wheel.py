@@ -40,6 +40,7 @@ def test_the_wheel_holds_the_files_that_the_command_reads(wheel):
         "tasks/py.typed",
         *presets,
         *templates,
+        *(f"pipeline/fabrication/guides/{name}" for name in ("assembly.md", "servo.md", "servo-wiring.svg")),
     } <= names
     assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"pipeline", "puddle", "tasks"}
 

@@ -7,7 +7,9 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 import zipfile
+from dataclasses import replace
 from itertools import combinations
 from math import pi
 from pathlib import Path
@@ -200,6 +202,15 @@ def test_the_drawing_states_the_number_of_faults(kit, monkeypatch):
     assert "fault" not in drawn(kit, monkeypatch, 0)[0]
 
 
+def test_joints_on_one_axis_have_no_distance_to_draw(kit, monkeypatch):
+    first, second = kit.servo_joints
+    moved = replace(second, joint=replace(second.joint, at=(first.joint.at[0] + 1e-14, first.joint.at[1])))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        text, _ = drawn(replace(kit, servo_joints=(first, moved)), monkeypatch)
+    assert " 0.0 " not in text and "joint 2" in text and "joint 4" in text
+
+
 def test_no_label_lies_on_another(kit, monkeypatch):
     crowded = build_kit(read_design(Path(__file__).parents[3] / "docs/design.json"), KitSettings())  # five parts
     for robot in (kit, crowded):
@@ -254,6 +265,6 @@ def test_cad_is_imported_late_and_its_absence_is_one_clear_message():
     done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], capture_output=True, text=True)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].endswith(
-        "PuddleError: build123d not installed, but needed to make parts. Run: pip install 'puddle[cad]' "
-        "(in a checkout: pip install --constraint constraints.txt --editable '.[cad]')"
+        "PuddleError: build123d not installed, but needed to make parts. Run `make setup EXTRAS=cad` in the checkout; "
+        "without a checkout, `pip install 'puddle[cad]'`."
     )

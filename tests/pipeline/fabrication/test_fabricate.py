@@ -14,13 +14,14 @@ from command_line import call
 from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.kit_folder import KIT, KIT_MANIFEST, write_kit
-from pipeline.fabrication.kit_page import TEMPLATES
+from pipeline.fabrication.kit_page import TEMPLATES, verdict
 from pipeline.fabrication.timeline_file import read_calibration, read_timeline
 from pipeline.servo.play import PlayOptions, play_timeline
 from pipeline.store import disk
 from pipeline.store.design_file import design_document, read_design
 from pipeline.store.store import Store
 from tasks.design import Designs
+from tasks.fabrication.checks import KitFinding
 
 
 def write(design: Designs, path: Path) -> Path:
@@ -78,6 +79,9 @@ def test_its_timeline_and_calibration_can_be_played(made, clock, tmp_path):
 
 def test_every_link_of_the_page_leads_somewhere(made):
     page = (made / "kit/index.html").read_text()
+    manifest = json.loads((made / "kit" / KIT_MANIFEST).read_text())
+    n_warnings = sum(finding["severity"] == "warning" for finding in manifest["findings"])
+    assert n_warnings and f"No fault, but {n_warnings} warning" in page
     links = set(re.findall(r"""(?:href|src)=["']([^"'#:]+)["']""", page))
     assert len(links) > 25 and [link for link in links if not (made / "kit" / link).exists()] == []
     for said in ("Froude", "70 mm", "0.265 s", "30 N·m", "1.13 Hz", "ds3225", "No ensemble", "floats"):
@@ -135,8 +139,11 @@ def test_a_servo_that_is_too_weak_is_flagged_and_the_kit_replaced(made, tmp_path
     assert call("fabricate", *arguments, "--set", "kit.servo=mg90s", "--set", "kit.horn=cross") == 1
     said = capsys.readouterr().out
     assert "fault    joint" in said and "too weak or too slow" in said and "mg90s" in said
+    kinds = [line.split()[0] for line in said.splitlines()]
+    counts = f"{kinds.count('fault')} faults and {kinds.count('warning')} warnings"
+    assert said.splitlines()[-1].startswith(f"Do not build this kit: {counts}. ")
     page = (tmp_path / "kit/index.html").read_text()
-    assert "Do not build this kit" in page and "mg90s" in page
+    assert f"Do not build this kit: {counts}." in page and "mg90s" in page
     assert sorted(path.name for path in tmp_path.iterdir()) == ["kit"]
 
 
@@ -147,6 +154,22 @@ def test_the_design_in_the_readme_has_no_fault_and_a_timeline(tmp_path, clock, c
     assert not any(line.startswith("fault") for line in capsys.readouterr().out.splitlines())
     options = PlayOptions(tmp_path / "kit", dry_run=True)
     assert play_timeline(options, confirm=lambda question: True, say=lambda line: None, clock=clock)
+
+
+@pytest.mark.parametrize(
+    ("severities", "expected"),
+    [
+        ("", "No fault and no warning was found."),
+        ("note", "No fault and no warning was found."),
+        ("warning", "No fault, but 1 warning: read it before you build."),
+        ("warning warning note", "No fault, but 2 warnings: read them before you build."),
+        ("fault", "Do not build this kit: 1 fault."),
+        ("fault fault warning note", "Do not build this kit: 2 faults and 1 warning."),
+    ],
+)
+def test_the_verdict_names_faults_and_warnings(severities, expected):
+    findings = [KitFinding("name", severity, "joint 2", "message") for severity in severities.split()]
+    assert verdict(findings) == expected
 
 
 def test_a_kit_without_a_timeline_does_not_suggest_to_play_it(made):

@@ -9,6 +9,7 @@ import pytest
 from shapely import unary_union
 
 from tasks.design import N_LINKS, DesignError, Designs
+from tasks.fabrication import checks
 from tasks.fabrication.built_bodies import mechanism_of, moved
 from tasks.fabrication.checks import lag_rad
 from tasks.fabrication.features import KitError, horn_features
@@ -76,6 +77,13 @@ def test_servos_in_one_place(crane):
     )
     (finding,) = found(twin, "servos in one place")
     assert finding.severity == "fault" and "7.0 mm apart on part 1" in finding.message  # 0.1 · 70 mm
+
+
+def test_servos_on_one_axis(kit):
+    first, second = kit.servo_joints
+    moved = replace(second, joint=replace(second.joint, at=first.joint.at))
+    (finding,) = checks.shared_space(replace(kit, servo_joints=(first, moved)))
+    assert finding.message.startswith("turn about one axis on part 1: their pockets overlap by ")
 
 
 def test_walls(crane):
