@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.exit_codes import INCOMPLETE, interruptible, to_stderr
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, TrackingUri, with_options
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyName, StudyOptions, TrackingUri, with_options
 from pipeline.errors import PuddleError
 
 
 @with_options
 def fabricate(
     design: Annotated[Path | None, typer.Argument(help="A design file (design.json).")] = None,
-    study: Annotated[str | None, typer.Option("--study", help="Use this study's proposed champion instead.")] = None,
+    study: StudyName = None,
     out: Annotated[Path, typer.Option("--out", help="The kit's folder: a new one, or a kit to replace.")] = Path("kit"),
     settings: Annotated[Path | None, typer.Option("--settings", help="A file with the kit's settings.")] = None,
     overrides: Annotated[
@@ -27,12 +27,13 @@ def fabricate(
 ) -> None:
     """Make the kit of a robot: printable parts, bill of materials, drawings, scaling, and the servos' timeline.
 
-    Exits with 1 where the kit names a reason not to build the robot.
+    The robot is that of a design file, or the champion that a study proposes (--study). Exits with 1 where the kit
+    names a reason not to build it.
     """
     from pipeline.config.loading import load, parse
     from pipeline.fabrication.make_kit import fabricate as make
+    from pipeline.store.design_file import read_design
     from pipeline.tracking.mirror import Tracker
-    from pipeline.workflow.record import settings_of
     from tasks.fabrication.kit_settings import FabricationSettings
 
     if (design is None) == (study is None):
@@ -44,14 +45,11 @@ def fabricate(
         of_kit = load(FabricationSettings, settings, overrides or ())
     else:
         of_kit = parse(FabricationSettings, "", name="the kit's settings", overrides=overrides or ())
-    options = StudyOptions(preset=preset or "pontoon", store=store)
+    options = StudyOptions(study=study, preset=preset or "pontoon" if study is None else None, store=store)
+    of_study = options.settings()
+    if design is not None:
+        read_design(design)  # a design that is refused leaves no empty store behind
     opened = options.open_store(create=study is None)
-    if study is None:
-        of_study = options.settings()
-    elif (record := opened.read_study(study)) is None:
-        raise PuddleError(f"--study: {store} holds no study named {study!r}")
-    else:
-        of_study = settings_of(record)
     with interruptible():
         tracker = Tracker(opened.root, tracking_uri, say=to_stderr)
         made = make(design, of_study, of_kit, out, store=opened, tracker=tracker)

@@ -111,3 +111,12 @@ def test_the_record_of_an_early_store_has_no_source(store):
     path.write_bytes(encode_sealed({**early, "source": 3}, schema="puddle.study", version=1))
     with pytest.raises(PuddleError, match="source"):
         store.read_study("tiny")
+
+
+def test_a_kit_takes_a_study_by_its_name(store, tmp_path, capsys):
+    said = refused(capsys, "fabricate", "--study", "tin", "--store", str(store.root), "--out", str(tmp_path / "kit"))
+    assert f"study 'tin': {store.root} holds tiny; did you mean tiny?" in said
+    (tmp_path / "bad.json").write_text("{")
+    chosen = ("--out", str(tmp_path / "kit"), "--store", str(tmp_path / "new"))
+    assert "bad.json" in refused(capsys, "fabricate", str(tmp_path / "bad.json"), *chosen)
+    assert not (tmp_path / "new").exists() and not (tmp_path / "kit").exists()

@@ -191,7 +191,7 @@ def test_mistakes(made, crane, tmp_path, capsys):
     assert "either a design file or --study" in refused()
     assert "either a design file or --study" in refused(design, "--study", "pontoon")
     assert "--preset" in refused("--study", "raft", "--preset", "laptop", "--out", str(tmp_path / "kit"))
-    assert "no study named 'raft'" in refused("--study", "raft", "--out", str(tmp_path / "kit"))
+    assert "study 'raft': " in refused("--study", "raft", "--out", str(tmp_path / "kit"))
     assert "ds3225" in refused(design, "--out", str(tmp_path / "kit"), "--set", "kit.servo=ds9999")
     assert "kit.servos: unknown setting" in refused(design, "--set", "kit.servos=1")
     assert "froude" in refused(design, "--set", "scaling.law=reynolds")
