@@ -71,7 +71,8 @@ class Experiment:
             self._update(trial, ("trial", f"{stage.key}/{trial.key}"), shared, sent)
         for slot, files in stage.attachments.items():
             if slot in sent:
-                self._send_files(sent[slot], files, f"{_FILES}.{stage.name}")
+                for tag in self._send_files(sent[slot], files, f"{_FILES}.{stage.name}").items():
+                    self._set_tag(sent[slot], *tag)
 
     def _runs(self, study_key: str) -> dict[_Slot, _Sent]:
         """Find a study's runs, by kind and key."""
@@ -95,15 +96,14 @@ class Experiment:
             started = _milliseconds(time.time() if wanted.started is None else wanted.started)
             made = self.client.create_run(self.id, start_time=started, run_name=wanted.name, tags=tags)
             run = existing[slot] = _Sent(made.info.run_id, started, tags=tags)
-        self._send_values(run, wanted, tags)
+        files = dict(wanted.artifacts)
+        if slot[0] != "trial" and (wanted.inputs or wanted.outputs):
+            lineage = {"inputs": dict(wanted.inputs), "outputs": dict(wanted.outputs)}
+            files["lineage.json"] = json.dumps(lineage, indent=2, sort_keys=True).encode()
+        self._send_values(run, wanted, tags | self._send_files(run, files, _FILES))
         self._send_inputs(run, wanted)
         if wanted.model is not None:
             self._send_model(run, wanted.model)
-        files = dict(wanted.artifacts)
-        if wanted.inputs or wanted.outputs:
-            lineage = {"inputs": dict(wanted.inputs), "outputs": dict(wanted.outputs)}
-            files["lineage.json"] = json.dumps(lineage, indent=2, sort_keys=True).encode()
-        self._send_files(run, files, _FILES)
         ended = run.ended if wanted.ended is None else _milliseconds(wanted.ended)
         if wanted.status is not None and (run.status, run.ended) != (wanted.status, ended or run.ended):
             self.client.set_terminated(run.id, wanted.status, end_time=ended)
@@ -128,13 +128,15 @@ class Experiment:
                 metrics += _points(part)
             if n_sent < len(wanted.curves):
                 new_tags[_CURVES] = _curves_tag(wanted.curves)
-        for start in range(0, len(metrics), _MAX_METRICS):
-            self.client.log_batch(run.id, metrics=metrics[start : start + _MAX_METRICS])
-        # Tags after the points that they describe: after a failure, points are sent twice rather than never.
-        for start in range(0, max(len(params), len(new_tags)), _MAX_PARAMS):
+        while len(metrics) > _MAX_METRICS:
+            self.client.log_batch(run.id, metrics=metrics[:_MAX_METRICS])
+            del metrics[:_MAX_METRICS]
+        # MLflow writes a batch's tags after its points: after a failure, points are sent twice rather than never.
+        for start in range(0, max(len(params), len(new_tags), len(metrics) and 1), _MAX_PARAMS):
             batch = slice(start, start + _MAX_PARAMS)
             self.client.log_batch(
                 run.id,
+                metrics=[] if start else metrics,
                 params=[Param(*param) for param in list(params.items())[batch]],
                 tags=[RunTag(*tag) for tag in list(new_tags.items())[batch]],
             )
@@ -164,15 +166,15 @@ class Experiment:
             self.client.log_inputs(run.id, models=[LoggedModelInput(model) for model in self._model_ids[read]])
             self._set_tag(run, _MODEL_READ, read)
 
-    def _send_files(self, run: _Sent, files: Mapping[str, bytes], tag: str) -> None:
-        """Send files, unless a tag says that they have been sent."""
+    def _send_files(self, run: _Sent, files: Mapping[str, bytes], tag: str) -> dict[str, str]:
+        """Send files, unless a tag says that they have been sent; return the tag to set."""
         digest = _digest({path: hashlib.sha256(content).hexdigest() for path, content in files.items()})
         if not files or run.tags.get(tag) == digest:
-            return
+            return {}
         with tempfile.TemporaryDirectory() as folder:
             _write(Path(folder), files)
             self.client.log_artifacts(run.id, folder)
-        self._set_tag(run, tag, digest)
+        return {tag: digest}
 
     def _set_tag(self, run: _Sent, tag: str, value: str) -> None:
         self.client.set_tag(run.id, tag, value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import PurePosixPath
@@ -15,7 +15,7 @@ from pipeline.errors import PuddleError
 from pipeline.store.encoding import canonical_json, digest, encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.tracking.run import CurvePart, Run
+from pipeline.tracking.run import CurvePart, CurvePoints, Run
 from pipeline.workflow.background import Background
 from pipeline.workflow.graph import ChainProgress
 from pipeline.workflow.identity import ChainId, TrialId
@@ -23,6 +23,7 @@ from pipeline.workflow.stage import AnyStage, Results, Summary, TrialSummary, Up
 from tasks.world import ENVIRONMENTS
 
 SECONDS_BETWEEN_UPDATES = 15.0  # so that a segment is in MLflow within 30 s of its commit
+_POINTS_OF_A_CURVE = 100  # a point costs a fifth of a millisecond, and a page of MLflow shows 320 of them at most
 _FOLDERS = {
     **dict.fromkeys((".svg", ".png", ".pdf"), "figures"),
     **dict.fromkeys((".mp4", ".gif"), "films"),
@@ -73,6 +74,7 @@ class StudyMirror:
         self._chosen = settings.model_dump(mode="json")
         self._key = digest(canonical_json(self._chosen))
         self._tags = {"preset": source.removeprefix("preset ")} if source.startswith("preset ") else {}
+        self._points: dict[str, Mapping[ChainId, int]] = {}
         self._ensemble: str | None = None  # digest of the model that a stage has made
 
     @contextlib.contextmanager
@@ -193,7 +195,7 @@ class StudyMirror:
             description=about,
             params=params,
             metrics=summary.metrics if summary else {},
-            curves=[self._part(stage, manifest) for manifest in parts],
+            curves=[self._part(stage, manifest, self._n_points(stage)[chain]) for manifest in parts],
             tags={name: f"{value:g}" if name == "depth" else str(value) for name, value in params.items()}
             | _commit(parts),
             outputs={chain.label: parts[-1].digest} if summary else {},
@@ -209,10 +211,18 @@ class StudyMirror:
         reads = "train" in stage.reads(self._settings)
         return reads and isinstance(chain, TrialId) and ENVIRONMENTS[chain.environment].networks != "none"
 
-    def _part(self, stage: AnyStage, manifest: Manifest) -> CurvePart:
+    def _n_points(self, stage: AnyStage) -> Mapping[ChainId, int]:
+        """Return how many points an item of each chain may add to a curve."""
+        if stage.name not in self._points:
+            chains = stage.plan(self._settings)
+            self._points[stage.name] = {one.identity: -(-_POINTS_OF_A_CURVE // one.n_items) for one in chains}
+        return self._points[stage.name]
+
+    def _part(self, stage: AnyStage, manifest: Manifest, n_points: int) -> CurvePart:
         assert stage.curves is not None
         started, ended = self._times([manifest])
-        return CurvePart(manifest.digest, partial(stage.curves, self._store, manifest), started or 0.0, ended or 0.0)
+        read = partial(_thinned, partial(stage.curves, self._store, manifest), n_points)
+        return CurvePart(manifest.digest, read, started or 0.0, ended or 0.0)
 
     def _times(self, manifests: Sequence[Manifest]) -> tuple[float | None, float | None]:
         """Return when the first of some items was started and the last one committed [s since 1970]."""
@@ -222,6 +232,14 @@ class StudyMirror:
                 committed = self._store.manifest_path(manifest.stage, manifest.key).stat().st_mtime
                 times.append((committed - float(manifest.record.get("seconds", 0.0)), committed))
         return min((started for started, _ in times), default=None), max((ended for _, ended in times), default=None)
+
+
+def _thinned(read: Callable[[], CurvePoints], n_points: int) -> CurvePoints:
+    """Read points, and keep at most so many: the last of each stretch of equal length."""
+    points = read()
+    every = -(-len(points.steps) // n_points) or 1
+    kept = slice((len(points.steps) - 1) % every, None, every)
+    return CurvePoints(points.steps[kept], {name: list(curve)[kept] for name, curve in points.values.items()})
 
 
 def _commit(manifests: Sequence[Manifest]) -> dict[str, str]:
