@@ -271,6 +271,9 @@ def forecast_study(
         store: the store that holds its results, if there is one.
         cores: further numbers of cores to forecast for.
         say: shows what is being timed.
+
+    Returns:
+        The cost of what is left of each stage.
     """
     from pipeline.commands.calibration_run import calibrate
 

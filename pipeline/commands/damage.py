@@ -117,6 +117,9 @@ def verify(store: Store, study: str | None, *, discard: bool, progress: Progress
         study: name of the only study to verify; None for the whole store.
         discard: whether to remove the damaged items. The caller then holds the store alone.
         progress: the progress display.
+
+    Returns:
+        The problems, what has to be computed again, and what was skipped or is unfinished.
     """
     n_bytes = store.bytes_to_verify(study)
     notes: list[str] = []

@@ -51,7 +51,7 @@ def drive(
         progress: shows progress to the user.
         how_to_run: returns the command line that runs a stage, for messages.
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
-        expected_seconds: returns about how long each stage will take on so many cores [s], for the time left.
+        expected_seconds: returns about how long each stage will take on a number of cores [s], for the time left.
         limits: how long an item may take.
         is_compiled: returns whether this machine has compiled the kernels.
 
