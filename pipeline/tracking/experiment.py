@@ -39,6 +39,7 @@ class _Sent:
     tags: dict[str, str] = field(default_factory=dict)
     metrics: dict[str, float] = field(default_factory=dict)
     data_sets: set[tuple[str, str]] = field(default_factory=set)
+    curves: str | None = None  # value of the tag for the parts that were sent; MLflow has it once the run has ended
 
 
 @dataclass
@@ -123,11 +124,11 @@ class Experiment:
         }
         metrics = [Metric(name, value, now, 0) for name, value in changed.items()]
         if wanted.curves:
-            n_sent = _n_sent(run.tags.get(_CURVES), wanted.curves)
-            for part in wanted.curves[n_sent:]:
+            for part in wanted.curves[_n_sent(run.curves, wanted.curves) :]:
                 metrics += _points(part)
-            if n_sent < len(wanted.curves):
-                new_tags[_CURVES] = _curves_tag(wanted.curves)
+            curves = _curves_tag(wanted.curves)
+            if wanted.status is not None and run.tags.get(_CURVES) != curves:
+                new_tags[_CURVES] = curves
         while len(metrics) > _MAX_METRICS:
             self.client.log_batch(run.id, metrics=metrics[:_MAX_METRICS])
             del metrics[:_MAX_METRICS]
@@ -140,6 +141,7 @@ class Experiment:
                 params=[Param(*param) for param in list(params.items())[batch]],
                 tags=[RunTag(*tag) for tag in list(new_tags.items())[batch]],
             )
+        run.curves = _curves_tag(wanted.curves) if wanted.curves else run.curves
         run.params |= set(params)
         run.tags |= new_tags
         run.metrics |= changed
@@ -222,6 +224,7 @@ def _sent(run: Any) -> _Sent:
         dict(data.tags),
         dict(data.metrics),
         {(one.dataset.name, one.dataset.digest) for one in inputs.dataset_inputs} if inputs else set(),
+        data.tags.get(_CURVES),
     )
 
 
