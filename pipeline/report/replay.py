@@ -52,6 +52,9 @@ class Replay:
     fps: float = STEPS_PER_SECOND / STEPS_PER_FRAME  # frames per second
     overlays: tuple[Overlay, ...] = ()  # further numbers for each link and frame
     push: Float64 | None = None  # (n_frames, n_links, 2) acceleration by the medium [m/s²], where it is known
+    robot: str = ""  # address of the robot on the page and name of its design file; "" if it has none
+    group: str = ""  # heading of the viewer's list under which it is found, such as "Residual Slush, 9 m"
+    film: str = ""  # name of its film's files; "" if there is none
 
     def __post_init__(self) -> None:
         shape = self.frames.shape[:2]
@@ -155,17 +158,19 @@ def replay_of(
 
 
 def encode(replay: Replay) -> dict[str, Any]:
-    """Convert a replay to plain JSON values for robot.js, 48 characters per frame; equal replays give equal values.
+    """Convert a replay to plain JSON values for robot.js; equal replays give equal values.
 
     Coordinates are rounded to a quantum before their differences are taken. Errors therefore do not add up, and each
-    stays within half a quantum: 1 mm and 1 mrad, unless something moves by more than 32 m or rad within a frame.
+    stays within half a quantum: 1 mm and 1 mrad, unless a velocity changes by more than 32 m or rad per frame. Second
+    differences are small numbers, which mostly take a byte: about 25 characters per frame.
     """
     frames = replay.frames
-    fastest = float(np.abs(np.diff(frames, axis=0)).max())
-    quantum = max(QUANTUM, fastest / (np.iinfo(np.int16).max - 1))
+    quantum = max(QUANTUM, float(np.abs(_second_differences(frames)).max()) / (np.iinfo(np.int16).max - 4))
     quanta = np.rint(frames / quantum).astype(np.int64)
     return {
         "title": replay.title,
+        "robot": replay.robot,
+        "film": replay.film,
         "environment": replay.environment,
         "seenIn": replay.seen_in,
         "depth": replay.depth,
@@ -177,13 +182,34 @@ def encode(replay: Replay) -> dict[str, Any]:
         "parentAttachment": [round(float(place), 4) for place in replay.parent_attachment],
         "quantum": quantum,
         "first": [int(value) for value in quanta[0].ravel()],  # n_links × (x, y, angle), in quanta
-        # Little-endian int16, (n_frames - 1, n_links, 3): change from each frame to the next, in quanta.
-        "steps": _base64(np.diff(quanta, axis=0).astype("<i2")),
+        # (n_frames - 1, n_links, 3): change of the change from frame to frame, in quanta; see _packed.
+        "steps": base64.b64encode(_packed(_second_differences(quanta).ravel())).decode("ascii"),
         "overlays": [_encode_overlay(overlay) for overlay in replay.overlays],
         "pushQuantum": MOST_ACCELERATION / 127,  # [m/s²]
         # int8, (n_frames, n_links, 2), in its quanta; empty where it is not known.
         "push": "" if replay.push is None else _base64(_encode_push(replay.push)),
     }
+
+
+def _second_differences(frames: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return how (n_frames, ...) change, and how that changes: the inverse of two running sums."""
+    change = np.diff(frames, axis=0)
+    return np.diff(change, axis=0, prepend=np.zeros_like(change[:1]))
+
+
+_ESCAPE = -128  # byte before a value that takes two bytes
+
+
+def _packed(values: Int64) -> bytes:
+    """Write each value as one signed byte or, beyond ±127, as an escape and a little-endian int16."""
+    is_short = np.abs(values) < -_ESCAPE
+    start = np.concatenate([[0], np.cumsum(np.where(is_short, 1, 3))])
+    packed = np.zeros(int(start[-1]), np.uint8)
+    packed[start[:-1]] = np.where(is_short, values, _ESCAPE).astype(np.int8).view(np.uint8)
+    long = values[~is_short].astype("<i2").view(np.uint8).reshape(-1, 2)
+    for byte in (0, 1):
+        packed[start[:-1][~is_short] + 1 + byte] = long[:, byte]
+    return packed.tobytes()
 
 
 def _encode_overlay(overlay: Overlay) -> dict[str, Any]:
