@@ -104,7 +104,7 @@ def simulate_design(
             design,
             trace[0],
             title=path.stem,
-            environment=environment,
+            environment="",  # where it evolved, which a design file does not say
             seen_in=label if member == NO_MEMBER else f"{label} (member {member})",
             depth=depth,
             surroundings=surroundings_in(environment),

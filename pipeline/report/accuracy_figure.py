@@ -52,7 +52,9 @@ def prediction_accuracy(report: StudyReport, *, n_columns: int) -> tuple[Figure,
     for panel, name, counts in zip(panels, histograms.names, histograms.counts, strict=True):
         seen = np.ma.masked_equal(counts.T, 0)
         square = (low, high, low, high)
-        panel.imshow(seen, origin="lower", extent=square, cmap=_DENSITY, norm=norm, interpolation="none")
+        looks = {"cmap": _DENSITY, "norm": norm, "interpolation": "none"}
+        # Not exactly square: Matplotlib leaves no room for the labels of a figure whose panels keep their proportions.
+        panel.imshow(seen, origin="lower", extent=square, aspect="auto", **looks)
         panel.plot([low, high], [low, high], color=INK, lw=0.9, ls=DASHED)
         title = ["ensemble" if name == _MEAN else name]
         for predictor, dashes in ((name, "-"), (_CAUTIOUS, DOTTED)) if name == _MEAN else ((name, "-"),):

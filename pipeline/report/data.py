@@ -26,6 +26,22 @@ def arm_words(environment: EnvironmentName, depth: float) -> str:
     return f"{ENVIRONMENTS[environment].label}, {depth:g} m"
 
 
+ROBOT = "robot-"  # start of robots' addresses
+
+
+def robot_address(environment: EnvironmentName, depth: float, trial: int, identity: int = -1) -> str:
+    """Return the address of a robot on the page, which is the name of its design file, too.
+
+    Args:
+        environment: where it evolved.
+        depth: [m]
+        trial: number of the trial.
+        identity: running number within the trial; -1 for the champion.
+    """
+    design = "" if identity < 0 else f"-design-{identity}"
+    return f"{ROBOT}{environment}-{depth:g}m-trial-{trial}{design}".replace(".", "_")  # file names hold a single dot
+
+
 @dataclass(frozen=True, eq=False)
 class TrialResult:
     """The champion of one trial and its displacements [m]; NaN where its rollout diverged."""
@@ -68,6 +84,9 @@ class StudyReport:
     replays: Sequence[Replay] = ()
     findings: Findings = field(default_factory=Findings)
     draws: Sequence[Draws] = ()  # operators that rejected designs; empty where every design is buildable
+    environments: Sequence[EnvironmentName] = tuple(ENVIRONMENTS)  # of the study's grid
+    depths: Sequence[float] = (1.0, paper.DEPTH)  # of the study's grid [m]
+    trains_networks: bool = True  # whether any part of the study needs networks
     measured_seconds: float = 20.0  # how long displacement is measured [s]. [P]
     digests: Sequence[tuple[str, str, str]] = ()  # stage, label and SHA-256 of every artifact
     failed: Sequence[str] = ()  # work items that failed, with their errors

@@ -9,11 +9,34 @@ from pipeline.report import accuracy_figure, champion_figures, ensemble_figures,
 from pipeline.report.data import StudyReport
 from pipeline.report.drawing import Drawing, Missing, finish
 from pipeline.report.lineage import family_tree
+from tasks.analysis.comparison import CONTRASTS
 
 
 def draw_all(report: StudyReport) -> dict[str, Drawing | Missing]:
-    """Draw every figure of a study, by name; a figure without data gives its reason."""
-    return {name: finish(name, title, partial(draw, report)) for name, (title, draw) in FIGURES.items()}
+    """Draw the figures that apply to a study, by name; a figure without data gives its reason."""
+    return {
+        name: finish(name, title, partial(draw, report))
+        for name, (title, draw) in FIGURES.items()
+        if applies(report, name.removesuffix("_wide"))
+    }
+
+
+def applies(report: StudyReport, part: str) -> bool:
+    """Return whether a part of the page has a subject in the study's settings, whether or not it is done yet."""
+    evolved_in, several = set(report.environments), len(report.depths) > 1
+    if part in ("transfer_across_depths", "transfer_matrix"):
+        return several
+    if part == "attribution":
+        return "true_slush" in evolved_in and len(evolved_in) > 1
+    if part == "contrasts":
+        return any({a[0], b[0]} <= evolved_in for a, b in CONTRASTS)
+    if part in ("prediction_accuracy", "aggregates"):
+        return report.trains_networks and bool(evolved_in & {"true_slush", "dry_land"})
+    return report.trains_networks or part not in _OF_NETWORKS
+
+
+_OF_NETWORKS = ("data_set", "residual_error", "member_error", "phantom_thrust", "exploiters")
+"""Parts of the page about the networks, beside those about their accuracy."""
 
 
 WIDE = "_wide"  # suffix of the variant for a desktop

@@ -1,8 +1,10 @@
-// The gallery: a small canvas for each robot, which plays while it is visible.
+// Films: a small canvas for each robot, which plays while it is visible. Those of a figure share scale and waterline.
 (() => {
-  const { replays, drawPane } = robots;
+  const { replayAt, drawPane } = robots;
+  const shown = (film) => replayAt(Number(film.dataset.replay));
   const films = Array.from(document.querySelectorAll(".film"), (film) => {
-    return { canvas: film.querySelector("canvas"), replay: replays[Number(film.dataset.replay)], visible: false };
+    const together = Array.from(film.closest("figure").querySelectorAll(".film"), shown);
+    return { canvas: film.querySelector("canvas"), replay: shown(film), together, visible: false };
   });
   const PAUSE = 1; // seconds between the end and the next start
   let playing = false;
@@ -16,7 +18,7 @@
     }
     const context = film.canvas.getContext("2d");
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    drawPane(context, film.replay, time, { left: 0, top: 0, width, height }, { follow: true });
+    drawPane(context, film.replay, time, { left: 0, top: 0, width, height }, { follow: true, together: film.together });
   }
 
   function tick(now) {

@@ -1,6 +1,7 @@
 """The moving parts of the page: the gallery, the viewer with its controls, and the script that plays both."""
 
 import json
+import shlex
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
@@ -46,27 +47,46 @@ def environment_css() -> str:
     return f":root {{{light} }}\n@media (prefers-color-scheme: dark) {{ :root {{{dark} }} }}\n{swatches}"
 
 
+def exemplars(replays: Sequence[Replay]) -> list[Replay]:
+    """Return the two robots that stand for the study: at the greatest depth, evolved with residuals and without.
+
+    A study without these arms is represented by its best robots in True Slush.
+    """
+    filmed = [replay for replay in replays if replay.film and replay.in_true_slush]
+    chosen = [replay for replay in filmed if replay.environment in _EXEMPLARS] or filmed
+    deepest = max((replay.depth for replay in chosen), default=None)
+    chosen = [replay for replay in chosen if replay.depth == deepest]
+    return sorted(chosen, key=lambda replay: replay.environment != _EXEMPLARS[0])[:2]
+
+
+def films(replays: Sequence[Replay], shown: Sequence[Replay]) -> str:
+    """Show some of the replays as films that play by themselves.
+
+    Args:
+        replays: all replays of the page.
+        shown: those to show.
+    """
+    return "".join(_film(replay, index) for of in shown for index, replay in enumerate(replays) if replay is of)
+
+
 def gallery(replays: Sequence[Replay], *, reason: str | None = None) -> str:
     """Show for each depth the best robot evolved with residuals above the best one evolved without, or the reason."""
-    shown = sorted(
-        (replay.depth, _EXEMPLARS.index(environment), index)
-        for index, replay in enumerate(replays)
-        for environment in _EXEMPLARS
-        if replay.environment == environment and replay.in_true_slush
-    )
+    shown = [replay for replay in replays if replay.environment in _EXEMPLARS and replay.in_true_slush and replay.film]
     if not shown:
         none_yet = "no champion from Residual Slush or Dry Land has been filmed in True Slush yet"
         return absent("The gallery", reason or none_yet)
-    cards = []
-    for depth, group in groupby(shown, key=lambda entry: entry[0]):
-        films = "".join(_film(replays[index], index) for _, _, index in group)
-        cards.append(f'<figure class="exemplars"><h3>{depth:g} m of slush</h3>{films}</figure>')
+    shown.sort(key=lambda replay: (replay.depth, _EXEMPLARS.index(replay.environment)))
+    cards = [
+        f'<figure class="exemplars"><h3>{depth:g} m of slush</h3>{films(replays, list(group))}</figure>'
+        for depth, group in groupby(shown, key=lambda replay: replay.depth)
+    ]
     return f'<div id="gallery" class="gallery">{"".join(cards)}</div>'
 
 
 def _film(replay: Replay, index: int) -> str:
-    kind = "with residuals" if replay.environment == "residual_slush" else "without residuals"
-    label = f"{kind}: {number(float(replay.frames[-1, 0, 0] - replay.frames[0, 0, 0]))} m"
+    kinds = {"residual_slush": "with residuals", "dry_land": "without residuals"}
+    kind = kinds.get(replay.environment) or f"evolved {ENVIRONMENTS[replay.environment].evolved}"
+    label = f"{kind}: {number(replay.displacement)} m"
     swatch = f'<span class="swatch {escape(replay.environment)}"></span>'
     return (
         f'<button type="button" class="film" data-replay="{index}" title="Open in the viewer">'
@@ -74,42 +94,75 @@ def _film(replay: Replay, index: int) -> str:
     )
 
 
-def viewer(replays: Sequence[Replay], *, reason: str | None = None) -> str:
-    """Lay out the canvas and the controls of the viewer, or give the reason why no champion can be filmed."""
+def viewer(replays: Sequence[Replay], *, study: str = "", reason: str | None = None) -> str:
+    """Lay out the canvas and the controls of the viewer, or give the reason why no champion can be filmed.
+
+    Args:
+        replays: the robots that it shows.
+        study: name of the study, whose robots have addresses, files and commands; "" on the page of one design.
+        reason: why there are no replays.
+    """
     if not replays:
         return absent("The replay viewer", reason or "no champion has been filmed yet")
-    numbered = sorted(enumerate(replays), key=lambda item: item[1].depth)
-    # The viewer opens with the subject of the study: a robot evolved with residuals, at the greatest depth.
-    chosen, _ = max(
-        numbered, key=lambda item: (item[1].environment == "residual_slush", item[1].in_true_slush, item[1].depth)
-    )
     overlays = dict.fromkeys(overlay.label for replay in replays for overlay in replay.overlays)
     colors = "".join(f'<option value="{escape(label)}">{escape(label)}</option>' for label in overlays)
+    plain = "where it evolved" if any(replay.environment for replay in replays) else "the same for all links"
+    notes = _twin_words(replays) + (_overlay_words(overlays) if overlays or study else "")
     pushes = any(replay.push is not None for replay in replays)
-    return f"""<div class="viewer" id="viewer">
-<div class="bar"><label class="grow">Robot <select id="choice">{_options(numbered, chosen)}</select></label>
-<label class="grow">Compare with <select id="beside"><option value="">nothing</option>
-<option value="twin" selected>the same robot in its other environment</option>
-{_options(numbered, None)}</select></label></div>
+    speeds = "".join(
+        f'<option value="{speed}"{" selected" if speed == "1" else ""}>{words} ×</option>'
+        for speed, words in (("0.25", "¼"), ("0.5", "½"), ("1", "1"), ("2", "2"), ("4", "4"))
+    )
+    return f"""<div class="viewer" id="viewer">{_choices(replays) if len(replays) > 1 else ""}
 <canvas id="stage" role="img" aria-label="A moving robot"></canvas>
 <div class="bar below"><button id="play" type="button">Play</button>
 <input id="scrub" type="range" min="0" max="1" step="0.01" value="0" aria-label="Time">
 <output id="time" for="scrub"></output></div>
 <div id="line" hidden><canvas id="timeline" role="img" aria-label="The value of the colour over time"></canvas>
 <p id="legend" class="small"></p></div>
-<div class="bar below"><label>Speed <select id="speed"><option value="0.25">¼ ×</option><option value="0.5">½ ×</option>
-<option value="1" selected>1 ×</option><option value="2">2 ×</option><option value="4">4 ×</option></select></label>
-<label>Colour <select id="overlay"><option value="" selected>where it evolved</option>{colors}</select></label>
-<label><input id="push" type="checkbox"{"" if pushes else " disabled"}> Push of the slush</label>
+<div class="bar below"><label>Speed <select id="speed">{speeds}</select></label>
+<label{"" if overlays else " hidden"}>Colour
+<select id="overlay"><option value="" selected>{plain}</option>{colors}</select></label>
+<label{"" if pushes else " hidden"}><input id="push" type="checkbox"> Push of the slush</label>
 <label><input id="follow" type="checkbox" checked> Follow the robot</label></div>
-</div>
-<p class="small">The root link is darker and has a black dot; white dots are joints. The number at the top right is the
-displacement of the root since the start of the measurement, after the robot has
-settled.{_twin_words(replays)}{_overlay_words(overlays)}</p>"""
+{_robot_panel(study) if study else ""}</div>
+<p class="small">The root link is darker and has a black dot; white dots are joints, and the quartered disc is the
+centre of mass. The numbers at the top right are the displacements of the root and of the centre of mass since the start
+of the measurement, after the robot has settled.{notes}</p>"""
+
+
+def _choices(replays: Sequence[Replay]) -> str:
+    """Lay out the two lists of robots, in groups; the robot for comparison may be the same one elsewhere."""
+    # The viewer opens with the subject of the study: a robot evolved with residuals, at the greatest depth.
+    chosen = max(replays, key=lambda of: (of.environment == "residual_slush", of.in_true_slush, of.depth))
+    return f"""
+<div class="bar"><label class="grow">Robot <select id="choice">{_options(replays, chosen)}</select></label>
+<label class="grow">Compare with <select id="beside"><option value="">nothing</option>
+<option value="twin" selected>the same robot in its other environment</option>
+{_options(replays, None)}</select></label></div>"""
+
+
+def _robot_panel(study: str) -> str:
+    """Lay out the files of the robot that is shown, its address, and the commands that simulate and build it."""
+    study = shlex.quote(study)
+    commands = (
+        f"puddle simulate {{file}} --study {study} --store {{store}} --environment {{seen}} --depth {{depth}} "
+        "--out robot.html",
+        "puddle fabricate {file} --store {store} --out kit",
+    )
+    rows = "".join(
+        f'<div class="command"><code data-command="{escape(command)}"></code>'
+        '<button type="button" class="copy">Copy</button></div>'
+        for command in commands
+    )
+    return f"""<div id="robot" class="robot" hidden><p><a id="address" href="#viewer">Link to this robot</a> ·
+<a id="design" href="#viewer" download>Design (JSON)</a><span id="film"> · Film
+<a href="#viewer" data-suffix=".mp4" download>MP4</a> <a href="#viewer" data-suffix=".gif" download>GIF</a></span></p>
+{rows}</div>"""
 
 
 def _twin_words(replays: Sequence[Replay]) -> str:
-    if all(replay.in_true_slush for replay in replays):
+    if len(replays) < 2 or all(replay.in_true_slush for replay in replays):
         return ""
     words = " Next to a robot in True Slush the viewer shows the same robot in the environment where it evolved."
     if any(replay.hallucinated for replay in replays):
@@ -133,19 +186,14 @@ def _overlay_words(overlays: Iterable[str]) -> str:
     )
 
 
-def _options(numbered: Sequence[tuple[int, Replay]], chosen: int | None) -> str:
-    groups = []
-    for depth, group in groupby(numbered, key=lambda item: item[1].depth):
-        options = "".join(
-            f'<option value="{index}"{" selected" if index == chosen else ""}>{escape(_choice(replay))}</option>'
-            for index, replay in group
-        )
-        groups.append(f'<optgroup label="Depth {depth:g} m">{options}</optgroup>')
-    return "".join(groups)
-
-
-def _choice(replay: Replay) -> str:
-    return replay.title if replay.in_true_slush else f"{replay.title}: in {replay.seen_in}"
+def _options(replays: Sequence[Replay], chosen: Replay | None) -> str:
+    groups: dict[str, str] = {}
+    for index, replay in enumerate(replays):
+        words = replay.title if replay.in_true_slush else f"{replay.title}: in {replay.seen_in}"
+        option = f'<option value="{index}"{" selected" if replay is chosen else ""}>{escape(words)}</option>'
+        group = replay.group or f"Depth {replay.depth:g} m"
+        groups[group] = groups.get(group, "") + option
+    return "".join(f'<optgroup label="{escape(group)}">{options}</optgroup>' for group, options in groups.items())
 
 
 def script(replays: Sequence[Replay]) -> str:

@@ -10,14 +10,16 @@ from html import escape
 from string import Template
 
 from pipeline.report import data
-from pipeline.report.data import ALL_DIVERGED, Draws, StudyReport, TrialResult
+from pipeline.report.data import ALL_DIVERGED, Draws, StudyReport
+from pipeline.report.downloads import links
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
-from pipeline.report.figures import draw_all
+from pipeline.report.figures import applies, draw_all
+from pipeline.report.first_screen import first_screen
 from pipeline.report.moving import document, gallery, resource, script, viewer
-from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, tank_tests
+from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, robots_on, tank_tests
 from pipeline.report.replay import Replay
 from pipeline.report.transfer_table import transfer_table
-from pipeline.report.wording import absent, folded, number, percent
+from pipeline.report.wording import absent, folded, percent
 from tasks.world import ENVIRONMENTS
 
 _STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
@@ -28,30 +30,64 @@ _MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text i
 def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] | None = None) -> str:
     """Write the page of a study; its figures are drawn here if the caller has not done so."""
     drawn = draw_all(report) if drawings is None else drawings
-    figures = {name: _figure(drawn, name) for name in drawn if not name.endswith("_wide")}
-    reason = ALL_DIVERGED if data.all_diverged(report.trials) else None
+    sections = _sections(report, {name: _figure(drawn, name) for name in drawn if not name.endswith("_wide")})
+    contents = [("about", "What this page shows"), *((name, title) for name, title, _ in sections)]
     texts = {
         "title": escape(report.title),
         "name": escape(report.name),
-        "finding": f'<p class="finding">{_finding(report.trials)}</p>',
+        "first_screen": first_screen(report),
+        "contents": "".join(f' <a href="#{name}">{escape(title)}</a>' for name, title in contents),
         "failed": _missing(report),
-        "gallery": gallery(report.replays, reason=reason),
-        "viewer": viewer(report.replays, reason=reason),
-        "transfer_table": transfer_table(report.trials),
-        "against_paper": against_paper(report.findings),
-        "contrasts": contrasts(report.findings),
-        "exploiters": exploiters(report.findings),
-        "retried": retried(report.findings),
-        "lineage": lineage(report.findings),
-        "draws": _draws(report.draws),
         "seconds": f"{report.measured_seconds:.0f}",
-        "tank_tests": tank_tests(report.findings),
-        "made": _made(report),
+        "sections": "\n".join(
+            f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{content}\n</section>'
+            for name, title, content in sections
+        ),
         "script": script(report.replays),
-        **figures,
     }
     body = Template(resource("page.html")).substitute(texts)
     return document(title=texts["title"], policy=_STUDY_POLICY, body=body)
+
+
+def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str, str, str]]:
+    """Return the id, the title and the content of every section that applies to the study."""
+    reason = ALL_DIVERGED if data.all_diverged(report.trials) else None
+    found, robots = report.findings, robots_on(report)
+
+    def grid(*names: str) -> str:
+        content = "".join(figures.get(name, "") for name in names)
+        return f'<div class="figures">{content}</div>' if content else ""
+
+    def alone(*parts: str) -> str:
+        content = "".join(parts)
+        return f'<div class="figures"><div class="alone">{content}</div></div>' if content else ""
+
+    tests = contrasts(found) if applies(report, "contrasts") else ""
+    transfer = grid("transfer_at_depth", "transfer_across_depths", "attribution", "transfer_matrix")
+    tree = alone(figures.get("family_tree", ""), lineage(found))
+    networks = grid("aggregates", "data_set", "residual_error", "member_error")
+    thrust = alone(figures.get("phantom_thrust", ""))
+    exploited = exploiters(found, robots) if applies(report, "exploiters") else ""
+    sections = [
+        ("evolved", "What evolved", _GALLERY + gallery(report.replays, reason=reason)),
+        ("watch", "Watch them move", viewer(report.replays, study=report.name, reason=reason)),
+        ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials)),
+        ("tank", "The robot to build", tank_tests(found, robots)),
+        ("paper", "Comparison with the paper", against_paper(found)),
+        ("tests", "t tests", tests),
+        ("evolution", "Evolution", figures.get("fitness_curves", "") + _draws(report.draws) + tree),
+        ("networks", "What the networks learned", figures.get("prediction_accuracy", "") + networks),
+        ("exploitation", "Model exploitation", thrust + exploited),
+        ("luck", "Luck and reach", retried(found, robots)),
+        ("made", "How this study was made", _made(report)),
+    ]
+    return [section for section in sections if section[2]]
+
+
+_GALLERY = (
+    "<p>For each depth, the best robot evolved with the learned residuals (above) and the best one evolved without "
+    "(below), both in True Slush, with their displacement. Click on a robot to open it in the viewer.</p>"
+)
 
 
 def render_robot(replay: Replay, lines: Sequence[str]) -> str:
@@ -62,26 +98,6 @@ def render_robot(replay: Replay, lines: Sequence[str]) -> str:
         f"<section><h2>Watch it move</h2>{viewer([replay])}</section></main>{script([replay])}"
     )
     return document(title=escape(replay.title), policy=_STUDY_POLICY, body=body)
-
-
-def _finding(trials: Sequence[TrialResult]) -> str:
-    """Summarise in a sentence how designs transferred at the greatest depth, as far as that is known."""
-    if not trials:
-        return "No trial has finished yet. This page fills up as the study progresses."
-    depth = data.deepest_scored(trials)
-    if data.all_diverged(trials):
-        return f"There is no champion: {ALL_DIVERGED}."
-    if depth is None:
-        return "Robots have evolved, but none has been tested in True Slush yet."
-    best = data.trial_mean(data.arm(trials, "true_slush", depth), "zero_shot")
-    parts = []
-    for environment in data.environments(trials):
-        if found := data.trial_mean(data.arm(trials, environment, depth), "zero_shot"):
-            share = data.ratio(found, best) if environment != "true_slush" else None
-            of_best = "" if share is None else f" ({percent(share)})"
-            evolved = escape(ENVIRONMENTS[environment].evolved)
-            parts.append(f"<b>{number(found.mean)}\u00a0m</b>{of_best} if they evolved {evolved}")
-    return f"In {depth:g} m of True Slush, zero-shot champions moved on average {', '.join(parts)}."
 
 
 def _missing(report: StudyReport) -> str:
@@ -122,8 +138,13 @@ def _figure(drawn: Mapping[str, Drawing | Missing], name: str) -> str:
     content = inline_svg(drawing)
     if isinstance(wide, Drawing):
         content = f'<div class="narrow">{content}</div><div class="wide">{inline_svg(wide)}</div>'
-    caption = f"<figcaption>{escape(drawing.description)}</figcaption>"
+    caption = f"<figcaption>{escape(drawing.description)}</figcaption>{_files(drawing, wide)}"
     return f'<figure id="{name}"><h3>{escape(drawing.title)}</h3>{content}{caption}</figure>'
+
+
+def _files(drawing: Drawing, wide: Drawing | Missing | None) -> str:
+    names = [drawing.name, wide.name] if isinstance(wide, Drawing) else [drawing.name]
+    return links(*(f"{name}.{kind}" for name in names for kind in ("svg", "png")))
 
 
 def inline_svg(drawing: Drawing) -> str:

@@ -2,54 +2,69 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
-from itertools import groupby
 from math import isfinite
 
-from pipeline.report.data import arm_words
+from pipeline.report.data import StudyReport, arm_words, robot_address
+from pipeline.report.downloads import links
 from pipeline.report.findings import ExploiterRow, Findings, TankRow
 from pipeline.report.lineage import main_line
-from pipeline.report.wording import NONE, absent, folded, interval, number, p_value, signed, table
-from tasks.analysis.comparison import Contrast, SignificanceTest
+from pipeline.report.wording import NONE, absent, folded, interval, number, p_value, table
+from tasks.analysis.comparison import Contrast, ScoredArm, SignificanceTest
 from tasks.analysis.paper import Row, Verdict, name_of
 from tasks.analysis.tank import Crossing, Tank
 
 MOST_EXPLOITERS = 15  # designs listed on the page; the table of the study has all
 LINE_ENDS = 12  # ancestors listed from each end of a champion's line
 
+RobotsOnPage = Mapping[tuple[str, int, int], str]  # address by arm in words, trial and identity (-1 for the champion)
 
 _MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}  # not by colour alone
 _PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}
 
 
+def robots_on(report: StudyReport) -> RobotsOnPage:
+    """Return the addresses of the champions and exploiters that the viewer shows."""
+    shown = {replay.robot for replay in report.replays if replay.robot}
+    who = [(of.environment, of.depth, of.trial, -1) for of in report.trials]
+    who += [(row.environment, row.depth, row.trial, row.identity) for row in report.findings.exploiters]
+    addresses = {(arm_words(of[0], of[1]), of[2], of[3]): robot_address(*of) for of in who}
+    return {key: address for key, address in addresses.items() if address in shown}
+
+
+def _linked(words: str, robots: RobotsOnPage, key: tuple[str, int, int], *, predicted: bool = False) -> str:
+    """Link words to a robot, seen in True Slush or as predicted, if the viewer shows it."""
+    address = robots.get(key)
+    return f'<a href="#{address}{":predicted" if predicted else ""}">{words}</a>' if address else words
+
+
 def against_paper(findings: Findings) -> str:
-    """Tabulate every number and statement of the paper beside this run's."""
-    rows = findings.against_paper
+    """Tabulate every number of the paper beside this run's; nothing where none can be compared."""
     title = "The comparison with the paper"
-    if not rows:
+    if not findings.against_paper:
         return absent(title, findings.why("against_paper", "the study has not been analysed yet"))
+    if all(row.verdict == "not comparable" for row in findings.against_paper):
+        return ""
+    of_numbers = [row for row in findings.against_paper if not _is_test(row)]
+    shown = [row for row in of_numbers if row.this_run != "-"]
+    n_left_out = len(of_numbers) - len(shown)
+    left_out = f" {n_left_out} numbers that this study does not measure are left out." if n_left_out else ""
     columns = ("What", "Paper", "This run", "Verdict", "Why")
-    unmeasured = [row for row in rows if row.this_run == "-"]
-    tests = [row for row in rows if row.what.startswith("Student") and row not in unmeasured]
-    numbers = [row for row in rows if row not in tests and row not in unmeasured]
-    content = table(columns, (_paper_cells(row) for row in numbers), title, kind="wordy") if numbers else ""
-    for hidden, name in ((tests, "t tests of the paper"), (unmeasured, "numbers that this run did not measure")):
-        if hidden:
-            gist = f" <small>{_verdicts(hidden)}</small>" if hidden is tests else ""
-            rest = table(columns, (_paper_cells(row) for row in hidden), name, kind="wordy")
-            content += folded(f"{len(hidden)} {name}{gist}", rest)
+    content = table(columns, (_paper_cells(row) for row in shown), title, kind="wordy") + links("paper.csv")
     return (
-        f'<div id="against_paper"><h3>Comparison with the paper: {_verdicts(rows)}</h3>{content}'
+        f'<div id="against_paper"><h3>Comparison with the paper: {_verdicts(shown)}</h3>{content if shown else ""}'
         '<p class="small">Below each number of this run is its 95 % interval: Student’s t for means, the bootstrap '
-        "over whole trials for ratios and regressions, the intervals of both ends for a range over members, and the "
-        "difference of the means for a t test. A number agrees if the paper’s value lies in the 95 % prediction "
-        "interval given under “Why”. That interval is wider: it is where a repeat of this run with the paper’s number "
-        "of trials would fall. A range over members agrees if it contains this run’s median member, and the ratio of "
-        "deviations if its whole interval is above 1. A t test agrees if its p-value is on the same side of the "
-        "paper’s threshold. With fewer trials than the paper, large p-values are easy to get and small ones hard, so "
-        "a difference that such a test fails to show is not comparable.</p></div>"
+        "over whole trials for ratios and regressions, and the intervals of both ends for a range over members. A "
+        "number agrees if the paper’s value lies in the 95 % prediction interval given under “Why”. That interval is "
+        "wider: it is where a repeat of this run with the paper’s number of trials would fall. A range over members "
+        "agrees if it contains this run’s median member, and the ratio of deviations if its whole interval is above "
+        f"1.{left_out}</p></div>"
     )
+
+
+def _is_test(row: Row) -> bool:
+    return row.what.startswith("Student")
 
 
 def _verdicts(rows: Sequence[Row]) -> str:
@@ -58,14 +73,18 @@ def _verdicts(rows: Sequence[Row]) -> str:
 
 
 def _paper_cells(row: Row) -> list[str]:
-    kind = row.verdict.replace(" ", "-")
     return [
         f"{_minus(escape(row.what))}<small>{escape(row.source)}</small>",
         _minus(escape(row.paper)),
         _minus(escape(row.this_run) + (f"<small>{escape(row.interval)}</small>" if row.interval else "")),
-        f'<span class="verdict {kind}"><span aria-hidden="true">{_MARKS[row.verdict]}</span> {row.verdict}</span>',
+        _verdict(row),
         _minus(escape(row.why)),
     ]
+
+
+def _verdict(row: Row) -> str:
+    kind = row.verdict.replace(" ", "-")
+    return f'<span class="verdict {kind}"><span aria-hidden="true">{_MARKS[row.verdict]}</span> {row.verdict}</span>'
 
 
 def _minus(text: str) -> str:
@@ -74,42 +93,72 @@ def _minus(text: str) -> str:
 
 
 def contrasts(findings: Findings) -> str:
-    """Tabulate every contrast by depth, each folded under its name."""
+    """Tabulate every contrast at every depth in one table, ranked by the p-value of the paper's test."""
     title = "The table of tests"
     if not findings.contrasts:
         return absent(title, findings.why("contrasts", "no two arms have champions at the same depth yet"))
-    content = ""
-    for (a, b), group in groupby(findings.contrasts, key=lambda contrast: (contrast.a, contrast.b)):
-        rows = list(group)
-        name = f"{name_of(a)} against {name_of(b)}"
-        deepest = rows[-1]
-        ratio, p = deepest.comparison.ratio.value, deepest.comparison.student.p
-        gist = f"{deepest.depth:g}\u00a0m: " + ("" if ratio is None else f"ratio {signed('{:.2f}', ratio)}, ")
-        gist += f"p\u00a0{'' if p is not None and p < 1e-4 else '= '}{p_value(p)}"
-        columns = ("Depth", "Means [m]", "Ratio", "Student’s t", "Welch", "Mann–Whitney", "Hedges’ g")
-        rest = table(columns, (_contrast_cells(row) for row in rows), name, kind="tests")
-        content += folded(f"{escape(name)} <small>{escape(gist)}</small>", rest)
-    return (
-        f'<div id="contrasts"><h3>Tests</h3>{content}<p class="small">Two-sided p-values, and below each the p-value '
-        "after Holm’s correction over the depths. The paper uses Student’s t test. Welch’s test does not assume equal "
-        "variances, and Mann–Whitney’s does not assume normality either. Ratios of means have 95 % bootstrap "
-        "intervals. Hedges’ g is the difference in standard deviations.</p></div>"
+    paper = {row.what: row for row in findings.against_paper if _is_test(row) and row.verdict != "not comparable"}
+    ranked = sorted(findings.contrasts, key=_by_p)
+    judged = [
+        (row, paper.get(_statement(row, row.a, row.b)) or paper.get(_statement(row, row.b, row.a))) for row in ranked
+    ]
+    beside_paper = any(statement for _, statement in judged)
+    columns = ("Arms", "Means [m]", "Ratio", "Student’s t", "Other tests", "Hedges’ g", "Paper")
+    cells = [[*_contrast_cells(row), _statement_cell(statement)] for row, statement in judged]
+    n_columns = len(columns) if beside_paper else len(columns) - 1
+    content = table(columns[:n_columns], (row[:n_columns] for row in cells), title, kind="tests")
+    stated = [statement for _, statement in judged if statement]
+    verdicts = f": {_verdicts(stated)}" if stated else ""
+    rule = (
+        " A test agrees with the paper’s statement if its p-value is on the same side of the paper’s threshold. With "
+        "fewer trials than the paper, large p-values are easy to get and small ones hard, so a difference that a test "
+        "fails to show is not compared."
     )
+    return (
+        f'<div id="contrasts"><h3>{len(ranked)} t tests, by p-value{verdicts}</h3>{content}{links("contrasts.csv")}'
+        '<p class="small">Two-sided p-values, and below them the p-value after Holm’s correction over the depths of a '
+        "pair of arms. The paper uses Student’s t test. Welch’s test does not assume equal variances, and "
+        "Mann–Whitney’s (M–W) does not assume normality either. Ratios of means have 95 % bootstrap intervals. Hedges’ "
+        f"g is the difference in standard deviations.{rule if stated else ''}</p></div>"
+    )
+
+
+def _by_p(row: Contrast) -> tuple[float, float]:
+    """Rank tests with a p-value before those without, and ties by the size of the effect."""
+    p, g = row.comparison.student.p, row.comparison.hedges_g.value
+    return 2.0 if p is None else p, -abs(g or 0.0)
+
+
+def _statement(row: Contrast, a: ScoredArm, b: ScoredArm) -> str:
+    """Name the test as the comparison with the paper does."""
+    return f"Student's t at {row.depth:g} m: {name_of(a)} against {name_of(b)}"
+
+
+def _statement_cell(row: Row | None) -> str:
+    return NONE if row is None else f"{_verdict(row)}<small>{_minus(escape(row.paper))}</small>"
 
 
 def _contrast_cells(row: Contrast) -> list[str]:
     made = row.comparison
+    sides = (made.a, made.b)
     means = "<br>".join(
-        f"{number(side.mean.value)}{f' ± {number(side.sd)}' if side.sd is not None else ''} (n\u00a0=\u00a0{side.n})"
-        for side in (made.a, made.b)
+        number(side.mean.value) + ("" if side.sd is None else f" ± {number(side.sd)}") for side in sides
+    )
+    means += f"<small>n\u00a0=\u00a0{made.a.n}, {made.b.n}</small>"
+    other = "".join(
+        f"<small>{name} {escape(p_value(test.p))}, Holm {escape(p_value(holm))}</small>"
+        for name, test, holm in (
+            ("Welch", made.welch, row.welch_holm),
+            ("M–W", made.mann_whitney, row.mann_whitney_holm),
+        )
+        if test.p is not None
     )
     return [
-        f"{row.depth:g} m",
+        f"{escape(name_of(row.a))} against {escape(name_of(row.b))}<small>{row.depth:g}\u00a0m</small>",
         means,
         interval(made.ratio, "{:.2f}"),
         _test_cell(made.student, row.student_holm),
-        _test_cell(made.welch, row.welch_holm),
-        _test_cell(made.mann_whitney, row.mann_whitney_holm),
+        other or NONE,
         interval(made.hedges_g),
     ]
 
@@ -120,8 +169,8 @@ def _test_cell(test: SignificanceTest, holm: float | None) -> str:
     return f"{escape(p_value(test.p))}<small>Holm {escape(p_value(holm))}</small>"
 
 
-def exploiters(findings: Findings) -> str:
-    """Tabulate the designs whose prediction exceeds the truth most."""
+def exploiters(findings: Findings, robots: RobotsOnPage) -> str:
+    """Tabulate the designs whose prediction exceeds the truth most, with links to the viewer."""
     title = "The list of exploiters"
     if not findings.exploiters:
         return absent(title, findings.why("exploiters", "no design has been ranked yet"))
@@ -129,16 +178,21 @@ def exploiters(findings: Findings) -> str:
     columns = ("Design", "Predicted [m]", "True [m]", "Hallucinated [m]", "σ of members [m]")
     return (
         f'<div id="suspects"><h3>Exploiters: the top {len(listed)} of {len(findings.exploiters)}</h3>'
-        f"{table(columns, (_exploiter_cells(row) for row in listed), title, kind='named')}"
+        f"{table(columns, (_exploiter_cells(row, robots) for row in listed), title, kind='named')}"
+        f"{links('exploiters.csv')}"
         '<p class="small">Ranked by the hallucinated displacement, which is the ensemble’s prediction minus the '
         "displacement in True Slush; where that is unknown, by the standard deviation over the members.</p></div>"
     )
 
 
-def _exploiter_cells(row: ExploiterRow) -> list[str]:
-    which = "champion" if row.kind == "champion" else f"generation {row.generation}"
+def _exploiter_cells(row: ExploiterRow, robots: RobotsOnPage) -> list[str]:
+    which, arm = (
+        "champion" if row.kind == "champion" else f"generation {row.generation}",
+        arm_words(row.environment, row.depth),
+    )
+    words = f"{escape(arm)}, trial {row.trial}, {which}"
     return [
-        f"{row.rank}. {escape(arm_words(row.environment, row.depth))}, trial {row.trial}, {which}",
+        f"{row.rank}. {_linked(words, robots, (arm, row.trial, row.identity), predicted=True)}",
         number(row.predicted),
         number(row.true),
         number(row.excess) + (f"<small>{escape(row.reason)}</small>" if row.reason else ""),
@@ -146,11 +200,16 @@ def _exploiter_cells(row: ExploiterRow) -> list[str]:
     ]
 
 
-def retried(findings: Findings) -> str:
+def retried(findings: Findings, robots: RobotsOnPage) -> str:
     """Tabulate what champions lose when they are simulated again, and the reach in their displacement."""
     title = "The table of luck and reach"
     rows = [
-        [f"{escape(arm)}, trial {of.trial}", number(of.luck.claimed), interval(of.luck.loss), number(of.slush.reach)]
+        [
+            _linked(f"{escape(arm)}, trial {of.trial}", robots, (arm, of.trial, -1)),
+            number(of.luck.claimed),
+            interval(of.luck.loss),
+            number(of.slush.reach),
+        ]
         for arm, champions in findings.champions.items()
         for of in champions
     ]
@@ -162,11 +221,11 @@ def retried(findings: Findings) -> str:
         "1e-4 of half a link. The mean loss of fitness is luck that no copy of the robot shares. Reach: displacement "
         "of the root minus that of the centre of mass in True Slush, which a robot gains by stretching out.</p>"
     )
-    content = table(columns, rows, title, kind="named") + note
+    content = table(columns, rows, title, kind="named") + links("luck.csv") + note
     return folded(f"Luck and reach of {len(rows)} champions", content, attributes=' id="retried"')
 
 
-def tank_tests(findings: Findings) -> str:
+def tank_tests(findings: Findings, robots: RobotsOnPage) -> str:
     """Tabulate the champions in the virtual tank and mark the one proposed for building; nothing without a tank."""
     tank = findings.tank
     if tank is None or not findings.tank_tests:
@@ -174,7 +233,8 @@ def tank_tests(findings: Findings) -> str:
     intro = (
         "<p>In each arm, the champion nearest to the champions’ mean in True Slush is proposed for building (✓). Each "
         f"champion was simulated in a tank of {tank.length:g} m, filled {1000 * tank.depth:g} mm deep, and on the "
-        f"floor of the drained tank. At a scale of {1000 * tank.scale:g} mm per simulated metre, the tank measures "
+        "floor of the drained tank. The simulated tank has no walls; in a real one, a robot that moves backwards stays "
+        f"at its end. At a scale of {1000 * tank.scale:g} mm per simulated metre, the tank measures "
         f"{tank.simulated_length:.1f} m by {tank.simulated_depth:.2f} m for the robot. A robot has crossed the tank "
         "when its centre of mass has travelled as far as the distance from its front to the far end at the start, "
         f"within {tank.seconds:g} s. Lengths and times are those of the built robot. By Froude’s law, "
@@ -182,18 +242,18 @@ def tank_tests(findings: Findings) -> str:
         "paper gives no scale of time. Its robot crossed in 8 of 8 trials, and moved a few centimetres on the dry "
         "floor.</p>"
     )
-    tables = "".join(_tank_table(arm, rows, tank) for arm, rows in findings.tank_tests.items())
-    return f'<section id="tank"><h2>The robot to build</h2>{intro}{tables}</section>'
+    tables = "".join(_tank_table(arm, rows, tank, robots) for arm, rows in findings.tank_tests.items())
+    return f"{intro}{tables}{links('tank.csv')}"
 
 
-def _tank_table(arm: str, rows: Sequence[TankRow], tank: Tank) -> str:
+def _tank_table(arm: str, rows: Sequence[TankRow], tank: Tank, robots: RobotsOnPage) -> str:
     label = f"The tank test of {arm}"
     if not rows:
         return absent(label, "no trial has a champion")
     columns = ("Champion", "True Slush [m]", "Dry Land [m]", "Length [m]", "In the tank", "On its dry floor")
     cells = [
         [
-            f"{'✓ ' if row.proposed else ''}trial {row.trial}",
+            ("✓ " if row.proposed else "") + _linked(f"trial {row.trial}", robots, (arm, row.trial, -1)),
             number(row.zero_shot),
             number(row.dry_land),
             number(row.wet.length if isfinite(row.wet.length) else None),
@@ -216,6 +276,8 @@ def _crossing(found: Crossing, tank: Tank) -> str:
         return f"{tank.built_seconds(found.seconds):.0f} s{speed}"
     if found.distance <= 0:
         return f"{NONE}<small>as long as the tank</small>"
+    if found.travelled < 0:  # the real tank's wall stops it
+        return f"0.0 of {number(100 * tank.scale * found.distance)} cm<small>moves backwards</small>"
     travelled, distance = (number(100 * tank.scale * metres) for metres in (found.travelled, found.distance))
     return f"{travelled} of {distance} cm{speed}"
 
@@ -240,4 +302,5 @@ def lineage(findings: Findings) -> str:
         rows = [*rows[:LINE_ENDS], [left_out, "", "", "", ""], *rows[-LINE_ENDS:]]
     columns = ("Generation", "Made by", "Age", "Genes changed", "Fitness [m]")
     label = "The champion’s line"
-    return folded(f"{label}: {len(line)} designs", table(columns, rows, label, kind="named"))
+    content = table(columns, rows, label, kind="named") + links("lineage.csv")
+    return folded(f"{label}: {len(line)} designs", content)

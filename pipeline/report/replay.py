@@ -80,6 +80,11 @@ class Replay:
         return self.surroundings == "true slush"
 
     @property
+    def displacement(self) -> float:
+        """Displacement of the root from the first frame to the last [m]."""
+        return float(self.frames[-1, 0, 0] - self.frames[0, 0, 0])
+
+    @property
     def duration(self) -> float:
         """Time from the first frame to the last [s]."""
         return (len(self.frames) - 1) / self.fps
@@ -157,6 +162,10 @@ def replay_of(
     )
 
 
+_SIMULATED_IN = {"air": "dry_land", "true slush": "true_slush", "hallucinated slush": "residual_slush"}
+"""Environment of `puddle simulate` by surroundings."""
+
+
 def encode(replay: Replay) -> dict[str, Any]:
     """Convert a replay to plain JSON values for robot.js; equal replays give equal values.
 
@@ -172,6 +181,7 @@ def encode(replay: Replay) -> dict[str, Any]:
         "robot": replay.robot,
         "film": replay.film,
         "environment": replay.environment,
+        "command": _SIMULATED_IN.get(replay.surroundings, replay.environment),
         "seenIn": replay.seen_in,
         "depth": replay.depth,
         "hasMedium": replay.has_medium,

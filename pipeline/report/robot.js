@@ -7,41 +7,47 @@ const robots = (() => {
     return Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
   }
 
+  const ESCAPE = -128; // byte before a value that takes two bytes
+
   // Undo pipeline/report/replay.py's encode(): poses[frame * 3 * nLinks + 3 * link + (0 x, 1 y, 2 angle)].
   function decode(encoded) {
-    const bytes = bytesOf(encoded.steps);
-    const view = new DataView(bytes.buffer);
+    const view = new DataView(bytesOf(encoded.steps).buffer);
     const width = encoded.first.length;
-    const poses = new Float64Array(width + bytes.length / 2);
-    const quanta = encoded.first.slice();
-    for (let i = 0; i < poses.length; i++) {
-      if (i >= width) quanta[i % width] += view.getInt16(2 * (i - width), true);
-      poses[i] = quanta[i % width] * encoded.quantum;
+    const quanta = encoded.first.slice(), changes = quanta.map(() => 0);
+    const poses = quanta.map((value) => value * encoded.quantum);
+    for (let at = 0, i = 0; at < view.byteLength; i = (i + 1) % width) {
+      let value = view.getInt8(at++);
+      if (value === ESCAPE) { value = view.getInt16(at, true); at += 2; }
+      changes[i] += value;
+      quanta[i] += changes[i];
+      poses.push(quanta[i] * encoded.quantum);
     }
     const replay = { ...encoded, poses, nLinks: width / 3, nFrames: poses.length / width };
     replay.duration = (replay.nFrames - 1) / replay.fps;
     replay.start = poses[0];
-    replay.center = smoothCenter(replay);
+    replay.centers = centersOfMass(replay);
+    replay.center = smooth(replay.centers, Math.round(replay.fps));
     replay.extent = verticalExtent(replay);
     replay.overlays = encoded.overlays.map((overlay) => ({ ...overlay, levels: bytesOf(overlay.levels) }));
     replay.push = encoded.push && new Int8Array(bytesOf(encoded.push).buffer);
     return replay;
   }
 
-  // The centre of the robot, averaged over a second to either side, for the camera to follow.
-  function smoothCenter(replay) {
-    const window = Math.round(replay.fps);
+  // The centre of mass at each frame. Every link has the same mass.
+  function centersOfMass(replay) {
+    return Array.from({ length: replay.nFrames }, (_, frame) => [0, 1].map((axis) => {
+      let sum = 0;
+      for (let link = 0; link < replay.nLinks; link++) sum += replay.poses[3 * (frame * replay.nLinks + link) + axis];
+      return sum / replay.nLinks;
+    }));
+  }
+
+  // Points averaged over a window to either side, for the camera to follow.
+  function smooth(points, window) {
     const sums = [[0, 0]];
-    for (let frame = 0; frame < replay.nFrames; frame++) {
-      let x = 0, y = 0;
-      for (let link = 0; link < replay.nLinks; link++) {
-        x += replay.poses[3 * (frame * replay.nLinks + link)] / replay.nLinks;
-        y += replay.poses[3 * (frame * replay.nLinks + link) + 1] / replay.nLinks;
-      }
-      sums.push([sums[frame][0] + x, sums[frame][1] + y]);
-    }
-    return Array.from({ length: replay.nFrames }, (_, frame) => {
-      const reach = Math.min(window, frame, replay.nFrames - 1 - frame); // equally long on both sides, so that it never lags
+    points.forEach(([x, y], frame) => sums.push([sums[frame][0] + x, sums[frame][1] + y]));
+    return points.map((_, frame) => {
+      const reach = Math.min(window, frame, points.length - 1 - frame); // equally long on both sides, so that it never lags
       return [0, 1].map((axis) => (sums[frame + reach + 1][axis] - sums[frame - reach][axis]) / (2 * reach + 1));
     });
   }
@@ -67,7 +73,8 @@ const robots = (() => {
     const width = 3 * replay.nLinks;
     const value = (i) => mix(replay.poses[frame * width + i], replay.poses[(frame + 1) * width + i]);
     const links = Array.from({ length: replay.nLinks }, (_, i) => [value(3 * i), value(3 * i + 1), value(3 * i + 2)]);
-    return { frame: Math.round(place), links, center: [0, 1].map((axis) => mix(replay.center[frame][axis], replay.center[frame + 1][axis])) };
+    const between = (points) => [0, 1].map((axis) => mix(points[frame][axis], points[frame + 1][axis]));
+    return { frame: Math.round(place), links, center: between(replay.center), mass: between(replay.centers) };
   }
 
   // The values of an overlay at a frame, as shares of the value of the darkest colour; null where unknown.
@@ -101,10 +108,11 @@ const robots = (() => {
 
   // -- drawing --------------------------------------------------------------------------------------------------------
 
-  // Draw a replay at a time into a box of a canvas. Options: follow, caption (with scale), overlay (a label), most, push.
+  // Draw a replay at a time into a box of a canvas. Options: follow, caption (with scale), overlay (a label), most, push,
+  // and together: the replays in boxes of the same size that have the same scale and waterline.
   function drawPane(context, replay, time, box, options) {
-    const { links, center, frame } = poseAt(replay, time);
-    const camera = cameraOf(replay, box, center, options);
+    const { links, center, mass, frame } = poseAt(replay, time);
+    const camera = cameraOf(replay, time, box, center, options);
     const surface = camera.y(0), ground = camera.y(-replay.depth);
     context.save();
     context.translate(box.left, box.top);
@@ -140,32 +148,33 @@ const robots = (() => {
       context.fillStyle = color("ground-edge");
       context.fillRect(0, ground - 1, box.width, 2);
     }
+    drawCenterOfMass(context, camera.x(mass[0]), camera.y(mass[1]));
     if (options.push && replay.push) drawPush(context, replay, links, frame, camera);
     if (options.caption) {
       drawScale(context, replay, camera, box);
-      drawCaption(context, replay, links, box);
+      drawCaption(context, replay, links, mass, box);
     }
     context.restore();
   }
 
-  // Metres to canvas. With follow, the robot stays in the middle; otherwise the view spans its path from start to end.
-  function cameraOf(replay, box, center, options) {
-    const [low, high] = replay.extent;
-    const caption = options.caption ? 52 : 0;
-    let scale = Math.min((box.height - caption) / Math.max(high - low, 5), box.width / 9);
+  // Metres to canvas. With follow, the robot stays in the middle; otherwise the view spans the robots' paths.
+  function cameraOf(replay, time, box, center, options) {
+    const together = options.together || [replay];
+    const low = Math.min(...together.map((one) => one.extent[0])), high = Math.max(...together.map((one) => one.extent[1]));
+    const height = box.height - (options.caption ? 62 : 0);
+    let scale = Math.min(height / Math.min(Math.max(high - low, 5), MOST_HEIGHT), box.width / 9);
     let middle = center[0];
     if (!options.follow) {
-      const ways = replay.center.map((point) => point[0]);
+      const ways = together.map((one) => one.center.map((point) => point[0] - one.start)).flat();
       const from = Math.min(...ways) - 4, to = Math.max(...ways) + 4;
       scale = Math.min(scale, box.width / (to - from));
-      middle = (from + to) / 2;
+      middle = replay.start + (from + to) / 2;
     }
-    const shown = (box.height - caption) / scale;
-    let bottom = (low + high - shown) / 2;
-    if (low < -replay.depth) bottom = low;
-    if (high - low > 15) {
-      scale = (box.height - caption) / 15;
-      bottom = Math.max(center[1] - 7.5, low);
+    const shown = height / scale;
+    let bottom = together.some((one) => low < -one.depth) ? low : (low + high - shown) / 2;
+    if (high - low > MOST_HEIGHT) { // follow them up and down
+      const heights = together.map((one) => poseAt(one, time).center[1]);
+      bottom = Math.max(heights.reduce((sum, y) => sum + y, 0) / heights.length - shown / 2, low);
     }
     return {
       scale,
@@ -175,6 +184,8 @@ const robots = (() => {
       right: middle + box.width / 2 / scale,
     };
   }
+
+  const MOST_HEIGHT = 15; // metres that a view shows from bottom to top
 
   function drawRobot(context, replay, links, camera, shares) {
     const fill = color((replay.environment || "unknown").replaceAll("_", "-"));
@@ -200,6 +211,19 @@ const robots = (() => {
       dot(context, camera.x(x - Math.sin(angle) * along), camera.y(y + Math.cos(angle) * along), 3, "#ffffff", "rgba(0, 0, 0, 0.7)");
     }
     dot(context, camera.x(links[0][0]), camera.y(links[0][1]), 4.5, "#1d2129", "#ffffff");
+  }
+
+  // The usual mark of a centre of mass: a disc with dark and light quarters.
+  function drawCenterOfMass(context, x, y) {
+    const radius = 6;
+    dot(context, x, y, radius, "#ffffff", "#1d2129");
+    context.fillStyle = "#1d2129";
+    for (const from of [0, Math.PI]) {
+      context.beginPath();
+      context.moveTo(x, y);
+      context.arc(x, y, radius, from, from + Math.PI / 2);
+      context.fill();
+    }
   }
 
   // An arrow from each link's centre: its acceleration by the medium, 1 m for 15 m/s².
@@ -262,7 +286,7 @@ const robots = (() => {
     });
   }
 
-  function drawCaption(context, replay, links, box) {
+  function drawCaption(context, replay, links, mass, box) {
     context.textBaseline = "top";
     context.fillStyle = color("ink");
     context.textAlign = "left";
@@ -274,11 +298,19 @@ const robots = (() => {
     context.textAlign = "right";
     context.font = "600 18px system-ui, sans-serif";
     context.fillText(metres(links[0][0] - replay.start, 1), box.width - 12, 9);
+    context.font = "13px system-ui, sans-serif";
+    context.fillStyle = color("soft");
+    const moved = metres(mass[0] - replay.centers[0][0], 1);
+    context.fillText(box.width < 420 ? moved : "centre of mass " + moved, box.width - 12, 32);
   }
 
   function metres(value, digits) {
     return value.toFixed(digits).replace(/^-(?=0\.?0*$)/, "").replace("-", "−") + " m";
   }
 
-  return { replays: JSON.parse(document.getElementById("replays").textContent).map(decode), drawPane, sharesAt, color, heat };
+  // Replays are decoded when they are first shown: a page may hold hundreds.
+  const encoded = JSON.parse(document.getElementById("replays").textContent), decoded = [];
+  const replayAt = (index) => (decoded[index] ??= decode(encoded[index]));
+
+  return { encoded, replayAt, drawPane, sharesAt, color, heat };
 })();

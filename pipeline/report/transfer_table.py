@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from html import escape
 
 from pipeline.report.data import Measure, TrialMean, TrialResult, arm, depths, paper_mean, ratio, trial_mean
+from pipeline.report.downloads import links
 from pipeline.report.wording import NONE, absent, number, percent, scrolling
 from tasks.analysis import paper
 from tasks.world import ENVIRONMENTS, EnvironmentName
@@ -31,7 +32,8 @@ def transfer_table(trials: Sequence[TrialResult]) -> str:
         "<th>of <i>E</i></th><th>Adapted<br>in True Slush</th><th>of <i>E</i></th></tr></thead>"
         f"{bodies}</table>"
     )
-    return f'{scrolling(content, "Transfer by depth and environment")}<p class="small">{note}</p>'
+    whole = scrolling(content, "Transfer by depth and environment")
+    return f'{whole}{links("transfer.csv")}<p class="small">{note}</p>'
 
 
 def _depth_rows(trials: Sequence[TrialResult], depth: float) -> str:

@@ -1,7 +1,8 @@
 // The replay viewer: one clock, one canvas, and a pane for each of one or two robots.
 (() => {
-  const { replays, drawPane, sharesAt, color, heat } = robots;
+  const { encoded, replayAt, drawPane, sharesAt, color, heat } = robots;
   const control = (id) => document.getElementById(id);
+  const choice = control("choice"), beside = control("beside"); // missing on the page of a single robot
   const canvas = control("stage"), timeline = control("timeline");
   const state = { panes: [], time: 0, playing: false, speed: 1, before: null };
   const NARROW = 640; // pixels; below this width, two panes are stacked
@@ -29,6 +30,7 @@
     const context = prepare(canvas, Math.round(paneHeight * (stacked ? state.panes.length : 1)));
     const options = {
       follow: control("follow").checked, caption: true, overlay: control("overlay").value, push: control("push").checked,
+      together: state.panes,
     };
     options.most = mostOf(options.overlay);
     state.panes.forEach((replay, index) => {
@@ -123,20 +125,87 @@
   }
 
   // The same robot in its other environment: where it evolved, or True Slush. Robots from True Slush have none.
-  function twinOf(one) {
-    return replays.find((other) => other !== one && ["title", "environment", "depth"].every((name) => other[name] === one[name]));
+  function twinOf(index) {
+    const one = encoded[index];
+    return encoded.findIndex((other) => other !== one && ["title", "environment", "depth"].every((name) => other[name] === one[name]));
   }
 
+  let wantsTwin = true; // until the reader compares with something else
+
   function choose() {
-    const one = replays[Number(control("choice").value)], beside = control("beside").value;
-    const other = beside === "twin" ? twinOf(one) : beside && replays[Number(beside)];
-    state.panes = other ? [one, other] : [one];
+    const index = choice ? Number(choice.value) : 0, twin = twinOf(index);
+    if (beside) {
+      beside.querySelector("[value=twin]").disabled = twin < 0;
+      if (beside.value === "twin" && twin < 0) beside.value = "";
+      if (wantsTwin && twin >= 0) beside.value = "twin";
+    }
+    const other = beside?.value === "twin" ? twin : beside?.value ? Number(beside.value) : -1;
+    state.panes = [index, ...(other < 0 ? [] : [other])].map(replayAt);
     state.time = 0;
+    showRobot(encoded[index]);
+    control("push").disabled = !state.panes.some((replay) => replay.push);
     draw();
   }
 
-  control("choice").addEventListener("change", choose);
-  control("beside").addEventListener("change", choose);
+  // -- the robot's address, files and commands ------------------------------------------------------------------------
+
+  // The folder of the page and of its store, where it is still in that store's folder; "" elsewhere.
+  const here = location.protocol === "file:" ? decodeURIComponent(location.pathname).replace(/[^/]*$/, "") : "";
+  const store = here.match(/^(.*)\/studies\/[^/]+\/report\/$/)?.[1];
+  const quoted = (word) => (/^[\w@%+=:,./-]+$/.test(word) ? word : "'" + word.replaceAll("'", "'\\''") + "'");
+
+  function showRobot(replay) {
+    const files = control("robot");
+    if (!files) return;
+    files.hidden = !replay.robot;
+    control("design").href = replay.robot + ".json";
+    control("film").hidden = !replay.film;
+    for (const link of control("film").querySelectorAll("a")) link.href = replay.film + link.dataset.suffix;
+    control("address").href = "#" + replay.robot;
+    for (const code of files.querySelectorAll("[data-command]")) {
+      const words = { file: here + replay.robot + ".json", seen: replay.command, depth: replay.depth, store: store || "store" };
+      code.textContent = code.dataset.command.replace(/\{(\w+)\}/g, (_, name) => quoted(String(words[name])));
+    }
+  }
+
+  async function copy(button) {
+    const code = button.parentElement.querySelector("code");
+    try {
+      await navigator.clipboard.writeText(code.textContent);
+      button.textContent = "Copied";
+    } catch { // refused, or a browser without a clipboard: the reader copies the selection
+      getSelection().selectAllChildren(code);
+      button.textContent = "Selected";
+    }
+    setTimeout(() => { button.textContent = "Copy"; }, 2000);
+  }
+
+  for (const button of document.querySelectorAll(".copy")) button.addEventListener("click", () => copy(button));
+
+  // Open the robot that the address of the page names, in True Slush or, after a colon, as the networks predict it.
+  function openAddressed() {
+    const [robot, predicted] = decodeURIComponent(location.hash).slice(1).split(":");
+    const found = encoded.filter((replay) => replay.robot && replay.robot === robot);
+    if (!found.length || !choice) return;
+    const one = (predicted && found.find((replay) => replay.hallucinated)) || found[0];
+    choice.value = String(encoded.indexOf(one));
+    choose();
+    control("viewer").scrollIntoView({ block: "center" });
+  }
+
+  window.addEventListener("hashchange", openAddressed);
+
+  function chosen() {
+    choose();
+    const { robot } = encoded[choice.value];
+    if (robot && location.protocol !== "about:") history.replaceState(null, "", "#" + robot);
+  }
+
+  choice?.addEventListener("change", chosen);
+  beside?.addEventListener("change", () => {
+    wantsTwin = beside.value === "twin";
+    choose();
+  });
   control("play").addEventListener("click", () => play(!state.playing));
   control("scrub").addEventListener("input", (event) => seek(Number(event.target.value)));
   control("speed").addEventListener("change", (event) => { state.speed = Number(event.target.value); });
@@ -150,12 +219,13 @@
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   for (const film of document.querySelectorAll(".film")) {
     film.addEventListener("click", () => {
-      control("choice").value = film.dataset.replay;
-      choose();
+      choice.value = film.dataset.replay;
+      chosen();
       control("viewer").scrollIntoView({ block: "center" });
       play(true);
     });
   }
 
   choose();
+  openAddressed();
 })();

@@ -9,10 +9,12 @@ import yaml
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings, WorkSettings
 from pipeline.report.camera import FILM_FPS
-from pipeline.report.data import Draws, StudyReport, TrialResult
+from pipeline.report.data import ROBOT, Draws, StudyReport, TrialResult
+from pipeline.report.downloads import tables_of
 from pipeline.report.drawing import Drawing
 from pipeline.report.figures import draw_all
 from pipeline.report.films import render_films
+from pipeline.report.moving import exemplars
 from pipeline.report.page import render_page
 from pipeline.report.replay import Replay
 from pipeline.stages import divergence, environments, segments
@@ -24,7 +26,8 @@ from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED, PROPOSED, proposal_files, proposed, tank_replays
 from pipeline.stages.report_findings import HISTORIES, findings
-from pipeline.stages.report_replays import replays_of
+from pipeline.stages.report_replays import TOGETHER, replays_of, replays_of_page
+from pipeline.stages.report_robots import robot_files
 from pipeline.stages.train import MEMBER_ERRORS, read_errors
 from pipeline.stages.transfer import SCORE, SCORED, scores_inputs
 from pipeline.store.encoding import decode_json, encode_json
@@ -55,7 +58,6 @@ from tasks.world import ENVIRONMENTS
 
 PAGE = "index.html"  # the page's file
 _PAGE_ID = PartId(PAGE)
-TOGETHER = "replay"  # film of two robots, without suffix: the best with residuals above the best without
 TRAINED, EVOLUTION, ADAPTATION = "trained", "evolution", "adaptation"
 """Roles of the inputs that are members' errors, curves of trials, and curves of their adaptations."""
 
@@ -177,10 +179,9 @@ def _compute(job: Job[PageItemSpec | FilmsSpec], inputs: Inputs) -> Files:
 def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
     """Make a GIF and an MP4 of each replay, or of the two in True Slush together, and a listing of the films."""
     replays = replays_of(spec.simulation, spec.trials, execution, inputs)
-    named = {_film_name(replay): [replay] for replay in replays}
+    named = {replay.film: [replay] for replay in replays}
     if spec.together:
-        above = sorted((r for r in replays if r.in_true_slush), key=lambda r: r.environment != "residual_slush")
-        named = {TOGETHER: above[:2]} if above else {}
+        named = {TOGETHER: shown} if (shown := exemplars(replays)) else {}
     files: dict[str, bytes] = {}
     for name, shown in named.items():
         files[f"{name}.gif"], files[f"{name}.mp4"] = render_films(shown)
@@ -193,21 +194,16 @@ def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
     return {**files, spec.listing: encode_json(listed)}
 
 
-def _film_name(replay: Replay) -> str:
-    """Name the film of one robot; the store allows no dot in a name."""
-    suffix = "" if replay.in_true_slush else "-at-home"
-    return f"{TOGETHER}-{replay.environment}-{replay.depth:g}m".replace(".", "_") + suffix
-
-
 def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     """Draw the page and its figures."""
     settings = spec.settings
     trials, rows = trials_of(settings, "transfer"), proposed(settings, inputs)
-    replays = replays_of(environments.simulation_spec(settings, *ENVIRONMENTS), trials, execution, inputs)
+    replays = replays_of_page(environments.simulation_spec(settings, *ENVIRONMENTS), trials, execution, inputs)
     in_tank = [film for row in rows for film in tank_replays(settings, row, inputs, execution.engine)]
     report = _report(spec, inputs, [*replays, *in_tank])
     drawings = draw_all(report)
-    files = {PAGE: render_page(report, drawings).encode(), **proposal_files(rows, inputs)}
+    files = {PAGE: render_page(report, drawings).encode(), **tables_of(report), **proposal_files(rows, inputs)}
+    files |= robot_files(inputs, trials)
     for drawing in drawings.values():
         if isinstance(drawing, Drawing):
             files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
@@ -228,6 +224,9 @@ def _report(spec: PageItemSpec, inputs: Inputs, replays: Sequence[Replay]) -> St
         replays=replays,
         findings=findings(inputs, settings, family),
         draws=_draws(evolved.values()),
+        environments=tuple(dict.fromkeys(trial.environment for trial in trials)),
+        depths=settings.grid.depths,
+        trains_networks=settings.needs_ensemble,
         measured_seconds=settings.rollout.n_measure * settings.physics.time_step,
         digests=spec.digests,
         failed=spec.failed,
@@ -324,11 +323,11 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     files = {name: store.read(done, name) for (done,) in results.done.values() for name in done.files}
     folder = store.export(settings.name, files)
     no_page = f"no page: {results.failed.get(_PAGE_ID, 'it has not been made yet')}"
-    # A GIF is ten times as large as an MP4, so MLflow gets only one GIF.
+    # A GIF is ten times as large as an MP4, so MLflow gets only one GIF. Champions are with their trials.
     artifacts = {
         name: data
         for name, data in files.items()
-        if name == f"{TOGETHER}.gif" or not (name.endswith(".gif") or name.startswith("films-"))
+        if name == f"{TOGETHER}.gif" or not (name.endswith(".gif") or name.startswith(("films-", ROBOT)))
     }
     lines = [f"{folder / PAGE}" if PAGE in files else no_page]
     lines += [f"{folder / name}: a robot to build" for name in files if name.startswith(PROPOSED)]

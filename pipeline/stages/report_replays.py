@@ -4,10 +4,12 @@ Part of the stage report.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
+from pipeline.report.data import arm_words
 from pipeline.report.replay import Overlay, Replay, Surroundings, at_frames, replay_of
 from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import read_rows, read_table
@@ -18,6 +20,7 @@ from pipeline.stages.analyses.specs import INSTRUMENTS
 from pipeline.stages.environments import SimulationSpec, members_among
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
+from pipeline.stages.report_robots import address_of, exploiters, films_of_exploiter, in_true_slush
 from pipeline.workflow.identity import Arm, InputName, TrialId, deepest_first
 from pipeline.workflow.stage import Execution, Files, Inputs
 from tasks.analysis.hallucination import acceleration, disagreement, link_states
@@ -25,6 +28,8 @@ from tasks.analysis.novelty import novelty, thrown
 from tasks.arrays import Float64, Floats
 from tasks.design import Designs
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium
+
+TOGETHER = "replay"  # film of two robots, without suffix: the best with residuals above the best without
 
 _OVERLAYS = (
     ("disagreement", "disagreement of the members", "m/s²", 0.0),
@@ -45,19 +50,70 @@ def replays_of(
         execution: the engine.
         inputs: scores, every member or none, and the measurements of the instruments where there are some.
     """
-    networks = members_among(inputs)
-    replays = []
-    for arm, own in deepest_first(trials).items():
-        measured = inputs.get(InputName(ANALYSED, PartId(INSTRUMENTS, arm)), {})
-        films = film_arm(simulation, execution, champions(own, inputs), networks)
-        replays += [_replay(simulation, film, _overlays(simulation, film, measured), networks) for film in films]
+    return [
+        replay for own in deepest_first(trials).values() for replay in _best_of_arm(simulation, own, execution, inputs)
+    ]
+
+
+def replays_of_page(
+    simulation: SimulationSpec, trials: Sequence[TrialId], execution: Execution, inputs: Inputs
+) -> list[Replay]:
+    """Return replays of every champion and every listed exploiter; see :func:`replays_of` for the best champions.
+
+    Args:
+        simulation: physics, rollout, and the media of all environments of the study.
+        trials: trials of the arms.
+        execution: the engine.
+        inputs: those of the page.
+    """
+    networks, replays = members_among(inputs), []
+    for own in deepest_first(trials).values():
+        best = _best_of_arm(simulation, own, execution, inputs)
+        shown = {replay.robot for replay in best if replay.in_true_slush}
+        films = in_true_slush(simulation, execution, champions(own, inputs))
+        rest = [film for film in films if address_of(film.champion) not in shown]
+        replays += [*best, *(_replay(simulation, film, networks, pushed=False) for film in rest)]
+    seen = {(replay.robot, replay.seen_in) for replay in replays}
+    for address, (row, exploiter) in exploiters(inputs, trials).items():
+        for film in films_of_exploiter(simulation, execution, row, exploiter, networks):
+            if (address, _words(film)) not in seen:
+                words = "" if row.identity < 0 else f", generation {row.generation}, design {row.identity}"
+                replay = _replay(simulation, film, networks)
+                replays.append(replace(replay, title=replay.title + words, robot=address, group="Exploiters"))
     return replays
 
 
-def _replay(simulation: SimulationSpec, film: Filmed, overlays: tuple[Overlay, ...], networks: Inputs) -> Replay:
+def _best_of_arm(
+    simulation: SimulationSpec, own: Sequence[TrialId], execution: Execution, inputs: Inputs
+) -> list[Replay]:
+    """Return the replays of an arm that are also films."""
+    networks = members_among(inputs)
+    measured = inputs.get(InputName(ANALYSED, PartId(INSTRUMENTS, own[0].arm)), {})
+    films = film_arm(simulation, execution, champions(own, inputs), networks)
+    replays = [_replay(simulation, film, networks, _overlays(simulation, film, measured)) for film in films]
+    return [replace(replay, film=_film_name(replay)) for replay in replays]
+
+
+def _film_name(replay: Replay) -> str:
+    """Name the film of one robot; the store allows no dot in a name."""
+    suffix = "" if replay.in_true_slush else "-at-home"
+    return f"{TOGETHER}-{replay.environment}-{replay.depth:g}m".replace(".", "_") + suffix
+
+
+def _replay(
+    simulation: SimulationSpec,
+    film: Filmed,
+    networks: Inputs,
+    overlays: tuple[Overlay, ...] = (),
+    *,
+    pushed: bool = True,
+) -> Replay:
+    """Return the replay of a film; the push of the slush, which takes much of a page, is optional."""
     champion, trial = film.champion, film.champion.trial
     style = ENVIRONMENTS[trial.environment]
-    return replay_of(
+    arm = Arm(film.seen_in, trial.depth)
+    push = push_of(simulation, arm, film.member, champion.design, film.trace, networks) if pushed else None
+    replay = replay_of(
         champion.design,
         film.trace[0],
         title=f"Evolved {style.evolved}, trial {trial.index}",
@@ -68,8 +124,9 @@ def _replay(simulation: SimulationSpec, film: Filmed, overlays: tuple[Overlay, .
         n_settle=simulation.rollout.n_settle,
         time_step=simulation.physics.time_step,
         overlays=overlays,
-        push=push_of(simulation, Arm(film.seen_in, trial.depth), film.member, champion.design, film.trace, networks),
+        push=push,
     )
+    return replace(replay, robot=address_of(champion), group=arm_words(trial.environment, trial.depth))
 
 
 def surroundings_in(environment: EnvironmentName) -> Surroundings:

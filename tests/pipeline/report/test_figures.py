@@ -8,10 +8,13 @@ from functools import partial
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib import style as mpl_style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
+from pipeline.report.accuracy_figure import prediction_accuracy
 from pipeline.report.data import TrialResult
-from pipeline.report.drawing import PAPER_MARK, Drawing, Missing, finish
+from pipeline.report.drawing import _STYLE, PAPER_MARK, Drawing, Missing, finish
 from pipeline.report.figures import FIGURES, draw_all
 from pipeline.report.findings import Findings
 from tasks.world import ENVIRONMENTS
@@ -148,3 +151,35 @@ def test_a_reason_of_the_analysis_replaces_the_figure(study):
 
 def test_the_papers_values_have_a_colour_of_their_own(drawn):
     assert PAPER_MARK in drawn["aggregates"].svg.decode()
+
+
+@pytest.mark.parametrize("n_members", [2, 4, 8])
+@pytest.mark.parametrize("n_columns", [2, 5])
+def test_labels_of_the_accuracy_figure_stay_clear_of_tick_labels(study, n_members, n_columns):
+    accuracy = study.findings.accuracy
+    last = accuracy.histograms
+    names = (*(f"member {k}" for k in range(n_members)), "mean")
+    shown = replace(
+        last,
+        names=names,
+        counts=np.resize(last.counts, (len(names), *last.counts.shape[1:])),
+        n_outside=np.zeros(len(names), int),
+    )
+    found = replace(study.findings, accuracy=replace(accuracy, histograms=shown))
+    with mpl_style.context(["default", _STYLE]):
+        figure, _ = prediction_accuracy(replace(study, findings=found), n_columns=n_columns)
+        FigureCanvasAgg(figure).draw()
+        labels = [figure._supxlabel, figure._supylabel]
+        labels += [axes.xaxis.label for axes in figure.axes] + [axes.yaxis.label for axes in figure.axes]
+        labels = [label.get_window_extent() for label in labels if label is not None and label.get_text()]
+        ticks = [
+            tick.label1.get_window_extent()
+            for panel in figure.axes
+            if panel.get_visible()
+            for axis in (panel.xaxis, panel.yaxis)
+            for tick in axis.get_major_ticks()
+            if tick.label1.get_visible()
+            and axis.get_view_interval()[0] <= tick.get_loc() <= axis.get_view_interval()[1]
+        ]
+    assert len(labels) == 2
+    assert not any(label.overlaps(tick) for label in labels for tick in ticks)

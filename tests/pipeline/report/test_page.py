@@ -2,15 +2,19 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from command_line import call
 
 from pipeline.report.data import TrialResult
+from pipeline.report.downloads import tables_of
 from pipeline.report.findings import Findings
-from pipeline.report.page import render_page
+from pipeline.report.page import render_page, render_robot
 from pipeline.report.replay import Overlay
 
 VOID = {"meta", "link", "br", "input", "img", "hr"}
@@ -72,16 +76,19 @@ def test_it_is_whole_and_every_id_is_its_own(html):
     assert len(page.ids) == len(set(page.ids))
 
 
-def test_nothing_is_fetched(html):
+def test_nothing_is_fetched(html, study, drawn):
+    """Links lead to places of the page, or to files beside it that the study writes."""
     page = Page(html)
-    outside = [reference for reference in page.references if not reference.startswith(("#", "data:"))]
-    assert outside == []
+    outside = {reference for reference in page.references if not reference.startswith(("#", "data:"))}
+    figures = {f"{name}.{kind}" for name in drawn for kind in ("svg", "png")}
+    assert outside == {"replay.mp4", "replay.gif", *figures, *tables_of(study)}
+    assert not re.search(r'<(?!a)[^>]* href="[^#d]', html)
     assert "url(" not in html.replace("url(#", "")
     assert "@import" not in html
     assert not re.search(r"https?://", html)
     assert "default-src 'none'" in html
-    targets = {reference[1:] for reference in page.references if reference.startswith("#")}
-    assert targets <= set(page.ids)
+    targets = {reference[1:].partition(":")[0] for reference in page.references if reference.startswith("#")}
+    assert targets <= set(page.ids) | {replay.robot for replay in study.replays}
 
 
 def test_the_viewer_finds_its_controls_and_its_robots(html, study):
@@ -91,11 +98,11 @@ def test_the_viewer_finds_its_controls_and_its_robots(html, study):
     assert asked_for >= {"replays", "stage", "choice", "play", "scrub", "speed", "follow", "time"}
     assert asked_for <= set(page.ids)
     replays = json.loads(page.scripts["replays"])
-    read = set(re.findall(r"\b(?:encoded|replay)\.(\w+)", code))
-    made_by_the_viewer = {"poses", "nLinks", "nFrames", "duration", "start", "center", "extent"}
+    read = set(re.findall(r"\b(?:encoded|replay)\.(\w+)\b(?!\()", code))
+    made_by_the_viewer = {"poses", "nLinks", "nFrames", "duration", "start", "center", "centers", "extent"}
     assert read - made_by_the_viewer <= set(replays[0])
     assert len(replays) == len(study.replays)
-    robots = re.search(r'<select id="choice">(.*?)</select>', html)[1]
+    robots = re.search(r'<select id="choice">(.*?)</select>', html, re.DOTALL)[1]
     assert sorted(map(int, re.findall(r'<option value="(\d+)"', robots))) == list(range(len(replays)))
 
 
@@ -226,8 +233,86 @@ def test_the_same_page_each_time_and_from_drawings_at_hand(study, html):
     assert render_page(study) == html
 
 
-def test_the_whole_grid_stays_under_ten_megabytes(study, slush_replay):
-    """10 depths × 3 environments × 10 trials of 1,000 generations; replays of 20 s for each arm, in both its worlds."""
+def test_the_contents_list_every_section(html):
+    contents = re.search(r"<nav.*?</nav>", html)[0]
+    assert re.findall(r'href="#(\w+)"', contents) == re.findall(r'<section id="(\w+)"', html)
+    assert html.index("</nav>") < html.index("<section") and 'id="tank"' not in html
+
+
+def test_the_first_screen_has_the_film_the_result_and_the_bars(html):
+    first = html[html.index("<header") : html.index("</header>")]
+    assert first.count('<p class="finding">') == 1
+    assert re.findall(r'class="film" data-replay="(\d)"', first) == ["2", "5"]  # at 9 m, with residuals and without
+    bars = re.findall(r"<dt>(.*?)</dt>.*?(−?[\d.]+) m(?: <small>paper (−?[\d.]+)</small>)?</span></dd>", first)
+    assert bars == [
+        ("True Slush", "12.0", "13.6"),
+        ("Dry Land", "−1.0", "−0.8"),
+        ("Residual Slush", "9.0", "9.1"),
+        ("Single member", "3.0", ""),
+    ]
+    # From −1 to 13.6 m: 0 m is at 1 / 14.6 of the width, and 12 m take 12 / 14.6.
+    assert 'class="true_slush" style="left: 6.8%; width: 82.2%"' in first
+
+
+def test_what_a_study_does_not_have_is_left_out(study, html):
+    """One depth and no networks: not a word on either, and no reasons."""
+    trials = [trial for trial in study.trials if trial.depth == 9.0 and trial.environment in ("true_slush", "dry_land")]
+    lean = replace(
+        study,
+        trials=trials,
+        environments=("true_slush", "dry_land"),
+        depths=(9.0,),
+        trains_networks=False,
+        residual_errors=[],
+        findings=replace(
+            study.findings, throws=None, accuracy=None, exploiters=(), phantom_thrust=(), member_errors=()
+        ),
+    )
+    page = Page(render_page(lean))
+    assert "not available" not in page.text
+    assert not {"networks", "exploitation", "transfer_matrix", "data_set"} & set(page.ids)
+    assert {"networks", "exploitation", "transfer_matrix", "data_set"} <= set(Page(html).ids)
+    assert {"transfer_at_depth", "attribution", "contrasts", "paper"} <= set(page.ids)
+
+
+def test_tables_can_be_downloaded(study):
+    tables = {name: data.decode().splitlines() for name, data in tables_of(study).items()}
+    assert set(tables) == {
+        f"{name}.csv" for name in ("transfer", "paper", "contrasts", "exploiters", "luck", "lineage")
+    }
+    assert tables["transfer.csv"][0] == "environment,depth,trial,predicted,zero_shot,zero_shot_com,adapted,adapted_com"
+    assert tables["transfer.csv"][3] == "dry_land,9.0,0,60.0,-2.0,-2.5,4.0,4.0"
+    assert tables["lineage.csv"][-1] == "21,4,4,crossover,9/5,4.0,12.0"
+    assert len(tables["contrasts.csv"]) == len(study.findings.contrasts) + 1
+
+
+def test_commands_of_the_page_are_commands(html, capsys):
+    """Each runs as far as its design file, which is not there."""
+    commands = re.findall(r'data-command="(.*?)"', html)
+    assert [command.split()[1] for command in commands] == ["simulate", "fabricate"]
+    for command in commands:
+        words = {"file": "none.json", "seen": "true_slush", "depth": "9", "store": "none"}
+        assert call(*shlex.split(unescape(command).format(**words))[1:]) == 2
+        said = capsys.readouterr().err
+        assert "none.json" in said or "small" in said
+        assert "No such option" not in said and "--study" not in said
+
+
+def test_the_page_of_one_design_offers_what_it_has(slush_replay):
+    """No other robot, no other environment, no colours of networks; and the design's origin is not known."""
+    html = render_robot(replace(slush_replay, title="mine", environment=""), ["root +1.0 m"])
+    page = Page(html)
+    assert page.open == [] and not {"choice", "beside", "robot"} & set(page.ids)
+    for words in ("Compare with", "other environment", "disagreement", "the study"):
+        assert words not in page.text
+    assert "where it evolved" not in page.text
+
+
+def test_the_whole_grid_stays_under_twelve_megabytes(study, slush_replay):
+    """10 depths × 3 environments × 10 trials of 1,000 generations; a replay of 20 s of each champion and exploiter.
+
+    The best of an arm is seen in both environments, with overlays and the push of the slush.
+    """
     rng = np.random.default_rng(0)
     trials = [
         TrialResult(environment, depth, number, 9.0, 8.0, 8.0, 8.0, 8.0, np.maximum.accumulate(rng.random(1000)))
@@ -235,7 +320,8 @@ def test_the_whole_grid_stays_under_ten_megabytes(study, slush_replay):
         for environment in ("true_slush", "dry_land", "residual_slush")
         for number in range(10)
     ]
-    long = replace(slush_replay, frames=np.resize(slush_replay.frames, (601, 6, 3)), push=np.zeros((601, 6, 2)))
+    plain = replace(slush_replay, frames=np.resize(slush_replay.frames, (601, 6, 3)))
     doubt = Overlay("disagreement", "m/s²", np.zeros((601, 6)))
-    long = replace(long, overlays=(doubt, replace(doubt, label="novelty")))
-    assert len(render_page(replace(study, trials=trials, replays=[long] * 52)).encode()) < 5_000_000
+    best = replace(plain, push=np.zeros((601, 6, 2)), overlays=(doubt, replace(doubt, label="novelty")))
+    replays = [best] * 52 + [plain] * 300
+    assert len(render_page(replace(study, trials=trials, replays=replays)).encode()) < 12_000_000

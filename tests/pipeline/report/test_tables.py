@@ -34,30 +34,59 @@ def test_p_values_have_two_digits_or_a_bound():
     assert [p_value(p) for p in (None, 0.0123, 1e-4, 9.9e-5)] == ["–", "0.012", "0.0001", "< 0.0001"]
 
 
-def test_every_number_of_the_paper_is_listed_with_its_verdict(findings):
+def is_test(row) -> bool:
+    return row.what.startswith("Student")
+
+
+def test_every_number_of_the_paper_that_is_measured_is_listed_with_its_verdict(findings):
     text = words(against_paper(findings))
-    for row in findings.against_paper:
-        assert row.what.replace("'", "&#x27;") in text
+    numbers = [row for row in findings.against_paper if not is_test(row)]
+    shown = [row for row in numbers if row.this_run != "-"]
+    for row in numbers:
+        assert (row.what.replace("'", "&#x27;") in text) == (row in shown)
     for verdict, mark in (("agrees", "✓"), ("differs", "≠"), ("not comparable", "?")):
-        n = sum(row.verdict == verdict for row in findings.against_paper)
+        n = sum(row.verdict == verdict for row in shown)
         assert n > 0 and text.count(f"{mark} {verdict}") == n
+    assert f"{len(numbers) - len(shown)} numbers that this study does not measure are left out" in text
 
 
-def test_every_contrast_and_depth_has_a_row(findings):
+def test_a_study_without_the_papers_arms_and_depths_has_no_comparison(findings):
+    """Not a table that says "not comparable" thirteen times."""
+    rows = [replace(row, verdict="not comparable", this_run="-") for row in findings.against_paper]
+    assert against_paper(replace(findings, against_paper=rows)) == ""
+    assert "<th>Paper</th>" not in contrasts(replace(findings, against_paper=rows))
+
+
+def test_every_contrast_and_depth_is_in_one_table_ranked_by_p(findings):
     html = contrasts(findings)
-    assert html.count("<details>") == len({(row.a, row.b) for row in findings.contrasts})
-    assert html.count('<td data-column="Depth">') == len(findings.contrasts)
+    assert html.count("<table") == 1 and "<details" not in html
+    tests = re.findall(r'data-column="Student’s t">([^<]*)', html)
+    assert len(tests) == len(findings.contrasts)
+    known = [float(p.replace("&lt; ", "").strip()) for p in tests if p != "–"]
+    assert known == sorted(known) and tests[len(known) :] == ["–"] * (len(tests) - len(known))
+    judged = [row for row in findings.against_paper if is_test(row) and row.verdict != "not comparable"]
+    assert len(judged) > 2 and len(re.findall(r'class="verdict', html)) == len(judged)
+
+
+def test_a_robot_in_a_table_is_linked_to_the_viewer_that_shows_it(findings):
+    row = findings.exploiters[0]
+    key, address = ("Residual Slush, 9 m", row.trial, -1), f"robot-residual_slush-9m-trial-{row.trial}"
+    assert f'1. <a href="#{address}:predicted">' in exploiters(findings, {key: address})
+    assert '<a href="#robot-dry_land-1m-trial-0">' in retried(
+        findings, {("Dry Land, 1 m", 0, -1): "robot-dry_land-1m-trial-0"}
+    )
+    assert "#robot" not in exploiters(findings, {}) + retried(findings, {})
 
 
 def test_the_worst_exploiter_comes_first(findings):
     worst = max(findings.exploiters, key=lambda row: row.excess)
-    first = re.search(r'<td data-column="Design">(.*?)</td>', exploiters(findings))[1]
+    first = re.search(r'<td data-column="Design">(.*?)</td>', exploiters(findings, {}))[1]
     assert first == f"1. Residual Slush, 9 m, trial {worst.trial}, champion"
 
 
 def test_luck_shows_its_interval(findings):
     """Losses of 1, 2 and 3 m: mean 2, and ± 4.303 · 1 / √3 = 2.48 by Student's t with 2 degrees of freedom."""
-    assert "2.0 −0.5 to 4.5" in words(retried(findings))
+    assert "2.0 −0.5 to 4.5" in words(retried(findings, {}))
 
 
 def test_the_line_goes_through_the_fitter_parent(findings):
@@ -72,9 +101,9 @@ def test_the_line_goes_through_the_fitter_parent(findings):
 
 def test_a_missing_table_is_replaced_by_its_reason():
     nothing = Findings(missing={"exploiters": "no trial of this study needs networks"})
-    assert "no trial of this study needs networks" in exploiters(nothing)
-    for table in (against_paper, contrasts, retried):
-        assert "not available, because" in table(nothing)
+    assert "no trial of this study needs networks" in exploiters(nothing, {})
+    for table in (against_paper(nothing), contrasts(nothing), retried(nothing, {})):
+        assert "not available, because" in table
 
 
 def test_the_tank_table_gives_times_speeds_and_reasons():
@@ -84,12 +113,12 @@ def test_the_tank_table_gives_times_speeds_and_reasons():
     long = Crossing(length=17.0, distance=-0.3, travelled=5.0, crossed=False, seconds=nan, speed=0.03)
     lost = Crossing(length=nan, distance=nan, travelled=nan, crossed=False, seconds=nan, speed=nan)
     rows = [TankRow(0, False, 9.0, 0.2, 0.1, long, slow), TankRow(3, True, 10.0, None, None, crossed, lost)]
-    text = words(tank_tests(Findings(tank=Tank(), tank_tests={"Residual Slush, 2 m": rows})))
+    text = words(tank_tests(Findings(tank=Tank(), tank_tests={"Residual Slush, 2 m": rows}), {}))
     assert "At a scale of 70 mm per simulated metre, the tank measures 16.7 m by 2.14 m" in text
     assert "Residual Slush, 2 m: 1 of 2 cross the tank, 0 the dry floor" in text
-    assert "trial 0 9.0 0.2 17.0 – as long as the tank −2.1 of 88.9 cm −0.5 mm/s" in text  # 70 mm/m, √0.07 s/s
+    assert "trial 0 9.0 0.2 17.0 – as long as the tank 0.0 of 88.9 cm moves backwards" in text  # a wall stops it
     assert "✓ trial 3 10.0 – 4.0 17 s 52.9 mm/s – diverged" in text
-    assert tank_tests(Findings()) == ""
+    assert tank_tests(Findings(), {}) == ""
 
 
 def test_an_interval_is_below_its_number_and_minus_signs_are_true(findings):
@@ -98,4 +127,3 @@ def test_an_interval_is_below_its_number_and_minus_signs_are_true(findings):
     assert f'data-column="This run">{row.this_run}<small>{row.interval}</small>' in html
     assert 'data-column="Paper">−0.8<' in html
     assert re.search(r"R of the members, at 9\u00a0m.*?<small>−?[\d.]+ to [\d.]+ and [\d.]+ to [\d.]+</small>", html)
-    assert re.search(r"Student&#x27;s t at 9\u00a0m.*?<small>difference −?[\d.]+ to −?[\d.]+\u00a0m</small>", html)
