@@ -26,7 +26,7 @@ def arm_words(environment: EnvironmentName, depth: float) -> str:
     return f"{ENVIRONMENTS[environment].label}, {depth:g} m"
 
 
-ROBOT = "robot-"  # start of robots' addresses
+ROBOT_PREFIX = "robot-"  # start of robots' addresses
 
 
 def robot_address(environment: EnvironmentName, depth: float, trial: int, identity: int = -1) -> str:
@@ -39,7 +39,9 @@ def robot_address(environment: EnvironmentName, depth: float, trial: int, identi
         identity: running number within the trial; -1 for the champion.
     """
     design = "" if identity < 0 else f"-design-{identity}"
-    return f"{ROBOT}{environment}-{depth:g}m-trial-{trial}{design}".replace(".", "_")  # file names hold a single dot
+    return f"{ROBOT_PREFIX}{environment}-{depth:g}m-trial-{trial}{design}".replace(
+        ".", "_"
+    )  # file names hold a single dot
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,8 +86,8 @@ def _film(report: StudyReport) -> str:
     depth = shown[0].depth
     files = links("replay.mp4", "replay.gif") if depth == max(report.depths) else ""
     robots = "The best robot evolved" if len(shown) == 1 else "The best robots evolved"
-    how = " and ".join(escape(ENVIRONMENTS[replay.environment].evolved) for replay in shown)
-    caption = f"{robots} {how}, in {depth:g} m of True Slush. Click on a robot to open it in the viewer."
+    origins = " and ".join(escape(ENVIRONMENTS[replay.environment].evolved) for replay in shown)
+    caption = f"{robots} {origins}, in {depth:g} m of True Slush. Click on a robot to open it in the viewer."
     return (
         f'<figure class="hero" id="film-of-both"><div>{films(report.replays, shown)}</div>'
         f"<figcaption>{caption}</figcaption>{files}</figure>"

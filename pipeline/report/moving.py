@@ -95,7 +95,7 @@ def _film(replay: Replay, index: int) -> str:
 
 
 def viewer(replays: Sequence[Replay], *, study: str = "", reason: str | None = None) -> str:
-    """Lay out the canvas and the controls of the viewer, or give the reason why no champion can be filmed.
+    """Return the canvas and the controls of the viewer, or the reason why no champion is filmed.
 
     Args:
         replays: the robots that it shows.

@@ -9,7 +9,7 @@ import yaml
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings, WorkSettings
 from pipeline.report.camera import FILM_FPS
-from pipeline.report.data import ROBOT, Draws, StudyReport, TrialResult
+from pipeline.report.data import ROBOT_PREFIX, Draws, StudyReport, TrialResult
 from pipeline.report.downloads import tables_of
 from pipeline.report.drawing import Drawing
 from pipeline.report.figures import draw_all
@@ -327,7 +327,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     artifacts = {
         name: data
         for name, data in files.items()
-        if name == f"{TOGETHER}.gif" or not (name.endswith(".gif") or name.startswith(("films-", ROBOT)))
+        if name == f"{TOGETHER}.gif" or not (name.endswith(".gif") or name.startswith(("films-", ROBOT_PREFIX)))
     }
     lines = [f"{folder / PAGE}" if PAGE in files else no_page]
     lines += [f"{folder / name}: a robot to build" for name in files if name.startswith(PROPOSED)]

@@ -36,7 +36,7 @@ def address_of(champion: Champion) -> str:
 
 
 def in_true_slush(simulation: SimulationSpec, execution: Execution, arm: Sequence[Champion]) -> list[Filmed]:
-    """Film the champions of an arm in True Slush, the best first; those that diverge are left out.
+    """Return films of the champions of an arm in True Slush, the best first; those that diverge are left out.
 
     Args:
         simulation: physics, rollout, and the medium of True Slush.
@@ -86,7 +86,7 @@ def exploiters(inputs: Inputs, trials: Sequence[TrialId]) -> Mapping[str, tuple[
 def films_of_exploiter(
     simulation: SimulationSpec, execution: Execution, row: ExploiterRow, exploiter: Champion, networks: Inputs
 ) -> list[Filmed]:
-    """Film an exploiter under the member that predicts the median, or its own; an assessed design in True Slush too.
+    """Return films of an exploiter under the median member, or its own, and of an assessed design in True Slush.
 
     Args:
         simulation: physics, rollout, and the medium of True Slush.
