@@ -235,11 +235,11 @@ class StudyMirror:
 
 
 def _thinned(read: Callable[[], CurvePoints], n_points: int) -> CurvePoints:
-    """Read points, and keep at most so many: the last of each stretch of equal length."""
+    """Read at most ``n_points`` points: the last one of each stretch of equal length."""
     points = read()
     every = -(-len(points.steps) // n_points) or 1
-    kept = slice((len(points.steps) - 1) % every, None, every)
-    return CurvePoints(points.steps[kept], {name: list(curve)[kept] for name, curve in points.values.items()})
+    chosen = slice((len(points.steps) - 1) % every, None, every)
+    return CurvePoints(points.steps[chosen], {name: list(curve)[chosen] for name, curve in points.values.items()})
 
 
 def _commit(manifests: Sequence[Manifest]) -> dict[str, str]:
