@@ -165,3 +165,25 @@ def test_the_gallery_moves_where_it_is_seen_and_opens_the_viewer(opened):
     opened.evaluate("document.querySelector('.film').click()")
     assert opened.evaluate("document.getElementById('choice').value === document.querySelector('.film').dataset.replay")
     assert opened.evaluate("document.getElementById('play').textContent") == "Pause"
+
+
+@pytest.mark.parametrize("width", [768, 1280, 1920])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_nothing_scrolls_sideways_on_a_tablet_or_a_desktop(browser, page, width, scheme):
+    browser("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    browser.open(page, width=width)
+    browser.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    assert browser.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
+    tables = "document.querySelectorAll('.scroll:not(#made .scroll)')"
+    assert browser.evaluate(f"Array.from({tables}).every((one) => one.scrollWidth <= one.clientWidth)")
+
+
+def test_the_address_of_a_robot_opens_it_with_its_files_and_commands(opened):
+    opened.evaluate("location.hash = '#robot-residual_slush-9m-trial-0:predicted'")
+    opened.until("document.getElementById('choice').value === '3'")
+    opened.evaluate("location.hash = '#robot-residual_slush-9m-trial-0'")
+    opened.until("document.getElementById('choice').value === '2'")
+    name = "robot-residual_slush-9m-trial-0.json"
+    assert opened.evaluate("document.getElementById('design').getAttribute('href')") == name
+    command = opened.evaluate("document.querySelector('[data-command]').textContent")
+    assert f"/{name} --study small --store store --environment true_slush --depth 9" in command
