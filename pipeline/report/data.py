@@ -26,6 +26,7 @@ def arm_words(environment: EnvironmentName, depth: float) -> str:
     return f"{ENVIRONMENTS[environment].label}, {depth:g} m"
 
 
+MOST_EXPLOITERS = 15  # designs listed on the page; the table of the study has all
 ROBOT_PREFIX = "robot-"  # start of robots' addresses
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from math import isfinite
 
-from pipeline.report.data import StudyReport, arm_words, robot_address
+from pipeline.report.data import MOST_EXPLOITERS, StudyReport, arm_words, robot_address
 from pipeline.report.downloads import links
 from pipeline.report.findings import ExploiterRow, Findings, TankRow
 from pipeline.report.lineage import main_line
@@ -15,7 +15,6 @@ from tasks.analysis.comparison import Contrast, ScoredArm, SignificanceTest
 from tasks.analysis.paper import Row, Verdict, name_of
 from tasks.analysis.tank import Crossing, Tank
 
-MOST_EXPLOITERS = 15  # designs listed on the page; the table of the study has all
 LINE_ENDS = 12  # ancestors listed from each end of a champion's line
 
 RobotsOnPage = Mapping[tuple[str, int, int], str]  # address by arm in words, trial and identity (-1 for the champion)

@@ -11,11 +11,7 @@ from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings, WorkSettin
 from pipeline.report.camera import FILM_FPS
 from pipeline.report.data import ROBOT_PREFIX, Draws, StudyReport, TrialResult
 from pipeline.report.downloads import tables_of
-from pipeline.report.drawing import Drawing
-from pipeline.report.figures import draw_all
-from pipeline.report.films import render_films
 from pipeline.report.moving import exemplars
-from pipeline.report.page import render_page
 from pipeline.report.replay import Replay
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.analyses.champions import champions
@@ -178,6 +174,8 @@ def _compute(job: Job[PageItemSpec | FilmsSpec], inputs: Inputs) -> Files:
 
 def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
     """Make a GIF and an MP4 of each replay, or of the two in True Slush together, and a listing of the films."""
+    from pipeline.report.films import render_films  # Matplotlib takes seconds to import, and only this stage needs it
+
     replays = replays_of(spec.simulation, spec.trials, execution, inputs)
     named = {replay.film: [replay] for replay in replays}
     if spec.together:
@@ -196,6 +194,10 @@ def _films(spec: FilmsSpec, execution: Execution, inputs: Inputs) -> Files:
 
 def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     """Draw the page and its figures."""
+    from pipeline.report.drawing import Drawing
+    from pipeline.report.figures import draw_all
+    from pipeline.report.page import render_page
+
     settings = spec.settings
     trials, rows = trials_of(settings, "transfer"), proposed(settings, inputs)
     replays = replays_of_page(environments.simulation_spec(settings, *ENVIRONMENTS), trials, execution, inputs)

@@ -7,9 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pipeline.report.data import robot_address
+from pipeline.report.data import MOST_EXPLOITERS, robot_address
 from pipeline.report.findings import ExploiterRow
-from pipeline.report.page_tables import MOST_EXPLOITERS
 from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import read_rows
 from pipeline.stages.analyses.champions import Champion, champions

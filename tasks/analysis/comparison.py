@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from numpy.random import Generator
-from scipy import special, stats
 
 from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
 from tasks.arrays import Float64, Floats, Int64
@@ -119,7 +119,7 @@ def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
         b=group(b),
         student=student(x, y),
         welch=_test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=False)),
-        mann_whitney=_test(_too_few(x, y) or tied, lambda: stats.mannwhitneyu(x, y, method=_method(x, y))),
+        mann_whitney=_test(_too_few(x, y) or tied, lambda: scipy.stats.mannwhitneyu(x, y, method=_method(x, y))),
         hedges_g=hedges_g(x, y),
         ratio=ratio(x, y, rng=rng),
     )
@@ -141,7 +141,7 @@ def difference(x: Float64, y: Float64) -> Estimate:
     if reason is not None:
         return Estimate(value, reason=reason)
     m = len(x) + len(y) - 2
-    half = float(stats.t.ppf((1 + LEVEL) / 2, m)) * _pooled_deviation(x, y) * math.sqrt(1 / len(x) + 1 / len(y))
+    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, m)) * _pooled_deviation(x, y) * math.sqrt(1 / len(x) + 1 / len(y))
     return Estimate(value, value - half, value + half)
 
 
@@ -153,7 +153,7 @@ def _pooled_deviation(x: Float64, y: Float64) -> float:
 def _t_test(x: Float64, y: Float64, *, equal_variances: bool) -> Any:
     # Deviations of constant groups are set to exactly 0; scipy would warn of lost precision.
     described = ((v.mean(), 0.0 if _is_constant(v) else v.std(ddof=1), len(v)) for v in (x, y))
-    return stats.ttest_ind_from_stats(*chain.from_iterable(described), equal_var=equal_variances)
+    return scipy.stats.ttest_ind_from_stats(*chain.from_iterable(described), equal_var=equal_variances)
 
 
 def _too_few(x: Float64, y: Float64) -> str | None:
@@ -194,9 +194,11 @@ def hedges_g(x: Float64, y: Float64) -> Estimate:
         return Estimate.missing(reason)
     n_x, n_y = len(x), len(y)
     m = n_x + n_y - 2
-    J = math.exp(special.gammaln(m / 2) - special.gammaln((m - 1) / 2)) / math.sqrt(m / 2)
+    J = math.exp(scipy.special.gammaln(m / 2) - scipy.special.gammaln((m - 1) / 2)) / math.sqrt(m / 2)
     g = J * float(x.mean() - y.mean()) / _pooled_deviation(x, y)
-    half = float(stats.norm.ppf((1 + LEVEL) / 2)) * math.sqrt((n_x + n_y) / (n_x * n_y) + g * g / (2 * (n_x + n_y)))
+    half = float(scipy.stats.norm.ppf((1 + LEVEL) / 2)) * math.sqrt(
+        (n_x + n_y) / (n_x * n_y) + g * g / (2 * (n_x + n_y))
+    )
     return Estimate(g, g - half, g + half)
 
 

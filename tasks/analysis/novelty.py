@@ -13,11 +13,13 @@ The unit of novelty is the usual distance: the median distance of the states of 
 A link at 5 is five times as far from the training data as fresh throws are.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
+import scipy
 
 from tasks.arrays import Float64, Floats, Int64
 from tasks.residual import OBSERVATION, observe
@@ -35,7 +37,7 @@ _MIN_SCALE = 1e-6  # lower bound of a component's deviation, for components that
 class Thrown:
     """An index of the thrown states."""
 
-    tree: cKDTree  # points of the states in the scaled space
+    tree: scipy.spatial.cKDTree  # points of the states in the scaled space
     scale: Float64  # (5,) deviation of each component
     usual: float | None  # usual distance; None if the reason says why
     reason: str | None
@@ -74,11 +76,11 @@ def thrown(observation: Floats, throw: npt.ArrayLike) -> Thrown:
     if fresh.all():
         reason = "all states come from one throw, so the distance of fresh throws is unknown"
     else:
-        distance, _ = cKDTree(points[~fresh]).query(points[fresh])
+        distance, _ = scipy.spatial.cKDTree(points[~fresh]).query(points[fresh])
         usual = float(np.median(distance))
         if usual == 0:
             usual, reason = None, "throws repeat each other exactly, so the distance of fresh throws is unknown"
-    return Thrown(cKDTree(points), scale, usual, reason)
+    return Thrown(scipy.spatial.cKDTree(points), scale, usual, reason)
 
 
 def novelty(links: LinkStates, throws: Thrown) -> Novelty:

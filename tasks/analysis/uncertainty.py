@@ -16,8 +16,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.random import Generator
-from scipy import stats
 
 from tasks.arrays import Float64, Floats
 
@@ -63,7 +63,7 @@ def mean(values: Floats) -> Estimate:
     value = float(known.mean())
     if n == 1:
         return Estimate(value, reason="1 value, an interval needs 2 or more")
-    half = float(stats.t.ppf((1 + LEVEL) / 2, n - 1)) * float(known.std(ddof=1)) / math.sqrt(n)
+    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, n - 1)) * float(known.std(ddof=1)) / math.sqrt(n)
     return Estimate(value, value - half, value + half)
 
 
@@ -90,7 +90,7 @@ def bootstrap(
         resampled = statistic(*(_resampled_means(sample, rng) for sample in samples))
         acceleration = _acceleration(statistic, samples, means)
     # The resamples' deviation is √((n - 1) / n) of the sample's; Student's t allows for its uncertainty.
-    z = math.sqrt(n_fewest / (n_fewest - 1)) * float(stats.t.ppf((1 + LEVEL) / 2, n_fewest - 1))
+    z = math.sqrt(n_fewest / (n_fewest - 1)) * float(scipy.stats.t.ppf((1 + LEVEL) / 2, n_fewest - 1))
     return tuple(
         _bca(float(v), resampled[:, i], float(acceleration[i]), z, undefined)
         if np.isfinite(v)
@@ -138,7 +138,7 @@ def _bca(value: float, resampled: Float64, acceleration: float, z: float, undefi
     below = (np.searchsorted(known, value, "left") + np.searchsorted(known, value, "right")) / 2 / len(known)
     if not 0 < below < 1:
         return Estimate(value, reason="no interval, since every resample lies on one side of the value")
-    z0 = stats.norm.ppf(below)
+    z0 = scipy.stats.norm.ppf(below)
     ends = z0 + np.array((-z, z))
-    low, high = np.quantile(known, stats.norm.cdf(z0 + ends / (1 - acceleration * ends)))
+    low, high = np.quantile(known, scipy.stats.norm.cdf(z0 + ends / (1 - acceleration * ends)))
     return Estimate(value, float(low), float(high))
