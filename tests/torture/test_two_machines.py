@@ -184,8 +184,8 @@ def on_machines_that_change(folder: Path, half_way: int, *, suspend: bool) -> li
         stranger = start("stranger", submission(address, folder / "intruded"), without_token)
         wait_for(lambda: "Ray runtime started" in (folder / "b.log").read_text(), second, folder / "b.log")
         beside = f"ray start --temp-dir={folder / 'd'} --node-ip-address=127.0.0.4"
-        study = words_of("driver", {"ray start": beside, "head:6379": address, **SMALL_MEMORY})
-        study[-1] += f" --settings {folder / 'two.yaml'}"  # settings take precedence over the preset
+        own_settings = {'--preset "${PRESET}"': f"--settings {folder / 'two.yaml'}"}
+        study = words_of("driver", {"ray start": beside, "head:6379": address, **own_settings, **SMALL_MEMORY})
         of_driver = environment_of("driver", {**token, "PUDDLE_STORE": str(folder / "store"), "PRESET": "smoke"})
         del of_driver["MLFLOW_TRACKING_URI"]  # tests/pipeline/tracking/test_server.py tests the server
         driver = start("driver", study, {**without_token, **of_driver})
