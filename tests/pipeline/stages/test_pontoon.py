@@ -156,7 +156,7 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
 def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, tank, tmp_path):
     store, upstream = built
     (trial,) = tank["trial"][tank["proposed"]].tolist()
-    told = "\n".join(ANALYSE.summarise(pontoon, upstream["analyse"], store).lines)
+    told = " ".join(" ".join(ANALYSE.summarise(pontoon, upstream["analyse"], store).lines).split())
     assert f"to build: the champion of trial {trial}," in told
     (way,) = re.findall(r"in the tank, 16.7 m x 2.14 m in the simulation, the built robot (.+) in 0.5 s \(", told)
     travelled, expected = (tank[f"wet_{name}"][tank["proposed"]][0] for name in ("travelled", "distance"))
