@@ -10,3 +10,12 @@ def call(*arguments: str) -> int:
     with pytest.raises(SystemExit) as ended:
         main(list(arguments))
     return int(ended.value.code or 0)
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that refuses its arguments; return its message, all that it prints."""
+    capsys.readouterr()
+    assert call(*arguments) == 2
+    said = capsys.readouterr()
+    assert not said.out and "Traceback" not in said.err
+    return said.err

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from command_line import call
+from command_line import call, refused
 
 from pipeline.config.loading import load
 from pipeline.config.settings import Settings
@@ -18,15 +18,6 @@ from pipeline.store.store import Store, StudyRecord
 def store(options) -> Store:
     """A copy of a store with the finished study tiny."""
     return Store.open(Path(options[-1]), create=False)
-
-
-def refused(capsys, *arguments: str) -> str:
-    """Run a command that refuses its arguments; return its message."""
-    capsys.readouterr()
-    assert call(*arguments) == 2
-    said = capsys.readouterr()
-    assert not said.out and "Traceback" not in said.err
-    return said.err
 
 
 def add_study(store: Store, name: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
-from command_line import call
+from command_line import call, refused
 
 import puddle
 from pipeline.config.loading import load
@@ -133,14 +133,6 @@ def test_a_study_that_has_only_begun_exports_what_is_done_and_says_what_is_missi
 
 
 # -- what is refused -------------------------------------------------------------------------------------------------
-
-
-def refused(capsys, *arguments: str) -> str:
-    capsys.readouterr()
-    assert call(*arguments) == 2
-    said = capsys.readouterr()
-    assert not said.out and "Traceback" not in said.err
-    return said.err
 
 
 def test_folders_that_are_not_ours(recorded, tmp_path, capsys):
