@@ -11,12 +11,13 @@ from urllib.parse import urlsplit
 from pipeline.cluster import preflight_probe
 from pipeline.errors import PuddleError
 
-CONNECT_SECONDS = 15.0  # time that an existing cluster has to answer [s]
+CONNECT_SECONDS = 15.0  # time that an existing cluster has to accept a connection [s]
+ADMIT_SECONDS = 45.0  # time that it has to admit us [s]; one is usual, twenty where its nodes have just started
 _PROBE_START_SECONDS = 120.0  # time that the probe has to start on a busy machine [s]; one second is usual
 
 
-def check_reachable(address: str) -> None:
-    """Check that a cluster answers and admits us, with a short time limit.
+def check_reachable(address: str, seconds: float = ADMIT_SECONDS) -> None:
+    """Check that a cluster accepts a connection and admits us within some seconds.
 
     ``ray.init`` takes two minutes to fail, so a separate process tries it. That process ends with this one, however
     this one ends.
@@ -34,7 +35,7 @@ def check_reachable(address: str) -> None:
         subprocess.Popen(command, stdin=PIPE, stdout=PIPE, stderr=errors, start_new_session=True) as probe,
     ):
         try:
-            reason = _refusal(probe)
+            reason = _refusal(probe, seconds)
         finally:
             probe.kill()
         if reason is not None:
@@ -44,16 +45,16 @@ def check_reachable(address: str) -> None:
             raise unusable(address, f"{reason}. Ray's last message: {message}")
 
 
-def _refusal(probe: subprocess.Popen[bytes]) -> str | None:
+def _refusal(probe: subprocess.Popen[bytes], seconds: float) -> str | None:
     """Wait for the probe to end; return why the cluster refused it, or None."""
     assert probe.stdout is not None
     if not select.select([probe.stdout], [], [], _PROBE_START_SECONDS)[0]:
         return f"the process that tries to join did not start within {_PROBE_START_SECONDS:.0f} s"
     probe.stdout.readline()  # Ray is imported; from here on the cluster's own time counts
     try:
-        return "it refused the connection" if probe.wait(CONNECT_SECONDS) else None
+        return "it refused the connection" if probe.wait(seconds) else None
     except subprocess.TimeoutExpired:
-        return f"it did not admit us within {CONNECT_SECONDS:.0f} s"
+        return f"it did not admit us within {seconds:.0f} s"
 
 
 def server_of(address: str) -> tuple[str, int]:
