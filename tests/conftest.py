@@ -46,6 +46,7 @@ LONGEST_FIRST = (
     "fabrication/test_exports.py",
     "parity/test_batch_equals_pybox2d.py",
     "torture/test_hostile.py",
+    "torture/test_hostile_stores.py",
     "torture/test_corruption.py",
     "report/test_page.py",
     "fabrication/test_fabricate.py",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
@@ -31,6 +32,22 @@ work: {generations_per_item: 2, engine: reference}
 
 class NoBar:
     def advance(self, work: Work) -> None: ...
+
+
+class Terminal:
+    """A terminal and a tracker in one, which record the lines shown."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
+
+    @contextlib.contextmanager
+    def stage(self, *arguments, **options):
+        yield NoBar()
+
+    def mirror(self, *runs) -> None: ...
 
 
 def silent(line: str) -> None: ...

@@ -15,7 +15,7 @@ import psutil
 import pytest
 from browser import Browser
 from mlflow.tracking import MlflowClient
-from small_study import ON_DRY_LAND, NoBar
+from small_study import ON_DRY_LAND, Terminal
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
@@ -33,18 +33,6 @@ from pipeline.workflow.driver import drive
 @pytest.fixture(autouse=True)
 def only_our_server(monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-
-
-class Terminal:
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    def say(self, line: str) -> None:
-        self.said.append(line)
-
-    @contextlib.contextmanager
-    def stage(self, *arguments, **options):
-        yield NoBar()
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from small_study import NoBar, digests, labelled
+from small_study import Terminal, digests, labelled
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
@@ -30,22 +30,6 @@ work: {generations_per_item: 2, engine: reference}
 """
 TO_EVOLVE = STAGES[:3]
 TO_TRANSFER = STAGES[:4]
-
-
-class Terminal:
-    """A terminal and a tracker in one, which record the lines shown."""
-
-    def __init__(self) -> None:
-        self.said: list[str] = []
-
-    def say(self, line: str) -> None:
-        self.said.append(line)
-
-    @contextlib.contextmanager
-    def stage(self, *arguments, **options):
-        yield NoBar()
-
-    def mirror(self, *runs) -> None: ...
 
 
 def run(
@@ -104,7 +88,8 @@ def test_a_signal_ends_the_wait_for_mlflow_through_every_finally(tmp_path: Path)
     script = """
 import sys, time
 from pathlib import Path
-from test_driver import TO_EVOLVE, Terminal, run
+from small_study import Terminal
+from test_driver import TO_EVOLVE, run
 from pipeline.store.store import Store
 class Slow(Terminal):
     def say(self, line):
