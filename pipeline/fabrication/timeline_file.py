@@ -77,6 +77,8 @@ def read_timeline(path: Path) -> Timeline:
         raise PuddleError(f"{path}: angle: expected {len(joints)} lists of numbers of equal length, one per joint")
     try:
         return Timeline(joints=tuple(joints), angle=np.array(angle, dtype=np.float64).T)
+    except OverflowError:
+        raise PuddleError(f"{path}: angle: a number is too large") from None
     except TimelineError as error:
         raise PuddleError(f"{path}: {error}") from None
 

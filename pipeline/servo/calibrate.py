@@ -88,7 +88,7 @@ def calibrate(options: CalibrateOptions, user: Dialogue, clock: Clock | None = N
         user.say(_summary(servo))
     for problem in _problems(path.with_name("timeline.json"), after):
         user.say(problem)
-    previous = _free_name(path)
+    previous = disk.unused(path)
     if not user.confirm(f"Write {path}? The previous calibration stays as {previous.name}."):
         user.say(f"{path} is unchanged.")
         return False
@@ -206,10 +206,3 @@ def _problems(timeline: Path, calibration: Calibration) -> list[str]:
     except TimelineError as error:
         return [f"With these values {timeline} can't be played: {str(error).removesuffix('.')}."]
     return []
-
-
-def _free_name(path: Path) -> Path:
-    number = 1
-    while (free := path.with_stem(f"{path.stem}-{number}")).exists():
-        number += 1
-    return free

@@ -4,7 +4,6 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_folder import KIT_MANIFEST
 from pipeline.fabrication.timeline_file import read_calibration, read_timeline
 from pipeline.servo.connection import Connection, open_controller
-from pipeline.servo.log import ServoLog
+from pipeline.servo.log import ServoLog, default_path
 from pipeline.servo.player import NEUTRAL_HOLD, Clock, Frames, Player, PlayState, frames_of, stopped_by_signals
 from pipeline.servo.servo_controller import ServoController
 from pipeline.store import disk
@@ -59,7 +58,7 @@ def play_timeline(
     Raises:
         PuddleError: A file is invalid, the port or the controller fails. The message says how the servos were left.
     """
-    if options.duration is not None and options.duration <= 0:
+    if options.duration is not None and not 0 < options.duration < np.inf:
         raise PuddleError(f"--duration: expected more than 0 s, got {options.duration:g}. Nothing was moved.")
     is_kit = options.timeline.is_dir()
     path = options.timeline / "timeline.json" if is_kit else options.timeline
@@ -115,7 +114,11 @@ def _kit_warnings(manifest: Path, played: Sequence[Path]) -> Iterator[str]:
     kit = decode_json(disk.read(manifest), str(manifest))
     if not isinstance(kit, dict):
         return
-    n = sum(isinstance(one, dict) and one.get("severity") == "fault" for one in kit.get("findings", []))
+    findings = kit.get("findings")
+    n = sum(
+        isinstance(one, dict) and one.get("severity") == "fault"
+        for one in (findings if isinstance(findings, list) else [])
+    )
     if n:
         yield f"This kit has {n} fault{'s' * (n > 1)}. See {manifest}."
     digests = kit.get("files")
@@ -127,7 +130,7 @@ def _kit_warnings(manifest: Path, played: Sequence[Path]) -> Iterator[str]:
 
 def new_log(chosen: Path | None, folder: Path) -> Path:
     """Return the path of a run's log: the chosen one, or a new one in a folder. Raises PuddleError if it exists."""
-    path = chosen or folder / f"servo-{datetime.now():%Y%m%d-%H%M%S}.parquet"
+    path = chosen or default_path(folder)
     if path.exists():
         raise PuddleError(f"--log: {path} already exists. Choose another name.")
     return path
@@ -157,7 +160,7 @@ def run(
     Raises:
         PuddleError: Something failed. The message says how the servos were left.
     """
-    log = ServoLog(log_path)
+    log = ServoLog(log_path, say)
     with contextlib.ExitStack() as stack:
         stack.callback(log.close)
         stop = stack.enter_context(stopped_by_signals())

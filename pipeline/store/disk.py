@@ -93,6 +93,14 @@ def place(path: Path, data: bytes) -> None:
     fsync(path.parent)
 
 
+def unused(path: Path) -> Path:
+    """Return a path that nothing has, made from this one by the first number that makes it so: ``name-1.suffix``."""
+    number = 1
+    while os.path.lexists(free := path.with_stem(f"{path.stem}-{number}")):
+        number += 1
+    return free
+
+
 def make_folders(root: Path, folder: Path) -> None:
     """Create the folders between an existing root and a folder below it, and flush them."""
     below = [path for path in (folder, *folder.parents) if path.is_relative_to(root) and path != root]

@@ -108,6 +108,7 @@ def test_invalid_calibrations_are_refused(tmp_path, old, new, said):
         ({"joints": [2, 9]}, "joints"),
         ({"angle": [[0.0], [0.0, 1.0]]}, "angle: expected 2 lists"),
         ({"angle": [[0.0], ["up"]]}, "angle"),
+        ({"angle": [[0.0, 10**400], [0.0, 1.0]]}, "angle: a number is too large"),
         ({"angle": [[], []]}, "shape"),
         ({"frames_per_second": 60}, "frames_per_second: expected 50"),
         ({"version": 2}, "version 2"),

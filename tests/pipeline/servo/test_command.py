@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from pipeline.commands.app import app
 from pipeline.errors import PuddleError
 from pipeline.fabrication.timeline_file import calibration_yaml, timeline_json
-from pipeline.servo.log import JOURNAL, LogEntry, ServoLog
+from pipeline.servo.log import JOURNAL, ServoLog
 from pipeline.servo.play import PlayOptions, play_timeline
 from pipeline.store import disk
 from pipeline.store.encoding import decode_table
@@ -114,7 +114,7 @@ def test_changed_files_of_a_kit_are_reported_before_it_moves(kit, tmp_path, cloc
         if name == "calibration.yaml":
             assert said(tmp_path / name) == []  # a file that the user chose
         (kit / name).write_bytes(files[name])
-    for odd in ([], {"files": []}, {"files": {"calibration.yaml": 3}}):
+    for odd in ([], {"files": []}, {"files": {"calibration.yaml": 3}}, {"findings": 3}, {"findings": {"severity": 1}}):
         (kit / "kit.json").write_text(json.dumps(odd))
         said()
 
@@ -139,12 +139,13 @@ def test_nothing_moves_without_consent(kit, tmp_path, plug):
 
 
 @pytest.mark.parametrize("loop", [(), ("--loop",)])
-def test_a_duration_of_zero_is_refused_before_anything_moves(kit, tmp_path, plug, capsys, loop):
+@pytest.mark.parametrize("duration", ["0", "-1", "nan", "inf"])
+def test_a_duration_that_is_none_is_refused_before_anything_moves(kit, tmp_path, plug, capsys, duration, loop):
     fake, log = plug(), tmp_path / "never.parquet"
-    options = ("--port", fake.path, "--yes", "--log", str(log), "--duration", "0")
+    options = ("--port", fake.path, "--yes", "--log", str(log), f"--duration={duration}")
     assert call("servo", "play", str(kit), *options, *loop) == 2
     said = capsys.readouterr()
-    assert said.out == "" and "--duration: expected more than 0 s, got 0" in said.err
+    assert said.out == "" and f"--duration: expected more than 0 s, got {duration}" in said.err
     fake.finish()
     assert fake.n_bytes == 0 and not log.exists()
 
@@ -277,15 +278,6 @@ def test_killed(kit, tmp_path, plug, clock):
     assert len(received) - len(sent) in (0, 1) and sent == received[: len(sent)]
 
 
-def test_a_journal_of_any_length_is_recovered(tmp_path, monkeypatch):
-    log = ServoLog(tmp_path / "long.parquet")
-    log.add(*(LogEntry(frame / 50, frame=frame) for frame in range(100)))
-    os.close(log._lock)  # killed
-    monkeypatch.setitem(disk.read.__kwdefaults__, "at_most", 1000)  # instead of 64 MiB
-    ServoLog(tmp_path / "next.parquet").close()
-    assert table_of(log.path)["frame"].tolist() == list(range(100))
-
-
 def test_unplugged_during_the_run(kit, tmp_path, plug, clock):
     fake, log = plug(unplug_after=1200), tmp_path / "run.parquet"
     with pytest.raises(PuddleError) as raised:
@@ -328,7 +320,7 @@ def test_the_servos_state_is_reported_if_the_log_cannot_be_written(kit, tmp_path
     assert str(log) in str(raised.value) and f"{log}{JOURNAL}" in str(raised.value)
     assert "goes on from there" not in str(raised.value)  # a run is not resumed
     monkeypatch.setattr(disk, "place", place)
-    ServoLog(tmp_path / "next.parquet").close()  # follows the advice in the message
+    ServoLog(tmp_path / "next.parquet", print).close()  # follows the advice in the message
     assert any("servos: " in event for event in table_of(log)["event"]) and not Path(f"{log}{JOURNAL}").exists()
 
 
