@@ -1,8 +1,9 @@
 """Kernels that are compiled once per machine, and again when their source changes.
 
 Compiled code lies in the user's cache, or in NUMBA_CACHE_DIR if that is set, in a folder that is named by a digest of
-all modules that a kernel is compiled from. numba's own cache would miss edits of modules that the kernel calls, compile
-copies of a file again, such as those that Ray makes for each session, and run whatever it finds on the disk.
+what the kernel is compiled from: the modules that it reaches, and the values of their constants. numba's own cache
+would miss edits of modules that the kernel calls, compile copies of a file again, such as those that Ray makes for each
+session, and run whatever it finds on the disk.
 """
 
 # ruff: noqa: PTH103, PTH105, PTH111, PTH116, PTH118, PTH120, PTH123, PTH207 (tasks import no pathlib)
@@ -18,11 +19,12 @@ import pickle
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
-from types import ModuleType
+from collections.abc import Callable, Iterator
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import compiler, serialize
 from numba.core.caching import NullCache
 from numba.core.event import Listener, register
@@ -30,8 +32,8 @@ from numba.core.event import Listener, register
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-_KERNELS: dict[Callable[..., Any], tuple[str, int]] = {}
-"""Cache folder of each kernel, by its Python function, and about how long it takes to compile [s]."""
+_KERNELS: dict[Callable[..., Any], int] = {}
+"""About how long each kernel takes to compile [s], by its Python function."""
 
 
 class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
@@ -40,8 +42,8 @@ class _Announcement(Listener):  # type: ignore[misc]  # numba has no types
     def on_start(self, event: Any) -> None:
         function = event.data["dispatcher"].py_func
         if function in _KERNELS:
-            _, seconds = _KERNELS[function]
-            print(f"compiling {function.__module__} (once, about {seconds} s)", file=sys.stderr, flush=True)
+            about = f"once, about {_KERNELS[function]} s"
+            print(f"compiling {function.__module__} ({about})", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
         pass
@@ -60,9 +62,15 @@ class _KernelCache(NullCache):  # type: ignore[misc]
     that can't be written costs compilation in every process; neither changes a result.
     """
 
-    def __init__(self, function: Callable[..., Any], folder: str) -> None:
-        self._base = os.path.join(folder, function.__name__)
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
         self._lock: int | None = None
+
+    @functools.cached_property
+    def base(self) -> str:
+        """Path of the kernel's files, without what tells them apart."""
+        folder = os.path.join(cache_folder(), fingerprint(self._function)[:16])
+        return os.path.join(folder, self._function.__name__)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the kernel for a signature, or None; then this process holds the lock and is to compile it."""
@@ -70,7 +78,7 @@ class _KernelCache(NullCache):  # type: ignore[misc]
         path = self._path(sig, target_context.codegen())
         found = _read(path, target_context)
         if found is None and self._lock is None:
-            self._lock = _locked(f"{self._base}.lock")
+            self._lock = _locked(f"{self.base}.lock")
             found = _read(path, target_context)
             if found is not None:
                 self._unlock()
@@ -97,7 +105,7 @@ class _KernelCache(NullCache):  # type: ignore[misc]
 
     def _path(self, signature: Any, codegen: Any) -> str:
         what = repr((numba.__version__, sys.version_info, str(signature), codegen.magic_tuple()))
-        return f"{self._base}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.kernel"
+        return f"{self.base}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.kernel"
 
     def _unlock(self) -> None:
         if self._lock is not None:
@@ -108,17 +116,23 @@ class _KernelCache(NullCache):  # type: ignore[misc]
 def _read(path: str, target_context: Any) -> Any:
     """Return a kept kernel; None if there is none or it is damaged."""
     try:
-        with open(path, "rb") as file:
-            digest, content = file.read(32), file.read()
+        content = _content(path)
     except FileNotFoundError:
         return None
     except OSError as error:
         _warn(f"a compiled kernel can't be read and is compiled again: {error}")
         return None
-    if hashlib.sha256(content).digest() != digest:
+    if content is None:
         _warn(f"the compiled kernel {path} is damaged and is compiled again")
         return None
     return compiler.CompileResult._rebuild(target_context, *pickle.loads(content))
+
+
+def _content(path: str) -> bytes | None:
+    """Read the content of a kernel's file; None if it is not what its digest says."""
+    with open(path, "rb") as file:
+        digest, content = file.read(32), file.read()
+    return content if hashlib.sha256(content).digest() == digest else None
 
 
 @functools.cache
@@ -146,12 +160,11 @@ def _locked(path: str) -> int | None:
     return None
 
 
-def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, seconds: int) -> Callable[..., Any]:
+def compiled(function: Callable[..., Any], *, seconds: int) -> Callable[..., Any]:
     """Return a kernel that is compiled on its first call, or loaded from the cache.
 
     Args:
         function: kernel; no closure, because numba's cache never finds a closure again.
-        sources: modules whose code or constants the kernel is compiled from.
         seconds: about how long compilation takes, for the announcement.
 
     Raises:
@@ -161,22 +174,30 @@ def compiled(function: Callable[..., Any], sources: Sequence[ModuleType], *, sec
         raise ValueError(f"{function.__qualname__} is a closure, expected a function of a module")
     if numba.config.DISABLE_JIT:
         return function
-    read = [sys.modules[__name__], *sources]  # this module decides on inlining
-    digest = hashlib.sha256("\0".join(inspect.getsource(module) for module in read).encode()).hexdigest()
-    folder = os.path.join(_cache_folder(), digest[:16])
     kernel = numba.njit(error_model="numpy")(function)
-    kernel._cache = _KernelCache(function, folder)
-    _KERNELS[function] = folder, seconds
+    kernel._cache = _KernelCache(function)
+    _KERNELS[function] = seconds
     return cast(Callable[..., Any], kernel)
 
 
 def is_cached(kernel: Callable[..., Any]) -> bool:
     """Return whether a kernel has been compiled on this machine before, for some types of arguments."""
-    function = getattr(kernel, "py_func", None)
-    if function not in _KERNELS:
-        return True  # there is no compiler
-    folder, _ = _KERNELS[function]
-    return bool(glob.glob(os.path.join(folder, f"{function.__name__}-*.kernel")))
+    cache = getattr(kernel, "_cache", None)
+    return not isinstance(cache, _KernelCache) or bool(glob.glob(f"{cache.base}-*.kernel"))
+
+
+def kept_kernels() -> dict[str, bool]:
+    """Check every file of the cache, those of kernels that this process does not use included.
+
+    Returns:
+        Whether each compiled kernel can be read and is what its digest says, by its path.
+    """
+    sound = {}
+    for path in glob.glob(os.path.join(glob.escape(cache_folder()), "*", "*.kernel")):
+        sound[path] = False
+        with contextlib.suppress(OSError):
+            sound[path] = _content(path) is not None
+    return sound
 
 
 def inline(function: F) -> F:
@@ -184,8 +205,75 @@ def inline(function: F) -> F:
     return cast(F, numba.njit(forceinline=True, error_model="numpy")(function))
 
 
-def _cache_folder() -> str:
-    """Find a writable folder for compiled kernels."""
+def fingerprint(function: Callable[..., Any]) -> str:
+    """Return a digest of all that a kernel is compiled from: sources of modules, and values of constants."""
+    modules, constants = dependencies(function)
+    sources = [inspect.getsource(sys.modules[name]) for name in sorted(modules | {__name__})]
+    return hashlib.sha256("\0".join([*sources, *sorted(constants)]).encode()).hexdigest()
+
+
+def dependencies(function: Callable[..., Any]) -> tuple[set[str], set[str]]:
+    """Find what a kernel is compiled from, by following the names in its code.
+
+    Args:
+        function: the kernel's Python function. Only modules of its own top-level package are followed.
+
+    Returns:
+        The names of the modules whose functions it reaches, or that teach numba to compile these; and a line for each
+        constant that they use.
+    """
+    package = function.__module__.partition(".")[0]
+    modules: set[str] = set()
+    constants: set[str] = set()
+    followed: set[int] = set()
+    left: list[Any] = [function]
+    while left:
+        one = left.pop()
+        # numba's and functools' wrappers have the function that they wrap
+        one = getattr(one, "py_func", None) or getattr(one, "_defn", None) or getattr(one, "__wrapped__", one)
+        if not isinstance(one, FunctionType) or id(one) in followed or one.__module__.partition(".")[0] != package:
+            continue
+        followed.add(id(one))
+        modules.add(one.__module__)
+        for name, value in _globals_in(one):
+            if isinstance(value, np.ndarray):
+                constants.add(f"{name} = {value.dtype} {value.tolist()}")
+            elif isinstance(value, _CONSTANTS):
+                constants.add(f"{name} = {value!r}")
+            else:
+                left.append(value)
+    for module in list(sys.modules.values()):
+        if module.__name__.partition(".")[0] == package and "llvmlite.ir" in (used := _modules_in(module)):
+            modules |= {module.__name__} if used & modules else set()
+    return modules, constants
+
+
+_CONSTANTS = (bool, int, float, str, tuple, np.generic, np.dtype)  # what numba compiles by value, besides arrays
+
+
+def _globals_in(function: FunctionType) -> Iterator[tuple[str, Any]]:
+    """Yield the globals that a function's code names, and those of modules that it names, with their values."""
+    codes, names = [function.__code__], set[str]()
+    while codes:
+        code = codes.pop()
+        names |= set(code.co_names)
+        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+    for name in names & function.__globals__.keys():
+        value = function.__globals__[name]
+        yield name, value
+        if isinstance(value, ModuleType):
+            yield from ((attribute, vars(value)[attribute]) for attribute in names & vars(value).keys())
+    for cell in function.__closure__ or ():
+        yield "cell", cell.cell_contents
+
+
+def _modules_in(module: ModuleType) -> set[str]:
+    """Return the names of the modules among a module's globals."""
+    return {value.__name__ for value in vars(module).values() if isinstance(value, ModuleType)}
+
+
+def cache_folder() -> str:
+    """Find a writable folder for compiled kernels: one of this process alone where there is no other."""
     chosen = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     for folder in (chosen, tempfile.gettempdir()):
         own = os.path.join(folder, f"puddle-{os.getuid()}")

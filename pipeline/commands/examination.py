@@ -70,6 +70,7 @@ def examine(settings: Settings, store: Path, *, n_workers: int | None) -> Iterat
     yield _shared_memory()
     yield _open_files()
     yield _loopback()
+    yield _kernels()
     yield _engine(settings)
     if n_workers:
         yield _ray()
@@ -228,6 +229,22 @@ def _loopback() -> Check:
         probe.bind(("127.0.0.1", 5000))
         return Check("ok", "ports", "the loopback answers; 5000 is free for `puddle ui`")
     return Check("warn", "ports", "the loopback answers; 5000 is taken", "Choose another for `puddle ui`: --port.")
+
+
+def _kernels() -> Check:
+    """Check the cache of compiled kernels."""
+    from tasks.compiled import cache_folder, kept_kernels
+
+    folder, kept = cache_folder(), kept_kernels()
+    damaged = sorted(path for path, sound in kept.items() if not sound)
+    found = f"{len(kept)} compiled in {folder}" if kept else f"none compiled yet in {folder}"
+    if damaged:
+        advice = "They are compiled again when they are needed. Check the disk if you do not know why."
+        return Check("warn", "kernels", f"{found}, {len(damaged)} of them damaged, as {damaged[0]}", advice)
+    if folder.startswith(tempfile.gettempdir()) and "NUMBA_CACHE_DIR" not in os.environ:
+        advice = "They do not last: make ~/.cache writable, or set NUMBA_CACHE_DIR to a folder that is."
+        return Check("warn", "kernels", found, advice)
+    return Check("ok", "kernels", found)
 
 
 def _engine(settings: Settings) -> Check:

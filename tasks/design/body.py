@@ -14,7 +14,6 @@ import numpy as np
 
 from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.compiled import compiled
-from tasks.design import genes
 from tasks.design.genes import COLUMNS, N_LINKS, PARENT_COLUMN, Designs, DesignTable
 
 
@@ -63,7 +62,7 @@ def hang_links(table: DesignTable) -> Float64:
     return rest
 
 
-_hang_links = compiled(hang_links, [genes], seconds=1)  # slow in NumPy for 64 designs
+_hang_links = compiled(hang_links, seconds=1)  # slow in NumPy for 64 designs
 
 
 def rest_pose(designs: Designs) -> tuple[Float64, Float64, Float64]:
@@ -100,7 +99,7 @@ def spawn_links(table: DesignTable, density: float) -> Float32:
     return single
 
 
-spawn_kernel = compiled(spawn_links, [genes], seconds=1)
+spawn_kernel = compiled(spawn_links, seconds=1)
 
 
 def kinematic_trees(designs: Designs, *, density: float) -> KinematicTrees:

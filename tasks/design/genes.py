@@ -7,7 +7,6 @@ are ignored, and always zero, so that equal designs have equal arrays.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -244,7 +243,7 @@ def find_fault(table: DesignTable) -> tuple[int, int]:
     return -1, -1
 
 
-_find_fault = compiled(find_fault, [sys.modules[__name__]], seconds=1)
+_find_fault = compiled(find_fault, seconds=1)
 
 
 def check(designs: Designs) -> None:

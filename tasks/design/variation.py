@@ -16,7 +16,7 @@ from pydantic import Field
 
 from tasks.arrays import Int64
 from tasks.compiled import compiled
-from tasks.design import genes, variation_kernels
+from tasks.design import variation_kernels
 from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, DesignTable, Gene, GenePart
 from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, until_apart
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
@@ -36,10 +36,9 @@ class Mutation(Parameters):
 
 _MUTATION = Mutation()
 
-_SOURCES = [genes, variation_kernels]  # modules that the operators' kernels are compiled from
-random_kernel = compiled(variation_kernels.random_table, _SOURCES, seconds=3)
-mutate_kernel = compiled(variation_kernels.mutate_table, _SOURCES, seconds=6)
-recombine_kernel = compiled(variation_kernels.recombine_tables, _SOURCES, seconds=3)
+random_kernel = compiled(variation_kernels.random_table, seconds=3)
+mutate_kernel = compiled(variation_kernels.mutate_table, seconds=6)
+recombine_kernel = compiled(variation_kernels.recombine_tables, seconds=3)
 
 MAX_RECOMBINATIONS = 256  # most draws of a child; there are 62 choices of links
 

@@ -5,7 +5,7 @@ import numpy as np
 from tasks.arrays import Float32, Floats
 from tasks.compiled import compiled
 from tasks.simulation.box2d import MAX_ROTATION, MAX_ROTATION_SQUARED, MAX_TRANSLATION, Column
-from tasks.simulation.simd import lanes, rotation, vectors
+from tasks.simulation.simd import rotation
 from tasks.simulation.simd.lanes import Block
 from tasks.world import LinkStates, Medium, Physics
 
@@ -18,7 +18,7 @@ def _rotate(block: Block, n_rows: int) -> None:
         block[n_rows + row], block[2 * n_rows + row] = rotation.sincos(block[row])
 
 
-_run = compiled(_rotate, [lanes, vectors, rotation], seconds=2)
+_run = compiled(_rotate, seconds=2)
 
 
 def sines_and_cosines(angle: Float32) -> tuple[Float32, Float32]:

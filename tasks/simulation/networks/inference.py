@@ -11,7 +11,6 @@ of the next, and stay in the cache.
 # ruff: noqa: ARG001 (numba gives every intrinsic its context)
 
 import math
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,7 +22,6 @@ from numba.extending import intrinsic
 
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
-from tasks.simulation.simd import lanes
 from tasks.simulation.simd.lanes import aligned, widest
 
 Pointer = int  # address of float32 numbers in memory
@@ -152,7 +150,7 @@ def _forward(layers: Int64, sizes: Int64, n_vectors: int, x: Pointer, out: Point
                 rows = result
 
 
-run_networks = compiled(_forward, [lanes, sys.modules[__name__]], seconds=2)
+run_networks = compiled(_forward, seconds=2)
 
 
 def _padded(n: int) -> int:

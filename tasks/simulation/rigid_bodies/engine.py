@@ -4,37 +4,19 @@ import numpy as np
 
 from tasks.arrays import Float32
 from tasks.compiled import compiled
-from tasks.design import genes
 from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation import box2d, controller
 from tasks.simulation.fused_links import body_change
-from tasks.simulation.networks import coupled, inference
+from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
-from tasks.simulation.rigid_bodies import (
-    broad_phase,
-    contact_solver,
-    island,
-    layout,
-    polygons,
-    revolute_joint,
-    step,
-    transform,
-)
+from tasks.simulation.rigid_bodies import step
 from tasks.simulation.rigid_bodies.layout import ROBOT, Records
 from tasks.simulation.rigid_bodies.packing import body_index, pack
-from tasks.simulation.simd import lanes, rotation, vectors
-from tasks.simulation.trees import joint
-from tasks.simulation.trees import step as tree_step
 from tasks.simulation.trees.step import Scene
 from tasks.world import LinkStates, Medium, Physics
-from tasks.world import slush as slush_source
 
-_SHARED = [genes, box2d, slush_source, controller, lanes, vectors, rotation, joint, tree_step]
-_OWN = [layout, transform, polygons, broad_phase, contact_solver, revolute_joint, island, step]
-_SOURCES = [*_SHARED, *_OWN]
-_advance = compiled(step.advance_robots, _SOURCES, seconds=30)
+_advance = compiled(step.advance_robots, seconds=30)
 
 _QUANTITIES = ("length_scale", "mass", "inertia", "y", "cos", "sin", "vx", "vy", "omega")
 """Fields of :class:`tasks.world.LinkStates`, and of a link's record."""
@@ -54,7 +36,7 @@ def _advance_robots_with_networks(
         _advance(robots, scene, number, number + 1, trace)
 
 
-_advance_with_networks = compiled(_advance_robots_with_networks, [*_SOURCES, inference, coupled], seconds=30)
+_advance_with_networks = compiled(_advance_robots_with_networks, seconds=30)
 
 
 class Robots:

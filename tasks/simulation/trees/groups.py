@@ -6,22 +6,18 @@ import numpy as np
 
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
-from tasks.design import body, genes
 from tasks.design.genes import N_LINKS, Designs
-from tasks.simulation import box2d, controller
-from tasks.simulation.networks import coupled, inference
+from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
-from tasks.simulation.simd import lanes, rotation, vectors
+from tasks.simulation.simd import lanes
 from tasks.simulation.simd.lanes import Block
-from tasks.simulation.trees import contact, joint, layout, packing, step
+from tasks.simulation.trees import layout, packing, step
 from tasks.simulation.trees.step import Scene
 from tasks.world import LinkStates, Medium, Physics
-from tasks.world import slush as slush_source
 
-_SOURCES = [box2d, genes, slush_source, controller, lanes, vectors, layout, rotation, joint, contact, step]
-advance_kernel = compiled(step.advance, _SOURCES, seconds=20)
-_pack_robots = compiled(packing.pack_robots, [genes, body, layout, contact, controller, packing], seconds=2)
+advance_kernel = compiled(step.advance, seconds=20)
+_pack_robots = compiled(packing.pack_robots, seconds=2)
 
 
 def _advance_with_networks(
@@ -44,7 +40,7 @@ def _advance_with_networks(
         advance_kernel(block, n_groups, scene, first_step + taken, one, trace, traced)
 
 
-_advance_coupled = compiled(_advance_with_networks, [*_SOURCES, inference, coupled], seconds=15)
+_advance_coupled = compiled(_advance_with_networks, seconds=15)
 
 
 @cache

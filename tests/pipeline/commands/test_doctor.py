@@ -19,6 +19,7 @@ from pipeline.commands.examination import Check, examine_store
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.store.store import Store
+from tasks.compiled import compiled
 
 
 @pytest.fixture
@@ -48,7 +49,18 @@ def test_every_check_passes_where_the_tests_run(options, capsys):
     assert call("doctor", "--workers", "0", *options) == 0
     lines = capsys.readouterr().out.splitlines()
     assert all(line.startswith(("ok ", "warn ", "      ")) for line in lines)
-    for what in ("python", "versions", "processor", "memory", "disk", "store", "temporary", "loopback", "engine"):
+    for what in (
+        "python",
+        "versions",
+        "processor",
+        "memory",
+        "disk",
+        "store",
+        "temporary",
+        "loopback",
+        "kernels",
+        "engine",
+    ):
         assert any(what in line for line in lines), what
 
 
@@ -69,6 +81,22 @@ def test_problems_are_found(store, tmp_path, monkeypatch):
     assert found["versions"].verdict == "warn" and "numpy" in found["versions"].found
     assert found["ports"].verdict == "warn" and "RAY_ADDRESS=head:6379" in found["ports"].found
     assert "study tiny is driven by process" in found["store"].found
+
+
+def doubled(x):
+    return 2 * x
+
+
+def test_damaged_kernels_are_counted_and_one_is_named(store, tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert examined(store.root)["kernels"].found.startswith(f"none compiled yet in {tmp_path}")
+    kernel = compiled(doubled, seconds=1)
+    assert (kernel(1), kernel(1.0)) == (2, 2.0)  # compiled for either type
+    assert examined(store.root)["kernels"].found.startswith(f"2 compiled in {tmp_path}")
+    path = min(tmp_path.glob("*/*/*.kernel"))
+    path.write_bytes(path.read_bytes()[:-1])
+    found = examined(store.root)["kernels"]
+    assert found.verdict == "warn" and found.found.endswith(f", 1 of them damaged, as {path}")
 
 
 def test_a_disk_without_working_locks_fails(tmp_path, monkeypatch):
