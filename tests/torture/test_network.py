@@ -70,6 +70,8 @@ def n_packets(ran: subprocess.CompletedProcess[str]) -> int:
 )
 def test_a_study_needs_no_network_and_sends_no_packet(setup, refusal, torture, tmp_path: Path):
     torture.times(1, 1)
+    if setup is ALONE and not torture.large:
+        pytest.skip("only with --torture: where no packet is answered a study works, too")
     called = on_a_machine(
         setup, sys.executable, "-c", "import socket; socket.create_connection(('198.51.100.1', 9), 1)"
     )

@@ -143,16 +143,18 @@ def sessions() -> set[Path]:
 def test_no_process_outlives_its_study(way: str, torture, tmp_path: Path):
     """All processes end within 5 s, or 15 s after a kill -9: at work, and at any moment while Ray starts.
 
-    `make test` tries the start with SIGINT and SIGKILL alone: SIGTERM and SIGHUP have the same handler
-    (tests/pipeline/cluster/test_process.py).
+    `make test` tries SIGINT and SIGKILL alone, at work: SIGTERM and SIGHUP have the handler of SIGINT
+    (tests/pipeline/cluster/test_process.py), and the next test kills a driver while Ray starts.
     """
+    if not torture.large and way in ("SIGTERM", "closed terminal"):
+        pytest.skip("with --torture: the handler is that of SIGINT")
     times: list[tuple[float, float]] = []
-    for number, rng in enumerate(torture.attempts(2 if way in ("SIGINT", "SIGKILL") else 1, 40)):
+    for number, rng in enumerate(torture.attempts(1, 40)):
         folder = tmp_path / str(number)
         with driver(folder, *ENDLESS, "--workers", "1", terminal=way == "closed terminal") as one:
             if number == 0:
                 wait_for(lambda folder=folder: list(folder.glob("store/items/evolve/*/*/manifest.json")))
-            time.sleep(rng.uniform(0.0, 1.0 if number == 0 else 15.0 if torture.large else 3.0))
+            time.sleep(rng.uniform(0.0, 1.0 if number == 0 else 15.0))
             assert one.process.poll() is None, one.said()
             spoke = "starting the cluster" in one.said()
             folders = {word for process in one.family() for word in words_of(process) if SESSION.fullmatch(word)}
@@ -233,8 +235,8 @@ def test_a_second_driver_is_refused_and_the_first_is_named(tmp_path: Path):
 
 
 @pytest.mark.share(2)
-def test_eight_processes_at_once_on_one_store_and_one_database(torture, fork_server, new_folder):
-    """Eight drivers of two studies that share work, one store, one MLflow: no error, and each study as if alone."""
+def test_drivers_at_once_on_one_store_and_one_database(torture, fork_server, new_folder):
+    """Drivers of two studies that share work, one store, one MLflow: no error, and each study as if alone."""
     alone = {}
     for name in ("tiny", "longer"):
         (answer,) = fork_server.finish([new_folder() / "store"], study=name)
@@ -242,7 +244,7 @@ def test_eight_processes_at_once_on_one_store_and_one_database(torture, fork_ser
     n_refused = 0
     for _ in torture.attempts(1, 50):
         root = new_folder() / "store"
-        answers = fork_server.drive_at_once(root, ["tiny", "longer"] * 4, mlflow=True)
+        answers = fork_server.drive_at_once(root, ["tiny", "longer"] * (4 if torture.large else 2), mlflow=True)
         for one in answers:  # the first of each study drives; the others are refused while it runs
             assert "is driven by process" in one.get("error", "is driven by process")
             assert not any("MLflow" in line for line in one["said"])
@@ -276,8 +278,7 @@ def test_a_run_listens_on_the_loopback_alone_and_connects_to_no_other_host(tortu
     torture.times(1, 1)
     seen: set[str] = set()
     n_inspections = 0
-    words = () if torture.large else ("--set", "grid.environments=[dry_land]")
-    with driver(tmp_path, *words, "--workers", "2", command="study" if torture.large else "evolve") as one:
+    with driver(tmp_path, "--workers", "2", command="study" if torture.large else "collect") as one:
         while one.process.poll() is None:
             for process in one.family():
                 with contextlib.suppress(psutil.Error):
@@ -286,7 +287,7 @@ def test_a_run_listens_on_the_loopback_alone_and_connects_to_no_other_host(tortu
                         ends = [end for end in (found.laddr, found.raddr) if end]
                         assert all(is_loopback(end.ip) for end in ends), (process.cmdline(), found)
             n_inspections += 1
-            time.sleep(0.1)
+            time.sleep(0.2)
         assert one.process.returncode == 0, one.said()
     assert {"gcs_server", "raylet"} <= seen and n_inspections > 10
     torture.note(f"sockets of {len(seen)} kinds of processes inspected {n_inspections} times")

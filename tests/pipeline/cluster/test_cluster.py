@@ -277,6 +277,40 @@ def closed_port() -> str:
         return f"127.0.0.1:{listener.getsockname()[1]}"
 
 
+LOSES_A_MACHINE = """
+import os, sys, time
+from pathlib import Path
+from ray.cluster_utils import Cluster
+from pipeline.cluster import ray_cluster
+place = Path(sys.argv[1])
+def square(number):
+    (place / f"{number}-{os.getppid()}").touch()
+    time.sleep(600 if number == 0 and len(list(place.iterdir())) == 1 else 0)
+    return number**2
+machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+lost = machines.add_node(num_cpus=1)
+with ray_cluster(machines.address) as cluster:
+    tickets = [cluster.submit(square, number) for number in range(3)]
+    while not list(place.iterdir()):
+        time.sleep(0.05)
+    machines.remove_node(lost, allow_graceful=False)
+    machines.add_node(num_cpus=1)
+    results = dict(cluster.next_done() for _ in tickets)
+    print(*(results[ticket].result for ticket in tickets))
+machines.shutdown()
+"""
+
+
+def test_another_machine_takes_over_the_calls_of_one_that_is_lost(tmp_path):
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    words = [sys.executable, "-c", LOSES_A_MACHINE, str(tmp_path)]
+    ran = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+    assert ran.stdout.splitlines()[-1:] == ["0 1 4"], ran.stdout + ran.stderr
+    machines = [path.name.partition("-") for path in tmp_path.iterdir()]
+    assert len({raylet for _, _, raylet in machines}) == 2  # the first call began on the machine that was lost
+    assert sorted(number for number, _, _ in machines) == ["0", "0", "1", "2"]
+
+
 @pytest.mark.parametrize("where", ["ray://head:10001", "nowhere", "host:99999", "http://host:80"])
 def test_what_is_no_address_of_a_cluster_is_refused(where: str):
     """``ray://`` is Ray Client's, which is not among what is installed."""

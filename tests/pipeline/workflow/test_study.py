@@ -67,14 +67,17 @@ def test_nothing_is_computed_twice(serial_run):
 
 def test_ray_gives_the_same_bytes_as_one_process(serial_run, local_ray, tmp_path):
     _, upstream = serial_run
-    other = run(tiny(), Store.open(tmp_path / "store", create=True), local_ray)
-    assert digests(other) == digests(upstream)
+    other = run(tiny(), Store.open(tmp_path / "store", create=True), local_ray, STAGES[:-1])
+    assert digests(other) == {k: v for k, v in digests(upstream).items() if not k.startswith("report/")}
 
 
 def test_batches_of_designs_on_ray_give_the_same_bytes(serial_run, local_ray, tmp_path):
-    _, upstream = serial_run
+    before, upstream = serial_run
     settings = tiny("work.designs_per_batch=3")
-    store = Store.open(tmp_path / "store", create=True)
+    shutil.copytree(before.root, tmp_path / "store")
+    store = Store.open(tmp_path / "store", create=False)
+    for key in list(store.keys("evolve")):  # what is computed in batches has the same identity
+        store.discard("evolve", key)
     batched = run(settings, store, local_ray, STAGES[:3])
     assert digests(batched) == {k: v for k, v in digests(upstream).items() if k.split("/")[0] in batched}
 
