@@ -68,8 +68,12 @@ def main(folder: str, n_cores: int, object_store_bytes: int, lock: int) -> None:
 
 def _start_ray(folder: str, n_cores: int, object_store_bytes: int) -> Node:
     """Start Ray as ``ray start --head`` does, but on the loopback and without the fixed port for remote drivers."""
+    import ray._private.utils
     from ray._private.node import Node
     from ray._private.parameter import RayParams
+
+    # Ray's agent of this machine loads the parts that serve a dashboard wherever their packages happen to be installed.
+    ray._private.utils.get_dashboard_dependency_error = lambda: "there is no dashboard"
 
     class Quiet(Node):  # type: ignore[misc]  # Ray has no types
         def start_api_server(self, **_: object) -> None:

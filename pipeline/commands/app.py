@@ -6,7 +6,6 @@ pinned before numpy, numba or torch is loaded.
 
 import importlib.metadata
 import sys
-import traceback
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -15,7 +14,7 @@ import typer
 from pipeline.cluster import pin_threads
 from pipeline.commands import study
 from pipeline.commands.doctor import doctor
-from pipeline.commands.exit_codes import DEFECT, USER_ERROR, to_stderr
+from pipeline.commands.exit_codes import Commands, exit_with
 from pipeline.commands.export import export
 from pipeline.commands.fabricate import fabricate
 from pipeline.commands.forecast import forecast
@@ -28,9 +27,9 @@ from pipeline.commands.status import status
 from pipeline.commands.studies import studies
 from pipeline.commands.ui import ui
 from pipeline.commands.verify import verify
-from pipeline.errors import PuddleError
 
 app = typer.Typer(
+    cls=Commands,
     help="Evolve robots for a world whose physics the simulator lacks.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -87,10 +86,9 @@ def main(arguments: list[str] | None = None, run: Callable[[list[str] | None], A
     """
     pin_threads()
     try:
-        return run(arguments)
-    except PuddleError as error:
-        to_stderr(f"puddle: {error}")
-        sys.exit(USER_ERROR)
-    except Exception:
-        traceback.print_exc()
-        sys.exit(DEFECT)
+        try:
+            return run(arguments)
+        finally:
+            sys.stdout.flush()
+    except Exception as error:
+        exit_with(error)

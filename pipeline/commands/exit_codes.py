@@ -1,17 +1,75 @@
 """Exit codes, and what the terminal shows when a command is interrupted."""
 
 import contextlib
+import os
 import signal
+import sys
+import traceback
 from collections.abc import Iterator
+from typing import Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
+
+from pipeline.errors import PuddleError
 
 INCOMPLETE = 1  # the study ran to its end but some work items or designs failed; the message names them
 USER_ERROR = 2  # the user can correct the mistake
 DEFECT = 70  # a bug in puddle, shown with its traceback: EX_SOFTWARE of sysexits.h
-INTERRUPTED = 130  # ctrl-C
+INTERRUPTED = 130  # Ctrl-C
+OUTPUT_CLOSED = 141  # whatever read the output has closed it, as `head` does: 128 + SIGPIPE, as a shell has it
 
 _STOPPED = (128 + signal.SIGTERM, 128 + signal.SIGHUP)
+
+
+class OutputClosed(Exception):  # noqa: N818 (no mistake of anyone)
+    """Raised where a command writes to what nobody reads any more."""
+
+
+class Commands(TyperGroup):
+    """A group of commands that leaves it to :func:`exit_with` how they end, where Typer has one code for everything."""
+
+    def make_context(self, *arguments: Any, **options: Any) -> Any:
+        """Parse the arguments; this also prints the help."""
+        with _named():
+            return super().make_context(*arguments, **options)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        with _named():
+            return super().invoke(ctx)
+
+
+@contextlib.contextmanager
+def _named() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError as error:
+        raise OutputClosed from error
+    except SystemExit as end:
+        if isinstance(end.__context__, BrokenPipeError):  # Rich found it
+            raise OutputClosed from end
+        raise
+    except typer.Abort as abort:
+        if isinstance(abort.__context__, KeyboardInterrupt):
+            raise typer.Exit(INTERRUPTED) from None
+        raise PuddleError("the input ended before the question was answered. Nothing was done") from abort
+    except EOFError as error:
+        raise PuddleError("the input ended too early. Finished work is safe") from error
+
+
+def exit_with(error: Exception) -> NoReturn:
+    """End the process as an error of a command demands: with a message or a traceback, and its exit code."""
+    match error:
+        case PuddleError():
+            to_stderr(f"puddle: {error}")
+            sys.exit(USER_ERROR)
+        case OutputClosed() | BrokenPipeError():
+            with contextlib.suppress(OSError, ValueError):  # Python flushes the output once more at the end
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            sys.exit(OUTPUT_CLOSED)
+    traceback.print_exception(error)
+    sys.exit(DEFECT)
 
 
 @contextlib.contextmanager

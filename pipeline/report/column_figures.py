@@ -18,7 +18,15 @@ from matplotlib.backends.backend_pdf import Op, PdfFile, RendererPdf
 from matplotlib.figure import Figure
 
 from pipeline.report.data import StudyReport
-from pipeline.report.drawing import FIGURE_WIDTH, NO_METADATA, Missing, NothingToDraw, figure_style, round_paths
+from pipeline.report.drawing import (
+    FIGURE_WIDTH,
+    NO_METADATA,
+    Missing,
+    NothingToDraw,
+    figure_style,
+    fix_layout,
+    round_paths,
+)
 from pipeline.report.figures import FIGURES, WIDE
 
 COLUMN_WIDTH, PAGE_WIDTH = 3.5, 7.16  # of a two-column paper [inch]
@@ -50,6 +58,7 @@ def draw_for_print(report: StudyReport) -> Iterator[ColumnFigure | Missing]:
             width = figure.get_size_inches()[0]
             if name.endswith(WIDE) and width <= FIGURE_WIDTH:
                 continue  # the same figure
+            fix_layout(figure)
             scale = min(COLUMN_WIDTH / FIGURE_WIDTH, PAGE_WIDTH / width)
             yield ColumnFigure(name, caption, _svg(figure, scale), _png(figure, scale), _pdf(figure, scale))
 

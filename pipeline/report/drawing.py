@@ -101,10 +101,17 @@ def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Dra
             figure, description = draw()
         except NothingToDraw as nothing:
             return Missing(name=name, title=title, reason=str(nothing))
+        fix_layout(figure)
         svg, png = io.BytesIO(), io.BytesIO()
         figure.savefig(svg, format="svg", metadata=NO_METADATA)
         figure.savefig(png, format="png", dpi=216, facecolor="white", metadata={"Software": None})
     return Drawing(name=name, title=title, description=description, svg=round_paths(svg.getvalue()), png=png.getvalue())
+
+
+def fix_layout(figure: Figure) -> None:
+    """Lay out a figure once, instead of once for each format in which it is encoded."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
 
 
 def round_paths(svg: bytes) -> bytes:

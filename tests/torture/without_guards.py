@@ -20,9 +20,6 @@ import pipeline.store.encoding
 import pipeline.store.items
 import pipeline.store.manifest
 import pipeline.store.store
-import tasks.evolution.afpo
-import tasks.evolution.objectives.evaluation
-import tasks.residual.training
 from pipeline.store import disk
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -139,15 +136,15 @@ GUARDS: dict[str, tuple[str, Callable[[pytest.MonkeyPatch], None]]] = {
     ),
     "check that a training's loss is finite": (
         "tests/tasks/residual/test_training.py::test_data_that_are_not_finite_end_a_training_by_name[nan]",
-        lambda patch: patch.setattr(tasks.residual.training, "_finite", lambda loss, *where: loss.item()),
+        lambda patch: patch.setattr("tasks.residual.training._finite", lambda loss, *where: loss.item()),
     ),
     "check that a survivor's fitness is finite": (
         EVOLUTION + "test_afpo.py::test_a_fitness_that_is_not_finite_is_never_selected_and_never_dominates[inf]",
-        lambda patch: patch.setattr(tasks.evolution.afpo, "np", every_array_is_finite()),
+        lambda patch: patch.setattr("tasks.evolution.afpo.np", every_array_is_finite()),
     ),
     "check that a design got somewhere with every member": (
         EVOLUTION + "objectives/test_evaluation.py::test_one_diverged_member_is_enough[nan]",
-        lambda patch: patch.setattr(tasks.evolution.objectives.evaluation, "np", every_array_is_finite()),
+        lambda patch: patch.setattr("tasks.evolution.objectives.evaluation.np", every_array_is_finite()),
     ),
     "refusal of numbers that are not finite": (
         ARTIFACTS + "what_json_has_no_exact_form_for_is_refused[inf-ValueError-is inf]",

@@ -1,0 +1,88 @@
+"""The exit codes of docs/reliability.md, seen from outside."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+from command_line import refused
+
+from pipeline.commands.app import _PANELS, main
+from pipeline.commands.exit_codes import DEFECT, INCOMPLETE, INTERRUPTED, OUTPUT_CLOSED, USER_ERROR, Commands
+
+ROOT = Path(__file__).parents[3]
+COMMANDS = [name for commands in _PANELS.values() for name in commands] + ["servo", "servo play", "servo calibrate"]
+
+
+def to_a_closed_pipe(*words: str) -> subprocess.CompletedProcess[str]:
+    """Run a command whose output nobody reads."""
+    command = [sys.executable, "-m", "pipeline", *words]
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        return subprocess.run(command, cwd=ROOT, stdout=writer, stderr=subprocess.PIPE, text=True)
+    finally:
+        os.close(writer)
+
+
+def test_the_documentation_lists_every_code():
+    table = (ROOT / "docs" / "reliability.md").read_text().partition("## Exit codes")[2].partition("\n## ")[0]
+    listed = {int(code) for codes in re.findall(r"^\| ([\d, ]+) \|", table, flags=re.M) for code in codes.split(",")}
+    signals = {128 + number for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)}
+    assert listed == {0, INCOMPLETE, USER_ERROR, DEFECT, OUTPUT_CLOSED} | signals and INTERRUPTED in signals
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_output_that_nobody_reads_ends_a_command_quietly(command):
+    ended = to_a_closed_pipe(*command.split(), "--help")
+    assert (ended.returncode, ended.stderr) == (OUTPUT_CLOSED, "")
+
+
+@pytest.mark.parametrize("words", [("settings", "--preset", "smoke"), ("studies", "--json"), ("status",)])
+def test_results_that_nobody_reads_end_a_command_quietly(words, done):
+    store = () if words[0] == "settings" else ("--store", str(done / "store"))
+    study = ("--study", "tiny") if words[0] == "status" else ()
+    ended = to_a_closed_pipe(*words, *study, *store)
+    assert (ended.returncode, ended.stderr) == (OUTPUT_CLOSED, "")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_unknown_option_is_a_users_mistake(command, capsys):
+    assert "--no-such-option" in refused(capsys, *command.split(), "--no-such-option")
+
+
+def raises(error: BaseException):
+    """Return an application with one command, which raises an error."""
+    app = typer.Typer(cls=Commands, pretty_exceptions_enable=False)
+
+    @app.callback()
+    def group() -> None: ...
+
+    @app.command()
+    def fails() -> None:
+        raise error
+
+    return app
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (EOFError(), USER_ERROR, "puddle: the input ended too early"),
+        (typer.Abort(), USER_ERROR, "puddle: the input ended before the question was answered"),
+        (BrokenPipeError(32, "Broken pipe"), OUTPUT_CLOSED, ""),
+        (KeyboardInterrupt(), INTERRUPTED, ""),
+        (ArithmeticError("a defect"), DEFECT, "ArithmeticError: a defect"),
+        (OSError(5, "Input/output error"), DEFECT, "Input/output error"),
+    ],
+)
+def test_every_end_of_a_command_has_its_code(error, code, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["fails"], run=raises(error))
+    assert ended.value.code == code
+    shown = capsys.readouterr().err
+    assert said in shown and bool(shown) == bool(said) and "Aborted" not in shown
