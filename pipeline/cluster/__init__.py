@@ -6,7 +6,7 @@ results.
 """
 
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket
-from pipeline.cluster.on_ray import ray_cluster, spread
+from pipeline.cluster.on_ray import Spread, ray_cluster
 from pipeline.cluster.process import pin_threads
 from pipeline.cluster.serial import serial_cluster
 
@@ -15,10 +15,10 @@ __all__ = [
     "Done",
     "Handle",
     "Outcome",
+    "Spread",
     "TaskFailed",
     "Ticket",
     "pin_threads",
     "ray_cluster",
     "serial_cluster",
-    "spread",
 ]

@@ -73,7 +73,7 @@ class Cluster(Protocol):
         Args:
             function: a pure function that can be pickled.
             args: its arguments; each may be a :class:`Handle`, which is not looked for inside other values.
-            n_cores: cores that the call occupies. A function that only waits for its own :func:`spread` takes 0;
+            n_cores: cores that the call occupies. A function that only waits for its own :class:`Spread` takes 0;
                 each such call is a process, so the caller limits their number by memory.
             n_gpus: GPUs that the call occupies.
             name: shown in messages; by default the function's name.

@@ -237,41 +237,45 @@ def _folder_of(package: str) -> str:
     return str(Path(specification.submodule_search_locations[0]).resolve())
 
 
-def spread(
-    function: Callable[..., Any], items: Sequence[Any], *shared: Any, n_cores: float = 1.0, name: str = ""
-) -> list[Any]:
-    """Return ``function(item, *shared)`` of every item, in order, computed on other workers if this is a Ray worker.
+class Spread:
+    """A pure function of an item and of values that all items share, for calls with many items, time and again.
 
     Where a generation of evolution costs core-seconds, or cores outnumber trials, a segment is a task without a core of
-    its own that spreads each generation's designs over the cluster. Outside a Ray worker this is a plain loop.
-
-    Args:
-        function: a pure function.
-        items: its first argument, one call each.
-        shared: further arguments, stored on the cluster once.
-        n_cores: cores for each call.
-        name: shown in messages.
-
-    Raises:
-        TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
+    its own that spreads each generation's designs over the cluster. What they share, such as an ensemble, is stored on
+    the cluster by the first call, once for all generations. Outside a Ray worker a call is a plain loop.
     """
-    if not _in_ray_worker():
-        return [function(item, *shared) for item in items]
-    import ray
 
-    name, put = name or name_of(function), [ray.put(value) for value in shared]
-    remote = _remote_call(n_cores, name)
-    references = [remote.remote(None, function, item, *put) for item in items]
-    results: list[Any] = []
-    try:
-        for index, reference in enumerate(references):
-            outcome = _outcome(f"{name}, item {index}", reference)
-            if isinstance(outcome, TaskFailed):
-                raise outcome
-            results.append(outcome.result)
-    finally:
-        _cancel(references[len(results) :])
-    return results
+    def __init__(self, function: Callable[..., Any], *shared: Any) -> None:
+        """Set the function, whose first argument is an item, and its further arguments."""
+        self._function, self._shared = function, shared
+
+    @functools.cached_property
+    def _stored(self) -> list[Any]:
+        import ray
+
+        return [ray.put(value) for value in self._shared]
+
+    def __call__(self, items: Sequence[Any]) -> list[Any]:
+        """Return ``function(item, *shared)`` of every item, in order, computed on other workers if this is one.
+
+        Raises:
+            TaskFailed: on Ray, the first failure among the items; the rest are cancelled.
+        """
+        if not _in_ray_worker():
+            return [self._function(item, *self._shared) for item in items]
+        name = name_of(self._function)
+        remote = _remote_call(1.0, name)
+        references = [remote.remote(None, self._function, item, *self._stored) for item in items]
+        results: list[Any] = []
+        try:
+            for index, reference in enumerate(references):
+                outcome = _outcome(f"{name}, item {index}", reference)
+                if isinstance(outcome, TaskFailed):
+                    raise outcome
+                results.append(outcome.result)
+        finally:
+            _cancel(references[len(results) :])
+        return results
 
 
 def _call(start_key: bytes | None, function: Callable[..., Any], *args: Any) -> Any:

@@ -28,6 +28,7 @@ OBJECT_STORE_BYTES = 512 * 2**20  # shared memory of a local cluster; ensembles 
 SESSIONS_FOLDER = Path("/tmp")  # short, because the path of a Unix socket has at most 107 bytes
 
 _SESSION_PREFIX = "puddle-"
+_MARK = b"session of puddle\n"  # content of a session's lock, without which a folder is somebody else's
 _START_SECONDS = 120.0  # time that Ray has to start on a busy machine [s]; ten seconds are usual
 _WORKERS_ON_DEMAND = {"RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0"}
 """Ray makes its first driver wait for all workers that it starts in advance: for ever, if one is killed meanwhile
@@ -105,6 +106,7 @@ def _address(child: subprocess.Popen[str], folder: Path) -> str:
 def _lock(folder: Path) -> int:
     """Lock a folder against other drivers' sweeps. The rename ensures that no lock file is ever unlocked at first."""
     descriptor = os.open(folder / "lock.new", os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    os.write(descriptor, _MARK)
     fcntl.flock(descriptor, fcntl.LOCK_EX)
     (folder / "lock.new").rename(folder / "lock")
     return descriptor
@@ -128,7 +130,8 @@ def abandoned_sessions() -> Iterator[Path]:
             continue
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            yield folder
+            if os.read(descriptor, len(_MARK) + 1) == _MARK:
+                yield folder
         except BlockingIOError:  # its driver or supervisor is alive
             continue
         finally:

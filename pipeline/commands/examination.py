@@ -65,7 +65,7 @@ def examine(settings: Settings, store: Path, *, n_workers: int | None) -> Iterat
     yield _versions()
     yield _processor(n_cores, n_workers)
     yield _memory(n_workers, free_memory())
-    yield from examine_store(store.expanduser().resolve(), settings)
+    yield from examine_store(store, settings)
     yield _temporary()
     yield _shared_memory()
     yield _open_files()
@@ -131,6 +131,7 @@ def _memory(n_workers: int, free: float) -> Check:
 def examine_store(root: Path, settings: Settings) -> Iterator[Check]:
     """Check the store's disk: space for the rest of the study, and every operation of a commit."""
     try:
+        root = disk.resolved(root)
         with disk.explained("looking for the store's disk", root, advice="ask again"):
             existing = next(path for path in (root, *root.parents) if path.exists())
             free = float(shutil.disk_usage(existing).free)

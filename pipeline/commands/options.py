@@ -123,7 +123,7 @@ class StudyOptions:
         """Open the store if there is one."""
         from pipeline.store import disk
 
-        root = self.store.expanduser().resolve()
+        root = disk.resolved(self.store)
         with disk.explained("looking for a store", root):
             exists = (root / "store.json").exists()
         return self.open_store(create=False) if exists else None

@@ -1,11 +1,11 @@
 """Environments of a study: built from settings and trained networks, and what it takes to simulate designs in them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.cluster import spread
+from pipeline.cluster import Spread
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, RolloutSettings, Settings
 from pipeline.stages.part import PartId
 from pipeline.store.encoding import decode_arrays
@@ -174,25 +174,29 @@ def _score_batch(
     return evaluate(roll_out(simulation, execution, environment, designs), disagreement_penalty=penalty)
 
 
-def score(
-    simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float, designs: Designs
-) -> Evaluation:
-    """Return the evaluation of designs, split over several workers where the execution options say so.
+def scorer(
+    simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float
+) -> Callable[[Designs], Evaluation]:
+    """Return a function that evaluates (n_designs,) designs, over several workers where the execution options say so.
 
     Args:
         simulation: physics and duration.
         execution: the engine, and the number of designs per batch.
         environment: where they are simulated.
         penalty: weight of the members' disagreement in the fitness.
-        designs: (n_designs,)
     """
-    size = execution.designs_per_batch
-    if size is None or size >= len(designs):
-        return _score_batch(designs, simulation, execution, environment, penalty)
-    batches = [designs[first : first + size] for first in range(0, len(designs), size)]
-    parts: Sequence[Evaluation] = spread(_score_batch, batches, simulation, execution, environment, penalty)
-    return Evaluation(
-        fitness=np.concatenate([part.fitness for part in parts]),
-        displacement=np.concatenate([part.displacement for part in parts]),
-        com_displacement=np.concatenate([part.com_displacement for part in parts]),
-    )
+    spread = Spread(_score_batch, simulation, execution, environment, penalty)
+
+    def score(designs: Designs) -> Evaluation:
+        size = execution.designs_per_batch or len(designs)
+        parts: Sequence[Evaluation]
+        if size >= len(designs):
+            return _score_batch(designs, simulation, execution, environment, penalty)
+        parts = spread([designs[first : first + size] for first in range(0, len(designs), size)])
+        return Evaluation(
+            fitness=np.concatenate([part.fitness for part in parts]),
+            displacement=np.concatenate([part.displacement for part in parts]),
+            com_displacement=np.concatenate([part.com_displacement for part in parts]),
+        )
+
+    return score

@@ -125,7 +125,7 @@ def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs])
     environment, penalty = spec.trial.at_home(inputs[0]), spec.trial.disagreement_penalty
     advanced = evolve(
         trials,
-        partial(environments.score, spec.trial.simulation, execution, environment, penalty),
+        environments.scorer(spec.trial.simulation, execution, environment, penalty),
         first_generation=spec.first_generation,
         n_generations=spec.n_generations,
         afpo=spec.trial.afpo,

@@ -93,6 +93,15 @@ def place(path: Path, data: bytes) -> None:
     fsync(path.parent)
 
 
+def resolved(path: Path) -> Path:
+    """Return an absolute path without links, ``~`` being the user's home; raise PuddleError if links lead nowhere."""
+    try:
+        return path.expanduser().resolve()
+    except (OSError, RuntimeError) as error:  # Python raises RuntimeError for an unknown home, and once did for a loop
+        reason = "its symbolic links lead in a circle" if "loop" in str(error).lower() else str(error)
+        raise PuddleError(f"{path}: expected a path that can be followed: {reason}. Choose another one.") from None
+
+
 def unused(path: Path) -> Path:
     """Return a path that nothing has, made from this one by the first number that makes it so: ``name-1.suffix``."""
     number = 1

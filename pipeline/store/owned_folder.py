@@ -61,7 +61,7 @@ class FolderKind:
         other = "Choose another one with --out."
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise PuddleError(f"{folder}: {expected}, found a file or a link. {other}")
-        place = folder.resolve()
+        place = disk.resolved(folder)
         if not folder.exists():
             if not folder.parent.is_dir():
                 advice = "Create it, or choose another folder with --out."

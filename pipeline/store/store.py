@@ -74,7 +74,7 @@ class Store(Items):
     @classmethod
     def open(cls, root: Path, *, create: bool) -> Store:
         """Open a store, or create one in a new or empty folder."""
-        root = root.expanduser().resolve()
+        root = disk.resolved(root)
         with disk.explained("opening the store", root):
             if not (root / "store.json").exists():
                 if not create:

@@ -143,11 +143,12 @@ def _champion_row(
         return ChampionRow(trial.index, best, Moved(np.nan, np.nan, np.nan), slush, untried)
     environment = home_of(spec.simulation, champion, members_among(inputs))
     penalty = spec.disagreement_penalty
-    at_home = environments.score(spec.simulation, job.execution, environment, penalty, champion.design)
+    score = environments.scorer(spec.simulation, job.execution, environment, penalty)
+    at_home = score(champion.design)
     (home,) = _moved(at_home.displacement.mean(axis=1), at_home.com_displacement.mean(axis=1))
 
     def fitness(designs: Designs) -> Float64:
-        return environments.score(spec.simulation, job.execution, environment, penalty, designs).fitness
+        return score(designs).fitness
 
     rng = generator(spec.seed, "analyse", "luck", trial.environment, trial.depth, trial.index)
     return ChampionRow(trial.index, best, home, slush, luck(champion.design, fitness, rng=rng, n_tries=N_TRIES))

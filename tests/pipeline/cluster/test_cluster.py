@@ -15,7 +15,7 @@ import psutil
 import pytest
 import ray
 
-from pipeline.cluster import Cluster, Done, Outcome, TaskFailed, Ticket, ray_cluster, serial_cluster, spread
+from pipeline.cluster import Cluster, Done, Outcome, Spread, TaskFailed, Ticket, ray_cluster, serial_cluster
 from pipeline.cluster.preflight import check_reachable
 from pipeline.cluster.watchdog import NODE_DIED
 from pipeline.errors import PuddleError
@@ -60,7 +60,7 @@ def reciprocal(x: float) -> float:
 
 
 def nested(items: list[float], scale: float) -> list[float]:
-    return spread(lambda x, scale: scale * reciprocal(x), items, scale)
+    return Spread(lambda x, scale: scale * reciprocal(x), scale)(items)
 
 
 def test_the_same_results_serially_and_on_ray(local_ray):
@@ -120,12 +120,28 @@ def test_a_failure_in_a_spread_is_its_tasks_failure(cluster):
 
 def test_spread_on_ray_uses_other_processes(local_ray):
     def pids() -> tuple[int, list[int]]:
-        return os.getpid(), spread(lambda _: os.getpid(), range(4))
+        return os.getpid(), Spread(lambda _: os.getpid())(range(4))
 
     local_ray.submit(pids, n_cores=0)
     outer, inner = only(local_ray).result
     assert outer not in inner
-    assert spread(lambda _: os.getpid(), range(4)) == [os.getpid()] * 4  # the driver is no worker
+    assert Spread(lambda _: os.getpid())(range(4)) == [os.getpid()] * 4  # the driver is no worker
+
+
+def test_what_a_spread_shares_is_stored_once_for_all_its_calls(local_ray):
+    def count() -> tuple[int, list[list[float]], int]:
+        import ray as theirs
+
+        stored, put = [], theirs.put
+        theirs.put = lambda value: stored.append(value) or put(value)
+        try:
+            spread = Spread(lambda x, weights: float(x * weights.sum()), np.ones(1000))
+            return len(stored), [spread([1.0, 2.0]) for _ in range(3)], len(stored)
+        finally:
+            theirs.put = put
+
+    local_ray.submit(count, n_cores=0)
+    assert only(local_ray).result == (0, [[1000.0, 2000.0]] * 3, 1)
 
 
 def test_a_spread_within_every_core_does_not_wait_for_itself(local_ray):

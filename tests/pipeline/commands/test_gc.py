@@ -1,5 +1,6 @@
 """`puddle gc` on a store with a finished study, or one stopped halfway."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -213,11 +214,12 @@ def test_folders_of_dead_drivers_are_swept(options, store, tmp_path, monkeypatch
     monkeypatch.setattr(session, "SESSIONS_FOLDER", tmp_path)
     dead = tmp_path / "puddle-12345678"
     dead.mkdir()
-    (dead / "lock").touch()
-    stranger = tmp_path / "puddle-stranger"
+    os.close(session._lock(dead))
+    stranger = tmp_path / "puddle-notes"
     stranger.mkdir()
+    (stranger / "lock").write_text("of another program")
     assert call("gc", "--store", str(store.root)) == 0
     said = capsys.readouterr().out
     assert f"{dead}: left by a driver that is dead" in said and str(stranger) not in said and dead.exists()
     assert call("gc", "--remove", "--store", str(store.root)) == 0
-    assert not dead.exists() and stranger.exists()
+    assert not dead.exists() and (stranger / "lock").read_text() == "of another program"

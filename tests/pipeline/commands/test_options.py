@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from command_line import call
 
 from pipeline.commands.options import StudyOptions
 from pipeline.errors import PuddleError
@@ -55,3 +56,29 @@ def test_an_advised_command_has_the_same_settings(chosen, expected, monkeypatch)
 def test_two_sources_of_settings_are_refused(chosen):
     with pytest.raises(PuddleError, match="expected only one of --study, --preset and --settings, got --"):
         StudyOptions(**chosen)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("studies",),
+        ("status", "--preset", "smoke"),
+        ("study", "--preset", "smoke", "--workers", "0"),
+        ("doctor", "--preset", "smoke", "--workers", "0"),
+        ("verify",),
+        ("gc",),
+        ("ui",),
+        ("export", "tiny", "--out", "out"),
+    ],
+    ids=lambda command: command[0],
+)
+@pytest.mark.parametrize("place", ["circle", "circle/store", "~nobody-of-this-name/store", "too/" * 1500 + "store"])
+def test_a_store_at_a_path_that_cannot_be_followed(command, place, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("circle").symlink_to("other")
+    Path("other").symlink_to("circle")
+    code = call(*command, "--store", place)
+    said = capsys.readouterr()
+    assert code in ((1,) if command[0] == "doctor" else (2,))
+    assert place[-40:] in "".join((said.out + said.err).split("\n")) and "Traceback" not in said.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["circle", "other"]
