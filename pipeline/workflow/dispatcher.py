@@ -22,6 +22,7 @@ from pipeline.workflow.stage import Files, Input, Inputs, Item, Job
 _N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
 _QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no core waits for this process
 _SECONDS_BETWEEN_CHECKS = 5.0  # how often this process looks for hanging items and for the number of cores
+_SECONDS_WHEN_STOPPED = 60.0  # time between two such looks after which this process was stopped, as by Ctrl-Z [s]
 _CHECKS_WITHOUT_CORES = 3  # consecutive checks after which this process reports that the cluster has no cores
 
 
@@ -86,6 +87,7 @@ class _Dispatcher:
         self._running: dict[Ticket, _Batch] = {}
         self._started: dict[Ticket, float] = {}  # when each was first seen to run: a batch that waits does not hang
         self._slowest = 0.0  # seconds per weighted unit of the slowest item, with the time of its whole batch
+        self._last_look = clock()
         self._checks_without_cores = 0
 
     def run(self, chains: Sequence[ChainProgress]) -> None:
@@ -104,6 +106,9 @@ class _Dispatcher:
             if self._clock() >= next_check:
                 n_cores = self._cluster.n_cores  # machines join and leave
                 self._check_cores(n_cores)
+                if self._hanging():  # what has arrived meanwhile does not hang
+                    while (arrived := self._cluster.next_done(timeout=0.0)) is not None:
+                        make_ready(self._finish(*arrived))
                 for ticket, failed in self._hanging():
                     self._cluster.cancel(ticket)
                     make_ready(self._finish(ticket, failed))
@@ -160,13 +165,17 @@ class _Dispatcher:
         return self._shared[slot]
 
     def _hanging(self) -> list[tuple[Ticket, TaskFailed]]:
+        """Find the batches that have run for longer than their limit, not counting time in which nobody looked."""
         now, started = self._clock(), self._cluster.started()
+        if now - self._last_look > _SECONDS_WHEN_STOPPED:
+            self._started.clear()
+        self._last_look = now
         hanging = []
         for ticket, batch in self._running.items():
             if ticket in started:
                 self._started.setdefault(ticket, now)
             seconds, why = self._limits.seconds(max(progress.next_cost for progress, _ in batch), self._slowest)
-            if now - self._started.get(ticket, now) > seconds:
+            if ticket in started and now - self._started[ticket] > seconds:
                 reason = f"it did not end within {seconds:.0f} s{why}, and was stopped"
                 hanging.append((ticket, TaskFailed(ticket.name, reason, "", False)))
         return hanging

@@ -81,6 +81,51 @@ def test_an_item_that_hangs_fails_in_every_run(tmp_path):
         assert "did not end within 2000 s" in why and "slowest item of its stage took 100 s" in why
 
 
+class Belated(Stuck):
+    """A simulated cluster of one core whose first result arrives at some time, and no item of which ever hangs.
+
+    At ``stopped_at`` this process is stopped for days, and cannot look.
+    """
+
+    def __init__(self, inner: Cluster, *, arrives_at: float, stopped_at: float = float("inf")) -> None:
+        super().__init__(inner)
+        self.arrives_at, self.stopped_at, self.submitted = arrives_at, stopped_at, list[Ticket]()
+
+    def submit(self, function, *arguments, **options) -> Ticket:
+        self.submitted.append(self.inner.submit(function, *arguments, name=options["name"]))
+        return self.submitted[-1]
+
+    def next_done(self, timeout: float) -> tuple[Ticket, Outcome] | None:
+        if self.now >= self.arrives_at:
+            return self.inner.next_done()
+        self.now += 2e5 if self.now < self.stopped_at <= self.now + timeout else timeout
+        return None
+
+    def started(self) -> set[Ticket]:
+        return set(self.submitted[:1])
+
+
+DAY = 86_400.0
+"""The limit while no item of a stage has ended [s]."""
+
+
+@pytest.mark.parametrize(
+    ("arrives_at", "stopped_at"),
+    [
+        (DAY + 10.0, float("inf")),  # between the last look and the check
+        (2e5, 100.0),  # while this process was stopped
+        (2e5 + DAY / 2, 100.0),  # some time after it went on
+    ],
+)
+def test_what_has_arrived_does_not_hang_nor_what_runs_while_nobody_looks(tmp_path, arrives_at, stopped_at):
+    settings, store = tiny(), Store.open(tmp_path / "store", create=True)
+    with serial_cluster() as inner:
+        cluster = Belated(inner, arrives_at=arrives_at, stopped_at=stopped_at)
+        found = run(settings, store, cluster, [EVOLVE], clock=cluster.clock)["evolve"]
+    assert not found.failed and not found.unfinished
+    assert len(cluster.submitted) == len(found.done)  # nothing is computed twice
+
+
 @pytest.mark.parametrize(
     ("before", "now"),
     [
