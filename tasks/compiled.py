@@ -186,7 +186,7 @@ def is_cached(kernel: Callable[..., Any]) -> bool:
     return not isinstance(cache, _KernelCache) or bool(glob.glob(f"{cache.base}-*.kernel"))
 
 
-def kept_kernels() -> dict[str, bool]:
+def check_cache() -> dict[str, bool]:
     """Check every file of the cache, those of kernels that this process does not use included.
 
     Returns:

@@ -234,11 +234,11 @@ def _loopback() -> Check:
 
 def _kernels() -> Check:
     """Check the cache of compiled kernels."""
-    from tasks.compiled import cache_folder, kept_kernels
+    from tasks.compiled import cache_folder, check_cache
 
-    folder, kept = cache_folder(), kept_kernels()
-    damaged = sorted(path for path, sound in kept.items() if not sound)
-    found = f"{len(kept)} compiled in {folder}" if kept else f"none compiled yet in {folder}"
+    folder, checked = cache_folder(), check_cache()
+    damaged = sorted(path for path, sound in checked.items() if not sound)
+    found = f"{len(checked)} compiled in {folder}" if checked else f"none compiled yet in {folder}"
     if damaged:
         advice = "They are compiled again when they are needed. Check the disk if you do not know why."
         return Check("warn", "kernels", f"{found}, {len(damaged)} of them damaged, as {damaged[0]}", advice)

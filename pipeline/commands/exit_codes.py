@@ -23,7 +23,7 @@ _STOPPED = (128 + signal.SIGTERM, 128 + signal.SIGHUP)
 
 
 class OutputClosed(Exception):  # noqa: N818 (no mistake of anyone)
-    """Raised where a command writes to what nobody reads any more."""
+    """Raised where a command writes to a pipe that has no reader any more."""
 
 
 class Commands(TyperGroup):

@@ -165,7 +165,7 @@ class _Dispatcher:
         return self._shared[slot]
 
     def _hanging(self) -> list[tuple[Ticket, TaskFailed]]:
-        """Find the batches that have run for longer than their limit, not counting time in which nobody looked."""
+        """Find the batches that have run beyond their limit, without the time in which this process was stopped."""
         now, started = self._clock(), self._cluster.started()
         if now - self._last_look > _SECONDS_WHEN_STOPPED:
             self._started.clear()

@@ -19,7 +19,7 @@ COMMANDS = [name for commands in _PANELS.values() for name in commands] + ["serv
 
 
 def to_a_closed_pipe(*words: str) -> subprocess.CompletedProcess[str]:
-    """Run a command whose output nobody reads."""
+    """Run a command whose output has no reader."""
     command = [sys.executable, "-m", "pipeline", *words]
     reader, writer = os.pipe()
     os.close(reader)
@@ -37,13 +37,13 @@ def test_the_documentation_lists_every_code():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_output_that_nobody_reads_ends_a_command_quietly(command):
+def test_help_without_a_reader_ends_a_command_quietly(command):
     ended = to_a_closed_pipe(*command.split(), "--help")
     assert (ended.returncode, ended.stderr) == (OUTPUT_CLOSED, "")
 
 
 @pytest.mark.parametrize("words", [("settings", "--preset", "smoke"), ("studies", "--json"), ("status",)])
-def test_results_that_nobody_reads_end_a_command_quietly(words, done):
+def test_results_without_a_reader_end_a_command_quietly(words, done):
     store = () if words[0] == "settings" else ("--store", str(done / "store"))
     study = ("--study", "tiny") if words[0] == "status" else ()
     ended = to_a_closed_pipe(*words, *study, *store)

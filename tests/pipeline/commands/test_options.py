@@ -72,7 +72,7 @@ def test_two_sources_of_settings_are_refused(chosen):
     ],
     ids=lambda command: command[0],
 )
-@pytest.mark.parametrize("place", ["circle", "circle/store", "~nobody-of-this-name/store", "too/" * 1500 + "store"])
+@pytest.mark.parametrize("place", ["circle", "circle/store", "~no-such-user/store", "too/" * 1500 + "store"])
 def test_a_store_at_a_path_that_cannot_be_followed(command, place, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("circle").symlink_to("other")

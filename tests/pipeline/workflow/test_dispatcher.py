@@ -117,7 +117,7 @@ DAY = 86_400.0
         (2e5 + DAY / 2, 100.0),  # some time after it went on
     ],
 )
-def test_what_has_arrived_does_not_hang_nor_what_runs_while_nobody_looks(tmp_path, arrives_at, stopped_at):
+def test_what_has_arrived_does_not_hang_nor_what_runs_while_the_driver_is_stopped(tmp_path, arrives_at, stopped_at):
     settings, store = tiny(), Store.open(tmp_path / "store", create=True)
     with serial_cluster() as inner:
         cluster = Belated(inner, arrives_at=arrives_at, stopped_at=stopped_at)
