@@ -92,7 +92,7 @@ def _uncommitted_lines(store: Store, wrong: Sequence[PuddleError]) -> Iterator[s
 
 @dataclass(frozen=True)
 class Verification:
-    """What came of hashing a store, or a study of it, again."""
+    """The result of hashing a store, or one of its studies, again."""
 
     store: str
     study: str | None  # the only study that was verified

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from packaging.requirements import Requirement
 
 from pipeline.cluster import Cluster, TaskFailed, ray_cluster, session
 from pipeline.cluster.process import free_memory
@@ -85,11 +86,8 @@ def _python() -> Check:
 
 def _versions() -> Check:
     wanted = dict(re.findall(r"^([\w.-]+)==([\w.+!-]+)", _CONSTRAINTS.read_text(), flags=re.M))
-    needed = {
-        re.split(r"[\s<>=!;\[]", line)[0].lower()
-        for line in importlib.metadata.requires("puddle") or ()
-        if "extra ==" not in line
-    }
+    required = [Requirement(line) for line in importlib.metadata.requires("puddle") or ()]
+    needed = {one.name.lower() for one in required if one.marker is None or one.marker.evaluate({"extra": ""})}
     missing, other = [], []
     for name, version in wanted.items():
         try:

@@ -138,7 +138,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     return Summary(
         lines=[
             f"{n} designs of {len(shares)} trials at {settings.assessed_depth:g} m, in True Slush and under "
-            f"{table['predicted'].shape[1]} members; {n_diverged} diverged somewhere"
+            f"{table['predicted'].shape[1]} members; {n_diverged} diverged"
         ],
         metrics={"n_designs": n, "n_diverged": n_diverged},
     )

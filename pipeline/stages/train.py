@@ -120,7 +120,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     lines = [
         f"{trial.chain.label}: relative error of vx {trial.metrics['relative_error.vx.all']:.3f}, "
         f"below 0.5 m/s {trial.metrics['relative_error.vx.low_speed']:.2f} "
-        f"(bias {trial.metrics['bias.vx.low_speed']:+.4f} m/s a step)"
+        f"(bias {trial.metrics['bias.vx.low_speed']:+.4f} m/s)"
         for trial in trials
     ]
     complete = bool(trials) and len(trials) == settings.ensemble.n_members

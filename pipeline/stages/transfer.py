@@ -148,7 +148,10 @@ def read_scores(settings: Settings, results: Results, store: Store) -> list[dict
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Tabulate champions in True Slush by depth and environment."""
     rows = read_scores(settings, results, store)
-    lines = [f"{'depth':>7}  {'evolved in':<15} {'n':>3}  {'predicted':>14}  {'zero-shot':>14}  {'adapted':>14}   [m]"]
+    lines = [
+        "displacement [m], mean ± standard deviation of n trials",
+        f"{'depth':>7}  {'evolved in':<15} {'n':>3}  {'predicted':>14}  {'zero-shot':>14}  {'adapted':>14}",
+    ]
     metrics = {}
     for depth in settings.grid.depths:
         for environment in dict.fromkeys(e for e, d, _ in settings.grid.trials() if d == depth):

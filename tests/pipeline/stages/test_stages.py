@@ -134,3 +134,10 @@ def test_every_preset_plans_every_stage(name):
     assert settings.name == name
     for stage in STAGES:
         assert all(chain.n_items >= 1 for chain in stage.plan(settings))
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+def test_what_a_stage_prints_fits_a_terminal(stage, settings, study):
+    store, results = study
+    lines = stage.summarise(settings, results[stage.name], store).lines
+    assert lines and max(map(len, lines)) <= 78  # and an indentation of two
