@@ -21,6 +21,7 @@ from pipeline.commands.forecast import forecast
 from pipeline.commands.gc import gc
 from pipeline.commands.list_champions import list_champions
 from pipeline.commands.list_settings import list_settings
+from pipeline.commands.output import to_stdout
 from pipeline.commands.servo_commands import drive, servo
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
@@ -66,7 +67,7 @@ app.command("drive", hidden=True)(drive)
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"puddle {importlib.metadata.version('puddle')}")
+        to_stdout(f"puddle {importlib.metadata.version('puddle')}")
         raise typer.Exit()
 
 

@@ -6,6 +6,7 @@ import typer
 
 from pipeline.commands.exit_codes import INCOMPLETE, interruptible
 from pipeline.commands.options import AsJson, StudyOptions, Workers, print_json, with_options
+from pipeline.commands.output import to_stdout
 
 
 @with_options
@@ -18,9 +19,9 @@ def doctor(options: StudyOptions, workers: Workers = None, as_json: AsJson = Fal
         for check in examine(options.settings(), options.store, n_workers=workers):
             checks.append(check)
             if not as_json:
-                typer.echo(f"{check.verdict:<5} {check.what}: {check.found}")
+                to_stdout(f"{check.verdict:<5} {check.what}: {check.found}")
                 if check.advice:
-                    typer.echo(f"      {check.advice}")
+                    to_stdout(f"      {check.advice}")
     failed = any(check.verdict == "fail" for check in checks)
     if as_json:
         print_json({"ok": not failed, "checks": [asdict(check) for check in checks]})

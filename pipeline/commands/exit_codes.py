@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
+from pipeline.commands.output import to_stderr
 from pipeline.errors import PuddleError
 
 INCOMPLETE = 1  # the study ran to its end but some work items or designs failed; the message names them
@@ -89,8 +90,3 @@ def interruptible() -> Iterator[None]:
 def _explain_stop() -> None:
     with contextlib.suppress(OSError):  # the terminal may be closed
         to_stderr("\nStopped. Finished work is safe: the same command resumes from there.")
-
-
-def to_stderr(line: str) -> None:
-    """Print a line on standard error."""
-    typer.echo(line, err=True)

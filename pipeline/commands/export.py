@@ -5,8 +5,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from pipeline.commands.exit_codes import interruptible, to_stderr
+from pipeline.commands.exit_codes import interruptible
 from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyArgument, with_options
+from pipeline.commands.output import to_stderr, to_stdout
 
 
 @with_options
@@ -23,4 +24,4 @@ def export(
     with interruptible():
         lines = export_study(open_study(study, store), out, tables, say=to_stderr)
     for line in lines:
-        typer.echo(line)
+        to_stdout(line)

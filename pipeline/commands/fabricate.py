@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.exit_codes import INCOMPLETE, interruptible, to_stderr
+from pipeline.commands.exit_codes import INCOMPLETE, interruptible
 from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyName, StudyOptions, TrackingUri, with_options
+from pipeline.commands.output import to_stderr, to_stdout
 from pipeline.errors import PuddleError
 
 
@@ -54,6 +55,6 @@ def fabricate(
         tracker = Tracker(opened.root, tracking_uri, say=to_stderr)
         made = make(design, of_study, of_kit, out, store=opened, tracker=tracker)
     for line in made.lines:
-        typer.echo(line)
+        to_stdout(line)
     if made.n_faults:
         raise typer.Exit(INCOMPLETE)

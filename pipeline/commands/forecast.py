@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.exit_codes import interruptible, to_stderr
+from pipeline.commands.exit_codes import interruptible
 from pipeline.commands.options import AsJson, StudyOptions, print_json, with_options
+from pipeline.commands.output import to_stderr, to_stdout
 
 
 @with_options
@@ -27,4 +28,4 @@ def forecast(
         print_json({**asdict(found), "stages": stages, "seconds": {str(n): found.seconds(n) for n in found.n_cores}})
         return
     for line in forecast_lines(found):
-        typer.echo(line)
+        to_stdout(line)

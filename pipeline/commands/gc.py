@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyOptions, with_options
+from pipeline.commands.output import to_stdout
 
 
 @with_options
@@ -22,4 +23,4 @@ def gc(
         lines = list(garbage_lines(opened, found, removed=remove, command=f"{options.command('gc')} --remove"))
         if remove:
             remove_garbage(opened, found)
-    typer.echo("\n".join(lines))
+    to_stdout("\n".join(lines))

@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-import typer
-
 from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyName
+from pipeline.commands.output import to_stdout
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
@@ -17,7 +16,7 @@ def list_champions(study: StudyName, store: StorePath = DEFAULT_STORE) -> None:
     from pipeline.results.recorded_study import open_study
 
     for line in champion_lines(open_study(str(study), store)):
-        typer.echo(line)
+        to_stdout(line)
 
 
 def champion_lines(study: "Study") -> Iterator[str]:

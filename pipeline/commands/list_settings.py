@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.options import StudyOptions, print_json, with_options
+from pipeline.commands.output import to_stdout
 
 
 @with_options
@@ -25,4 +26,4 @@ def list_settings(
         print_json(json_schema())
         return
     for line in annotated_lines(options.settings()):
-        typer.echo(line)
+        to_stdout(line)

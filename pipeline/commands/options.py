@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from pipeline.cluster import Cluster, ray_cluster, serial_cluster
+from pipeline.commands.output import to_stdout
 from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, f
 
 def print_json(document: Any) -> None:
     """Print a JSON document on standard output."""
-    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+    to_stdout(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.commands.exit_codes import INTERRUPTED, to_stderr
+from pipeline.commands.exit_codes import INTERRUPTED
 from pipeline.commands.options import with_options
+from pipeline.commands.output import to_stderr, to_stdout
 from pipeline.errors import PuddleError
 
 servo = typer.Typer(
@@ -46,7 +47,7 @@ class PortOptions:
 
         if self.list_ports:
             for line in port_lines():
-                typer.echo(line)
+                to_stdout(line)
             raise typer.Exit
 
 
@@ -80,7 +81,7 @@ def play(
     if timeline is None:
         raise PuddleError("expected a kit or a timeline to play: `puddle servo play kit --port ...`, or --list-ports")
     options = PlayOptions(timeline, calibration, duration, loop, log, dry_run=dry_run, **port.connection())
-    if not play_timeline(options, confirm=lambda question: yes or _confirmed(question), say=typer.echo):
+    if not play_timeline(options, confirm=lambda question: yes or _confirmed(question), say=to_stdout):
         raise typer.Exit(INTERRUPTED)
 
 
@@ -102,7 +103,7 @@ def calibrate(
     if kit is None:
         raise PuddleError("expected a kit or a calibration: `puddle servo calibrate kit --port ...`, or --list-ports")
     options = CalibrateOptions(kit, joints or (), log, dry_run=dry_run, **port.connection())
-    if not measure(options, Dialogue(confirm=_confirmed, say=typer.echo, read=TypedLines(_STANDARD_INPUT))):
+    if not measure(options, Dialogue(confirm=_confirmed, say=to_stdout, read=TypedLines(_STANDARD_INPUT))):
         raise typer.Exit(INTERRUPTED)
 
 
@@ -126,7 +127,7 @@ def off(
     with closing(open_controller(Connection(dry_run=dry_run, **port.connection()))) as controller:
         switch_off(controller, calibration)
     channels = ", ".join(str(one.channel) for one in calibration.servos)
-    typer.echo(f"Servos on channels {channels}: switched off.")
+    to_stdout(f"Servos on channels {channels}: switched off.")
 
 
 @functools.wraps(play)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.options import StudyOptions, with_options
+from pipeline.commands.output import to_stdout
 
 
 @with_options
@@ -30,4 +31,4 @@ def simulate(
     for line in simulate_design(
         design, environment, depth, out, settings=settings, open_store=open_store, how_to_run=how_to_run
     ):
-        typer.echo(line)
+        to_stdout(line)

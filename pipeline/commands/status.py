@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from pipeline.commands.options import AsJson, StudyOptions, print_json, with_options
+from pipeline.commands.output import to_stdout
 from pipeline.errors import PuddleError
 
 
@@ -28,18 +29,18 @@ def status(
     with store.lock_to_read():
         if digests:
             for line in digest_lines(settings, store):
-                typer.echo(line)
+                to_stdout(line)
             return
         found = study_status(settings, store, record, with_diverged=True)
     if as_json:
         print_json({**asdict(found), "done": found.is_done, "settings_differ": differences})
         return
     for line in status_lines(found, store_bytes=store.size_bytes()):
-        typer.echo(line)
+        to_stdout(line)
     if differences:
-        typer.echo("That is the study on record. The settings given differ from it (recorded → given):")
+        to_stdout("That is the study on record. The settings given differ from it (recorded → given):")
         for line in differences:
-            typer.echo(f"  {line}")
-        typer.echo(f"`{options.command('forecast')}` shows what they would need.")
+            to_stdout(f"  {line}")
+        to_stdout(f"`{options.command('forecast')}` shows what they would need.")
     elif record is None and (names := store.studies()):
-        typer.echo(f"The store has no study {settings.name}, but {', '.join(names)}: `puddle status --study NAME`.")
+        to_stdout(f"The store has no study {settings.name}, but {', '.join(names)}: `puddle status --study NAME`.")

@@ -2,9 +2,8 @@
 
 from dataclasses import asdict
 
-import typer
-
 from pipeline.commands.options import DEFAULT_STORE, AsJson, StorePath, print_json, with_options
+from pipeline.commands.output import to_stdout
 
 
 @with_options
@@ -20,8 +19,8 @@ def studies(store: StorePath = DEFAULT_STORE, as_json: AsJson = False) -> None:
         print_json({"store": str(opened.root), "studies": [asdict(one) for one in listed]})
         return
     noun = "study" if len(listed) == 1 else "studies"
-    typer.echo(f"{len(listed) or 'no'} {noun} in {opened.root} ({opened.size_bytes() / 1e6:,.1f} MB)")
+    to_stdout(f"{len(listed) or 'no'} {noun} in {opened.root} ({opened.size_bytes() / 1e6:,.1f} MB)")
     for one in listed:
-        typer.echo()
+        to_stdout("")
         for line in describe(one):
-            typer.echo(line)
+            to_stdout(line)

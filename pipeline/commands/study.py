@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from pipeline.cluster import Cluster
-from pipeline.commands.exit_codes import INCOMPLETE, interruptible, to_stderr
+from pipeline.commands.exit_codes import INCOMPLETE, interruptible
 from pipeline.commands.options import ExecutionOptions, StudyOptions, with_options
+from pipeline.commands.output import to_stderr, to_stdout
 
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
@@ -83,7 +84,7 @@ def run_stages(
         )
     if wanted[-1] is STAGES[-1]:
         for line in headline_lines(settings, upstream, store, how_to_run=options.named(settings.name).command):
-            typer.echo(line)
+            to_stdout(line)
     found = upstream.items()
     failed = [f"{name}: {of.label}: {why}" for name, results in found for of, why in results.failed.items()]
     diverged = [f"{name}: {of.label}: {what}" for name, results in found for of, what in results.diverged.items()]

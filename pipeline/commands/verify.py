@@ -7,6 +7,7 @@ import typer
 
 from pipeline.commands.exit_codes import INCOMPLETE, interruptible
 from pipeline.commands.options import AsJson, StudyOptions, print_json, with_options
+from pipeline.commands.output import to_stdout
 
 
 @with_options
@@ -29,6 +30,6 @@ def verify(
     if as_json:
         print_json({**asdict(found), "intact": found.intact})
     else:
-        typer.echo("\n".join(damage.verification_lines(found, how_to_run=options.command)))
+        to_stdout("\n".join(damage.verification_lines(found, how_to_run=options.command)))
     if not found.intact:
         raise typer.Exit(INCOMPLETE)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-from html import escape
 from importlib.resources import files
 from math import degrees
 
@@ -18,6 +17,7 @@ from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, 
 from pipeline.report.moving import document
 from pipeline.report.page import inline_svg
 from pipeline.report.wording import absent
+from pipeline.text import escape
 from tasks.arrays import Floats, Int64
 from tasks.fabrication.checks import KitFinding
 from tasks.fabrication.kit import Kit

@@ -1,7 +1,6 @@
 """The tables of the page as CSV files beside it, and links to files for readers who go on with them."""
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from typing import TypeVar
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from pipeline.report.data import StudyReport
 from pipeline.report.findings import Ancestor, ChampionRow, ExploiterRow, TankRow
 from pipeline.store.tables import Columns, columns_of, csv_of, text
+from pipeline.text import escape
 from tasks.analysis.comparison import Contrast
 from tasks.analysis.paper import Row
 

@@ -1,13 +1,13 @@
 """The first screen of the page: a sentence of result, bars against the paper, and films with and without residuals."""
 
 from collections.abc import Sequence
-from html import escape
 
 from pipeline.report import data
 from pipeline.report.data import ALL_DIVERGED, StudyReport, TrialResult
 from pipeline.report.downloads import links
 from pipeline.report.moving import exemplars, films
 from pipeline.report.wording import number, percent
+from pipeline.text import escape
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 

@@ -3,13 +3,13 @@
 import json
 import shlex
 from collections.abc import Iterable, Sequence
-from html import escape
 from importlib.resources import files
 from itertools import groupby
 from string import Template
 
 from pipeline.report.replay import Replay, encode
 from pipeline.report.wording import absent, number
+from pipeline.text import escape
 from tasks.world import ENVIRONMENTS
 
 _EXEMPLARS = ("residual_slush", "dry_land")  # arms of the gallery: with residuals and without. Paper, Fig. 1

@@ -6,7 +6,6 @@ viewer.js. This module adds what depends on the study, and escapes every text th
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 from string import Template
 
 from pipeline.report import data
@@ -20,6 +19,7 @@ from pipeline.report.page_tables import against_paper, contrasts, exploiters, li
 from pipeline.report.replay import Replay
 from pipeline.report.transfer_table import transfer_table
 from pipeline.report.wording import absent, folded, percent
+from pipeline.text import escape
 from tasks.world import ENVIRONMENTS
 
 _STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere

@@ -3,7 +3,6 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from html import escape
 from math import isfinite
 
 from pipeline.report.data import MOST_EXPLOITERS, StudyReport, arm_words, robot_address
@@ -11,6 +10,7 @@ from pipeline.report.downloads import links
 from pipeline.report.findings import ExploiterRow, Findings, TankRow
 from pipeline.report.lineage import main_line
 from pipeline.report.wording import NONE, absent, folded, interval, number, p_value, table
+from pipeline.text import escape
 from tasks.analysis.comparison import Contrast, ScoredArm, SignificanceTest
 from tasks.analysis.paper import Row, Verdict, name_of
 from tasks.analysis.tank import Crossing, Tank

@@ -1,11 +1,11 @@
 """The table of transfer: every arm at every depth, beside the paper's numbers where it gives them."""
 
 from collections.abc import Sequence
-from html import escape
 
 from pipeline.report.data import Measure, TrialMean, TrialResult, arm, depths, paper_mean, ratio, trial_mean
 from pipeline.report.downloads import links
 from pipeline.report.wording import NONE, absent, number, percent, scrolling
+from pipeline.text import escape
 from tasks.analysis import paper
 from tasks.world import ENVIRONMENTS, EnvironmentName
 

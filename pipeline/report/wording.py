@@ -1,8 +1,8 @@
 """How the page writes numbers, tables, and what is missing. All of it returns HTML; text from a study is escaped."""
 
 from collections.abc import Iterable, Sequence
-from html import escape
 
+from pipeline.text import escape
 from tasks.analysis.uncertainty import Estimate
 
 NONE = "–"  # stands where there is no number

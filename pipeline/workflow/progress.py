@@ -19,6 +19,8 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
+from pipeline.text import printable
+
 _BAR_FPS, _BAR_WIDTH = 4.0, 30
 _ROUNDING = 1e-9  # relative error of a sum of costs
 _TRUSTED_SECONDS = 60.0  # the expected times of stages count as much as this long a run [s]
@@ -197,7 +199,7 @@ class _Bars:
         self._live = live
 
     def say(self, line: str) -> None:
-        self._live.console.print(line, markup=False)
+        self._live.console.print(printable(line), markup=False)
 
     @contextmanager
     def stage(
@@ -242,7 +244,7 @@ class _Lines:
         self._last = -float("inf")
 
     def say(self, line: str) -> None:
-        self._console.print(line, markup=False, soft_wrap=True)
+        self._console.print(printable(line), markup=False, soft_wrap=True)
 
     @contextmanager
     def stage(

@@ -7,7 +7,8 @@ import pytest
 from command_line import call
 
 from pipeline.commands.study_list import list_studies
-from pipeline.store.store import FailedChain, Store, StudyRecord
+from pipeline.store.encoding import encode_sealed
+from pipeline.store.store import STUDY_SCHEMA, FailedChain, Store, StudyRecord
 
 
 @pytest.fixture
@@ -103,3 +104,17 @@ def test_a_store_without_studies(tmp_path, capsys):
     assert call("studies", "--store", str(store.root)) == 0
     assert capsys.readouterr().out.startswith("no studies in")
     assert call("studies", "--store", str(tmp_path / "none")) == 2
+
+
+def test_what_a_strangers_record_says_does_not_reach_the_terminal_raw(options, capsys):
+    """Whoever can write a record can seal it."""
+    store = Store.open(Path(options[-1]), create=False)
+    path = store.study_path("tiny") / "study.json"
+    body = json.loads(path.read_text())
+    hostile = {name: body[name] for name in ("name", "settings", "items")}
+    hostile["items"][0][1] = "dry\x1b]0;owned\x07 \u202e"
+    path.write_bytes(encode_sealed(hostile, schema=STUDY_SCHEMA, version=1))
+    for command in (("status", "--study", "tiny"), ("studies",), ("verify",), ("gc",), ("studies", "--json")):
+        call(*command, "--store", str(store.root))
+        said = capsys.readouterr()
+        assert not set(said.out + said.err) & set("\x1b\x07\u202e"), command
