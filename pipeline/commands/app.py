@@ -5,7 +5,6 @@ pinned before numpy, numba or torch is loaded.
 """
 
 import importlib.metadata
-import sys
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -21,7 +20,7 @@ from pipeline.commands.forecast import forecast
 from pipeline.commands.gc import gc
 from pipeline.commands.list_champions import list_champions
 from pipeline.commands.list_settings import list_settings
-from pipeline.commands.output import to_stdout
+from pipeline.commands.output import flush, to_stdout
 from pipeline.commands.servo_commands import drive, servo
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
@@ -90,6 +89,6 @@ def main(arguments: list[str] | None = None, run: Callable[[list[str] | None], A
         try:
             return run(arguments)
         finally:
-            sys.stdout.flush()
+            flush()
     except Exception as error:
         exit_with(error)

@@ -1,7 +1,6 @@
 """Exit codes, and what the terminal shows when a command is interrupted."""
 
 import contextlib
-import os
 import signal
 import sys
 import traceback
@@ -11,7 +10,7 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from pipeline.commands.output import to_stderr
+from pipeline.commands.output import OutputClosed, discard_output, to_stderr
 from pipeline.errors import PuddleError
 
 INCOMPLETE = 1  # the study ran to its end but some work items or designs failed; the message names them
@@ -21,10 +20,6 @@ INTERRUPTED = 130  # Ctrl-C
 OUTPUT_CLOSED = 141  # whatever read the output has closed it, as `head` does: 128 + SIGPIPE, as a shell has it
 
 _STOPPED = (128 + signal.SIGTERM, 128 + signal.SIGHUP)
-
-
-class OutputClosed(Exception):  # noqa: N818 (no mistake of anyone)
-    """Raised where a command writes to a pipe that has no reader any more."""
 
 
 class Commands(TyperGroup):
@@ -65,9 +60,8 @@ def exit_with(error: Exception) -> NoReturn:
         case PuddleError():
             to_stderr(f"puddle: {error}")
             sys.exit(USER_ERROR)
-        case OutputClosed() | BrokenPipeError():
-            with contextlib.suppress(OSError, ValueError):  # Python flushes the output once more at the end
-                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        case OutputClosed():
+            discard_output()
             sys.exit(OUTPUT_CLOSED)
     traceback.print_exception(error)
     sys.exit(DEFECT)

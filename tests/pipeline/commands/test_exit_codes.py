@@ -50,6 +50,21 @@ def test_results_without_a_reader_end_a_command_quietly(words, done):
     assert (ended.returncode, ended.stderr) == (OUTPUT_CLOSED, "")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_output_to_a_full_disk_is_a_message():
+    with Path("/dev/full").open("w") as full:
+        words = [sys.executable, "-m", "pipeline", "settings", "--preset", "smoke"]
+        ended = subprocess.run(words, cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True)
+    said = "puddle: the output could not be written: No space left on device. Finished work is safe\n"
+    assert (ended.returncode, ended.stderr) == (USER_ERROR, said)
+
+
+def test_a_command_without_an_output_ends_well():
+    words = ["sh", "-c", 'exec "$@" >&-', "sh", sys.executable, "-m", "pipeline", "settings", "--preset", "smoke"]
+    ended = subprocess.run(words, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_unknown_option_is_a_users_mistake(command, capsys):
     assert "--no-such-option" in refused(capsys, *command.split(), "--no-such-option")
