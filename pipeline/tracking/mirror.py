@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from pipeline.tracking.database import MLFLOW_ENVIRONMENT, check_reachable, database_uri
-from pipeline.tracking.experiment import EXPERIMENT, Experiment
+from pipeline.tracking.mlflow_writer import EXPERIMENT, Experiment
 from pipeline.tracking.run import Run
 
 

@@ -18,7 +18,7 @@ from typing import NoReturn
 
 from pipeline.errors import PuddleError
 from pipeline.tracking.database import MLFLOW_ENVIRONMENT, check_own_database, check_reachable, database_uri
-from pipeline.tracking.experiment import EXPERIMENT
+from pipeline.tracking.mlflow_writer import EXPERIMENT
 
 _SECONDS_TO_START = 120.0  # time for the server to start before its address is no longer announced
 

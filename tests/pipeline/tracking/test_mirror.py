@@ -19,8 +19,8 @@ import pytest
 from mlflow.tracking import MlflowClient
 
 from pipeline.tracking.database import database_uri
-from pipeline.tracking.experiment import EXPERIMENT
 from pipeline.tracking.mirror import Tracker
+from pipeline.tracking.mlflow_writer import EXPERIMENT
 from pipeline.tracking.run import CurvePart, CurvePoints, Model, Run
 
 STUDY = Run("smoke", "5" * 64, params={"evolution": {"n_generations": 1500}}, tags={"preset": "smoke"})

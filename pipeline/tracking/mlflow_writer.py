@@ -1,4 +1,4 @@
-"""An MLflow experiment that holds puddle's runs, and the difference between them and what it should hold."""
+"""Writes runs to MLflow: the experiment that holds them, and the difference between it and what it should hold."""
 
 from __future__ import annotations
 
