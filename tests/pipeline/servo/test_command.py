@@ -250,7 +250,7 @@ def test_a_signal(kit, tmp_path, plug, kind):
     fake, log = plug(), tmp_path / "run.parquet"
     process = started(kit, fake, log)
     process.send_signal(kind)
-    _, said = process.communicate(timeout=30)
+    _, said = process.communicate(timeout=120)
     fake.finish()
     assert process.returncode == 130, said
     assert not fake.on and fake.pulses(0)[-2:] == [1500.0, 0.0] and fake.pulses(3)[-2:] == [1480.5, 0.0]
