@@ -139,5 +139,7 @@ def test_every_preset_plans_every_stage(name):
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
 def test_what_a_stage_prints_fits_a_terminal(stage, settings, study):
     store, results = study
-    lines = stage.summarise(settings, results[stage.name], store).lines
+    lines = [
+        line.replace(str(store.root), "store") for line in stage.summarise(settings, results[stage.name], store).lines
+    ]
     assert lines and max(map(len, lines)) <= 78  # and an indentation of two
