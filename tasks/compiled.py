@@ -242,9 +242,11 @@ def dependencies(function: Callable[..., Any]) -> tuple[set[str], set[str]]:
                 constants.add(f"{name} = {value!r}")
             else:
                 left.append(value)
-    for module in list(sys.modules.values()):
-        if module.__name__.partition(".")[0] == package and "llvmlite.ir" in (used := _modules_in(module)):
-            modules |= {module.__name__} if used & modules else set()
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] == package:
+            used = _modules_in(module)
+            if "llvmlite.ir" in used and used & modules:  # it writes the instructions of their functions
+                modules.add(name)
     return modules, constants
 
 

@@ -154,7 +154,9 @@ def inline_svg(drawing: Drawing) -> str:
     svg = re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", svg)
     for attribute in ("width", "height"):  # the viewBox keeps the proportions, the page sets the size
         svg = re.sub(rf'(<svg[^>]*?) {attribute}="[^"]*"', r"\1", svg, count=1)
-    width = float(re.search(r'viewBox="0 0 ([\d.]+) ', svg)[1])  # type: ignore[index]  # matplotlib always writes it
+    view_box = re.search(r'viewBox="0 0 ([\d.]+) ', svg)
+    assert view_box is not None  # Matplotlib always writes it
+    width = float(view_box[1])
     svg = svg.replace("<svg", f'<svg style="max-width: {_MOST_PIXELS_PER_UNIT * width:.0f}px"', 1)
     svg = re.sub(r'\bid="', f'id="{drawing.name}-', svg)
     svg = re.sub(r'((?:xlink:)?href="#|url\(#)', rf"\g<1>{drawing.name}-", svg)
