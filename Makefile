@@ -6,6 +6,10 @@ PIP := $(VENV)/bin/python -m pip
 INSTALLED := $(VENV)/.installed
 INSTALLED_DEV := $(VENV)/.installed-dev
 
+# Python files are compiled once and not in every process, whatever the shell says: a Ray worker then starts in a third
+# of the time, and the tests start hundreds of processes.
+export PYTHONDONTWRITEBYTECODE :=
+
 PRESET ?= laptop
 MINUTES ?= 60
 EXTRAS ?=
