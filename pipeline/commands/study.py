@@ -1,9 +1,9 @@
 """puddle study, and one command per stage: run what is not done yet."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,9 +11,11 @@ from pipeline.cluster import Cluster
 from pipeline.commands.exit_codes import INCOMPLETE, interruptible
 from pipeline.commands.options import ExecutionOptions, StudyOptions, with_options
 from pipeline.commands.output import to_stderr, to_stdout
+from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
+    from pipeline.store.store import Store
     from pipeline.workflow.stage import AnyStage
 
 STAGE_SUMMARIES = {
@@ -36,9 +38,28 @@ def stage_command(*stages: str) -> Callable[..., None]:
     """Return the command that runs some stages, or all of them where none is named."""
 
     @with_options
-    def command(context: typer.Context, options: StudyOptions, execution: ExecutionOptions) -> None:
+    def command(
+        context: typer.Context,
+        options: StudyOptions,
+        execution: ExecutionOptions,
+        recompute: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--recompute",
+                metavar="STAGE",
+                autocompletion=lambda: stages or tuple(STAGE_SUMMARIES),
+                help="Discard this stage's results and make them anew, and what depends on them if they change.",
+            ),
+        ] = None,
+    ) -> None:
         execution.check(context)
-        run_stages(options, stages, open_cluster=execution.cluster(), tracking_uri=execution.tracking_uri)
+        run_stages(
+            options,
+            stages,
+            open_cluster=execution.cluster(),
+            recompute=recompute or (),
+            tracking_uri=execution.tracking_uri,
+        )
 
     return command
 
@@ -48,6 +69,7 @@ def run_stages(
     stages: tuple[str, ...] = (),
     *,
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
+    recompute: Collection[str] = (),
     tracking_uri: str | None = None,
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE.
@@ -56,7 +78,11 @@ def run_stages(
         options: the study.
         stages: names of the stages to run; all of them if empty.
         open_cluster: starts or joins the cluster, once there is something to compute.
+        recompute: names of stages whose results are discarded first.
         tracking_uri: an MLflow server; the store's own database by default.
+
+    Raises:
+        PuddleError: the stages to recompute are not among those to run.
     """
     from pipeline.commands.expected_time import expected_seconds
     from pipeline.commands.headline import headline_lines
@@ -67,8 +93,13 @@ def run_stages(
 
     settings = options.settings()
     wanted = [stage for stage in STAGES if not stages or stage.name in stages]
+    names = [stage.name for stage in wanted]
+    if unknown := [name for name in recompute if name not in names]:
+        raise PuddleError(f"--recompute {unknown[0]}: expected a stage that this command runs: {', '.join(names)}")
     _check_inputs(options, settings, wanted[0])
     store = options.open_store(create=True)
+    if recompute:
+        _discard(settings, recompute, store)
     with interruptible(), progress() as show:
         upstream = drive(
             settings,
@@ -94,6 +125,18 @@ def run_stages(
         to_stderr("\n".join(["Designs diverged; the rest is done:", *diverged, _ADVICE_ON_DIVERGENCE]))
     if failed or diverged:
         raise typer.Exit(INCOMPLETE)
+
+
+def _discard(settings: "Settings", names: Collection[str], store: "Store") -> None:
+    from pipeline.stages import STAGES
+    from pipeline.workflow.graph import discard_items
+
+    with store.lock_all():
+        n_items = discard_items(settings, names, STAGES, store)
+    to_stderr(
+        f"{n_items:,} items of {', '.join(names)} are discarded and will be made anew. If this run stops, continue "
+        f"without --recompute."
+    )
 
 
 def _check_inputs(options: StudyOptions, settings: "Settings", first: "AnyStage") -> None:

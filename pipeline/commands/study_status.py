@@ -38,6 +38,7 @@ class StageStatus:
     core_seconds: float
     failed: Mapping[str, str] = field(default_factory=dict)  # why, by chain
     diverged: Mapping[str, str] = field(default_factory=dict)  # what, by chain
+    n_other_code: int = 0  # items that other code than today's has made
 
     @property
     def line(self) -> str:
@@ -139,8 +140,10 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
                 found.seconds + sum(float(manifest.record.get("seconds", 0.0)) for manifest in unreached),
                 failed={label: why for label, why in failed[stage.name].items() if label not in finished},
                 diverged=_diverged(stage, settings, found, store, notes.append) if with_diverged else {},
+                n_other_code=found.n_other_code,
             )
         )
+        notes += filter(None, [found.other_code])
     if n_unreached:
         notes.append(
             f"{n_unreached:,} items are on record, but something that they were made from is missing, damaged or of "

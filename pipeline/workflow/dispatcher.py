@@ -14,6 +14,7 @@ from typing import Any
 from pipeline.cluster import Cluster, Handle, Outcome, TaskFailed, Ticket
 from pipeline.errors import PuddleError
 from pipeline.store.encoding import Json
+from pipeline.workflow.code_digest import recorded_code
 from pipeline.workflow.graph import ChainProgress, StageRun, is_split
 from pipeline.workflow.identity import InputName, to_json
 from pipeline.workflow.progress import Bar
@@ -86,6 +87,7 @@ class _Dispatcher:
         self._shared: dict[tuple[str, tuple[str, ...]], Handle] = {}
         self._running: dict[Ticket, _Batch] = {}
         self._started: dict[Ticket, float] = {}  # when each was first seen to run: a batch that waits does not hang
+        self._code = recorded_code(run.stage)  # before any worker loads it: files may be edited while it runs
         self._slowest = 0.0  # seconds per weighted unit of the slowest item, with the time of its whole batch
         self._last_look = clock()
         self._checks_without_cores = 0
@@ -203,7 +205,12 @@ class _Dispatcher:
             self._run.say(f"{self._stage.name}: {progress.chain.label} {progress.failed}")
 
     def _commit(self, progress: ChainProgress, item: Item[Any], files: Files, seconds: float) -> None:
-        record: Mapping[str, Json] = {"label": item.label, "seconds": seconds, "execution": to_json(item.execution)}
+        record: Mapping[str, Json] = {
+            "label": item.label,
+            "seconds": seconds,
+            "execution": to_json(item.execution),
+            "code": self._code,
+        }
         manifest = self._run.store.commit(item.stage, item.key, item.identity, files, record=record)
         left = progress.left
         progress.manifests.append(manifest)

@@ -4,7 +4,7 @@ import contextlib
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from pipeline.cluster import Cluster
 from pipeline.cluster.process import signals_unwind
@@ -114,6 +114,7 @@ class _Driver:
     pace: Callable[[], StudyPace]
     how_to_run: Callable[[str], str]
     limits: Limits
+    of_other_code: set[str] = field(default_factory=set)  # stages of which the user knows that other code made items
 
     def run(self, wanted: Sequence[AnyStage]) -> Upstream:
         upstream: dict[str, Results] = {}
@@ -121,6 +122,9 @@ class _Driver:
         for stage in self.stages[: 1 + self.stages.index(last)]:
             run = StageRun(stage, self.settings, upstream, self.store, self.progress.say)
             chains = run.chains()
+            if (other := results_of(stage, chains).other_code) and stage.name not in self.of_other_code:
+                self.of_other_code.add(stage.name)
+                self.progress.say(other)
             if stage not in wanted:
                 upstream[stage.name] = results_of(stage, chains)
                 continue

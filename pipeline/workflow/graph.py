@@ -6,7 +6,8 @@ has its items. pipeline/workflow/dispatcher.py computes what is missing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
+from pipeline.workflow.code_digest import is_of_other_code
 from pipeline.workflow.identity import to_json
 from pipeline.workflow.progress import Work
 from pipeline.workflow.stage import NOT_POSSIBLE, AnyStage, Chain, Item, MissingInputs, Results, Upstream
@@ -133,6 +135,7 @@ def results_of(stage: AnyStage, chains: Sequence[ChainProgress]) -> Results:
         unfinished=tuple(identity for identity, of in by_id.items() if of.open),
         n_done={identity: len(of.manifests) for identity, of in by_id.items()},
         seconds=sum(float(m.record.get("seconds", 0.0)) for progress in chains for m in progress.manifests),
+        n_other_code=sum(is_of_other_code(m, stage) for progress in chains for m in progress.manifests),
     )
 
 
@@ -151,6 +154,34 @@ def survey(
     for stage in stages:
         upstream[stage.name] = results_of(stage, StageRun(stage, settings, upstream, store, say).chains())
     return upstream
+
+
+def discard_items(settings: Settings, names: Collection[str], stages: Sequence[AnyStage], store: Store) -> int:
+    """Discard what the store holds of some stages of a study, so that it is computed again.
+
+    Args:
+        settings: the study's settings.
+        names: names of the stages.
+        stages: all stages of the study, in order.
+        store: where results are committed; the caller has locked it against drivers of studies.
+
+    Returns:
+        The number of items discarded.
+    """
+    items: set[tuple[str, str]] = set()
+    upstream: dict[str, Results] = {}
+    for stage in stages:
+        chains = StageRun(stage, settings, upstream, store, lambda line: None).chains()
+        upstream[stage.name] = results_of(stage, chains)
+        items |= {(stage.name, manifest.key) for progress in chains for manifest in progress.manifests}
+    with contextlib.suppress(DamagedArtifact):
+        record = store.read_study(settings.name)
+        if record is not None and record.settings == settings.model_dump(mode="json"):  # behind something missing, too
+            items |= {(item.stage, item.key) for item in record.items}
+    discarded = sorted(item for item in items if item[0] in names)
+    for item in discarded:
+        store.discard(*item)
+    return len(discarded)
 
 
 def require(

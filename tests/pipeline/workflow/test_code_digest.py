@@ -1,0 +1,70 @@
+"""Digests of a stage's code: an edit of any module that a stage imports counts, and nothing else does."""
+
+import pytest
+
+from pipeline.stages import STAGES
+from pipeline.store.manifest import Manifest
+from pipeline.workflow.code_digest import PACKAGES, code_digest, imported, is_of_other_code, recorded_code, sources
+
+_, TRAIN, EVOLVE, *_ = STAGES
+
+
+def digest_with(edited: dict[str, bytes], stage=EVOLVE) -> str:
+    return code_digest([stage.item.__module__, stage.compute.__module__], {**sources(), **edited})
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "pipeline.stages.evolve",
+        "pipeline.stages.segments",
+        "tasks.evolution.afpo",
+        "tasks.evolution.objectives.displacement",  # found by pkgutil
+        "tasks.simulation.simd",  # a package around what is imported
+        "tasks.simulation.simd.vectors",
+        "tasks.world.slush",
+    ],
+)
+def test_an_edit_of_a_module_that_a_stage_imports_counts(module):
+    assert digest_with({module: sources()[module] + b"\nEDITED = 1\n"}) != digest_with({})
+
+
+def test_an_edit_of_another_module_does_not_count():
+    for module in (
+        "pipeline.stages.train",
+        "tasks.residual.training",
+        "tasks.analysis.novelty",
+        "pipeline.report.page",
+    ):
+        assert digest_with({module: b"EDITED = 1\n"}) == digest_with({})
+    assert digest_with({"tasks.residual.training": b"EDITED = 1\n"}, TRAIN) != digest_with({}, TRAIN)
+
+
+def test_comments_docstrings_and_spaces_do_not_count():
+    before = (
+        b'"""About."""\nLIMIT = 3\n"""About it."""\n\ndef f(x: int) -> int:\n    """Add."""\n    return x + LIMIT\n'
+    )
+    after = b'"""More."""\nLIMIT = 3  # of them\n\n\ndef f(x: int) -> int:\n    return (x + LIMIT)\n'
+    assert code_digest(["tasks.f"], {"tasks.f": before}) == code_digest(["tasks.f"], {"tasks.f": after})
+    assert code_digest(["tasks.f"], {"tasks.f": before.replace(b"3", b"4")}) != code_digest(
+        ["tasks.f"], {"tasks.f": before}
+    )
+
+
+def test_every_module_of_the_science_is_among_what_some_stage_imports():
+    found = imported([stage.compute.__module__ for stage in STAGES] + ["pipeline.stages.evolve"], sources())
+    missed = {name for name in set(sources()) - found if not name.startswith("tasks.fabrication")}
+    assert missed == {*PACKAGES, "pipeline.report.column_figures", "pipeline.report.transfer_latex"}  # of `export`
+
+
+def test_items_without_a_digest_are_not_named():
+    """Stores of earlier versions have none, and a forged record may have anything."""
+    now = recorded_code(EVOLVE)
+
+    def is_named(record) -> bool:
+        return is_of_other_code(Manifest("evolve", "0" * 64, {}, {}, {}, record), EVOLVE)
+
+    assert not is_named({"code": now}) and not is_named({})
+    assert not is_named({"code": ["stage"]}) and not is_named({"code": {}})
+    assert not is_named({"code": {**now, "files": "other"}})  # other comments, or other code of other stages
+    assert is_named({"code": {"stage": "other", "files": "other"}}) and is_named({"code": {"stage": {}, "files": []}})
