@@ -180,10 +180,16 @@ def compiled(function: Callable[..., Any], *, seconds: int) -> Callable[..., Any
     return cast(Callable[..., Any], kernel)
 
 
-def is_cached(kernel: Callable[..., Any]) -> bool:
-    """Return whether a kernel has been compiled on this machine before, for some types of arguments."""
-    cache = getattr(kernel, "_cache", None)
-    return not isinstance(cache, _KernelCache) or bool(glob.glob(f"{cache.base}-*.kernel"))
+def uncompiled_kernels() -> dict[str, int]:
+    """Return about how long each kernel takes to compile [s] that this machine has not compiled yet, by its name.
+
+    Only the kernels of modules that this process has imported are known.
+    """
+    return {
+        f"{function.__module__}.{function.__name__}": seconds
+        for function, seconds in _KERNELS.items()
+        if not glob.glob(f"{glob.escape(_KernelCache(function).base)}-*.kernel")
+    }
 
 
 def check_cache() -> dict[str, bool]:

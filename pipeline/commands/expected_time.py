@@ -1,7 +1,8 @@
 """About how long the stages of a study take, for the time left that `puddle study` shows.
 
 The figures are for one core of an AMD EPYC (docs/performance.md) and need no measurement. They are right within a
-factor of two or three, and corrected by how long the stages really take. `puddle forecast` measures instead.
+factor of two or three, and corrected by how long the stages really take. Kernels that this machine has not compiled yet
+are included. `puddle forecast` measures instead.
 """
 
 import math
@@ -12,6 +13,7 @@ from pipeline.config.settings import Settings
 from pipeline.stages import STAGES, environments
 from pipeline.stages.segments import TrialSpec
 from pipeline.workflow.stage import Chain
+from tasks.simulation.batch import seconds_to_compile
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 _LINKS = 6
@@ -44,6 +46,7 @@ def expected_seconds(settings: Settings, n_cores: float) -> dict[str, float]:
             core_seconds += seconds
             longest = max(longest, seconds / _n_batches(settings, chain))
         found[stage.name] = max(core_seconds / max(n_cores, 1.0), longest)
+    found["evolve"] += seconds_to_compile(settings.physics)  # its workers wait for most kernels
     return found
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import yaml
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings, WorkSettings
+from pipeline.report import wording
 from pipeline.report.camera import FILM_FPS
-from pipeline.report.data import ROBOT_PREFIX, Draws, StudyReport, TrialResult
+from pipeline.report.data import ROBOT_PREFIX, Draws, StudyReport, TrialResult, robot_address
 from pipeline.report.downloads import tables_of
 from pipeline.report.moving import exemplars
 from pipeline.report.replay import Replay
@@ -22,7 +23,7 @@ from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED, PROPOSED, proposal_files, proposed, tank_replays
 from pipeline.stages.report_findings import HISTORIES, findings
-from pipeline.stages.report_replays import TOGETHER, replays_of, replays_of_page
+from pipeline.stages.report_replays import EXPLOITERS, TOGETHER, replays_of, replays_of_page
 from pipeline.stages.report_robots import robot_files
 from pipeline.stages.train import MEMBER_ERRORS, read_errors
 from pipeline.stages.transfer import SCORE, SCORED, scores_inputs
@@ -196,7 +197,7 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     """Draw the page and its figures."""
     from pipeline.report.drawing import Drawing
     from pipeline.report.figures import draw_all
-    from pipeline.report.page import render_page
+    from pipeline.report.page import render_page, render_robot
 
     settings = spec.settings
     trials, rows = trials_of(settings, "transfer"), proposed(settings, inputs)
@@ -206,6 +207,10 @@ def _page(spec: PageItemSpec, execution: Execution, inputs: Inputs) -> Files:
     drawings = draw_all(report)
     files = {PAGE: render_page(report, drawings).encode(), **tables_of(report), **proposal_files(rows, inputs)}
     files |= robot_files(inputs, trials)
+    for one in replays:
+        if one.in_true_slush and one.group != EXPLOITERS:
+            words = f"{one.seen_in}, {one.depth:g} m deep: {wording.number(one.displacement)} m in {one.duration:.0f} s"
+            files[f"{one.robot}.html"] = render_robot(one, [words]).encode()
     for drawing in drawings.values():
         if isinstance(drawing, Drawing):
             files |= {f"{drawing.name}.svg": drawing.svg, f"{drawing.name}.png": drawing.png}
@@ -333,12 +338,16 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     }
     lines = [f"{folder / PAGE}" if PAGE in files else no_page]
     lines += [f"{folder / name}: a robot to build" for name in files if name.startswith(PROPOSED)]
-    return Summary(lines=lines, artifacts=artifacts, films=_films_of_trials(results, files), of_study=True)
+    return Summary(lines=lines, artifacts=artifacts, films=_films_of_trials(settings, results, files), of_study=True)
 
 
-def _films_of_trials(results: Results, files: Files) -> dict[TrialId, dict[str, bytes]]:
-    """Select the MP4s of each trial of the stage evolve whose champion was filmed."""
+def _films_of_trials(settings: Settings, results: Results, files: Files) -> dict[TrialId, dict[str, bytes]]:
+    """Select for each trial of the stage evolve the replay of its champion, and the MP4s if it was filmed."""
     films: dict[TrialId, dict[str, bytes]] = {}
+    for trial in trials_of(settings, "evolve"):
+        replay = f"{robot_address(trial.environment, trial.depth, trial.index)}.html"
+        if replay in files:
+            films[trial] = {"replay.html": files[replay]}
     for part, (done,) in results.done.items():
         if isinstance(part, PartId) and part.arm is not None:
             (listing,) = (name for name in done.files if name.endswith(".json"))
@@ -350,7 +359,7 @@ def _films_of_trials(results: Results, files: Files) -> dict[TrialId, dict[str, 
 
 REPORT = Stage(
     name="report",
-    version=9,
+    version=10,
     unit="pictures",
     reads=_reads,
     plan=_plan,

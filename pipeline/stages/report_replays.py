@@ -29,6 +29,7 @@ from tasks.arrays import Float64, Floats
 from tasks.design import Designs
 from tasks.world import ENVIRONMENTS, EnvironmentName, Medium
 
+EXPLOITERS = "Exploiters"  # group of the viewer's list
 TOGETHER = "replay"  # film of two robots, without suffix: the best with residuals above the best without
 
 _OVERLAYS = (
@@ -79,7 +80,7 @@ def replays_of_page(
             if (address, _words(film)) not in seen:
                 words = "" if row.identity < 0 else f", generation {row.generation}, design {row.identity}"
                 replay = _replay(simulation, film, networks)
-                replays.append(replace(replay, title=replay.title + words, robot=address, group="Exploiters"))
+                replays.append(replace(replay, title=replay.title + words, robot=address, group=EXPLOITERS))
     return replays
 
 

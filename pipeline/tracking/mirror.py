@@ -15,7 +15,9 @@ import fcntl
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Literal
 
 from pipeline.tracking.database import MLFLOW_ENVIRONMENT, check_reachable, database_uri
 from pipeline.tracking.mlflow_writer import EXPERIMENT, Experiment
@@ -52,7 +54,7 @@ class Tracker:
         try:
             if self._uri is not None:
                 check_reachable(self._uri)
-            with _locked_database(self._store) if self._uri is None else contextlib.nullcontext():
+            with self._database():
                 if self._experiment is None:
                     self._experiment = _open_experiment(self._store, self._uri)
                 for key, (of_study, of_stage, of_trials) in list(self._pending.items()):
@@ -68,6 +70,21 @@ class Tracker:
                     f"The study continues without it. What is missing in MLflow is sent when it works again, or by the "
                     f"same command later; a damaged mlflow.db may be deleted."
                 )
+
+    def stop(self, study: Run, status: Literal["KILLED", "FAILED"]) -> None:
+        """Mark the runs of a study that have not ended. Errors of MLflow are ignored: the study is about to end.
+
+        Args:
+            study: the study's run.
+            status: KILLED by a signal, or FAILED.
+        """
+        if self._experiment is None:  # nothing was mirrored, or MLflow fails
+            return
+        with contextlib.suppress(Exception), self._database():
+            self._experiment.stop(study.key, status)
+
+    def _database(self) -> AbstractContextManager[None]:
+        return _locked_database(self._store) if self._uri is None else contextlib.nullcontext()
 
 
 @contextlib.contextmanager

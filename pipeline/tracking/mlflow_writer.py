@@ -75,6 +75,14 @@ class Experiment:
                 for tag in self._send_files(sent[slot], files, f"{_FILES}.{stage.name}").items():
                     self._set_tag(sent[slot], *tag)
 
+    def stop(self, study_key: str, status: str) -> None:
+        """Give the runs of a study that have not ended another status, the study's own first."""
+        runs = self._studies.get(study_key, {})
+        for slot in sorted(runs, key=lambda slot: ("study", "stage", "trial").index(slot[0])):
+            if runs[slot].status == "RUNNING":
+                self.client.set_terminated(runs[slot].id, status)
+                runs[slot].status = status
+
     def _runs(self, study_key: str) -> dict[_Slot, _Sent]:
         """Find a study's runs, by kind and key."""
         runs: dict[_Slot, _Sent] = {}
@@ -97,6 +105,9 @@ class Experiment:
             started = _milliseconds(time.time() if wanted.started is None else wanted.started)
             made = self.client.create_run(self.id, start_time=started, run_name=wanted.name, tags=tags)
             run = existing[slot] = _Sent(made.info.run_id, started, tags=tags)
+        elif wanted.status is None and run.status in ("KILLED", "FAILED"):  # it is resumed
+            self.client.update_run(run.id, status="RUNNING")
+            run.status = "RUNNING"
         files = dict(wanted.artifacts)
         if slot[0] != "trial" and (wanted.inputs or wanted.outputs):
             lineage = {"inputs": dict(wanted.inputs), "outputs": dict(wanted.outputs)}

@@ -56,4 +56,5 @@ class Run:
     model_read: str | None = None  # digest of the model that the run used
     started: float | None = None  # [s since 1970]; None for the time at which MLflow first hears of the run
     ended: float | None = None  # likewise
-    status: Literal["FINISHED", "FAILED"] | None = None  # None leaves it unchanged, which for a new run is running
+    status: Literal["FINISHED", "FAILED"] | None = None
+    """None for a run that has not ended; one that has finished stays so, and one that was stopped is running again."""

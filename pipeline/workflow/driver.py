@@ -19,6 +19,7 @@ from pipeline.workflow.record import DrivenStudy, RecordingBar
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from pipeline.workflow.study_mirror import StudyMirror, TracksRuns
 from tasks.simulation import batch
+from tasks.world import Physics
 
 
 def drive(
@@ -34,7 +35,7 @@ def drive(
     source: str = "",
     expected_seconds: Callable[[float], Mapping[str, float]] = lambda n_cores: {},
     limits: Limits = Limits(),  # noqa: B008 (frozen)
-    is_compiled: Callable[[], bool] = batch.is_compiled,
+    seconds_to_compile: Callable[[Physics], float] = batch.seconds_to_compile,
 ) -> Upstream:
     """Compute what is missing of some stages, and summarise their results.
 
@@ -53,7 +54,7 @@ def drive(
         source: where the settings come from, for the record: "preset laptop", or the path of a file.
         expected_seconds: returns about how long each stage will take on a number of cores [s], for the time left.
         limits: how long an item may take.
-        is_compiled: returns whether this machine has compiled the kernels.
+        seconds_to_compile: returns about how long the kernels take that this machine has not compiled yet [s].
 
     Returns:
         Results of every stage up to the last one wanted, by name; those of wanted stages say what diverged.
@@ -73,8 +74,8 @@ def drive(
         def cluster() -> Cluster:
             if not opened:
                 progress.say("starting the cluster")
-                if not is_compiled():
-                    progress.say("each machine compiles the kernels on first use: half a minute without progress")
+                if seconds := seconds_to_compile(settings.physics):
+                    progress.say(f"each machine compiles the kernels once, for about {seconds:.0f} s without progress")
                 opened.append(stack.enter_context(open_cluster()))
             return opened[0]
 
@@ -100,6 +101,9 @@ def drive(
                 discarded.add((damage.stage, damage.key))
                 for one in opened:
                     one.cancel_all()  # the next attempt submits everything again
+            except BaseException as error:
+                mirror.stop(error)
+                raise
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import PurePosixPath
-from typing import Protocol
+from pathlib import Path, PurePosixPath
+from typing import Literal, Protocol
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
@@ -45,6 +45,14 @@ class TracksRuns(Protocol):
             trials: runs of the stage's trials; those left out stay as they are.
         """
 
+    def stop(self, study: Run, status: Literal["KILLED", "FAILED"]) -> None:
+        """Mark the runs of a study that have not ended.
+
+        Args:
+            study: the study's run.
+            status: KILLED by a signal, or FAILED.
+        """
+
 
 class StudyMirror:
     """Mirrors one study in the background, so that MLflow costs the study no time."""
@@ -73,7 +81,8 @@ class StudyMirror:
         self._tracker, self._background = tracker, background
         self._chosen = settings.model_dump(mode="json")
         self._key = digest(canonical_json(self._chosen))
-        self._tags = {"preset": source.removeprefix("preset ")} if source.startswith("preset ") else {}
+        preset = source.removeprefix("preset ") if source.startswith("preset ") else Path(source).stem
+        self._tags = {"preset": preset} if preset else {}
         self._points: dict[str, Mapping[ChainId, int]] = {}
         self._ensemble: str | None = None  # digest of the model that a stage has made
 
@@ -155,6 +164,11 @@ class StudyMirror:
                 for chain, why in results.failed.items()
             ]
         self._background.do(partial(self._tracker.mirror, study, run, trials))
+
+    def stop(self, error: BaseException) -> None:
+        """Mark what an error or a signal leaves unfinished, so that MLflow does not show it as running."""
+        status: Literal["KILLED", "FAILED"] = "FAILED" if isinstance(error, Exception) else "KILLED"
+        self._background.do_last(partial(self._tracker.stop, self._study(), status))
 
     def _study(self) -> Run:
         trials, evolution = self._settings.grid.trials(), self._settings.evolution

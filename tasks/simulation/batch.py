@@ -7,20 +7,22 @@ core.
 
 import numpy as np
 
-from tasks.compiled import is_cached
+from tasks.compiled import uncompiled_kernels
 from tasks.design.genes import N_LINKS, Designs
 from tasks.simulation.box2d import GROUND_HALF_HEIGHT, Motion
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.simulation.rigid_bodies.engine import Robots
 from tasks.simulation.simd.lanes import widest
-from tasks.simulation.trees.groups import Groups, advance_kernel
+from tasks.simulation.trees.groups import Groups
 from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
 from tasks.world import Environment, Medium, Physics, Slush
 
 
-def is_compiled() -> bool:
-    """Return whether this machine has compiled the tree engine before, for some number of lanes."""
-    return is_cached(advance_kernel)
+def seconds_to_compile(physics: Physics) -> float:
+    """Return about how long the kernels take that an evolution needs and this machine has not compiled yet [s]."""
+    unused = "trees" if _needs_rigid_bodies(physics) else "rigid_bodies"
+    left = uncompiled_kernels().items()
+    return float(sum(seconds for module, seconds in left if f".{unused}." not in module))
 
 
 def _is_built_in(medium: Medium | None) -> bool:

@@ -22,13 +22,13 @@ pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="there is no co
 OUTER = """
 import sys
 from program import inner
-from tasks.compiled import compiled, is_cached
+from tasks.compiled import compiled, uncompiled_kernels
 def kernel(x):
     return inner.scaled(x)
 if __name__ == "__main__":
     from program import outer
     kernel = compiled(outer.kernel, seconds=1)
-    cached = is_cached(kernel)
+    cached = not uncompiled_kernels()
     print(kernel(2.0 if len(sys.argv) == 1 else 2), cached)
 """
 

@@ -93,6 +93,8 @@ class QuietTerminal:
 
     def mirror(self, *runs: Any) -> None: ...
 
+    def stop(self, study: Any, status: str) -> None: ...
+
 
 def run_study(
     settings: Settings,

@@ -2,10 +2,13 @@
 
 import pytest
 
+from pipeline.commands import expected_time
 from pipeline.commands.expected_time import expected_seconds
 from pipeline.config.loading import load, preset_names, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
+from tasks.simulation import batch
+from tasks.world import Physics
 
 
 @pytest.mark.parametrize("name", preset_names())
@@ -20,3 +23,18 @@ def test_every_stage_has_a_time_that_cores_shorten(name):
 def test_the_time_of_a_preset_is_that_of_the_readme(name, least, most):
     """A minute, 20 to 40 minutes and two hours on two cores, within the factor of two that is promised."""
     assert least <= sum(expected_seconds(load(Settings, preset_path(name)), 2.0).values()) <= most
+
+
+def test_kernels_that_are_not_compiled_yet_take_time(monkeypatch):
+    settings = load(Settings, preset_path("smoke"))
+    monkeypatch.setattr(expected_time, "seconds_to_compile", lambda physics: 0.0)
+    compiled = expected_seconds(settings, 2.0)
+    monkeypatch.setattr(expected_time, "seconds_to_compile", lambda physics: 50.0)
+    assert expected_seconds(settings, 2.0) == compiled | {"evolve": compiled["evolve"] + 50.0}
+
+
+def test_only_the_kernels_of_the_engine_in_use_are_waited_for(monkeypatch):
+    left = {"tasks.simulation.rigid_bodies.step.advance_robots": 30, "tasks.simulation.trees.step.advance": 20}
+    monkeypatch.setattr(batch, "uncompiled_kernels", lambda: left | {"tasks.design.genes.find_fault": 1})
+    assert batch.seconds_to_compile(Physics()) == 21
+    assert batch.seconds_to_compile(Physics(link_collisions=True)) == 31

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.report import wording
 from pipeline.stages.analyses.analysis_tables import read_table
 from pipeline.stages.analyses.specs import EXPLOITERS, INSTRUMENTS
 from pipeline.stages.environments import MEMBER, simulation_spec
@@ -137,9 +138,20 @@ def test_each_replay_is_a_gif_and_an_mp4_and_mlflow_gets_the_small_ones(study, s
     assert not any(name.startswith("films-") for name in summary.artifacts)
     scores = [row for row in read_scores(settings, upstream["transfer"], store) if row["environment"] == "dry_land"]
     best = max(scores, key=lambda row: row["zero_shot"])["trial"]
-    films = {trial: set(films) for trial, films in summary.films.items() if trial.environment == "dry_land"}
+    films = {trial: set(films) for trial, films in summary.films.items()}
     both = {"replay-dry_land-1m.mp4", "replay-dry_land-1m-at-home.mp4"}
-    assert films == {TrialId("evolve", "dry_land", 1.0, best): both}
+    assert films[TrialId("evolve", "dry_land", 1.0, best)] == both | {"replay.html"}
+    assert set(films) == set(trials_of(settings, "evolve"))
+
+
+def test_every_trial_has_a_replay_of_its_champion(study, settings):
+    store, upstream = study
+    rows = read_scores(settings, upstream["transfer"], store)
+    films = REPORT.summarise(settings, upstream["report"], store).films
+    for row in rows:
+        page = films[TrialId("evolve", row["environment"], row["depth"], row["trial"])]["replay.html"].decode()
+        assert f"trial {row['trial']}</h1>" in page and "http" not in page.replace("http-equiv", "")
+        assert f"True Slush, 1 m deep: {wording.number(row['zero_shot'])} m in" in page
 
 
 def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings):

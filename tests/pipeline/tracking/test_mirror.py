@@ -357,6 +357,26 @@ def test_a_stage_adds_files_to_other_runs(store, said):
     assert said == []
 
 
+def test_what_is_unfinished_is_stopped_and_runs_again_when_resumed(store, said):
+    def statuses() -> dict[str, str]:
+        return {name: run.info.status for (_, name), run in runs(store).items()}
+
+    done, half = TRIALS[0], replace(TRIALS[1], curves=TRIALS[1].curves[:1], status=None)
+    unfinished = replace(STAGE, status=None)
+    Tracker(store, say=said.append).stop(STUDY, "KILLED")  # nothing was mirrored yet
+    tracker = Tracker(store, say=said.append)
+    tracker.mirror(STUDY, unfinished, [done, half])
+    tracker.stop(STUDY, "KILLED")
+    assert statuses() == {"smoke": "KILLED", "evolve": "KILLED", "trial 0": "FINISHED", "trial 1": "KILLED"}
+    tracker = Tracker(store, say=said.append)
+    tracker.mirror(STUDY, unfinished, [half])
+    assert statuses() == {"smoke": "RUNNING", "evolve": "RUNNING", "trial 0": "FINISHED", "trial 1": "RUNNING"}
+    tracker.stop(STUDY, "FAILED")
+    assert statuses() == {"smoke": "FAILED", "evolve": "FAILED", "trial 0": "FINISHED", "trial 1": "FAILED"}
+    Tracker(store, say=said.append).mirror(replace(STUDY, status="FINISHED"), STAGE, TRIALS)
+    assert set(statuses().values()) == {"FINISHED"} and said == []
+
+
 def test_a_store_that_cannot_be_written_does_not_stop_the_study(tmp_path, said):
     Tracker(tmp_path / "gone", say=said.append).mirror(STUDY, STAGE)
     assert len(said) == 1 and "FileNotFoundError" in said[0]

@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from pipeline.workflow import background as background_module
 from pipeline.workflow.background import SECONDS_OF_SILENCE, Background
 
 
@@ -51,6 +52,29 @@ def test_a_block_that_fails_does_not_wait(error):
         background.do(never.wait)
         background.do(lambda: 1 / 0)
         raise error
+    never.set()
+
+
+def test_a_block_that_fails_waits_for_its_last_call_but_not_for_those_before_it():
+    begun, done = threading.Event(), []
+    with pytest.raises(KeyError), Background("waiting", say=pytest.fail) as background:
+        background.do_last(lambda: done.append("without a thread"))
+        background.do(lambda: begun.set() or time.sleep(0.1))
+        begun.wait()
+        background.do(lambda: done.append("waiting"))
+        background.do_last(lambda: done.append("last"))
+        raise KeyError
+    assert done == ["last"]
+
+
+def test_the_wait_for_the_last_call_is_short(monkeypatch):
+    monkeypatch.setattr(background_module, "SECONDS_AFTER_AN_ERROR", 0.2)
+    never, begin = threading.Event(), time.monotonic()
+    with pytest.raises(KeyError), Background("waiting", say=pytest.fail) as background:
+        background.do(never.wait)
+        background.do_last(lambda: None)
+        raise KeyError
+    assert time.monotonic() - begin < 2
     never.set()
 
 

@@ -127,15 +127,15 @@ def test_damage_found_during_other_work_is_mended(store: Store) -> None:
 
 
 @contextlib.contextmanager
-def stopped_after(n_items: int):
-    """Open a cluster that raises KeyboardInterrupt after some items."""
+def stopped_after(n_items: int, error: type[BaseException] = KeyboardInterrupt):
+    """Open a cluster that raises an error after some items."""
     with serial_cluster() as cluster:
         next_done = cluster.next_done
         left = iter(range(n_items))
 
         def next_or_stop(timeout: float | None = None):
             if next(left, None) is None:
-                raise KeyboardInterrupt
+                raise error
             return next_done(timeout)
 
         cluster.next_done = next_or_stop
@@ -159,6 +159,27 @@ def test_a_study_keeps_its_record_until_its_new_settings_have_a_result(store: St
     assert [item for item in after.items if item.stage == "evolve"] == [i for i in before.items if i.stage == "evolve"]
 
 
+@pytest.mark.parametrize(
+    ("error", "status", "source"),
+    [(KeyboardInterrupt, "KILLED", "preset tiny"), (ValueError, "FAILED", "/studies/tiny.yaml")],
+)
+def test_a_study_that_ends_early_is_marked_and_has_the_tag_of_its_settings(store: Store, error, status, source) -> None:
+    class Recorder(Terminal):
+        marked = None
+
+        def mirror(self, study, stage, trials) -> None:
+            assert study.tags == {"preset": "tiny"}
+            self.mirrored = study.key
+
+        def stop(self, study, status) -> None:
+            self.marked = study.key, status
+
+    terminal = Recorder()
+    with pytest.raises(error):
+        run(store, TO_EVOLVE, terminal=terminal, open_cluster=lambda: stopped_after(1, error), source=source)
+    assert terminal.marked == (terminal.mirrored, status)
+
+
 def test_settings_with_nothing_to_compute_are_recorded_too(store: Store) -> None:
     run(store)
     before = store.read_study("tiny")
@@ -168,7 +189,7 @@ def test_settings_with_nothing_to_compute_are_recorded_too(store: Store) -> None
     assert store.read_study("tiny") == before
 
 
-@pytest.mark.parametrize("is_compiled", [True, False])
-def test_compilation_of_kernels_is_announced(store: Store, is_compiled: bool) -> None:
-    run(store, TO_EVOLVE, terminal=(terminal := Terminal()), is_compiled=lambda: is_compiled)
-    assert any("compiles the kernels" in line for line in terminal.said) == (not is_compiled)
+@pytest.mark.parametrize("seconds", [0.0, 40.0])
+def test_compilation_of_kernels_is_announced(store: Store, seconds: float) -> None:
+    run(store, TO_EVOLVE, terminal=(terminal := Terminal()), seconds_to_compile=lambda physics: seconds)
+    assert any("compiles the kernels once, for about 40 s" in line for line in terminal.said) == (seconds > 0)
