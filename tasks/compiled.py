@@ -16,6 +16,7 @@ import hashlib
 import inspect
 import os
 import pickle
+import platform
 import sys
 import tempfile
 import time
@@ -53,6 +54,7 @@ register("numba:compile", _Announcement())
 
 
 _LONGEST_WAIT = 600.0  # time to wait for another process's compilation before compiling as well [s]
+_WAIT_IN_SILENCE = 60.0  # time after which the user learns for which process this one waits [s]
 
 
 class _KernelCache(NullCache):  # type: ignore[misc]
@@ -143,18 +145,25 @@ def _warn(message: str) -> None:
 
 def _locked(path: str) -> int | None:
     """Lock a file and return its descriptor; None where files can't be locked, or another process takes too long."""
-    end = time.monotonic() + _LONGEST_WAIT
+    start = time.monotonic()
     with contextlib.suppress(OSError):
         os.makedirs(os.path.dirname(path), mode=0o700, exist_ok=True)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        while time.monotonic() < end:
+        while time.monotonic() < start + _LONGEST_WAIT:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
+                if time.monotonic() > start + _WAIT_IN_SILENCE:
+                    holder = os.pread(descriptor, 1000, 0).decode(errors="replace")
+                    _warn(f"waiting for {holder}, which compiles {path}; for {_LONGEST_WAIT / 60:.0f} minutes at most")
                 time.sleep(0.1)
             except OSError:
                 break
             else:
+                with contextlib.suppress(OSError):  # the disk may be full
+                    os.ftruncate(descriptor, 0)
+                    command = ascii(" ".join(sys.argv))
+                    os.pwrite(descriptor, f"process {os.getpid()} on {platform.node()} ({command})".encode(), 0)
                 return descriptor
         os.close(descriptor)
     return None

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from pipeline.errors import DamagedArtifact, PuddleError
+from pipeline.locks import wait_for_lock
 from pipeline.store.encoding import digest
 
 MAX_DOCUMENT_BYTES = 2**26  # largest JSON document [bytes]: the record of a study of half a million work items
@@ -182,10 +183,18 @@ def inside(root: Path, *parts: str) -> Path:
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold a lock file, waiting for other processes and threads; it is released when the process ends."""
+def locked(path: Path, *, seconds: float = 120.0) -> Iterator[None]:
+    """Hold a lock file, waiting for other processes and threads; it is released when the process ends.
+
+    Args:
+        path: the lock file.
+        seconds: longest time to wait [s]; a commit takes milliseconds.
+
+    Raises:
+        PuddleError: another process still holds it; the message names that process.
+    """
     with os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | _OWN, 0o644), "rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        wait_for_lock(file.fileno(), path, seconds=seconds)
         yield
 
 

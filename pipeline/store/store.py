@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
+from pipeline.locks import holders_of
 from pipeline.store import disk
 from pipeline.store.encoding import Json, decode_json, decode_sealed, encode_json, encode_sealed
 from pipeline.store.items import KEY, NAME, Items, check_name
@@ -258,7 +259,9 @@ class Store(Items):
     def _share(self, held: contextlib.ExitStack, *, only_ask: bool = False) -> None:
         in_use = disk.try_lock(self.root / "use.lock", kind=fcntl.LOCK_SH, only_ask=only_ask)
         if in_use is None:
-            raise PuddleError(f"{self.root}: `puddle gc` is removing what no study needs. Wait until it ends.")
+            raise PuddleError(
+                f"{self.root}: {holders_of(self.root / 'use.lock')} is removing items. Wait until it ends."
+            )
         held.callback(os.close, in_use)
 
     @contextlib.contextmanager
@@ -270,7 +273,7 @@ class Store(Items):
             drivers = {name: self.driver_of(name) for name in self._names("studies")}
             driven = [f"study {name} is driven by {driver}" for name, driver in drivers.items() if driver]
             raise PuddleError(
-                f"{self.root} is in use: {'; '.join(driven) or 'another process has locked it'}. Wait until it "
+                f"{self.root} is in use: {'; '.join(driven) or holders_of(self.root / 'use.lock')}. Wait until it "
                 f"ends, or stop it (Ctrl-C); its committed results are safe."
             )
         try:

@@ -11,17 +11,19 @@ its database can be reached.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Literal
 
+from pipeline.locks import wait_for_lock
 from pipeline.tracking.database import MLFLOW_ENVIRONMENT, check_reachable, database_uri
 from pipeline.tracking.mlflow_writer import EXPERIMENT, Experiment
 from pipeline.tracking.run import Run
+
+_SECONDS_TO_WAIT, _SECONDS_WHEN_WARNED = 60.0, 2.0  # for another driver of the store that writes to its database [s]
+_SECONDS_AT_THE_END = 2.0  # as above, where the user waits for a study to stop [s]
 
 
 class Tracker:
@@ -54,7 +56,7 @@ class Tracker:
         try:
             if self._uri is not None:
                 check_reachable(self._uri)
-            with self._database():
+            with self._database(_SECONDS_WHEN_WARNED if self._warned else _SECONDS_TO_WAIT):
                 if self._experiment is None:
                     self._experiment = _open_experiment(self._store, self._uri)
                 for key, (of_study, of_stage, of_trials) in list(self._pending.items()):
@@ -80,19 +82,19 @@ class Tracker:
         """
         if self._experiment is None:  # nothing was mirrored, or MLflow fails
             return
-        with contextlib.suppress(Exception), self._database():
+        with contextlib.suppress(Exception), self._database(_SECONDS_AT_THE_END):
             self._experiment.stop(study.key, status)
 
-    def _database(self) -> AbstractContextManager[None]:
-        return _locked_database(self._store) if self._uri is None else contextlib.nullcontext()
-
-
-@contextlib.contextmanager
-def _locked_database(store: Path) -> Iterator[None]:
-    """Keep other drivers of a store out of its database: creating it twice at once fails, and writing may."""
-    with (store / "mlflow.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # released when the file is closed, however this process ends
-        yield
+    @contextlib.contextmanager
+    def _database(self, seconds: float) -> Iterator[None]:
+        """Keep other drivers of the store out of its database: creating it twice at once fails, and writing may."""
+        if self._uri is not None:
+            yield
+            return
+        path = self._store / "mlflow.lock"
+        with path.open("w") as lock:  # released when the file is closed, however this process ends
+            wait_for_lock(lock.fileno(), path, seconds=seconds)
+            yield
 
 
 def _open_experiment(store: Path, uri: str | None) -> Experiment:

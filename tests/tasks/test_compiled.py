@@ -10,6 +10,7 @@ from pathlib import Path
 import numba
 import pytest
 
+from tasks import compiled as compilation
 from tasks.compiled import _warn, compiled, dependencies, fingerprint
 from tasks.design import genes
 from tasks.simulation import box2d
@@ -91,6 +92,15 @@ def flip(path):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
+
+
+def test_who_waits_for_a_compilation_learns_which_process_compiles(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(compilation, "_WAIT_IN_SILENCE", 0.1)
+    monkeypatch.setattr(compilation, "_LONGEST_WAIT", 0.5)
+    held = compilation._locked(str(tmp_path / "doubled.lock"))
+    assert compilation._locked(str(tmp_path / "doubled.lock")) is None  # it compiles as well
+    os.close(held)
+    assert f"waiting for process {os.getpid()} on " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

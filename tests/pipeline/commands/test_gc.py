@@ -155,7 +155,7 @@ def test_nothing_is_removed_while_a_study_is_driven_or_unreadable(options, store
     with store.lock_study("other"):
         assert call("gc", "--remove", "--store", str(store.root)) == 2
     assert "study other is driven by process" in capsys.readouterr().err
-    with store.lock_all(), pytest.raises(PuddleError, match="`puddle gc` is removing"), store.lock_study("tiny"):
+    with store.lock_all(), pytest.raises(PuddleError, match="is removing items"), store.lock_study("tiny"):
         pass
     (store.root / "studies" / "tiny" / "study.json").write_text("{}")
     assert call("gc", "--remove", "--store", str(store.root)) == 2
@@ -168,9 +168,9 @@ def test_other_commands_refuse_to_run_while_garbage_is_removed(options, store, c
     with store.lock_all():
         for command in ("status", "--digests"), ("status",), ("verify",):
             assert call(*command, *options) == 2
-            assert "`puddle gc` is removing what no study needs. Wait until it ends." in capsys.readouterr().err
+            assert "is removing items. Wait until it ends." in capsys.readouterr().err
         (found,) = examine_store(store.root, parse(Settings, ON_DRY_LAND, name="tiny"))
-        assert found.verdict == "fail" and "`puddle gc` is removing" in found.found
+        assert found.verdict == "fail" and "is removing items" in found.found
     with store.lock_to_read():
         assert call("status", *options) == call("verify", *options) == 0
 
@@ -204,7 +204,7 @@ def test_items_of_a_study_without_a_record_stay_until_the_study_is_deleted(optio
 
 def test_a_study_that_starts_during_gc_leaves_no_folder(options, store):
     with store.lock_all():
-        with pytest.raises(PuddleError, match="`puddle gc` is removing"), store.lock_study("new"):
+        with pytest.raises(PuddleError, match="is removing items"), store.lock_study("new"):
             pass
         assert not find_garbage(store).items
     assert not store.study_path("new").exists()

@@ -204,7 +204,7 @@ def test_whoever_removes_and_whoever_drives_refuse_one_another(store: Store) -> 
     driven = pytest.raises(PuddleError, match=r"study laptop is driven by process .*; study paper is driven by")
     with store.lock_study("laptop"), store.lock_study("paper"), driven, store.lock_all():
         pass
-    removing = pytest.raises(PuddleError, match=r"`puddle gc` is removing what no study needs\. Wait until it ends")
+    removing = pytest.raises(PuddleError, match=r"process \d+ on .* is removing items\. Wait until it ends")
     with store.lock_all(), removing, store.lock_study("paper"):
         pass
     with store.lock_all(), pytest.raises(PuddleError, match=f"{store.root} is in use"), store.lock_all():
