@@ -1,5 +1,6 @@
 """Simulation of one design: its displacement, a film of it, or a page with what the networks say about it."""
 
+import stat
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,10 +62,7 @@ def simulate_design(
         raise PuddleError(f"--environment: expected one of {', '.join(_ENVIRONMENTS)}, got {environment!r}")
     if not 0.0 <= depth <= DEEPEST:
         raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, got {depth:g}")
-    kind = None if out is None else out.suffix.lower()
-    if out is not None and (kind not in (*_RENDERERS, _PAGE_SUFFIX) or not out.parent.is_dir()):
-        suffixes = " or ".join((*_RENDERERS, _PAGE_SUFFIX))
-        raise PuddleError(f"--out: expected a file name that ends in {suffixes}, in an existing folder, got {out}")
+    kind = None if out is None else _kind_of(out)
     simulation = environments.simulation_spec(settings, environment)
     files: dict[InputName, Files] = {}
     why, is_page = "", kind == _PAGE_SUFFIX
@@ -124,6 +122,22 @@ def simulate_design(
             raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
         lines.append(f"  shown in {out}")
     return lines
+
+
+def _kind_of(out: Path) -> str:
+    """Return the suffix of the file to write; refuse a path that can't be one before anything is simulated."""
+    kind = out.suffix.lower()
+    try:
+        if kind not in (*_RENDERERS, _PAGE_SUFFIX) or not out.parent.is_dir():
+            suffixes = " or ".join((*_RENDERERS, _PAGE_SUFFIX))
+            raise PuddleError(f"--out: expected a file name that ends in {suffixes}, in an existing folder, got {out}")
+        if not stat.S_ISREG(out.stat().st_mode):  # writing to a pipe would wait for its reader
+            raise PuddleError(f"--out: expected a new file or one to replace, got {out}, which is no regular file")
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
+    return kind
 
 
 def _networks(settings: Settings, open_store: Callable[[], Store], *, throws: bool) -> dict[InputName, Files]:

@@ -57,6 +57,10 @@ class FolderKind:
 
     def check_place(self, folder: Path) -> Path:
         """Return the resolved path of a folder that is new, empty or of this kind. Raises PuddleError for any other."""
+        with disk.explained("looking for the folder", folder, advice="run the same command again"):
+            return self._checked(folder)
+
+    def _checked(self, folder: Path) -> Path:
         expected = f"expected a new folder or {self.word}"
         other = "Choose another one with --out."
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
@@ -69,14 +73,13 @@ class FolderKind:
             return place
         if Path.cwd().is_relative_to(place):  # the folder is replaced, and the shell would stay in the old one
             raise PuddleError(f"{folder}: can't replace the current directory. Choose another folder with --out.")
-        with disk.explained("reading the folder", folder, advice="run the same command again"):
-            names = sorted(path.name for path in folder.iterdir())
-            if not names:
-                return place
-            if self.manifest not in names:
-                raise PuddleError(f"{folder}: {expected}, found {', '.join(names[:3])} and no {self.manifest}. {other}")
-            source = str(folder / self.manifest)
-            document = decode_json(disk.read(folder / self.manifest), source)
+        names = sorted(path.name for path in folder.iterdir())
+        if not names:
+            return place
+        if self.manifest not in names:
+            raise PuddleError(f"{folder}: {expected}, found {', '.join(names[:3])} and no {self.manifest}. {other}")
+        source = str(folder / self.manifest)
+        document = decode_json(disk.read(folder / self.manifest), source)
         check_format(document, schema=self.schema, version=self.version, source=source)
         return place
 

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import numba
@@ -118,6 +119,16 @@ def test_a_damaged_kernel_is_compiled_again(compile_and_call, damage):
     assert f"the compiled kernel {kept} is damaged and is compiled again" in said and said.count("compiling") == 1
     assert len(kept.read_bytes()) == len(before)
     assert compile_and_call() == ("", kept)
+
+
+def test_without_a_home_kernels_are_kept_among_temporary_files(tmp_path, monkeypatch):
+    """A home that is missing below a file can't be made, like one below a folder of others."""
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HOME", str(tmp_path / "file" / "home"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert Path(compilation.cache_folder()).parent == tmp_path
 
 
 def test_a_kernel_that_can_be_neither_read_nor_kept_is_compiled_every_time(compile_and_call):

@@ -235,15 +235,33 @@ def test_invalid_designs(capsys, tmp_path, design):
     assert "motor_on" in refusal(json.dumps({**good, "motor_on": [0, 1, 1, 1, 1, 1]}))
     said = refused(capsys, "simulate", str(tmp_path / "none.json"), "--environment", "dry_land", "--depth", "1")
     assert "cannot be read" in said
-    said = refused(
-        capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.mp5")
-    )
-    assert "--out" in said
-    (tmp_path / "x.gif").mkdir()
-    said = refused(
-        capsys, "simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out", str(tmp_path / "x.gif")
-    )
-    assert "--out" in said and "Is a directory" in said and "store" not in said and "kept" not in said
+
+
+@pytest.mark.timeout(60)
+def test_paths_that_cannot_be_written_are_refused_before_the_work(capsys, tmp_path, design):
+    (tmp_path / "folder.gif").mkdir()
+    os.mkfifo(tmp_path / "pipe.gif")  # opening it waits for a reader
+    (tmp_path / "device.gif").symlink_to("/dev/null")
+    (tmp_path / "circle.gif").symlink_to("circle.gif")
+    expected = {
+        "film.mp5": "ends in .gif or .mp4 or .html",
+        "none/film.gif": "in an existing folder",
+        "folder.gif": "no regular file",
+        "pipe.gif": "no regular file",
+        "device.gif": "no regular file",
+        "circle.gif": "Too many levels of symbolic links",
+        f"{'a' * 300}.gif": "File name too long",
+        f"{'a/' * 3000}film.gif": "File name too long",
+    }
+    words = ("simulate", str(design), "--environment", "dry_land", "--depth", "1", "--out")
+    for name, reason in expected.items():
+        said = refused(capsys, *words, str(tmp_path / name))
+        assert "--out" in said and reason in said and "store" not in said
+    for name in list(expected)[-2:]:
+        said = refused(
+            capsys, "fabricate", str(design), "--store", str(tmp_path / "store"), "--out", str(tmp_path / name)
+        )
+        assert "File name too long" in said
 
 
 def test_a_missing_or_newer_store(study, capsys, tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -63,6 +64,23 @@ def test_a_result_computed_twice_must_be_equal(store: Store) -> None:
     new = digest(json.dumps([[n, digest(d)] for n, d in sorted(other.items())], separators=(",", ":")).encode())
     assert first.digest in str(told.value) and new in str(told.value) and "in log:" in str(told.value)
     assert tree(store.root) == before
+
+
+def test_what_another_item_produced_is_noticed(store: Store) -> None:
+    """A file of another item, or its whole folder, manifest and all; both are intact in themselves."""
+    first, second = commit(store), {**IDENTITY, "version": 2}
+    other = store.commit("evolve", key_of(second), second, {**FILES, "history.parquet": b"ROWS" * 100}, record={})
+    place, origin = item(store), store.manifest_path("evolve", other.key).parent
+    shutil.copy(origin / "history.parquet", place)
+    with pytest.raises(DamagedArtifact, match=r"history\.parquet: expected SHA-256"):
+        store.read(first, "history.parquet")
+    (found,) = store.verify()
+    assert (found.stage, found.key) == ("evolve", KEY)
+    shutil.copytree(origin, place, dirs_exist_ok=True)
+    with pytest.raises(DamagedArtifact, match=f"expected evolve {KEY}, got evolve {other.key}"):
+        store.manifest("evolve", KEY)
+    (found,) = store.verify()
+    assert (found.stage, found.key) == ("evolve", KEY)
 
 
 def test_a_discarded_item_is_computed_again_to_the_same_bytes(store: Store) -> None:
