@@ -86,7 +86,7 @@ def prediction_accuracy(report: StudyReport, *, n_columns: int) -> tuple[Figure,
 
 def _outside(n_outside: Any) -> str:
     most = int(np.max(n_outside, initial=0))
-    return f"Up to {most} designs per panel lie outside it or diverged." if most else "No design lies outside."
+    return f"Designs outside a panel or diverged: at most {most}." if most else "No design lies outside."
 
 
 def _two_digits(found: Estimate) -> str:

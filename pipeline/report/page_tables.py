@@ -52,7 +52,7 @@ def against_paper(findings: Findings) -> str:
     columns = ("What", "Paper", "This run", "Verdict", "Why")
     content = table(columns, (_paper_cells(row) for row in shown), title, kind="wordy") + links("paper.csv")
     return (
-        f'<div id="against_paper"><h3>Comparison with the paper: {_verdicts(shown)}</h3>{content if shown else ""}'
+        f'<div id="against_paper"><h3>{_verdicts(shown)}</h3>{content if shown else ""}'
         '<p class="small">Below each number of this run is its 95 % interval: Student’s t for means, the bootstrap '
         "over whole trials for ratios and regressions, and the intervals of both ends for a range over members. A "
         "number agrees if the paper’s value lies in the 95 % prediction interval given under “Why”. That interval is "
@@ -68,16 +68,20 @@ def _is_test(row: Row) -> bool:
 
 def _verdicts(rows: Sequence[Row]) -> str:
     counts = Counter(row.verdict for row in rows)
-    return ", ".join(f"{counts[verdict]} {_PLURAL[verdict]}" for verdict in _MARKS if counts[verdict])
+    return ", ".join(
+        f"{counts[verdict]} {verdict if counts[verdict] == 1 else _PLURAL[verdict]}"
+        for verdict in _MARKS
+        if counts[verdict]
+    )
 
 
 def _paper_cells(row: Row) -> list[str]:
     return [
-        f"{_minus(escape(row.what))}<small>{escape(row.source)}</small>",
-        _minus(escape(row.paper)),
-        _minus(escape(row.this_run) + (f"<small>{escape(row.interval)}</small>" if row.interval else "")),
+        f"{_typeset(row.what[:1].upper() + row.what[1:])}<small>{_typeset(row.source)}</small>",
+        _typeset(row.paper),
+        _typeset(row.this_run) + (f"<small>{_typeset(row.interval)}</small>" if row.interval else ""),
         _verdict(row),
-        _minus(escape(row.why)),
+        _typeset(row.why),
     ]
 
 
@@ -86,9 +90,17 @@ def _verdict(row: Row) -> str:
     return f'<span class="verdict {kind}"><span aria-hidden="true">{_MARKS[row.verdict]}</span> {row.verdict}</span>'
 
 
-def _minus(text: str) -> str:
-    """Replace hyphens before numbers by minus signs, and keep a number and its unit on one line."""
-    return re.sub(r"(?<=\d) m\b", "\u00a0m", re.sub(r"(?<![\w.])-(?=\d)", "−", text))
+def _typeset(text: str) -> str:
+    """Set plain text as the page does: minus signs, curly quotes, and a number and its unit on one line; as HTML."""
+    for plain, typeset in (
+        (r"(?<![\w.])-(?= ?\d)", "−"),
+        (r"(?<=\d) m\b", "\u00a0m"),
+        (r"(?<=\d)%", "\u00a0%"),
+        (r'"([^"]*)"', r"“\1”"),
+        ("'", "’"),
+    ):
+        text = re.sub(plain, typeset, text)
+    return escape(text)
 
 
 def contrasts(findings: Findings) -> str:
@@ -102,7 +114,7 @@ def contrasts(findings: Findings) -> str:
         (row, paper.get(_statement(row, row.a, row.b)) or paper.get(_statement(row, row.b, row.a))) for row in ranked
     ]
     beside_paper = any(statement for _, statement in judged)
-    columns = ("Arms", "Means [m]", "Ratio", "Student’s t", "Other tests", "Hedges’ g", "Paper")
+    columns = ("Arms", "Means [m]", "Ratio", "Student’s p", "Other p-values", "Hedges’ g", "Paper")
     cells = [[*_contrast_cells(row), _statement_cell(statement)] for row, statement in judged]
     n_columns = len(columns) if beside_paper else len(columns) - 1
     content = table(columns[:n_columns], (row[:n_columns] for row in cells), title, kind="tests")
@@ -134,7 +146,7 @@ def _statement(row: Contrast, a: ScoredArm, b: ScoredArm) -> str:
 
 
 def _statement_cell(row: Row | None) -> str:
-    return NONE if row is None else f"{_verdict(row)}<small>{_minus(escape(row.paper))}</small>"
+    return NONE if row is None else f"{_verdict(row)}<small>{_typeset(row.paper)}</small>"
 
 
 def _contrast_cells(row: Contrast) -> list[str]:

@@ -43,7 +43,8 @@ def test_every_number_of_the_paper_that_is_measured_is_listed_with_its_verdict(f
     numbers = [row for row in findings.against_paper if not is_test(row)]
     shown = [row for row in numbers if row.this_run != "-"]
     for row in numbers:
-        assert (row.what.replace("'", "&#x27;") in text) == (row in shown)
+        typeset = row.what.replace("'", "’").replace(" - ", " − ")
+        assert (typeset[:1].upper() + typeset[1:] in text) == (row in shown)
     for verdict, mark in (("agrees", "✓"), ("differs", "≠"), ("not comparable", "?")):
         n = sum(row.verdict == verdict for row in shown)
         assert n > 0 and text.count(f"{mark} {verdict}") == n
@@ -60,7 +61,7 @@ def test_a_study_without_the_papers_arms_and_depths_has_no_comparison(findings):
 def test_every_contrast_and_depth_is_in_one_table_ranked_by_p(findings):
     html = contrasts(findings)
     assert html.count("<table") == 1 and "<details" not in html
-    tests = re.findall(r'data-column="Student’s t">([^<]*)', html)
+    tests = re.findall(r'data-column="Student’s p">([^<]*)', html)
     assert len(tests) == len(findings.contrasts)
     known = [float(p.replace("&lt; ", "").strip()) for p in tests if p != "–"]
     assert known == sorted(known) and tests[len(known) :] == ["–"] * (len(tests) - len(known))
