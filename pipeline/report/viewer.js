@@ -215,7 +215,7 @@
   };
   timeline.addEventListener("pointerdown", seekOnLine);
   timeline.addEventListener("pointermove", seekOnLine);
-  window.addEventListener("resize", draw);
+  new ResizeObserver(draw).observe(canvas); // also when a frame around the page appears, as in MLflow
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
   for (const film of document.querySelectorAll(".film")) {
     film.addEventListener("click", () => {

@@ -359,7 +359,7 @@ def _films_of_trials(settings: Settings, results: Results, files: Files) -> dict
 
 REPORT = Stage(
     name="report",
-    version=11,
+    version=12,
     unit="pictures",
     reads=_reads,
     plan=_plan,

@@ -101,6 +101,16 @@ def test_the_viewer_scrubs(opened):
     np.testing.assert_array_equal(opened.picture("#stage"), halfway)
 
 
+def test_the_viewer_is_drawn_when_it_appears(opened):
+    """MLflow shows a page in a frame that has no size at first, and tells the page nothing when it gets one."""
+    before = opened.picture("#stage")
+    opened.evaluate("stage.parentElement.style.display = 'none'; stage.width = 0")
+    opened.evaluate("new Promise(requestAnimationFrame)")
+    opened.evaluate("stage.parentElement.style.display = ''")
+    opened.until("stage.width > 0")
+    np.testing.assert_array_equal(opened.picture("#stage"), before)
+
+
 def test_two_robots_have_panes_beside_or_above_one_another(opened):
     choose(opened, "beside", "")
     alone = opened.picture("#stage").shape
