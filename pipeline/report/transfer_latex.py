@@ -17,9 +17,9 @@ _ACCENTS = {
 _HEAD = r"""% Transfer results of study {name}. Needs \usepackage{{booktabs}}.
 % Displacement of the root link [m], mean over n trials +- sample standard deviation. "of E": the mean divided by the
 % zero-shot mean of the designs evolved in True Slush at the same depth.
-\begin{{tabular}}{{rlrrrrrr}}
+\begin{{tabular}}{{@{{}}lrrrrrr@{{}}}}
 \toprule
-depth & evolved in & $n$ & predicted & zero-shot & of $E$ & adapted & of $E$ \\
+evolved in & $n$ & predicted & zero-shot & of $E$ & adapted & of $E$ \\
 """
 
 
@@ -27,7 +27,7 @@ def transfer_latex(name: str, trials: Sequence[TrialResult]) -> str:
     """Tabulate the champions' displacement by depth and environment, as a ``tabular``."""
     lines = [_HEAD.format(name=name)]
     for depth in depths(trials):
-        lines.append("\\midrule\n")
+        lines.append(f"\\midrule\n\\multicolumn{{7}}{{@{{}}l}}{{\\textit{{{depth:g}\\,m deep}}}} \\\\\n")
         best = trial_mean(arm(trials, "true_slush", depth), "zero_shot")
         for environment, style in ENVIRONMENTS.items():
             chosen = arm(trials, environment, depth)
@@ -36,7 +36,6 @@ def transfer_latex(name: str, trials: Sequence[TrialResult]) -> str:
             shares = [ratio(trial_mean(chosen, measure), best) for measure in _TRANSFERRED]
             zero_shot, adapted = (_NONE if share is None else rf"${100 * share:z.0f}$\,\%" for share in shares)
             cells = (
-                rf"{depth:g}\,m",
                 f"{_text(style.label)} {_symbol(style.symbol)}",
                 str(len(chosen)),
                 _mean(chosen, "predicted"),
@@ -56,7 +55,7 @@ def _mean(trials: Sequence[TrialResult], measure: Measure) -> str:
     found = trial_mean(trials, measure)
     if found is None:
         return _NONE
-    return f"${found.mean:z.1f}" + (rf" \pm {found.sd:.1f}$" if found.sd is not None else "$")
+    return f"${found.mean:z.1f}" + (rf"\,{{\pm}}\,{found.sd:.1f}$" if found.sd is not None else "$")
 
 
 def _text(words: str) -> str:
