@@ -43,7 +43,11 @@ def headline_lines(
 def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[str]:
     depth = max(settings.grid.depths)
     scores = [score for score in read_scores(settings, upstream["transfer"], store) if score["depth"] == depth]
-    best = _mean([score.get("zero_shot") for score in scores if score["environment"] == "true_slush"])
+    of_true_slush = [score for score in scores if score["environment"] == "true_slush"]
+    best = {
+        "share of True Slush": _mean([score.get("zero_shot") for score in of_true_slush]),
+        "share of it adapted": _mean([score.get("adapted") for score in of_true_slush]),
+    }
     yield f"Champions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]"
     yield f"  {'evolved in':<28} {'predicted':>14} {'zero-shot':>14} {'adapted':>14}"
     for environment, style in ENVIRONMENTS.items():
@@ -53,10 +57,11 @@ def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[s
         columns = {name: [score.get(name) for score in arm] for name in ("predicted", "zero_shot", "adapted")}
         cells = [segments.mean_and_deviation([value for value in of if value is not None]) for of in columns.values()]
         yield f"  {style.label:<28} " + " ".join(f"{cell:>14}" for cell in cells)
-        if best is not None and best > 0 and environment != "true_slush":
-            shares = [_mean(columns[name]) for name in ("zero_shot", "adapted")]
-            percent = ["" if share is None else f"{share / best:.0%}" for share in shares]
-            yield f"  {'  share of True Slush':<28} {'':>14} " + " ".join(f"{cell:>14}" for cell in percent)
+        for words, whole in best.items() if environment != "true_slush" else ():
+            if whole is not None and whole > 0:
+                parts = [_mean(columns[name]) for name in ("zero_shot", "adapted")]
+                percent = ["" if part is None else f"{part / whole:.0%}" for part in parts]
+                yield f"  {f'  {words}':<28} {'':>14} " + " ".join(f"{cell:>14}" for cell in percent)
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

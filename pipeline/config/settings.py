@@ -41,7 +41,8 @@ class GridSettings(Parameters):
     )
     """Environments in which designs evolve, at every depth. [P]"""
     single_member_depths: tuple[Depth, ...] = (9.0,)
-    """Depths at which designs also evolve in a single member: trial k in member k modulo n_members. [P]"""
+    """Depths at which designs also evolve in a single network: trial k in network k. Where there are more trials
+    than members, more networks are trained, so that every trial has its own. [P]"""
     n_trials: int = Field(default=10, ge=1, le=10_000)
     """Number of independent trials of each depth and environment. [P]"""
 
@@ -206,3 +207,11 @@ class Settings(Parameters):
     def needs_ensemble(self) -> bool:
         """Whether any trial evolves under residual networks."""
         return any(environment in RESIDUAL_ENVIRONMENTS for environment, _, _ in self.grid.trials())
+
+    @property
+    def n_networks(self) -> int:
+        """Number of networks to train: the members of the ensemble, and one for each trial that evolves in its own."""
+        if not self.needs_ensemble:
+            return 0
+        single = any(ENVIRONMENTS[environment].networks == "one" for environment, _, _ in self.grid.trials())
+        return max(self.ensemble.n_members, self.grid.n_trials if single else 0)

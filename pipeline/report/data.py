@@ -18,7 +18,9 @@ from tasks.analysis.uncertainty import RESOLUTION
 from tasks.arrays import Float64
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
-Measure = Literal["predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com"]  # columns of TrialResult [m]
+Measure = Literal[
+    "predicted", "predicted_sd", "fitness", "zero_shot", "zero_shot_com", "adapted", "adapted_com"
+]  # columns of TrialResult [m]
 
 
 def arm_words(environment: EnvironmentName, depth: float) -> str:
@@ -52,12 +54,14 @@ class TrialResult:
     environment: EnvironmentName  # where it evolved
     depth: float  # [m]
     trial: int
-    predicted: float  # fitness where it evolved (in Residual Slush the mean of the members minus k standard deviations)
+    predicted: float  # of its root where it evolved: in Residual Slush the mean over members, μ
     zero_shot: float | None = None  # displacement of its root in True Slush; None if not simulated yet
     zero_shot_com: float | None = None  # displacement of its centre of mass in True Slush
     adapted: float | None = None  # of its root with a controller that evolved there; None if not adapted
     adapted_com: float | None = None  # displacement of its centre of mass, likewise
     curve: Float64 = field(default_factory=lambda: np.empty(0))  # (n_generations,) best fitness so far [m]
+    predicted_sd: float | None = None  # standard deviation over members, σ; None without an ensemble
+    fitness: float | None = None  # where it evolved: in Residual Slush μ - kσ
 
     @property
     def all_diverged(self) -> bool:

@@ -9,8 +9,8 @@ from pipeline.report.data import StudyReport
 from pipeline.report.findings import Ancestor, ChampionRow, ExploiterRow, TankRow
 from pipeline.store.tables import Columns, columns_of, csv_of, text
 from pipeline.text import escape
+from tasks.analysis.against_paper import Row
 from tasks.analysis.comparison import Contrast
-from tasks.analysis.paper import Row
 
 _Row = TypeVar("_Row")
 
@@ -43,7 +43,7 @@ def _kind(file: str) -> str:
 
 def _scores(report: StudyReport) -> Columns:
     trials = report.trials
-    scores = ("predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
+    scores = ("predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com", "predicted_sd", "fitness")
     return {
         "environment": text([of.environment for of in trials]),
         "depth": np.array([of.depth for of in trials]),

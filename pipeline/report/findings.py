@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from tasks.analysis.against_paper import Row
 from tasks.analysis.attribution import Attribution, TransferMatrix
 from tasks.analysis.comparison import Contrast, EvolvedIn
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
-from tasks.analysis.paper import Row
 from tasks.analysis.prediction import Histograms, Regression
 from tasks.analysis.tank import Crossing, Tank
 from tasks.analysis.uncertainty import Estimate

@@ -11,16 +11,19 @@ from pipeline.report.findings import ExploiterRow, Findings, TankRow
 from pipeline.report.lineage import main_line
 from pipeline.report.wording import NONE, absent, folded, interval, number, p_value, table
 from pipeline.text import escape
+from tasks.analysis.against_paper import Row
 from tasks.analysis.comparison import Contrast, ScoredArm, SignificanceTest
-from tasks.analysis.paper import Row, Verdict, name_of
+from tasks.analysis.equivalence import Verdict
+from tasks.analysis.paper import name_of
 from tasks.analysis.tank import Crossing, Tank
 
 LINE_ENDS = 12  # ancestors listed from each end of a champion's line
 
 RobotsOnPage = Mapping[tuple[str, int, int], str]  # address by arm in words, trial and identity (-1 for the champion)
 
-_MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "not comparable": "?"}  # not by colour alone
-_PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ", "not comparable": "not comparable"}
+_MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "cannot tell": "?", "not comparable": "–"}
+"""Marks of verdicts, so that colour is not the only difference."""
+_PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ"}
 
 
 def robots_on(report: StudyReport) -> RobotsOnPage:
@@ -55,10 +58,10 @@ def against_paper(findings: Findings) -> str:
         f'<div id="against_paper"><h3>{_verdicts(shown)}</h3>{content if shown else ""}'
         '<p class="small">Below each number of this run is its 95 % interval: Student’s t for means, the bootstrap '
         "over whole trials for ratios and regressions, and the intervals of both ends for a range over members. A "
-        "number agrees if the paper’s value lies in the 95 % prediction interval given under “Why”. That interval is "
-        "wider: it is where a repeat of this run with the paper’s number of trials would fall. A range over members "
-        "agrees if it contains this run’s median member, and the ratio of deviations if its whole interval is above "
-        f"1.{left_out}</p></div>"
+        "number agrees if the 95 % interval of its difference from the paper’s lies within the bounds given under "
+        "“Why”, and differs if it lies outside; that interval includes the uncertainty of the paper’s own trials. A "
+        "range over members agrees if it contains the interval of this run’s median member, and the ratio of "
+        f"deviations if its whole interval is above 1.{left_out}</p></div>"
     )
 
 
@@ -69,7 +72,7 @@ def _is_test(row: Row) -> bool:
 def _verdicts(rows: Sequence[Row]) -> str:
     counts = Counter(row.verdict for row in rows)
     return ", ".join(
-        f"{counts[verdict]} {verdict if counts[verdict] == 1 else _PLURAL[verdict]}"
+        f"{counts[verdict]} {verdict if counts[verdict] == 1 else _PLURAL.get(verdict, verdict)}"
         for verdict in _MARKS
         if counts[verdict]
     )
@@ -121,14 +124,14 @@ def contrasts(findings: Findings) -> str:
     stated = [statement for _, statement in judged if statement]
     verdicts = f": {_verdicts(stated)}" if stated else ""
     rule = (
-        " A test agrees with the paper’s statement if its p-value is on the same side of the paper’s threshold. With "
-        "fewer trials than the paper, large p-values are easy to get and small ones hard, so a difference that a test "
-        "fails to show is not compared."
+        " “Less” and “greater” agree with the paper if the whole 95 % interval of the difference has that direction. "
+        "“No difference” agrees if that interval lies within ± 20 % of the displacement of the designs evolved in True "
+        "Slush: a large p-value shows nothing."
     )
     return (
         f'<div id="contrasts"><h3>{len(ranked)} t tests, by p-value{verdicts}</h3>{content}{links("contrasts.csv")}'
-        '<p class="small">Two-sided p-values, and below them the p-value after Holm’s correction over the depths of a '
-        "pair of arms. The paper uses Student’s t test. Welch’s test does not assume equal variances, and "
+        '<p class="small">Two-sided p-values, and below them the p-value after Holm’s correction over all of these '
+        "tests. The paper uses Student’s t test. Welch’s test does not assume equal variances, and "
         "Mann–Whitney’s (M–W) does not assume normality either. Ratios of means have 95 % bootstrap intervals. Hedges’ "
         f"g is the difference in standard deviations.{rule if stated else ''}</p></div>"
     )
@@ -191,7 +194,7 @@ def exploiters(findings: Findings, robots: RobotsOnPage) -> str:
         f'<div id="suspects"><h3>Exploiters: the top {len(listed)} of {len(findings.exploiters)}</h3>'
         f"{table(columns, (_exploiter_cells(row, robots) for row in listed), title, kind='named')}"
         f"{links('exploiters.csv')}"
-        '<p class="small">Ranked by the hallucinated displacement, which is the ensemble’s prediction minus the '
+        '<p class="small">Ranked by the hallucinated displacement, which is the ensemble’s mean prediction minus '
         "displacement in True Slush; where that is unknown, by the standard deviation over the members.</p></div>"
     )
 

@@ -16,7 +16,7 @@ _ACCENTS = {
 }
 _HEAD = r"""% Transfer results of study {name}. Needs \usepackage{{booktabs}}.
 % Displacement of the root link [m], mean over n trials +- sample standard deviation. "of E": the mean divided by the
-% zero-shot mean of the designs evolved in True Slush at the same depth.
+% zero-shot mean of the designs evolved in True Slush at the same depth / by their adapted mean.
 \begin{{tabular}}{{@{{}}lrrrrrr@{{}}}}
 \toprule
 evolved in & $n$ & predicted & zero-shot & of $E$ & adapted & of $E$ \\
@@ -28,13 +28,16 @@ def transfer_latex(name: str, trials: Sequence[TrialResult]) -> str:
     lines = [_HEAD.format(name=name)]
     for depth in depths(trials):
         lines.append(f"\\midrule\n\\multicolumn{{7}}{{@{{}}l}}{{\\textit{{{depth:g}\\,m deep}}}} \\\\\n")
-        best = trial_mean(arm(trials, "true_slush", depth), "zero_shot")
+        of_true_slush = arm(trials, "true_slush", depth)
+        best = [trial_mean(of_true_slush, measure) for measure in _TRANSFERRED]
         for environment, style in ENVIRONMENTS.items():
             chosen = arm(trials, environment, depth)
             if not chosen:
                 continue
-            shares = [ratio(trial_mean(chosen, measure), best) for measure in _TRANSFERRED]
-            zero_shot, adapted = (_NONE if share is None else rf"${100 * share:z.0f}$\,\%" for share in shares)
+            zero_shot, adapted = (
+                _shares([ratio(trial_mean(chosen, measure), reference) for reference in best])
+                for measure in _TRANSFERRED
+            )
             cells = (
                 f"{_text(style.label)} {_symbol(style.symbol)}",
                 str(len(chosen)),
@@ -56,6 +59,11 @@ def _mean(trials: Sequence[TrialResult], measure: Measure) -> str:
     if found is None:
         return _NONE
     return f"${found.mean:z.1f}" + (rf"\,{{\pm}}\,{found.sd:.1f}$" if found.sd is not None else "$")
+
+
+def _shares(shares: Sequence[float | None]) -> str:
+    known = [f"${100 * share:z.0f}$" for share in shares if share is not None]
+    return rf"{'/'.join(known)}\,\%" if known else _NONE
 
 
 def _text(words: str) -> str:

@@ -17,8 +17,11 @@ def transfer_table(trials: Sequence[TrialResult]) -> str:
     bodies = "".join(_depth_rows(trials, depth) for depth in depths(trials))
     note = (
         "Displacement [m]: mean over n trials ± 1 SD. The first line of a cell is the displacement of the root link. "
-        "CoM is the displacement of the robot’s centre of mass, to which a swing of the root adds little. “of "
-        "<i>E</i>” is the mean divided by that of the designs evolved in True Slush at the same depth."
+        "CoM is the displacement of the robot’s centre of mass, to which a swing of the root adds little. In Residual "
+        "Slush, the prediction is the mean μ over the members; σ is their standard deviation, and evolution maximises "
+        "μ − kσ. “of <i>E</i>” is the mean divided by that of the designs evolved in True Slush at the same depth, as "
+        "they are, which is the paper’s reference. Below it, the mean is divided by theirs after adaptation: adapted "
+        "designs were searched twice as long, so only that comparison is between equals."
     )
     best = paper_mean("true_slush", "zero_shot", paper.DEPTH)
     if paper.DEPTH in depths(trials) and best is not None:
@@ -37,7 +40,8 @@ def transfer_table(trials: Sequence[TrialResult]) -> str:
 
 
 def _depth_rows(trials: Sequence[TrialResult], depth: float) -> str:
-    best = trial_mean(arm(trials, "true_slush", depth), "zero_shot")
+    of_true_slush = arm(trials, "true_slush", depth)
+    best = trial_mean(of_true_slush, "zero_shot"), trial_mean(of_true_slush, "adapted")
     rows = []
     for environment, style in ENVIRONMENTS.items():
         chosen = arm(trials, environment, depth)
@@ -66,16 +70,24 @@ def _cell(
         lines += f"<small>{len(found.values)} of {len(trials)} trials</small>"
     if com is not None and (found_com := trial_mean(trials, com)):
         lines += f"<small>CoM {_spread(found_com)}</small>"
+    if measure == "predicted" and (sd := trial_mean(trials, "predicted_sd")) and (own := trial_mean(trials, "fitness")):
+        lines += f"<small>σ {number(sd.mean)}, μ − kσ {number(own.mean)}</small>"
     if (stated := paper_mean(environment, measure, depth)) is not None:
         lines += f'<small class="paper">paper {number(stated)}</small>'
     return f"<td>{lines}</td>"
 
 
 def _share(
-    trials: Sequence[TrialResult], environment: EnvironmentName, measure: Measure, best: TrialMean | None, depth: float
+    trials: Sequence[TrialResult],
+    environment: EnvironmentName,
+    measure: Measure,
+    best: tuple[TrialMean | None, TrialMean | None],
+    depth: float,
 ) -> str:
-    share = ratio(trial_mean(trials, measure), best)
+    share, of_adapted = (ratio(trial_mean(trials, measure), reference) for reference in best)
     lines = NONE if share is None else percent(share)
+    if of_adapted is not None:
+        lines += f"<small>{percent(of_adapted)} of adapted <i>E</i></small>"
     stated, whole = (
         paper_mean(name, what, depth) for name, what in ((environment, measure), ("true_slush", "zero_shot"))
     )

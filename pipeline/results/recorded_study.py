@@ -38,6 +38,7 @@ _CHAMPION_FIELDS = pa.schema(
     [pa.field(name, kind, metadata={"unit": "m" if name == "depth" else ""}) for name, kind in KEYS.items()]
     + [pa.field(name, pa.float64(), metadata={"unit": "m"}) for name in ("predicted", "zero_shot", "adapted")]
     + [pa.field("design_json", pa.string(), metadata={"unit": ""})]
+    + [pa.field(name, pa.float64(), metadata={"unit": "m"}) for name in ("predicted_sd", "fitness")]
 )
 
 
@@ -156,8 +157,9 @@ class Study:
     def champions(self) -> pa.Table:
         """Return the champion of every trial that is done and has one, in the order of the trials.
 
-        Columns: environment, depth, trial; predicted (fitness where it evolved), zero_shot and adapted (displacement in
-        True Slush) [m], null where there is none; design_json (content of a design file).
+        Columns: environment, depth, trial; predicted (displacement where it evolved, the mean μ over an ensemble's
+        members), zero_shot and adapted (displacement in True Slush) [m]; design_json (content of a design file);
+        predicted_sd (σ over members) and fitness (μ - kσ) [m]. What does not exist is null.
         """
         rows = []
         transferred = self.upstream["transfer"].done

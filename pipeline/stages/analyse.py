@@ -7,23 +7,26 @@ four columns: X, X_low, X_high (95 %) and X_reason (why X or its interval is mis
 stated otherwise.
 
 ``statistics``, from scores and predictions alone:
-    scores.parquet       a row per trial: environment, depth, trial, predicted, zero_shot, zero_shot_com,
+    scores.parquet       a row per trial: environment, depth, trial; where it evolved: fitness, predicted (displacement,
+                         the mean over members), predicted_sd (σ over members); zero_shot, zero_shot_com,
                          zero_shot_reach (root minus centre of mass), adapted, adapted_com, adapted_reach, status ("ok"
                          or the reason why there are no scores)
-    regressions.parquet  a row per predictor ("member 0", "mean", "mean - 1 sd", "min", ...): name, n, n_left_out, and
-                         the estimates slope, intercept [m], r
+    regressions.parquet  a row per predictor ("member 0", "mean", "mean - 1 sd", "min", ...): name, n, n_left_out,
+                         n_resampled, and the estimates slope, intercept [m], r
     histograms.parquet   a row per member, mean and mean - 1 sd: name, n_outside, edges (n_bins + 1 numbers, for both
                          axes), counts (n_bins² numbers: reshape to predicted by true)
     contrasts.parquet    a row per contrast and depth: a, b ("dry_land/adapted"), depth; for each side X = a, b: X_n,
                          X_n_left_out, the estimate X_mean, X_sd; for each test T = student, welch, mann_whitney:
-                         T_statistic, T_p, T_reason; the estimates hedges_g and ratio; T_holm (p over the depths)
+                         T_statistic, T_p, T_reason; the estimates hedges_g and ratio; T_holm (p over all rows)
     attribution.parquet  a row per arm and depth: evolved_in, depth, n, n_best, and the estimates predicted, zero_shot,
-                         adapted, best, hallucinated, gap, lost_to_controller, lost_to_body, controller_share,
-                         body_share, recovered_zero_shot, recovered_adapted, recovered_of_dry_land
+                         adapted, best, best_adapted, hallucinated, gap, lost_to_controller, lost_to_body,
+                         lost_to_body_equally_searched, controller_share, body_share, recovered_zero_shot,
+                         recovered_adapted, recovered_adapted_equally_searched, recovered_zero_shot_of_adapted,
+                         recovered_of_dry_land
     paper.parquet        a row per number of the paper: what, paper, source, this_run, verdict ("agrees", "differs",
-                         "not comparable"), why, value, interval (in words: 95 %, for a range those of its ends), low,
-                         high (ends of the 95 % interval of value), p; value is the median for a range, and the
-                         difference of the means for a t test
+                         "cannot tell", "not comparable"), why, value, interval (in words: 95 %, for a range those of
+                         its ends), low, high (ends of the 95 % interval of value), p; value is the median for a range,
+                         and the difference of the means for a t test
 ``members``, from networks and throws:
     phantom_thrust.parquet  a row per member: member, the estimate thrust [m/s²] (does not need True Slush)
     member_errors.parquet   on held-out throws, a row per member, component, band and immersion: member, component,
@@ -33,7 +36,7 @@ stated otherwise.
     matrix.parquet       environment, trained, tested, mean, sd, n, relative (to the champions that evolved there)
 ``exploiters``, every champion and every assessed design, ordered by rank:
     exploiters.parquet   rank, kind ("champion", "assessed"), environment, depth, trial, generation and identity (-1
-                         for a champion), predicted (by the ensemble, or by the champion's own single member), true,
+                         for a champion), predicted (mean over members, or by the champion's own network), true,
                          excess, disagreement (σ over members), ranked_by, reason, by_member (n_members numbers)
 ``instruments/<environment>/<depth>m``, the champions of one arm. Links and films show the best zero-shot champion, as
 the page does; if none survives True Slush, the best champion where it evolved:
@@ -74,7 +77,7 @@ from pipeline.stages.transfer import scores_inputs
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import csv_of
-from pipeline.workflow.identity import InputName, arms_of, trials_of
+from pipeline.workflow.identity import InputName, TrialId, arms_of, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -121,7 +124,7 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
     plan(PartId(specs.STATISTICS), specs.StatisticsSpec(seed, trials, simulation, settings.assessed_depth), 0)
     plan(PartId(specs.MEMBERS), specs.MembersSpec(seed, (), simulation, held_out), 0, ensemble)
     plan(PartId(specs.MATRIX), specs.MatrixSpec(seed, trials, simulation, depths), len(trials) * len(depths))
-    plan(PartId(specs.EXPLOITERS), specs.ExploitersSpec(seed, trials, simulation, penalty), len(trials), ensemble)
+    plan(PartId(specs.EXPLOITERS), specs.ExploitersSpec(seed, trials, simulation), len(trials), ensemble)
     for arm, of_arm in arms_of(trials).items():
         own, n = tuple(of_arm), len(of_arm)
         spec = specs.InstrumentsSpec(seed, own, simulation, arm, held_out, penalty)
@@ -150,19 +153,30 @@ def _item(
         failed = {trial.label: why for trial, why in upstream["transfer"].failed.items()}
         spec = replace(spec, failed=failed, not_assessed=_why_not_assessed(settings, upstream))
     elif not isinstance(spec, specs.MatrixSpec | specs.TankSpec):
-        networks, why = _networks(settings, upstream, throws=not isinstance(spec, specs.ExploitersSpec))
+        own = spec.trials if isinstance(spec, specs.InstrumentsSpec) else ()
+        networks, why = _networks(settings, upstream, own, throws=not isinstance(spec, specs.ExploitersSpec))
         inputs |= networks
         spec = replace(spec, no_networks=why)
     return Item(ANALYSE.name, ANALYSE.version, chain.label, spec, inputs, Execution(settings.work.engine))
 
 
-def _networks(settings: Settings, upstream: Upstream, *, throws: bool) -> tuple[dict[InputName, Input], str]:
-    """Return every member and the throws it learned from, or the reason why they are missing."""
+def _networks(
+    settings: Settings, upstream: Upstream, own: Sequence[TrialId], *, throws: bool
+) -> tuple[dict[InputName, Input], str]:
+    """Return the members, the networks of some trials, and the throws, or the reason why they are missing.
+
+    Args:
+        settings: the study's settings.
+        upstream: results of the stages before.
+        own: trials whose own networks are needed, too, where they evolved in a single one.
+        throws: whether to include the throws that the networks learned from.
+    """
     if not settings.needs_ensemble:
         return {}, "no trial of this study needs networks"
     try:
-        members = environments.member_inputs(settings, "residual_slush", 0, upstream)
-        return {**members, **(data_set(upstream["collect"]) if throws else {})}, ""
+        networks = environments.member_inputs(settings, "residual_slush", 0, upstream)
+        networks |= environments.single_member_inputs(settings, own, upstream)
+        return {**networks, **(data_set(upstream["collect"]) if throws else {})}, ""
     except MissingInputs as missing:
         return {}, str(missing)
 

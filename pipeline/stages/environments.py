@@ -1,7 +1,7 @@
 """Environments of a study: built from settings and trained networks, and what it takes to simulate designs in them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from pipeline.cluster import Spread
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, RolloutSettings, Settings
 from pipeline.stages.part import PartId
 from pipeline.store.encoding import decode_arrays
-from pipeline.workflow.identity import InputName
+from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
 from tasks.design import Designs
 from tasks.evolution import Evaluation, evaluate
@@ -19,13 +19,19 @@ from tasks.simulation.batch import n_that_fill_lanes
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
-MEMBER = "member"  # role of the inputs that are trained networks
+MEMBER = "member"  # role of the inputs that are networks of the ensemble, or of one single-member trial
+SINGLE = "single"  # role of the inputs that are networks of single-member trials and not of the ensemble beside them
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
 
 
 def member_id(index: int) -> PartId:
-    """Return the identity of a member of the ensemble."""
+    """Return the identity of a network. The ensemble consists of the first n_members."""
     return PartId(f"member-{index:02d}")
+
+
+def member_ids(settings: Settings) -> list[PartId]:
+    """Return the identities of the members of the ensemble, in its order."""
+    return [member_id(index) for index in range(settings.ensemble.n_members)]
 
 
 Media = Mapping[str, Parameters]  # settings of the environments' media, by group
@@ -88,8 +94,23 @@ def true_medium(media: Media) -> Medium:
 
 
 def members_among(inputs: Inputs) -> dict[InputName, Files]:
-    """Select the inputs that are trained networks, in the order of the ensemble."""
+    """Select the inputs that are members of the ensemble, in its order."""
     return {name: files for name, files in inputs.items() if name.role == MEMBER}
+
+
+def networks_among(inputs: Inputs) -> dict[InputName, Files]:
+    """Select the inputs that are networks: the members of the ensemble, and those of single-member trials."""
+    return {name: files for name, files in inputs.items() if name.role in (MEMBER, SINGLE)}
+
+
+def network_among(inputs: Inputs, index: int) -> dict[InputName, Files]:
+    """Return one network as an ensemble of its own.
+
+    Raises:
+        KeyError: the inputs do not include it.
+    """
+    own = InputName(MEMBER, member_id(index))
+    return {own: inputs[own] if own in inputs else inputs[replace(own, role=SINGLE)]}
 
 
 def member_inputs(
@@ -100,16 +121,34 @@ def member_inputs(
     Args:
         settings: the study's settings.
         environment: name of the environment.
-        trial: number of the trial, which selects the member of ``single_member``.
+        trial: number of the trial, which is that of its network in ``single_member``.
         upstream: results of the stages before.
 
     Raises:
-        MissingInputs: a member is not trained.
+        MissingInputs: a network is not trained.
     """
-    n_members = settings.ensemble.n_members
-    numbers = {"none": range(0), "one": [trial % n_members], "all": range(n_members)}
-    members = [member_id(number) for number in numbers[ENVIRONMENTS[environment].networks]]
-    return {InputName(MEMBER, of): Input(upstream["train"].chain(of)[-1], (WEIGHTS,)) for of in members}
+    members = {"none": [], "one": [member_id(trial)], "all": member_ids(settings)}[ENVIRONMENTS[environment].networks]
+    return {InputName(MEMBER, of): _weights(of, upstream) for of in members}
+
+
+def single_member_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
+    """Return the networks of single-member trials that are not members of the ensemble, as inputs beside its members.
+
+    Args:
+        settings: the study's settings.
+        trials: trials of any environments.
+        upstream: results of the stages before.
+
+    Raises:
+        MissingInputs: a network is not trained.
+    """
+    own = [member_id(trial.index) for trial in trials if ENVIRONMENTS[trial.environment].networks == "one"]
+    others = [of for of in dict.fromkeys(own) if of not in member_ids(settings)]
+    return {InputName(SINGLE, of): _weights(of, upstream) for of in others}
+
+
+def _weights(network: PartId, upstream: Upstream) -> Input:
+    return Input(upstream["train"].chain(network)[-1], (WEIGHTS,))
 
 
 def execution_options(settings: Settings, environment: EnvironmentName) -> Execution:

@@ -118,7 +118,9 @@ def _item(
         inputs = _film_inputs(settings, chain.spec.trials, upstream)
         return Item(REPORT.name, REPORT.version, chain.label, chain.spec, inputs, execution)
     inputs = _film_inputs(settings, trials_of(settings, "transfer"), upstream)
-    inputs |= {InputName(TRAINED, of): Input(done[0], (MEMBER_ERRORS,)) for of, done in upstream["train"].done.items()}
+    trained = upstream["train"].done
+    members = [of for of in environments.member_ids(settings) if of in trained]
+    inputs |= {InputName(TRAINED, of): Input(trained[of][0], (MEMBER_ERRORS,)) for of in members}
     for trial, evolved in upstream["evolve"].done.items():
         for number, segment in enumerate(evolved):
             inputs[InputName(EVOLUTION, trial, number)] = Input(segment, (segments.CURVE,))
@@ -156,6 +158,7 @@ def _film_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstre
     if any(trial.environment in RESIDUAL_ENVIRONMENTS for trial in trials):
         with suppress(MissingInputs):  # where a member is missing there are no residual environments to film
             inputs |= environments.member_inputs(settings, "residual_slush", 0, upstream)
+            inputs |= environments.single_member_inputs(settings, trials, upstream)
     return inputs
 
 
@@ -274,7 +277,7 @@ def _trial_result(trial: TrialId, inputs: Inputs, evolved: Mapping[ChainId, Colu
     scores = decode_json(scored[SCORE], trial.label)
     measured = {
         name: np.nan if scores[name] is None else scores[name]
-        for name in ("zero_shot", "zero_shot_com", "adapted", "adapted_com")
+        for name in ("zero_shot", "zero_shot_com", "adapted", "adapted_com", "predicted_sd", "fitness")
         if name in scores
     }
     predicted = scores.get("predicted", np.nan)

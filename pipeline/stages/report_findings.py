@@ -30,10 +30,10 @@ from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.encoding import decode_table
 from pipeline.workflow.identity import TrialId, deepest_first, trials_of
 from pipeline.workflow.stage import Files, Inputs
+from tasks.analysis.against_paper import Row
 from tasks.analysis.attribution import Attribution
 from tasks.analysis.comparison import Contrast
 from tasks.analysis.member_error import MemberError
-from tasks.analysis.paper import Row
 from tasks.analysis.prediction import Histograms, Regression
 from tasks.arrays import Float64
 from tasks.design import Designs

@@ -17,7 +17,7 @@ from pipeline.stages.analyses.champions import champions
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, film_arm
 from pipeline.stages.analyses.instruments import FilmRow, transitions_of
 from pipeline.stages.analyses.specs import INSTRUMENTS
-from pipeline.stages.environments import SimulationSpec, members_among
+from pipeline.stages.environments import SimulationSpec, networks_among
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.stages.report_robots import address_of, exploiters, films_of_exploiter, in_true_slush
@@ -67,7 +67,7 @@ def replays_of_page(
         execution: the engine.
         inputs: those of the page.
     """
-    networks, replays = members_among(inputs), []
+    networks, replays = networks_among(inputs), []
     for own in deepest_first(trials).values():
         best = _best_of_arm(simulation, own, execution, inputs)
         shown = {replay.robot for replay in best if replay.in_true_slush}
@@ -88,7 +88,7 @@ def _best_of_arm(
     simulation: SimulationSpec, own: Sequence[TrialId], execution: Execution, inputs: Inputs
 ) -> list[Replay]:
     """Return the replays of an arm that are also films."""
-    networks = members_among(inputs)
+    networks = networks_among(inputs)
     measured = inputs.get(InputName(ANALYSED, PartId(INSTRUMENTS, own[0].arm)), {})
     films = film_arm(simulation, execution, champions(own, inputs), networks)
     replays = [_replay(simulation, film, networks, _overlays(simulation, film, measured)) for film in films]
@@ -196,16 +196,15 @@ def push_of(
     Args:
         simulation: physics, rollout, and the environment's medium.
         arm: the environment and its depth.
-        member: member that predicts the medium, or NO_MEMBER.
+        member: number of the network that predicts the medium, or NO_MEMBER.
         design: a single design.
         trace: (1, n_steps, n_links, 6)
-        networks: every member, if a member predicts the medium.
+        networks: the networks, if one predicts the medium.
     """
     if member == NO_MEMBER:
         medium: Medium | None = environments.build_environment(simulation.media, arm.environment, arm.depth, {}).medium
     else:
-        name, files = list(members_among(networks).items())[member]
-        medium = environments.ensemble_of({name: files})
+        medium = environments.ensemble_of(environments.network_among(networks, member))
     if medium is None:
         return None
     physics = simulation.physics

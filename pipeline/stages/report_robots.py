@@ -15,7 +15,7 @@ from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, median_member
 from pipeline.stages.analyses.specs import EXPLOITERS
 from pipeline.stages.assess import ASSESSED, read_predictions
-from pipeline.stages.environments import SimulationSpec, members_among
+from pipeline.stages.environments import SimulationSpec, networks_among
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.design_file import design_document
@@ -76,7 +76,7 @@ def exploiters(inputs: Inputs, trials: Sequence[TrialId]) -> Mapping[str, tuple[
             design = Designs.from_arrays(assessed)[np.flatnonzero(same)[:1]]
             predicted, true = (np.nan if value is None else value for value in (row.predicted, row.true))
             trial = TrialId("transfer", row.environment, row.depth, row.trial)
-            known[address] = Champion(trial, design, predicted, true)
+            known[address] = Champion(trial, design, predicted, predicted, true)
         if address in known:
             found[address] = row, known[address]
     return found
@@ -92,14 +92,14 @@ def films_of_exploiter(
         execution: the engine.
         row: its row in the ranking.
         exploiter: the design.
-        networks: files of every member; if they are missing, there is no film.
+        networks: files of every network; if they are missing, there is no film.
     """
-    members = list(members_among(networks).items())
+    networks = networks_among(networks)
     films = in_true_slush(simulation, execution, [exploiter]) if row.kind == "assessed" else []
-    if not members:
+    if not networks:
         return films
-    member = row.trial % len(members) if row.environment == "single_member" else median_member(np.array(row.by_member))
-    ensemble = environments.ensemble_of(dict(members[member : member + 1]))
+    member = row.trial if row.environment == "single_member" else median_member(np.array(row.by_member))
+    ensemble = environments.ensemble_of(environments.network_among(networks, member))
     environment = ResidualSlush(depth=row.depth, ensemble=ensemble)
     rollouts = environments.roll_out(simulation, execution, environment, exploiter.design, trace=True)
     assert rollouts.trace is not None

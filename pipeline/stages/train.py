@@ -1,4 +1,4 @@
-"""train: the ensemble of residual networks, one member at a time. Paper, "Neural Network Training"."""
+"""train: the residual networks, one at a time. Paper, "Neural Network Training"."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pipeline.config.settings import Settings
+from pipeline.stages import environments
 from pipeline.stages.collect import data_set, read_transitions, throws_among
 from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_id
 from pipeline.store.encoding import canonical_json, decode_table, digest, encode_arrays, encode_json, encode_table
@@ -45,7 +46,7 @@ _ERROR_UNITS = {
 
 @dataclass(frozen=True)
 class MemberSpec:
-    """One member of the ensemble."""
+    """One network: a member of the ensemble, or the network of one single-member trial."""
 
     member: int
     seed: int
@@ -54,12 +55,10 @@ class MemberSpec:
 
 
 def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
-    """Train each member by itself, if any trial needs networks."""
-    if not settings.needs_ensemble:
-        return []
+    """Train each network by itself, if any trial needs networks."""
     return [
         Chain(member_id(spec.member), (spec.training.n_iterations,), spec)
-        for member in range(settings.ensemble.n_members)
+        for member in range(settings.n_networks)
         for spec in [MemberSpec(member, settings.seed, settings.network, settings.training)]
     ]
 
@@ -123,14 +122,17 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         f"(bias {trial.metrics['bias.vx.low_speed']:+.4f} m/s)"
         for trial in trials
     ]
-    complete = bool(trials) and len(trials) == settings.ensemble.n_members
-    model = _ensemble(settings, trials, results, store) if complete else None
+    members = environments.member_ids(settings)
+    complete = bool(trials) and all(member in results.done for member in members)
+    model = _ensemble(settings, [of for of in trials if of.chain in members], results, store) if complete else None
     return Summary(lines=lines or ["no trial needs residual networks"], trials=trials, model=model)
 
 
 def _ensemble(settings: Settings, trials: Sequence[TrialSummary], results: Results, store: Store) -> Model:
     """Describe the ensemble: its members' weights, what they are, and their mean errors."""
-    weights = {f"{chain.label}.safetensors": store.read(member, WEIGHTS) for chain, (member,) in results.done.items()}
+    weights = {
+        f"{trial.chain.label}.safetensors": store.read(results.done[trial.chain][0], WEIGHTS) for trial in trials
+    }
     params = {
         "network": settings.network.model_dump(mode="json"),
         "training": settings.training.model_dump(mode="json"),

@@ -1,7 +1,8 @@
 """transfer: how champions do in the true slush, where they have never been. Paper, "Evolution" and Fig. 4.
 
-The champion of every trial is scored zero-shot in True Slush at its own depth. Then its body is frozen and its
-controller is evolved from scratch in True Slush: the gap that remains is the body's fault.
+The champion of every trial is scored where it evolved (predicted: the mean over the members of an ensemble) and
+zero-shot in True Slush at its own depth. Then its body is frozen and its controller is evolved from scratch in True
+Slush: the gap that remains is the body's fault.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +13,7 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
+from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.segments import CHAMPION_OF, POPULATION, SegmentSpec, TrialSpec
 from pipeline.store.design_file import design_document
 from pipeline.store.encoding import decode_json, encode_json
@@ -21,6 +23,7 @@ from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import (
     Chain,
+    Execution,
     Files,
     Input,
     Inputs,
@@ -43,9 +46,10 @@ SCORE, CHAMPION, ADAPTED = "score.json", "champion.json", "adapted.json"
 
 @dataclass(frozen=True)
 class ScoreSpec:
-    """The scores of a trial's champion in True Slush, before and after its adaptation."""
+    """The scores of a trial's champion where it evolved, and in True Slush before and after its adaptation."""
 
     trial: TrialSpec
+    home: SimulationSpec  # of the environment where it evolved
 
 
 TransferSpec = SegmentSpec | ScoreSpec  # A segment of an adaptation, or the scoring at its end
@@ -72,7 +76,10 @@ def _item(
         label, spec = f"{chain.label}/adaptation-{index}", segments.segment_of(chain, index)
         inputs |= segments.before_input(previous)
     else:
-        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec)
+        trial = chain.spec.identity
+        home = environments.simulation_spec(settings, trial.environment)
+        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home)
+        inputs |= environments.member_inputs(settings, trial.environment, trial.index, upstream)
         if previous is not None:
             inputs[_ADAPTED_TO] = Input(previous, (POPULATION,))
     execution = environments.execution_options(settings, "true_slush")
@@ -88,30 +95,44 @@ def _compute_batch(jobs: Sequence[Job[TransferSpec]], inputs: Sequence[Inputs]) 
     adaptations = [Job(job.key, job.spec, job.execution) for job in jobs if isinstance(job.spec, SegmentSpec)]
     if adaptations:
         return segments.compute_segments(adaptations, inputs)
-    return [_score(job, of) for job, of in zip(jobs, inputs, strict=True)]
+    return [
+        _score(job.spec.trial, job.spec.home, job.execution, of)
+        for job, of in zip(jobs, inputs, strict=True)
+        if isinstance(job.spec, ScoreSpec)
+    ]
 
 
-def _score(job: Job[TransferSpec], inputs: Inputs) -> Files:
-    """Score a trial's champion, before and after its adaptation."""
+def _score(trial: TrialSpec, home: SimulationSpec, execution: Execution, inputs: Inputs) -> Files:
+    """Score a trial's champion where it evolved, and before and after its adaptation."""
     evolved = segments.population_of(inputs[CHAMPION_OF])
     champion = segments.champion_of(evolved)
     if champion is None:
         return {SCORE: encode_json({"status": divergence.NO_CHAMPION})}
     files = {CHAMPION: encode_json(design_document(champion))}
-    scores: dict[str, Any] = {"status": "ok", "predicted": float(evolved.fitness[evolved.champion()])}
-    scores |= _in_true_slush(job, champion, "zero_shot")
+    scores: dict[str, Any] = {"status": "ok", "fitness": float(evolved.fitness[evolved.champion()])}
+    at_home = environments.build_environment(home.media, trial.identity.environment, trial.identity.depth, inputs)
+    by_member = np.atleast_2d(environments.roll_out(home, execution, at_home, champion).displacement)[:, 0]
+    scores["predicted"] = float(by_member.mean())
+    scores["predicted_sd"] = float(by_member.std()) if at_home.is_ensemble and len(by_member) > 1 else None
+    scores |= _in_true_slush(trial, execution, champion, "zero_shot")
     if _ADAPTED_TO in inputs:
         adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))
         if adapted is not None:
             files[ADAPTED] = encode_json(design_document(adapted))
-            scores |= _in_true_slush(job, adapted, "adapted")
+            scores |= _in_true_slush(trial, execution, adapted, "adapted")
     return {**files, SCORE: encode_json(scores)}
 
 
-def _in_true_slush(job: Job[TransferSpec], design: Designs, name: str) -> dict[str, float | None]:
-    """Return the displacement of a design's root and centre of mass [m]; None where it diverged."""
-    trial = job.spec.trial
-    rollouts = environments.roll_out(trial.simulation, job.execution, trial.at_home({}), design)
+def _in_true_slush(trial: TrialSpec, execution: Execution, design: Designs, name: str) -> dict[str, float | None]:
+    """Return the displacement of a design's root and centre of mass [m]; None where it diverged.
+
+    Args:
+        trial: of an adaptation, so that its environment is True Slush.
+        execution: the engine.
+        design: a single design.
+        name: name of the score.
+    """
+    rollouts = environments.roll_out(trial.simulation, execution, trial.at_home({}), design)
     root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
     return {name: root, f"{name}_com": whole} if np.isfinite(root) else {name: None, f"{name}_com": None}
 
@@ -200,7 +221,7 @@ TRANSFER = Stage(
     name="transfer",
     version=1,
     unit="generations",
-    reads=lambda settings: ("evolve",),
+    reads=lambda settings: ("train", "evolve") if settings.needs_ensemble else ("evolve",),
     plan=_plan,
     item=_item,
     compute=_compute,

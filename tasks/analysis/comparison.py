@@ -1,9 +1,9 @@
 """Comparisons of two groups of champions: the paper's Student's t test and alternatives with weaker assumptions.
 
 Student's t assumes equal variances, which champions of different environments do not have. Welch's test does not, and
-Mann-Whitney's does not assume normality either. Hedges' g and the ratio of the means give the size of an effect. Over a
-sweep of depths, the smallest of ten p-values is small by chance; Holm's correction allows for that. All tests are
-two-sided.
+Mann-Whitney's does not assume normality either. Hedges' g and the ratio of the means give the size of an effect. Among
+many tests, the smallest p-value is small by chance; Holm's correction allows for that. Its family is all contrasts of a
+study, at every depth. All tests are two-sided.
 """
 
 import math
@@ -35,7 +35,7 @@ class Scores:
     evolved_in: npt.NDArray[np.str_]  # (n_trials,) values of EvolvedIn
     depth: Float64  # (n_trials,) [m]
     trial: Int64  # (n_trials,)
-    predicted: Float64  # (n_trials,) fitness where the champion evolved [m]; NaN where unknown, as in the next two
+    predicted: Float64  # (n_trials,) displacement where the champion evolved [m]; NaN where unknown, as in the next two
     zero_shot: Float64  # (n_trials,) displacement in True Slush [m]
     adapted: Float64  # (n_trials,) displacement in True Slush with an adapted controller [m]
 
@@ -259,19 +259,20 @@ class Contrast:
     b: ScoredArm
     depth: float  # [m]
     comparison: Comparison = field(metadata={"prefix": False})
-    student_holm: float | None  # p of Student's t, corrected over the depths of this contrast; the next two likewise
+    student_holm: float | None  # p of Student's t, corrected over all contrasts and depths; the next two likewise
     welch_holm: float | None
     mann_whitney_holm: float | None
 
 
 def sweep(scores: Scores, *, rng: Generator) -> tuple[Contrast, ...]:
-    """Make every contrast at every depth where both arms have trials; Holm's family is the depths of one contrast."""
-    contrasts = []
-    for a, b in CONTRASTS:
-        depths = [d for d in scores.depths() if all(np.isfinite(scores.values(*arm, d)).any() for arm in (a, b))]
-        compared = [compare(scores.values(*a, d), scores.values(*b, d), rng=rng) for d in depths]
-        student = holm([c.student.p for c in compared])
-        welch = holm([c.welch.p for c in compared])
-        mann_whitney = holm([c.mann_whitney.p for c in compared])
-        contrasts += [Contrast(a, b, *row) for row in zip(depths, compared, student, welch, mann_whitney, strict=True)]
-    return tuple(contrasts)
+    """Make every contrast at every depth where both arms have trials; Holm's family is all of them."""
+    made = [
+        (a, b, depth, compare(scores.values(*a, depth), scores.values(*b, depth), rng=rng))
+        for a, b in CONTRASTS
+        for depth in scores.depths()
+        if all(np.isfinite(scores.values(*arm, depth)).any() for arm in (a, b))
+    ]
+    corrected = [
+        holm([getattr(comparison, test).p for *_, comparison in made]) for test in ("student", "welch", "mann_whitney")
+    ]
+    return tuple(Contrast(*row, *p) for row, *p in zip(made, *corrected, strict=True))

@@ -36,6 +36,7 @@ class Regression:
     name: str  # name of the predictor, such as "member 0", "mean", "mean - 1 sd" or "min"
     n: int  # designs in the regression
     n_left_out: int  # designs whose predicted or true displacement is not finite
+    n_resampled: int  # independent units that the intervals resample: trials, or designs if their trials are unknown
     slope: Estimate
     intercept: Estimate  # [m]
     r: Estimate  # pearson's R
@@ -109,7 +110,7 @@ def regress(
             lambda means: lines(means).reshape(*means.shape[:-1], -1), rows, rng=rng, undefined="there is no spread"
         )
     return tuple(
-        _regression(name, x[i][used[i]], y[used[i]], len(y), figures[3 * i : 3 * i + 3])
+        _regression(name, x[i][used[i]], y[used[i]], len(y), len(rows), figures[3 * i : 3 * i + 3])
         for i, name in enumerate(predictors)
     )
 
@@ -163,7 +164,9 @@ def _line(moments: Float64, centre: Float64) -> Float64:
     return np.stack((slope, intercept, r), axis=-1)
 
 
-def _regression(name: str, x: Float64, y: Float64, n_designs: int, figures: tuple[Estimate, ...]) -> Regression:
+def _regression(
+    name: str, x: Float64, y: Float64, n_designs: int, n_resampled: int, figures: tuple[Estimate, ...]
+) -> Regression:
     slope, intercept, r = figures
     n = len(x)
     reason = None
@@ -175,7 +178,7 @@ def _regression(name: str, x: Float64, y: Float64, n_designs: int, figures: tupl
         slope = intercept = r = Estimate.missing(reason)
     elif is_constant(y, resolution=RESOLUTION):
         r = Estimate.missing("every design truly goes equally far")
-    return Regression(name, n, n_designs - n, slope, intercept, r)
+    return Regression(name, n, n_designs - n, n_resampled, slope, intercept, r)
 
 
 def accuracy(

@@ -25,7 +25,6 @@ from tasks.analysis.hallucination import Exploiter, rank_exploiters
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
-from tasks.evolution import penalised_mean
 from tasks.world import EnvironmentName, ResidualSlush
 
 
@@ -35,7 +34,8 @@ class Champion:
 
     trial: TrialId
     design: Designs
-    predicted: float  # fitness where it evolved [m]
+    fitness: float  # where it evolved, in the objective's unit
+    predicted: float  # displacement where it evolved [m]: the mean over the members of an ensemble
     zero_shot: float  # displacement in True Slush [m]; NaN where diverged
 
 
@@ -48,7 +48,7 @@ def champions(trials: Sequence[TrialId], inputs: Inputs) -> list[Champion]:
             scores = decode_json(files[SCORE], label)
             design = design_from(decode_json(files[CHAMPION], label), label)
             zero_shot = np.nan if scores["zero_shot"] is None else scores["zero_shot"]
-            found.append(Champion(trial, design, scores["predicted"], zero_shot))
+            found.append(Champion(trial, design, scores["fitness"], scores["predicted"], zero_shot))
     return found
 
 
@@ -133,9 +133,9 @@ class Candidate:
 
 
 def compute_exploiters(job: Job[ExploitersSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
-    """Rank every champion and every assessed design by the prediction of the ensemble minus the truth."""
+    """Rank every champion and every assessed design by the mean prediction of the ensemble minus the truth."""
     why = job.spec.no_networks
-    suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(job.spec, inputs)]
+    suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(inputs)]
     by_member = np.array([s.by_member for s in suspects]).reshape(len(suspects), -1 if suspects else 1)
     ranked = rank_exploiters(
         np.array([s.predicted for s in suspects]), np.array([s.true for s in suspects]), by_member.std(axis=1)
@@ -151,12 +151,6 @@ def _exploiter_row(row: Exploiter, of: Candidate) -> ExploiterRow:
     return ExploiterRow(row.rank, *who, *ranking, by_member=tuple(of.by_member.tolist()))
 
 
-def _predictions(by_member: Float64, penalty: float) -> Float64:
-    """Aggregate (n_designs, n_members) like fitness to (n_designs,); NaN where a member's rollout diverged."""
-    predicted = penalised_mean(by_member, disagreement_penalty=penalty)
-    return np.where(np.isfinite(predicted), predicted, np.nan)
-
-
 def _champions_under_members(job: Job[ExploitersSpec], inputs: Inputs) -> list[Candidate]:
     """Simulate champions of all environments under every member, at the depth where they evolved."""
     spec, ensemble = job.spec, environments.ensemble_of(inputs)
@@ -167,22 +161,22 @@ def _champions_under_members(job: Job[ExploitersSpec], inputs: Inputs) -> list[C
         environment = ResidualSlush(depth=depth, ensemble=ensemble)
         designs = concatenate([of.design for of in here])
         by_member = environments.roll_out(spec.simulation, job.execution, environment, designs).displacement.T
-        predicted = _predictions(by_member, spec.disagreement_penalty)
+        predicted = by_member.mean(axis=1)  # NaN where a member's rollout diverged
         for of, each, prediction in zip(here, by_member, predicted, strict=True):
             trial = of.trial
-            own = each[trial.index % len(each)] if trial.environment == "single_member" else prediction
+            own = of.predicted if trial.environment == "single_member" else prediction
             suspects.append(
                 Candidate("champion", trial.environment, depth, trial.index, -1, -1, float(own), of.zero_shot, each)
             )
     return suspects
 
 
-def _assessed(spec: ExploitersSpec, inputs: Inputs) -> list[Candidate]:
+def _assessed(inputs: Inputs) -> list[Candidate]:
     shares = [files for name, files in inputs.items() if name.role == ASSESSED]
     if not shares:
         return []
     table = read_predictions(shares)
-    predicted = _predictions(table["predicted"], spec.disagreement_penalty)
+    predicted = table["predicted"].mean(axis=1)
     columns = (table[name].tolist() for name in ("environment", "depth", "trial", "generation", "identity"))
     rows = zip(*columns, predicted.tolist(), table["true"].tolist(), table["predicted"], strict=True)
     return [Candidate("assessed", *row) for row in rows]

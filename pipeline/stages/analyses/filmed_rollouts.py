@@ -37,7 +37,7 @@ def best_of(arm: Sequence[Champion]) -> tuple[int, bool]:
     """
     scored = [of.zero_shot for of in arm]
     survives = bool(np.isfinite(scored).any())
-    return int(np.nanargmax(scored if survives else [of.predicted for of in arm])), survives
+    return int(np.nanargmax(scored if survives else [of.fitness for of in arm])), survives
 
 
 def film_arm(
@@ -75,7 +75,7 @@ def _film_at_home(simulation: SimulationSpec, execution: Execution, champion: Ch
         return Filmed(champion, name, NO_MEMBER, float(rollouts.displacement[0]), rollouts.trace)
     predicted = rollouts.displacement[:, 0]
     k = median_member(predicted)
-    member = _own_member(champion, networks) if name == "single_member" else k
+    member = champion.trial.index if name == "single_member" else k
     return Filmed(champion, name, member, float(predicted[k]), rollouts.trace[k])
 
 
@@ -85,21 +85,14 @@ def median_member(values: Float64) -> int:
     return int(ranked[max(int(np.isfinite(values).sum()) - 1, 0) // 2])
 
 
-def _own_member(champion: Champion, networks: Inputs) -> int:
-    """Return the member with which a champion of single_member evolved."""
-    return champion.trial.index % len(networks)
-
-
 def home_of(simulation: SimulationSpec, champion: Champion, networks: Inputs) -> Environment:
     """Return the environment in which a champion evolved.
 
     Args:
         simulation: the media.
         champion: the champion.
-        networks: files of every member; a champion of single_member uses only its own.
+        networks: files of every member; a champion of single_member uses only its own network.
     """
-    members, trial = list(networks), champion.trial
-    if trial.environment == "single_member":
-        members = [members[_own_member(champion, networks)]]
-    own = {name: networks[name] for name in members}
+    trial = champion.trial
+    own = environments.network_among(networks, trial.index) if trial.environment == "single_member" else networks
     return environments.build_environment(simulation.media, trial.environment, trial.depth, own)

@@ -19,7 +19,7 @@ from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.filmed_rollouts import Filmed, best_of, film_arm, home_of
 from pipeline.stages.analyses.specs import InstrumentsSpec, MembersSpec
 from pipeline.stages.collect import read_transitions, throws_among
-from pipeline.stages.environments import members_among
+from pipeline.stages.environments import networks_among
 from pipeline.store.tables import Columns, columns_of
 from pipeline.workflow.stage import Inputs, Job
 from tasks.analysis.hallucination import Disagreement, disagreement, link_states
@@ -111,7 +111,7 @@ def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reas
     errors = member_errors(ensemble, environments.true_medium(simulation.media), links, physics)
     learned, _ = transitions_of(spec.held_out, spec.seed, inputs)
     index = thrown(learned.observation, learned.throw)
-    films = film_arm(simulation, job.execution, arm, members_among(inputs))
+    films = film_arm(simulation, job.execution, arm, networks_among(inputs))
     seen = [_measure(film, ensemble, index, physics) for film in films]
     lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
     lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
@@ -139,9 +139,9 @@ def _champion_row(
 ) -> ChampionRow:
     spec, trial = job.spec, champion.trial
     if trial.environment in RESIDUAL_ENVIRONMENTS and job.spec.no_networks:
-        untried = Luck(champion.predicted, np.nan, Estimate.missing(job.spec.no_networks), np.nan, 0, 0)
+        untried = Luck(champion.fitness, np.nan, Estimate.missing(job.spec.no_networks), np.nan, 0, 0)
         return ChampionRow(trial.index, best, Moved(np.nan, np.nan, np.nan), slush, untried)
-    environment = home_of(spec.simulation, champion, members_among(inputs))
+    environment = home_of(spec.simulation, champion, networks_among(inputs))
     penalty = spec.disagreement_penalty
     score = environments.scorer(spec.simulation, job.execution, environment, penalty)
     at_home = score(champion.design)

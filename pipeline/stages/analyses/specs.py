@@ -48,8 +48,6 @@ class MatrixSpec(AnalysisSpec):
 class ExploitersSpec(AnalysisSpec):
     """Champions and assessed designs under every member."""
 
-    disagreement_penalty: float
-
 
 @dataclass(frozen=True)
 class InstrumentsSpec(AnalysisSpec):

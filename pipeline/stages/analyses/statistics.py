@@ -16,9 +16,10 @@ from pipeline.store.encoding import decode_json
 from pipeline.store.tables import Columns, columns_of, text
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Files, Inputs, Job
+from tasks.analysis.against_paper import Row, against_paper
 from tasks.analysis.attribution import Attribution, attribute
 from tasks.analysis.comparison import CONTRASTS, Contrast, Scores, sweep
-from tasks.analysis.paper import DEPTH, Row, against_paper, name_of
+from tasks.analysis.paper import DEPTH, name_of
 from tasks.analysis.prediction import (
     Regression,
     accuracy,
@@ -39,7 +40,9 @@ class ScoreRow:
     environment: str
     depth: float
     trial: int
-    predicted: float  # fitness where it evolved
+    fitness: float  # where it evolved: μ - kσ for an ensemble
+    predicted: float  # displacement of the root where it evolved: the mean over members for an ensemble, μ
+    predicted_sd: float  # its standard deviation over members, σ; NaN without an ensemble
     zero_shot: float  # displacement of the root in True Slush
     zero_shot_com: float  # displacement of the centre of mass in True Slush
     zero_shot_reach: float  # the difference of the two
@@ -55,12 +58,19 @@ def _score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, 
     for trial in trials:
         scored, label = inputs.get(InputName(SCORED, trial)), trial.label
         scores = decode_json(scored[SCORE], label) if scored else {"status": failed.get(label, "not done")}
-        names = ("predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
-        predicted, zero, zero_com, adapted, adapted_com = (
-            np.nan if scores.get(name) is None else float(scores[name]) for name in names
+        names = ("fitness", "predicted", "predicted_sd", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
+        known = {name: np.nan if scores.get(name) is None else float(scores[name]) for name in names}
+        reach = {f"{name}_reach": known[name] - known[f"{name}_com"] for name in ("zero_shot", "adapted")}
+        rows.append(
+            ScoreRow(
+                environment=trial.environment,
+                depth=trial.depth,
+                trial=trial.index,
+                status=scores["status"],
+                **known,
+                **reach,
+            )
         )
-        reached = (zero, zero_com, zero - zero_com, adapted, adapted_com, adapted - adapted_com)
-        rows.append(ScoreRow(trial.environment, trial.depth, trial.index, predicted, *reached, status=scores["status"]))
     return rows
 
 

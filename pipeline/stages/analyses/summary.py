@@ -17,8 +17,9 @@ from pipeline.stages.analyses.specs import EXPLOITERS, MEMBERS, STATISTICS, TANK
 from pipeline.stages.part import PartId
 from pipeline.workflow.identity import Arm, ChainId, TrialId
 from pipeline.workflow.stage import Files
+from tasks.analysis.against_paper import Row
 from tasks.analysis.attribution import Attribution
-from tasks.analysis.paper import Row
+from tasks.analysis.equivalence import VERDICTS
 from tasks.analysis.prediction import Regression, mean_less_deviations
 from tasks.analysis.tank import Crossing, Tank
 
@@ -51,7 +52,7 @@ def _statistics(files: Files) -> Highlights:
     shown = [row for row in rows if not row.what.startswith(("Student", "the built robot"))]
     lines = _table([(row.what, row.paper, f"{row.this_run}\n{_bracketed(row.interval)}", row.verdict) for row in shown])
     tests = [row.verdict for row in rows if row.what.startswith("Student")]
-    counts = ", ".join(f"{tests.count(verdict)} {verdict}" for verdict in ("agrees", "differs", "not comparable"))
+    counts = ", ".join(f"{tests.count(verdict)} {verdict}" for verdict in VERDICTS)
     lines.append(f"of the paper's {len(tests)} t tests: {counts}")
     metrics: dict[str, float | None] = {
         f"paper.n_{verdict}": float(sum(row.verdict == verdict for row in rows)) for verdict in ("agrees", "differs")

@@ -12,12 +12,12 @@ from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
 from pipeline.report.findings import Accuracy, Ancestor, ChampionRow, ExploiterRow, Family, Findings, Moved, ThrowPaths
 from pipeline.report.replay import Replay, replay_of
+from tasks.analysis.against_paper import against_paper
 from tasks.analysis.attribution import attribute, transfer_matrix
 from tasks.analysis.comparison import Scores, sweep
 from tasks.analysis.hallucination import rank_exploiters
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
-from tasks.analysis.paper import against_paper
 from tasks.analysis.prediction import accuracy, aggregates, histograms, members, members_ranges
 from tasks.analysis.uncertainty import Estimate, mean
 from tasks.design import random_designs

@@ -280,8 +280,11 @@ def test_tables_can_be_downloaded(study):
     assert set(tables) == {
         f"{name}.csv" for name in ("transfer", "paper", "contrasts", "exploiters", "luck", "lineage")
     }
-    assert tables["transfer.csv"][0] == "environment,depth,trial,predicted,zero_shot,zero_shot_com,adapted,adapted_com"
-    assert tables["transfer.csv"][3] == "dry_land,9.0,0,60.0,-2.0,-2.5,4.0,4.0"
+    assert (
+        tables["transfer.csv"][0]
+        == "environment,depth,trial,predicted,zero_shot,zero_shot_com,adapted,adapted_com,predicted_sd,fitness"
+    )
+    assert tables["transfer.csv"][3] == "dry_land,9.0,0,60.0,-2.0,-2.5,4.0,4.0,,"
     assert tables["lineage.csv"][-1] == "21,4,4,crossover,9/5,4.0,12.0"
     assert len(tables["contrasts.csv"]) == len(study.findings.contrasts) + 1
 

@@ -109,11 +109,11 @@ def test_champions_repeat_the_scores_of_evolution_and_transfer(analyses, scores)
     for (environment, depth, trial), of in scores.items():
         table = read_table(analyses[f"instruments/{environment}/{depth:g}m"], "champions")
         i = table["trial"].tolist().index(trial)
-        assert table["claimed"][i] == of["predicted"]
+        assert table["claimed"][i] == of["fitness"]
         assert (table["slush_displacement"][i], table["slush_com"][i]) == (of["zero_shot"], of["zero_shot_com"])
         assert at_home[environment, depth, trial] == (of["zero_shot"], of["zero_shot_com"])
         if environment in ("residual_slush", "single_member"):
-            assert predicted[environment, depth, trial] == of["predicted"]
+            assert predicted[environment, depth, trial] == of["predicted"] == table["home_displacement"][i]
         assert table["n_tries"][i] == 32 and table["n_diverged"][i] == 0
         assert table["loss"][i] == pytest.approx(table["claimed"][i] - table["again"][i], abs=1e-12)
 

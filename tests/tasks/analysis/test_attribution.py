@@ -21,7 +21,7 @@ def table(**arms):
 
 
 NAN = float("nan")
-E = ([9.0, 10.0, 11.0], [9.0, 10.0, 11.0], [NAN] * 3)  # best 10
+E = ([9.0, 10.0, 11.0], [9.0, 10.0, 11.0], [13.0, 14.0, 15.0])  # best 10, and 14 once adapted
 
 
 def test_a_worked_example():
@@ -36,14 +36,18 @@ def test_a_worked_example():
             "zero_shot": 2,
             "adapted": 7,
             "best": 10,
+            "best_adapted": 14,
             "hallucinated": 58,
             "gap": 8,
             "lost_to_controller": 5,
             "lost_to_body": 3,
+            "lost_to_body_equally_searched": 7,
             "controller_share": 5 / 8,
             "body_share": 3 / 8,
             "recovered_zero_shot": 0.2,
             "recovered_adapted": 0.7,
+            "recovered_zero_shot_of_adapted": 2 / 14,
+            "recovered_adapted_equally_searched": 0.5,
             "recovered_of_dry_land": None,
         }
     )

@@ -1,0 +1,227 @@
+"""A run's comparison with the paper's results, number by number and statement by statement.
+
+Every row is judged by :mod:`tasks.analysis.equivalence`, with bounds that :mod:`tasks.analysis.paper` states.
+
+- A number agrees if the difference from the paper's is shown to be negligible. The interval of the difference is this
+  run's 95 % interval widened by √(1 + n / n_paper), because the paper's number comes from a sample too: variances add
+  and are proportional to 1/n, where n counts what was resampled, such as trials.
+- A range over members agrees if it contains the interval of this run's median member.
+- The statement that single members vary more agrees if the whole interval of the ratio is above 1.
+- "No difference" agrees if the difference of the means is shown to be negligible, a fifth of the displacement of the
+  designs evolved in True Slush. "Less" and "greater" agree if the whole interval of the difference has that direction.
+
+Anything that this run did not measure, or that has too few values for an interval, is not comparable.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.random import Generator
+
+from tasks.analysis.comparison import BEST, ScoredArm, Scores, difference, ratio, student
+from tasks.analysis.equivalence import Judgement, Verdict, judge_direction, judge_equivalence
+from tasks.analysis.paper import (
+    AGGREGATES,
+    DEPTH,
+    INSIGNIFICANT,
+    MEANS,
+    N_ASSESSED,
+    N_TRIALS,
+    NEGLIGIBLE,
+    NEGLIGIBLE_FIGURE,
+    NEGLIGIBLE_RATIO,
+    PHYSICAL,
+    RANGES,
+    RATIOS,
+    SIGNIFICANT,
+    STATEMENTS,
+    Statement,
+    name_of,
+)
+from tasks.analysis.prediction import Figure, MembersRange, Regression
+from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
+from tasks.arrays import Float64
+
+_METRES = "{:z.1f} m"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the comparison."""
+
+    what: str
+    paper: str
+    source: str  # quotation and section of the paper
+    this_run: str
+    verdict: Verdict
+    why: str
+    value: float | None = None
+    """This run's value in the unit of ``what``: a range's median, or the difference a - b of a t test's means [m]."""
+    interval: str = ""  # text of the 95 % interval, for a range those of its two ends; empty if there is none
+    low: float | None = None
+    high: float | None = None  # ends of the 95 % interval of ``value``; None if there is none
+    p: float | None = None  # p of a t test
+
+
+def against_paper(
+    scores: Scores, accuracy: Sequence[Regression], ranges: Mapping[Figure, MembersRange], *, rng: Generator
+) -> tuple[Row, ...]:
+    """Return the comparison of a run with every number and statement of the paper's results.
+
+    Args:
+        scores: scores of the champions, in any arms and depths.
+        accuracy: result of :func:`tasks.analysis.prediction.accuracy` at 9 m; empty if not assessed.
+        ranges: result of :func:`tasks.analysis.prediction.members_ranges` at 9 m; empty if not assessed.
+        rng: source of randomness.
+    """
+    rows = [_mean_row(scores, arm, *stated) for arm, stated in MEANS.items()]
+    rows += [_ratio_row(scores, arm, *stated, rng) for arm, stated in RATIOS.items()]
+    rows += [_variation_row(scores, rng)]
+    rows += [_range_row(ranges.get(figure), figure, *stated) for figure, stated in RANGES.items()]
+    rows += [_aggregate_row(accuracy, *key, *stated) for key, stated in AGGREGATES.items()]
+    rows += [_statement_row(scores, statement, depth) for statement in STATEMENTS for depth in statement.depths]
+    rows += [
+        Row(f"the built robot {what}", paper, source, "-", "not comparable", "it takes a robot")
+        for what, paper, source in PHYSICAL
+    ]
+    return tuple(rows)
+
+
+def _mean_row(scores: Scores, arm: ScoredArm, stated: float, source: str) -> Row:
+    values = finite(scores.values(*arm, DEPTH))
+    what = f"{name_of(arm)} at {DEPTH:g} m [m]"
+    bound = NEGLIGIBLE * MEANS[BEST][0]
+    return _number_row(what, stated, "{:z.1f}", source, mean(values), bound, len(values), N_TRIALS)
+
+
+def _ratio_row(scores: Scores, arm: ScoredArm, stated: float, source: str, rng: Generator) -> Row:
+    part, whole = finite(scores.values(*arm, DEPTH)), finite(scores.values(*BEST, DEPTH))
+    what = f"{name_of(arm)} / {name_of(BEST)} at {DEPTH:g} m"
+    n = min(len(part), len(whole))
+    return _number_row(what, stated, "{:z.0%}", source, ratio(part, whole, rng=rng), NEGLIGIBLE_RATIO, n, N_TRIALS)
+
+
+def _aggregate_row(accuracy: Sequence[Regression], predictor: str, figure: Figure, stated: float, source: str) -> Row:
+    what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
+    of = next((row for row in accuracy if row.name == predictor), None)
+    if of is None:
+        return Row(what, f"{stated:z.2f}", source, "-", "not comparable", "accuracy was not assessed")
+    found: Estimate = getattr(of, figure)
+    return _number_row(what, stated, "{:z.2f}", source, found, NEGLIGIBLE_FIGURE[figure], of.n_resampled, N_ASSESSED)
+
+
+_FIGURE = {"r": "Pearson's R", "slope": "slope"}
+
+
+def _number_row(
+    what: str, stated: float, form: str, source: str, found: Estimate, bound: float, n: int, n_paper: int
+) -> Row:
+    """Judge the difference between this run's number and the paper's."""
+    paper = form.format(stated)
+    if found.value is None:
+        return Row(what, paper, source, "-", "not comparable", found.reason or "")
+    this_run, off = form.format(found.value), found.value - stated
+    if found.low is None or found.high is None:
+        return Row(what, paper, source, this_run, "not comparable", found.reason or "", found.value)
+    wider = math.sqrt(1 + n / n_paper)
+    effect = Estimate(off, off + wider * (found.low - found.value), off + wider * (found.high - found.value))
+    judged = judge_equivalence(effect, bound, n=n, form=form, n_other=n_paper)
+    return Row(what, paper, source, this_run, judged.verdict, judged.why, found.value, *_interval(found, form))
+
+
+def _interval(found: Estimate, form: str) -> tuple[str, float | None, float | None]:
+    """Format an estimate's interval; return the text and the two ends."""
+    if found.low is None or found.high is None:
+        return "", None, None
+    return f"{form.format(found.low)} to {form.format(found.high)}", found.low, found.high
+
+
+def _range_row(found: MembersRange | None, figure: Figure, low: float, high: float, source: str) -> Row:
+    what = f"{_FIGURE[figure]} of the members, at {DEPTH:g} m"
+    paper = f"{low:z.2f} to {high:z.2f}"
+    if found is None:
+        return Row(what, paper, source, "-", "not comparable", "accuracy was not assessed")
+    lowest, median, highest = found.lowest, found.median, found.highest
+    if lowest.value is None or median.value is None or highest.value is None:
+        return Row(what, paper, source, "-", "not comparable", median.reason or "")
+    ends = [words for end in (lowest, highest) if (words := _interval(end, "{:z.2f}")[0])]
+    this_run = f"{lowest.value:z.2f} to {highest.value:z.2f}"
+    judged = _in_range(found, low, high)
+    _, *of_median = _interval(median, "{:z.2f}")
+    return Row(what, paper, source, this_run, judged.verdict, judged.why, median.value, " and ".join(ends), *of_median)
+
+
+def _in_range(found: MembersRange, low: float, high: float) -> Judgement:
+    """Judge whether the median member lies in the paper's range over members."""
+    median = found.median
+    if median.low is None or median.high is None:
+        return Judgement("not comparable", median.reason or "")
+    words = f"the median of {found.n} members, {median.value:z.2f} ({_interval(median, '{:z.2f}')[0]}),"
+    if low <= median.low and median.high <= high:
+        return Judgement("agrees", f"{words} lies in the paper's range")
+    if median.high < low or median.low > high:
+        return Judgement("differs", f"{words} lies outside the paper's range")
+    return Judgement("cannot tell", f"{words} lies across an end of the paper's range")
+
+
+def _variation_row(scores: Scores, rng: Generator) -> Row:
+    """Compare the deviation over trials of single members with that of the ensemble."""
+    what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
+    paper, source = "above 1", '"very high variation in fitness across independent trials", Evolution'
+    single, ensemble = (finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush"))
+    if min(len(single), len(ensemble)) < 2 or is_constant(ensemble, resolution=RESOLUTION):
+        why = f"{len(single)} and {len(ensemble)} trials, expected at least 2 of both, not all equal"
+        return Row(what, paper, source, "-", "not comparable", why)
+    # A deviation is a function of the means of x and x², once x is centred so that no digits are lost.
+    moments = [np.stack((x - x.mean(), (x - x.mean()) ** 2), axis=1) for x in (single, ensemble)]
+    spread = "the ensemble's champions all go equally far"
+    found = bootstrap(partial(_deviations_ratio, len(single), len(ensemble)), *moments, rng=rng, undefined=spread)[0]
+    assert found.value is not None
+    trials, this_run = f"{len(single)} and {len(ensemble)} trials", f"{found.value:z.2f}"
+    if found.low is None or found.high is None:
+        return Row(what, paper, source, this_run, "not comparable", f"{trials}: {found.reason}", found.value)
+    judged = _above_one(found.low, found.high)
+    interval = _interval(found, "{:z.2f}")
+    return Row(what, paper, source, this_run, judged.verdict, f"{trials}: {judged.why}", found.value, *interval)
+
+
+def _above_one(low: float, high: float) -> Judgement:
+    if low > 1:
+        return Judgement("agrees", "the whole interval is above 1")
+    if high < 1:
+        return Judgement("differs", "the whole interval is below 1")
+    return Judgement("cannot tell", "the interval contains 1")
+
+
+def _deviations_ratio(n: int, m: int, single: Float64, ensemble: Float64) -> Float64:
+    """Return the ratio of the sample deviations of n and m values, from (..., 2) means of x and x²: (..., 1)."""
+    variances = [
+        size / (size - 1) * (means[..., 1] - means[..., 0] ** 2) for size, means in ((n, single), (m, ensemble))
+    ]
+    return np.sqrt(variances[0] / np.where(variances[1] > 0, variances[1], np.nan))[..., None]
+
+
+def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:
+    what = f"Student's t at {depth:g} m: {name_of(statement.a)} against {name_of(statement.b)}"
+    threshold = f"p > {INSIGNIFICANT:g}" if statement.claim == "no difference" else f"p < {SIGNIFICANT:g}"
+    paper = f"{statement.claim} ({threshold})"
+    a, b, best = (finite(scores.values(*arm, depth)) for arm in (statement.a, statement.b, BEST))
+    test, gap = student(a, b), difference(a, b)
+    if test.p is None or gap.low is None:
+        return Row(what, paper, statement.source, "-", "not comparable", test.reason or gap.reason or "")
+    bound = NEGLIGIBLE * abs(float((best if len(best) else b).mean()))
+    n = min(len(a), len(b))
+    if statement.claim == "no difference":
+        judged = judge_equivalence(gap, bound, n=n, form=_METRES)
+    else:
+        judged = judge_direction(gap, statement.claim, bound, n=n, form=_METRES)
+    direction = "greater" if a.mean() > b.mean() else "less"
+    this_run = f"{direction}, p = {test.p:.2g}, n = {len(a)} and {len(b)}"
+    words, low, high = _interval(gap, "{:z.1f}")
+    interval = f"difference {words} m"
+    return Row(
+        what, paper, statement.source, this_run, judged.verdict, judged.why, gap.value, interval, low, high, test.p
+    )
