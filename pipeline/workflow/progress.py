@@ -89,17 +89,21 @@ class StudyPace:
         later = [self.expected.get(name, 0.0) for name in self.stages[self.stages.index(stage.name) + 1 :]]
         if later and not any(later):
             return None
-        trust = _TRUSTED_SECONDS + 0.05 * sum(self.expected.values())
-        slowness = (self.took + stage.seconds + trust) / (self.should_have_taken + self._expected_so_far(stage) + trust)
-        left = stage.seconds_left
-        if left is None:
-            left = (1 - stage.fraction) * self.expected.get(stage.name, 0.0) * slowness
-        return left + sum(later) * slowness
+        left = self.expected_left(stage) if stage.seconds_left is None else stage.seconds_left
+        return left + sum(later) * self._slowness(stage)
+
+    def expected_left(self, stage: Pace) -> float:
+        """Return the time left for a stage by its expected time, corrected by how long the work really takes [s]."""
+        return (1 - stage.fraction) * self.expected.get(stage.name, 0.0) * self._slowness(stage)
 
     def finish(self, stage: Pace) -> None:
         """Learn from a stage that has ended."""
         self.should_have_taken += self._expected_so_far(stage)
         self.took += stage.seconds
+
+    def _slowness(self, stage: Pace) -> float:
+        trust = _TRUSTED_SECONDS + 0.05 * sum(self.expected.values())
+        return (self.took + stage.seconds + trust) / (self.should_have_taken + self._expected_so_far(stage) + trust)
 
     def _expected_so_far(self, stage: Pace) -> float:
         found = stage.found.cost / stage.total.cost if stage.total.cost > 0 else 0.0
@@ -132,9 +136,18 @@ class Pace:
 
     @property
     def seconds_left(self) -> float | None:
-        """Time left [s]; None until some work is done."""
-        since = (self.done - self.found).cost
-        return max(0.0, (self.total - self.done).cost) / since * self.seconds if since > 0 else None
+        """Time left [s]; None until some work is done.
+
+        Where a time was expected, the rate so far counts in proportion to the work done: the first items of a study may
+        wait for kernels.
+        """
+        since, left = (self.done - self.found).cost, max(0.0, (self.total - self.done).cost)
+        if since <= 0:
+            return None
+        measured = left / since * self.seconds
+        expected = self.study.expected_left(self) if self.study else 0.0
+        share = since / (since + left) if expected > 0 else 1.0
+        return share * measured + (1 - share) * expected
 
     @property
     def fraction(self) -> float:
