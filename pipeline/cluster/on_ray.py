@@ -20,7 +20,6 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,11 +27,12 @@ from typing import Any
 from pipeline.cluster.interface import Cluster, Done, Handle, Outcome, TaskFailed, Ticket, failure, name_of, references
 from pipeline.cluster.preflight import check_reachable, server_of, unusable
 from pipeline.cluster.process import PINNED_THREADS, memory_bounded, signals_deferred, signals_unwind
-from pipeline.cluster.session import SESSIONS_FOLDER, session
-from pipeline.cluster.watchdog import CHECK_INTERVAL, NODE_DIED, RAY_DIED, end_if_unreachable
+from pipeline.cluster.session import SESSIONS_FOLDER, Session, session
+from pipeline.cluster.watchdog import CHECK_INTERVAL, NODE_DIED, RAY_DIED, Calls, end_if_silent, end_if_unreachable
 from pipeline.errors import PuddleError
 
 _N_INFRASTRUCTURE_RETRIES = 1  # retries of a task after its worker, node or memory failed, not after its own exception
+_SHUTDOWN_SECONDS = 5.0  # time for Ray to end by itself [s]
 _PACKAGES = ("tasks", "pipeline")  # sent to the workers of an existing cluster, which need not have them on disk
 
 
@@ -41,8 +41,9 @@ class _Connection:
     """A connection to a running Ray."""
 
     is_alive: Callable[[], bool]
-    calling: AbstractContextManager[object]  # held during every call into Ray, so that the watchdog sees it hang
+    calling: Calls  # held during every call into Ray, so that the watchdog sees it hang
     death_message: str
+    has_cores: bool = False  # as long as it is sound
 
 
 @contextlib.contextmanager
@@ -85,7 +86,11 @@ class _Ray:
 
     @property
     def n_cores(self) -> float:
-        return self._resource("CPU")
+        n_cores = self._resource("CPU")
+        if self._connection.has_cores and not n_cores:  # its raylet is stopped, so Ray counts the node as dead
+            self._running.clear()
+            raise PuddleError(self._connection.death_message)
+        return n_cores
 
     @property
     def n_gpus(self) -> float:
@@ -177,7 +182,7 @@ def _local(n_workers: int | None) -> Iterator[_Connection]:
             constants = ray._private.ray_constants
             stack.callback(setattr, constants, "ENABLE_RAY_CLUSTER", constants.ENABLE_RAY_CLUSTER)
             constants.ENABLE_RAY_CLUSTER = False
-            stack.callback(_shut_down, ours.calling)
+            stack.callback(_shut_down, ours)
             with ours.calling:
                 _connect(address=ours.address)
         except Exception as error:
@@ -185,14 +190,18 @@ def _local(n_workers: int | None) -> Iterator[_Connection]:
                 f"Ray did not start on this machine: {error}\nIt needs free space in {SESSIONS_FOLDER} and /dev/shm "
                 f"and memory for {n_workers or 'as many workers as there are cores'}. `--workers 0` runs without Ray."
             ) from error
-        yield _Connection(ours.is_alive, ours.calling, RAY_DIED)
+        yield _Connection(ours.is_alive, ours.calling, RAY_DIED, has_cores=True)
 
 
-def _shut_down(calling: AbstractContextManager[object]) -> None:
+def _shut_down(ours: Session) -> None:
     import ray
 
-    with calling:
+    ends_ray = threading.Timer(_SHUTDOWN_SECONDS, ours.kill)  # a stopped raylet would let ray.shutdown wait for ever
+    ends_ray.daemon = True
+    ends_ray.start()
+    with ours.calling:
         ray.shutdown()
+    ends_ray.cancel()
 
 
 @contextlib.contextmanager
@@ -201,7 +210,7 @@ def _existing(address: str) -> Iterator[_Connection]:
     check_reachable(address)
     import ray
 
-    over = threading.Event()
+    calling, over = Calls(), threading.Event()
     with _environment({}):
         try:
             packages = [_folder_of(package) for package in _PACKAGES]
@@ -211,7 +220,8 @@ def _existing(address: str) -> Iterator[_Connection]:
         else:
             server = server_of(ray.get_runtime_context().gcs_address if address == "auto" else address)
             threading.Thread(target=end_if_unreachable, args=(address, *server, over), daemon=True).start()
-            yield _Connection(lambda: True, contextlib.nullcontext(), NODE_DIED.format(address=address))
+            threading.Thread(target=end_if_silent, args=(calling, over), daemon=True).start()
+            yield _Connection(lambda: True, calling, NODE_DIED.format(address=address))
         finally:
             over.set()
             ray.shutdown()

@@ -13,7 +13,6 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +20,7 @@ import psutil
 
 from pipeline.cluster import supervisor
 from pipeline.cluster.process import PINNED_THREADS
-from pipeline.cluster.watchdog import end_if_stuck
+from pipeline.cluster.watchdog import Calls, end_if_silent, end_if_stuck
 from pipeline.errors import PuddleError
 
 OBJECT_STORE_BYTES = 512 * 2**20  # shared memory of a local cluster; ensembles and results take megabytes
@@ -42,7 +41,8 @@ class Session:
     address: str
     token: Path  # file with the token that its servers require
     is_alive: Callable[[], bool]
-    calling: AbstractContextManager[object]  # held while the driver calls Ray; if Ray dies meanwhile, the process ends
+    kill: Callable[[], None]  # ends Ray at once
+    calling: Calls  # held while the driver calls Ray; if Ray dies meanwhile or does not answer, the process ends
 
 
 @contextlib.contextmanager
@@ -56,7 +56,7 @@ def session(n_cores: int | None) -> Iterator[Session]:
     folder = Path(tempfile.mkdtemp(prefix=_SESSION_PREFIX, dir=SESSIONS_FOLDER))
     lock = _lock(folder)
     child: subprocess.Popen[str] | None = None
-    calling, over = threading.RLock(), threading.Event()
+    calling, over = Calls(), threading.Event()
     environment = {**os.environ, **PINNED_THREADS}  # inherited by the supervisor, Ray and its workers
     try:
         token = _token_of(folder)
@@ -76,13 +76,16 @@ def session(n_cores: int | None) -> Iterator[Session]:
             )
         address = _address(child, folder)
         threading.Thread(target=end_if_stuck, args=(child.wait, calling, over), daemon=True).start()
-        poll = child.poll
-        yield Session(address, token, is_alive=lambda: poll() is None, calling=calling)
+        threading.Thread(target=end_if_silent, args=(calling, over), daemon=True).start()
+        poll, pipe = child.poll, child.stdin
+        assert pipe is not None
+        yield Session(address, token, is_alive=lambda: poll() is None, kill=pipe.close, calling=calling)
     finally:
         over.set()
-        if child is not None:
+        if child is not None and child.stdin is not None:
             with contextlib.suppress(BrokenPipeError):
-                child.communicate()  # closes the pipe: the supervisor kills what is left, removes the folder, and ends
+                child.stdin.close()  # the supervisor then kills what is left, removes the folder, and ends
+            child.wait()
         shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
 

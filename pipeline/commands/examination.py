@@ -37,6 +37,7 @@ _CONSTRAINTS = Path(str(files("pipeline") / "constraints.txt"))  # package versi
 _BYTES_PER_WORKER = 450e6
 """Memory of a worker: 300 MB with torch and the engine loaded (measured), and space to work in."""
 _BYTES_OF_DRIVER = 1e9  # memory of the driver and of Ray's own processes
+_ADDRESS_SPACE = 16 * 2**30  # least limit of a process's address space [bytes]; with 4e9, films can't be made
 _SPARE_BYTES = 1e9  # disk space beside the results: MLflow's database, reports, other users
 _OPEN_FILES = 4096  # file descriptors that Ray needs with dozens of workers
 _RAY_SECONDS = 60.0  # time that Ray's first worker may take to answer
@@ -106,18 +107,29 @@ def _versions() -> Check:
 
 
 def _processor(n_cores: int, n_workers: int) -> Check:
+    from llvmlite.binding import get_host_cpu_features  # installed with numba
+
     from tasks.simulation.simd.lanes import widest
 
+    features = get_host_cpu_features()
     load = os.getloadavg()[0]
     found = f"{n_cores} cores, {widest()} SIMD lanes; load {load:.1f}"
     if n_workers > n_cores:
         return Check("warn", "processor", found, f"{n_workers} workers share {n_cores} cores: use --workers {n_cores}.")
     if load > 0.5 * n_cores:
         return Check("warn", "processor", found, "Other programs keep this machine busy: a study will take longer.")
+    if not (features.get("avx2") and features.get("fma")):
+        advice = "Without AVX2 and FMA the last bits may differ from those of other machines: use one kind for a study."
+        return Check("warn", "processor", found, advice)
     return Check("ok", "processor", found)
 
 
 def _memory(n_workers: int, free: float) -> Check:
+    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if allowed != resource.RLIM_INFINITY and allowed < _ADDRESS_SPACE:
+        found = f"the address space of a process is limited to {allowed / 1e9:.1f} GB"
+        advice = f"Libraries take several GB of it: `ulimit -v unlimited`, or at least {_ADDRESS_SPACE / 1024:,.0f}."
+        return Check("fail", "memory", found, advice)
     needed = _BYTES_OF_DRIVER + n_workers * _BYTES_PER_WORKER
     found = f"{free / 1e9:.1f} GB free, {needed / 1e9:.1f} GB needed by {n_workers} workers and the driver"
     if free < needed:

@@ -1,5 +1,6 @@
 """Exit codes, and what the terminal shows when a command is interrupted."""
 
+import atexit
 import contextlib
 import signal
 import sys
@@ -82,5 +83,6 @@ def interruptible() -> Iterator[None]:
 
 
 def _explain_stop() -> None:
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # it runs first: another Ctrl-C disturbs no exit
     with contextlib.suppress(OSError):  # the terminal may be closed
         to_stderr("\nStopped. Finished work is safe: the same command resumes from there.")

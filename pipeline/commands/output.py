@@ -22,8 +22,13 @@ def to_stdout(line: str) -> None:
 
 
 def to_stderr(line: str) -> None:
-    """Print a line about the course of a command."""
-    typer.echo(printable(line), err=True)
+    """Print a line about the course of a command, if that is possible: the terminal may be closed."""
+    try:
+        typer.echo(printable(line), err=True)
+    except BrokenPipeError:
+        raise
+    except OSError:
+        pass
 
 
 def flush() -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Protocol
+from typing import IO, Any, Protocol, cast
 
 from rich.console import Console, Group
 from rich.live import Live
@@ -198,11 +198,44 @@ def _duration(seconds: float) -> str:
 def progress(console: Console | None = None, *, seconds_between_lines: float = 10.0) -> Iterator[Progress]:
     """Show progress on a console, standard error by default: bars if it is a terminal, else lines now and then."""
     console = console or Console(stderr=True, highlight=False)
+    console.file = cast(IO[str], _Tolerant(console.file))
     if not console.is_interactive:  # no terminal, or one that can't move its cursor
         yield _Lines(console, seconds_between_lines)
         return
     with Live(console=console, refresh_per_second=_BAR_FPS, redirect_stdout=False) as live:
         yield _Bars(live)
+
+
+class _Tolerant:
+    """A stream that drops what can't be written: a study goes on when its terminal is closed or its log's disk full.
+
+    A pipe without a reader still raises BrokenPipeError.
+    """
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with _dropped():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with _dropped():
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def _dropped() -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError:
+        pass
 
 
 class _Bars:

@@ -215,3 +215,39 @@ def test_kill_9_at_random_moments(torture, settings, tmp_path):
     torture.note(f"{killed}; {n_studies + 1} studies, the same bytes each time")
     torture.note(f"{n_at_work:,} of the workers were busy")
     torture.note(f"{n_again:,} work items submitted again, none of them committed before; no item written twice")
+
+
+STOPPED = """
+import sys, time
+import psutil
+from pipeline.cluster import ray_cluster
+from pipeline.errors import PuddleError
+def slow(number):
+    time.sleep(1)
+    return number
+begin = time.monotonic()
+try:
+    with ray_cluster(n_workers=1) as cluster:
+        for number in range(100):
+            cluster.submit(slow, number)
+        cluster.next_done()
+        (server,) = (one for one in psutil.Process().children(recursive=True) if one.name() == sys.argv[1])
+        server.suspend()
+        while True:
+            cluster.next_done(timeout=5.0)
+            cluster.started()
+            assert cluster.n_cores
+except PuddleError as error:
+    sys.exit(f"puddle: {error}")
+"""
+
+
+@pytest.mark.parametrize(
+    ("server", "said"), [("raylet", "or stopped"), ("gcs_server", "Ray has not answered for 120 s")]
+)
+def test_a_server_of_ray_that_is_stopped_ends_the_driver(server: str, said: str, torture):
+    if not torture.large:
+        pytest.skip("with --torture: Ray takes a minute to notice, and the watchdog two")
+    torture.times(1, 1)
+    ended = subprocess.run([sys.executable, "-c", STOPPED, server], capture_output=True, text=True, timeout=PATIENCE)
+    assert ended.returncode in (1, 2) and said in ended.stderr

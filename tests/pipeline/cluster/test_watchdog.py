@@ -1,5 +1,6 @@
 """A driver whose existing cluster is gone ends, and says so; one whose cluster was away for a moment goes on."""
 
+import signal
 import socket
 import subprocess
 import sys
@@ -8,7 +9,7 @@ import time
 import pytest
 
 from pipeline.cluster import watchdog
-from pipeline.cluster.watchdog import UNREACHABLE
+from pipeline.cluster.watchdog import SILENT, UNREACHABLE
 
 RAYS_OWN_SECONDS = 60.0
 """After which Ray ends a driver whose cluster is silent."""
@@ -93,3 +94,35 @@ def test_a_way_to_a_cluster_that_swallows_what_is_sent_is_told_before_ray_ends_t
     with pytest.raises(Ended):
         watchdog.end_if_unreachable("head:6379", "head", 6379, Over())
     assert watchdog.GONE_SECONDS < now < RAYS_OWN_SECONDS - 5.0
+
+
+SILENT_RAY = """
+import os, sys, threading, time
+from pipeline.cluster import watchdog
+watchdog.SILENT_SECONDS, watchdog.CHECK_INTERVAL = 1.0, 0.05
+calls, over = watchdog.Calls(), threading.Event()
+threading.Thread(target=watchdog.end_if_silent, args=(calls, over), daemon=True).start()
+for _ in range(8):  # more time than the limit, in calls that return, and in other work
+    for context in (calls, threading.Lock()):
+        with context:
+            time.sleep(0.2)
+print("up", flush=True)
+with calls:
+    sys.stdin.read() if sys.argv[1] == "hangs" else None
+"""
+
+
+@pytest.mark.parametrize(("what", "code"), [("hangs", 2), ("returns", 0)])
+def test_a_driver_ends_when_a_call_into_ray_does_not_return(what, code):
+    """A stopped raylet lets calls wait for ever, and with them the handlers of signals."""
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", SILENT_RAY, what], text=True, **pipes) as driver:
+        assert driver.stdout.readline() == "up\n"
+        if what == "hangs":
+            driver.send_signal(signal.SIGSTOP)  # time in which the driver itself is stopped does not count
+            time.sleep(1.5)
+            driver.send_signal(signal.SIGCONT)
+            time.sleep(0.3)
+            assert driver.poll() is None
+        assert driver.wait(timeout=30) == code
+        assert driver.stderr.read() == (f"\npuddle: {SILENT.format(seconds=1.0)}\n" if code else "")

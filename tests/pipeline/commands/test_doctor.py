@@ -185,6 +185,23 @@ def test_memory_limits_the_number_of_workers():
     assert examination._memory(2, free=2e9).verdict == "ok"
 
 
+def test_a_limited_address_space_is_named(monkeypatch):
+    """Under `ulimit -v` libraries can't be loaded, or end the process."""
+    limited = SimpleNamespace(RLIMIT_AS=0, RLIM_INFINITY=-1, getrlimit=lambda what: (4_000_000 * 1024, -1))
+    monkeypatch.setattr(examination, "resource", limited)
+    found = examination._memory(2, free=20e9)
+    assert found.verdict == "fail" and "4.1 GB" in found.found and "ulimit -v" in found.advice
+
+
+def test_a_processor_with_other_low_bits_is_a_warning(monkeypatch):
+    monkeypatch.setattr(os, "getloadavg", lambda: (0.0, 0.0, 0.0))
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: {"avx2": True, "fma": True})
+    assert examination._processor(8, 2).verdict == "ok"
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", lambda: {"sse4.2": True})
+    found = examination._processor(8, 2)
+    assert found.verdict == "warn" and "use one kind for a study" in found.advice
+
+
 def test_a_taken_port_is_a_warning(monkeypatch):
     for name in ("RAY_ADDRESS", "MLFLOW_TRACKING_URI"):
         monkeypatch.delenv(name, raising=False)

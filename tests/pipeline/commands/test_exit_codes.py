@@ -101,3 +101,24 @@ def test_every_end_of_a_command_has_its_code(error, code, said, capsys):
     assert ended.value.code == code
     shown = capsys.readouterr().err
     assert said in shown and bool(shown) == bool(said) and "Aborted" not in shown
+
+
+STOPPED_TWICE = """
+import atexit, os, signal, time, typer
+from pipeline.commands.exit_codes import interruptible
+def clean_up():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.05)
+    print("cleaned up")
+atexit.register(clean_up)
+try:
+    with interruptible():
+        raise KeyboardInterrupt
+except typer.Exit as end:
+    raise SystemExit(end.exit_code)
+"""
+
+
+def test_another_interrupt_does_not_disturb_the_exit():
+    done = subprocess.run([sys.executable, "-c", STOPPED_TWICE], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (130, "cleaned up\n") and "Traceback" not in done.stderr
