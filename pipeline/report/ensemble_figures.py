@@ -39,11 +39,24 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
         panel.set(aspect="equal", xlim=(-_VIEW, _VIEW), ylim=(-8, 0.7 * _VIEW), ylabel="y [m]")
     panels[-1].set_xlabel("x [m]")
     return figure, (
-        f"The {len(throws.length_scale)} throws of {throws.seconds:.1f} s that the networks were trained on: paths of "
-        "the link’s centre, by the size of the link. The blue line is the surface of the slush. For one throw of each "
-        f"size the link is drawn along its path. The view ends {_VIEW:g} m from the start; throws that miss the slush "
-        "fly farther."
+        f"The {len(throws.length_scale)} throws of {throws.seconds:.1f} s: paths of the link’s centre, by the size of "
+        f"the link. {_learned_from(throws)} The blue line is the surface of the slush. For one throw of each size the "
+        f"link is drawn along its path. The view ends {_VIEW:g} m from the start; throws that miss the slush fly "
+        "farther."
     )
+
+
+def _learned_from(throws: ThrowPaths) -> str:
+    n_held_out = len(throws.length_scale) - throws.n_learned
+    if n_held_out == 0:
+        return "The networks were trained on all of them."
+    return f"The networks were trained on {throws.n_learned} of them; the other {n_held_out} were held out."
+
+
+def _validated_on(report: StudyReport) -> str:
+    throws = report.findings.throws
+    every = throws is not None and throws.n_learned == len(throws.length_scale)
+    return "the throws that it was trained on" if every else "held-out throws"
 
 
 def _paths(panel: Any, throws: ThrowPaths, chosen: Any, color: str) -> None:
@@ -110,9 +123,10 @@ def residual_error(report: StudyReport) -> tuple[Figure, str]:
     panels[-1].set_xlabel("speed of the thrown link [m/s]")
     legend(figure, _error_handles())
     return figure, (
-        "Root mean square error of the change of velocity per step that a member predicts, on held-out throws, by the "
-        f"speed of the thrown link; {count({row.member for row in rows}, 'member')}. Dark bars are the changes "
-        "themselves, which is the error of predicting zero."
+        "Root mean square error of the change of velocity per step that a member predicts, on "
+        f"{_validated_on(report)}, by the speed of the thrown link; "
+        f"{count({row.member for row in rows}, 'member')}. Dark bars are the changes themselves, which is the error of "
+        "predicting zero."
     )
 
 
@@ -153,7 +167,7 @@ def phantom_thrust(report: StudyReport) -> tuple[Figure, str]:
     axes.grid(axis="x")
     axes.set_xlabel("hallucinated acceleration along x [m/s²]")
     return figure, (
-        "Mean error of each member’s horizontal acceleration on held-out throws slower than 0.5 m/s, with its 95 % "
-        "interval. Slush does not push a resting link sideways. With an error above 0, a robot that only floats is "
-        "predicted to travel to the right."
+        f"Mean error of each member’s horizontal acceleration on {_validated_on(report)}, slower than 0.5 m/s, with "
+        "its 95 % interval. Slush does not push a resting link sideways. With an error above 0, a robot that only "
+        "floats is predicted to travel to the right."
     )

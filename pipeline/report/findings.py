@@ -75,6 +75,7 @@ class ThrowPaths:
     length_scale: Float64  # (n_throws,) long axis of the link [m]
     path: Float64  # (n_throws, n_steps, 3) x, y [m], angle [rad]
     seconds: float  # duration of each [s]
+    n_learned: int  # throws that the networks were trained on; the others were held out
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,7 @@ from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import GENES
 from tasks.evolution import OPERATORS
+from tasks.residual import split_throws
 
 HISTORIES = "history"  # role of the inputs that are segments of the trial whose champion's family is shown
 
@@ -75,7 +76,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
     tests = read_rows(analysed.get(PartId(specs.MATRIX)), "tests", MatrixTestRow)
     thrusts = read_rows(analysed.get(PartId(specs.MEMBERS)), "phantom_thrust", ThrustRow)
     return Findings(
-        throws=_throws(throws_among(inputs), settings.physics.time_step),
+        throws=_throws(throws_among(inputs), settings),
         accuracy=_accuracy(statistics, settings.assessed_depth),
         against_paper=read_rows(statistics, "paper", Row),
         contrasts=read_rows(statistics, "contrasts", Contrast),
@@ -108,7 +109,7 @@ def _reason(files: Files | None, table: str) -> str | None:
     return "its analysis is not done" if files is None else read_reasons(files).get(table)
 
 
-def _throws(chunks: Sequence[Files], time_step: float) -> ThrowPaths | None:
+def _throws(chunks: Sequence[Files], settings: Settings) -> ThrowPaths | None:
     """Arrange the transitions of throws as paths."""
     if not chunks:
         return None
@@ -117,7 +118,9 @@ def _throws(chunks: Sequence[Files], time_step: float) -> ThrowPaths | None:
     throws, first = np.unique(table.throw[order], return_index=True)
     path = table.state[order].reshape(len(throws), -1, table.state.shape[1])[:, :, :3].astype(np.float64)
     lengths = table.length_scale[order][first].astype(np.float64)
-    return ThrowPaths(lengths, path, seconds=path.shape[1] * time_step)
+    learned, _ = split_throws(throws, settings.training.held_out, seed=settings.seed)
+    seconds = path.shape[1] * settings.physics.time_step
+    return ThrowPaths(lengths, path, seconds=seconds, n_learned=int(learned.sum()))
 
 
 def _accuracy(files: Files, depth: float) -> Accuracy | None:

@@ -8,3 +8,4 @@ from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.observation import OBSERVATION, STATE, observe
 from tasks.residual.throws import Throws, Transitions, initial_states, simulate_throws
+from tasks.residual.validation import split_throws

@@ -46,8 +46,9 @@ class Training(Parameters):
     """γ: how sharply smaller errors lose weight. [P]"""
     standardise_targets: bool = True
     """Divide residuals by their deviation in the loss; in SI units only the largest components would count."""
-    held_out: float = Field(default=0.1, gt=0.0, lt=1.0)
-    """Share of the throws held out for validation; whole throws, because the steps of one resemble each other."""
+    held_out: float = Field(default=0.1, ge=0.0, lt=1.0)
+    """Share of the throws held out for validation; whole throws, because the steps of one resemble each other. 0 trains
+    on every throw [P] and measures errors on the same throws."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device for training: one core or one GPU for each member. Results differ in the last bits, so the device is a
     setting and not detected: a settings file must describe the same study on every machine."""

@@ -15,12 +15,13 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from tasks.arrays import Bools, Float32, Float64, Int64
+from tasks.arrays import Float32, Float64
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import ResidualNetwork, Standardisation
 from tasks.residual.observation import OBSERVATION
 from tasks.residual.throws import Transitions
+from tasks.residual.validation import split_throws
 from tasks.seeding import generator
 
 _N_CURVE_POINTS = 100  # approximate number of points of a learning curve
@@ -74,24 +75,6 @@ def mean_loss(training: Training, predicted: Tensor, true: Tensor) -> Tensor:
     return training.focal_alpha * (weight * L_mse).mean()
 
 
-def validation_rows(throw: Int64, share: float, *, seed: int) -> Bools:
-    """Return a mask of the transitions of randomly chosen throws, at least one and not all, the same for all members.
-
-    Args:
-        throw: (n_transitions,) throw of each transition.
-        share: share of the throws to hold out.
-        seed: the study's seed.
-
-    Raises:
-        ValueError: there are fewer than two throws.
-    """
-    throws = np.unique(throw)
-    if len(throws) < 2:
-        raise ValueError(f"transitions of {len(throws)} throws, expected at least 2: one to train on, one held out")
-    n_held_out = min(max(round(share * len(throws)), 1), len(throws) - 1)
-    return np.isin(throw, generator(seed, "held out").permutation(throws)[:n_held_out])
-
-
 def n_cuda_devices() -> int:
     """Count the CUDA devices that torch can use here."""
     return torch.cuda.device_count() if torch.cuda.is_available() else 0
@@ -124,8 +107,7 @@ def train_member(
     if training.device == "cuda" and not n_cuda_devices():
         built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
         raise NoDevice(f"training.device is 'cuda', but torch {torch.__version__}, which {built}, finds no CUDA device")
-    held_out = validation_rows(transitions.throw, training.held_out, seed=seed)
-    to_learn, to_validate = np.flatnonzero(~held_out), np.flatnonzero(held_out)
+    to_learn, to_validate = map(np.flatnonzero, split_throws(transitions.throw, training.held_out, seed=seed))
     standardisation = Standardisation.of(
         transitions.observation[to_learn],
         transitions.residual[to_learn],

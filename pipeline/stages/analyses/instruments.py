@@ -30,7 +30,7 @@ from tasks.analysis.uncertainty import Estimate
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
-from tasks.residual import Transitions
+from tasks.residual import Transitions, split_throws
 from tasks.seeding import generator
 from tasks.world import EnsembleMedium, Physics
 
@@ -38,18 +38,16 @@ N_TRIES = 32  # repeats of each champion: the standard error of its loss is then
 
 
 def transitions_of(held_out: float, seed: int, inputs: Inputs) -> tuple[Transitions, Transitions]:
-    """Return the throws that the members were trained on, and the held-out throws.
+    """Return the throws that the members were trained on, and those that they are validated on.
 
     Args:
         held_out: share of the throws that are held out.
         seed: seed of the study.
         inputs: files by name, with the throws.
     """
-    from tasks.residual.training import validation_rows
-
     transitions = read_transitions(throws_among(inputs))
-    validation = validation_rows(transitions.throw, held_out, seed=seed)
-    return transitions[~validation], transitions[validation]
+    learned, validated = split_throws(transitions.throw, held_out, seed=seed)
+    return transitions[learned], transitions[validated]
 
 
 @dataclass(frozen=True)

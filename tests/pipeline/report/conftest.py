@@ -113,7 +113,7 @@ def findings() -> Findings:
     start, speed = rng.uniform(-6, 6, (9, 1)), rng.uniform(-20, 20, (9, 1))
     paths = np.stack((speed * (1 - np.exp(-time)), start - time, 5 * time + start), axis=-1)
     return Findings(
-        throws=ThrowPaths(np.repeat([1.0, 2.0, 3.0], 3), paths, 3.3),
+        throws=ThrowPaths(np.repeat([1.0, 2.0, 3.0], 3), paths, 3.3, n_learned=8),
         accuracy=Accuracy(9.0, fits, histograms(shown, true, n_bins=24)),
         against_paper=against_paper(scores, fits, ranges, rng=rng),
         contrasts=sweep(scores, rng=rng),

@@ -5,17 +5,9 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from tasks.residual import Architecture, Throws, Training, Transitions, initial_states, simulate_throws
+from tasks.residual import Architecture, Throws, Training, Transitions, initial_states, simulate_throws, split_throws
 from tasks.residual.error_report import LOW_SPEED
-from tasks.residual.training import (
-    NoDevice,
-    TrainingDiverged,
-    learning_rate,
-    mean_loss,
-    n_cuda_devices,
-    train_member,
-    validation_rows,
-)
+from tasks.residual.training import NoDevice, TrainingDiverged, learning_rate, mean_loss, n_cuda_devices, train_member
 from tasks.world import Physics, Slush
 
 SMALL = Architecture(hidden_layers=2, width=16)
@@ -84,18 +76,6 @@ def test_learning_rate_rises_to_its_peak_and_decays_exponentially_to_its_least()
         assert learning_rate(shortest, 9) == pytest.approx(1e-6)
 
 
-def test_whole_throws_are_held_out():
-    throw = np.random.default_rng(0).permutation(np.repeat(np.arange(50), 7))
-    rows = validation_rows(throw, 0.1, seed=1)
-    assert len(set(throw[rows])) == 5 and rows.sum() == 35
-    assert set(throw[rows]).isdisjoint(throw[~rows])
-    assert set(throw[validation_rows(throw, 0.1, seed=2)]) != set(throw[rows])
-    assert validation_rows(np.array([3, 9]), 0.01, seed=0).sum() == 1
-    assert validation_rows(np.array([3, 9]), 0.99, seed=0).sum() == 1
-    with pytest.raises(ValueError, match="of 1 throws, expected at least 2"):
-        validation_rows(np.array([3, 3]), 0.1, seed=0)
-
-
 def test_a_second_run_gives_the_same_bytes_and_leaves_torch_as_it_was(thrown):
     runs = []
     for n_threads in (1, 2):
@@ -123,11 +103,18 @@ def test_members_differ_in_their_networks_and_share_their_hold_out(thrown):
     assert (a.standardisation.residual_mean != c.standardisation.residual_mean).any()
 
 
+def test_nothing_held_out_learns_from_every_throw_and_validates_on_them(thrown):
+    member = train_member(thrown, SMALL, SHORT.model_copy(update={"held_out": 0.0}), seed=3, member=0)
+    mean = thrown.residual.mean(axis=0, dtype=float).astype(np.float32)
+    assert (member.standardisation.residual_mean == mean).all()
+    assert {row.n_rows for row in member.validation if row.band == "all"} == {len(thrown.throw)}
+
+
 def test_standardisation_knows_the_training_set_alone(thrown):
     member = train_member(thrown, SMALL, SHORT, seed=3, member=0)
-    held_out = validation_rows(thrown.throw, SHORT.held_out, seed=3)
-    learned = thrown.residual[~held_out].mean(axis=0, dtype=float).astype(np.float32)
-    assert (member.standardisation.residual_mean == learned).all()
+    learned, held_out = split_throws(thrown.throw, SHORT.held_out, seed=3)
+    mean = thrown.residual[learned].mean(axis=0, dtype=float).astype(np.float32)
+    assert (member.standardisation.residual_mean == mean).all()
     assert {row.n_rows for row in member.validation if row.band == "all"} == {held_out.sum()} == {4 * 200}
 
 
@@ -219,7 +206,7 @@ def test_a_learning_rate_that_explodes_ends_a_training_by_name():
         {"n_iterations": 0},
         {"learning_rate": 0.0},
         {"loss": "huber"},
-        {"held_out": 0.0},
+        {"held_out": -0.1},
         {"held_out": 1.0},
         {"focal_gamma": 0.5},
         {"min_learning_rate": 1e-2},
