@@ -16,6 +16,7 @@ from pipeline.errors import PuddleError
 if TYPE_CHECKING:
     from pipeline.config.settings import Settings
     from pipeline.store.store import Store
+    from pipeline.workflow.dispatcher import Limits
     from pipeline.workflow.stage import AnyStage
 
 STAGE_SUMMARIES = {
@@ -71,6 +72,7 @@ def run_stages(
     open_cluster: Callable[[], AbstractContextManager[Cluster]],
     recompute: Collection[str] = (),
     tracking_uri: str | None = None,
+    limits: "Limits | None" = None,
 ) -> None:
     """Run stages, and name what failed or diverged; if anything did, exit with INCOMPLETE.
 
@@ -80,6 +82,7 @@ def run_stages(
         open_cluster: starts or joins the cluster, once there is something to compute.
         recompute: names of stages whose results are discarded first.
         tracking_uri: an MLflow server; the store's own database by default.
+        limits: how long an item may take, if not as long as usual.
 
     Raises:
         PuddleError: the stages to recompute are not among those to run.
@@ -88,6 +91,7 @@ def run_stages(
     from pipeline.commands.headline import headline_lines
     from pipeline.stages import STAGES
     from pipeline.tracking.mirror import Tracker
+    from pipeline.workflow.dispatcher import Limits
     from pipeline.workflow.driver import drive
     from pipeline.workflow.progress import progress
 
@@ -112,6 +116,7 @@ def run_stages(
             how_to_run=options.command,
             source=options.source,
             expected_seconds=functools.partial(expected_seconds, settings),
+            limits=limits or Limits(),
         )
     if wanted[-1] is STAGES[-1]:
         for line in headline_lines(settings, upstream, store, how_to_run=options.named(settings.name).command):

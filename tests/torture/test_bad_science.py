@@ -25,7 +25,6 @@ from small_study import labelled
 
 import pipeline.stages
 import pipeline.tracking.mirror
-import pipeline.workflow.driver
 import pipeline.workflow.graph
 from pipeline.cluster import Cluster, serial_cluster
 from pipeline.commands.exit_codes import INCOMPLETE
@@ -41,7 +40,6 @@ from pipeline.store.encoding import decode_json, decode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.dispatcher import Limits
-from pipeline.workflow.driver import drive
 from pipeline.workflow.stage import AnyStage, Files, Inputs, Job
 from tasks.residual.training import train_member
 from tasks.simulation.rollout import DIVERGED
@@ -115,11 +113,10 @@ def injected(monkeypatch: pytest.MonkeyPatch, **computes) -> tuple[AnyStage, ...
 def test_failures_are_named_and_the_rest_completes(torture, request, tmp_path, monkeypatch, capsys):
     injected(monkeypatch, train=train_one_on_a_nan, evolve=evolve_some_badly)
     (tmp_path / "tiny.yaml").write_text(TINY.replace("n_trials: 5", f"n_trials: {5 if torture.large else 3}"))
-    open_cluster = serial_cluster
+    open_cluster, limits = serial_cluster, None
     if torture.large:
         local_ray = request.getfixturevalue("local_ray")
         limits = Limits(factor=3.0, least_seconds=max(10.0, 8 * seconds_of_a_crash(local_ray)))
-        monkeypatch.setattr(pipeline.workflow.driver, "drive", functools.partial(drive, limits=limits))
         open_cluster = functools.partial(contextlib.nullcontext, local_ray)
     chosen = StudyOptions(settings_file=tmp_path / "tiny.yaml", store=tmp_path / "store")
     options = ("--settings", str(chosen.settings_file), "--store", str(chosen.store))
@@ -134,7 +131,7 @@ def test_failures_are_named_and_the_rest_completes(torture, request, tmp_path, m
         reasons["evolve: dry_land/1m/trial-4"] = "WorkerCrashedError"
     for _ in torture.attempts(1, 3):
         with pytest.raises(typer.Exit) as ended:
-            run_stages(chosen, open_cluster=open_cluster)
+            run_stages(chosen, open_cluster=open_cluster, limits=limits)
         assert ended.value.exit_code == INCOMPLETE
         said = capsys.readouterr().err
         assert call("status", *options) == 0
@@ -155,7 +152,6 @@ def test_failures_are_named_and_the_rest_completes(torture, request, tmp_path, m
         assert {"member-00#0", "dry_land/1m/trial-0#0", "index.html#0"} <= done
     # The causes are removed: what failed is computed, and nothing else. (Another page would show nothing new.)
     injected(monkeypatch)
-    monkeypatch.setattr(pipeline.workflow.driver, "drive", drive)
     before = {(stage, key) for stage in store.stages() for key in store.keys(stage)}
     for stage in ("train", "evolve"):
         run_stages(chosen, (stage,), open_cluster=open_cluster)
