@@ -15,11 +15,11 @@ _ACCENTS = {
     "\N{COMBINING MACRON}": r"\bar",
 }
 _HEAD = r"""% Transfer results of study {name}. Needs \usepackage{{booktabs}}.
-% Displacement of the root link [m], mean over n trials +- sample standard deviation. "of E": the mean divided by the
+% Displacement of the root link [m], mean over n trials +- sample standard deviation. "% of E": the mean divided by the
 % zero-shot mean of the designs evolved in True Slush at the same depth / by their adapted mean.
-\begin{{tabular}}{{@{{}}lrrrrrr@{{}}}}
+\begin{{tabular}}{{@{{}}l*{{6}}{{@{{\hspace{{8pt}}}}r}}@{{}}}}
 \toprule
-evolved in & $n$ & predicted & zero-shot & of $E$ & adapted & of $E$ \\
+evolved in & $n$ & predicted & zero-shot & \% of $E$ & adapted & \% of $E$ \\
 """
 
 
@@ -63,7 +63,7 @@ def _mean(trials: Sequence[TrialResult], measure: Measure) -> str:
 
 def _shares(shares: Sequence[float | None]) -> str:
     known = [f"${100 * share:z.0f}$" for share in shares if share is not None]
-    return rf"{'/'.join(known)}\,\%" if known else _NONE
+    return "/".join(known) or _NONE
 
 
 def _text(words: str) -> str:

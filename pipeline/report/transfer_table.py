@@ -20,8 +20,8 @@ def transfer_table(trials: Sequence[TrialResult]) -> str:
         "CoM is the displacement of the robot’s centre of mass, to which a swing of the root adds little. In Residual "
         "Slush, the prediction is the mean μ over the members; σ is their standard deviation, and evolution maximises "
         "μ − kσ. “of <i>E</i>” is the mean divided by that of the designs evolved in True Slush at the same depth, as "
-        "they are, which is the paper’s reference. Below it, the mean is divided by theirs after adaptation: adapted "
-        "designs were searched twice as long, so only that comparison is between equals."
+        "they are, which is the paper’s reference. Below it (“adapted”), the mean is divided by theirs after adaptation: "
+        "adapted designs were searched twice as long, so only that comparison is between equals."
     )
     best = paper_mean("true_slush", "zero_shot", paper.DEPTH)
     if paper.DEPTH in depths(trials) and best is not None:
@@ -87,7 +87,7 @@ def _share(
     share, of_adapted = (ratio(trial_mean(trials, measure), reference) for reference in best)
     lines = NONE if share is None else percent(share)
     if of_adapted is not None:
-        lines += f"<small>{percent(of_adapted)} of adapted <i>E</i></small>"
+        lines += f"<small>adapted\u00a0{percent(of_adapted)}</small>"
     stated, whole = (
         paper_mean(name, what, depth) for name, what in ((environment, measure), ("true_slush", "zero_shot"))
     )

@@ -362,7 +362,7 @@ def _films_of_trials(settings: Settings, results: Results, files: Files) -> dict
 
 REPORT = Stage(
     name="report",
-    version=12,
+    version=13,
     unit="pictures",
     reads=_reads,
     plan=_plan,
