@@ -20,8 +20,8 @@ def transfer_table(trials: Sequence[TrialResult]) -> str:
         "CoM is the displacement of the robot’s centre of mass, to which a swing of the root adds little. In Residual "
         "Slush, the prediction is the mean μ over the members; σ is their standard deviation, and evolution maximises "
         "μ − kσ. “of <i>E</i>” is the mean divided by that of the designs evolved in True Slush at the same depth, as "
-        "they are, which is the paper’s reference. Below it (“adapted”), the mean is divided by theirs after adaptation: "
-        "adapted designs were searched twice as long, so only that comparison is between equals."
+        "they are, which is the paper’s reference. Below it (“adapted”), the mean is divided by theirs after "
+        "adaptation: adapted designs were searched twice as long, so only that comparison is between equals."
     )
     best = paper_mean("true_slush", "zero_shot", paper.DEPTH)
     if paper.DEPTH in depths(trials) and best is not None:
