@@ -21,6 +21,8 @@ from pipeline.commands.gc import gc
 from pipeline.commands.list_champions import list_champions
 from pipeline.commands.list_settings import list_settings
 from pipeline.commands.output import flush, to_stdout
+from pipeline.commands.power import power
+from pipeline.commands.score import score
 from pipeline.commands.servo_commands import drive, servo
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
@@ -49,6 +51,8 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "studies": studies,
         "champions": list_champions,
         "simulate": simulate,
+        "score": score,
+        "power": power,
         "export": export,
         "ui": ui,
     },

@@ -6,19 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.settings import DEEPEST, RESIDUAL_ENVIRONMENTS, Settings
+from pipeline.commands.trained_networks import trained_networks
+from pipeline.config.settings import DEEPEST, Settings
 from pipeline.errors import PuddleError
 from pipeline.report.films import render_gif, render_mp4
 from pipeline.report.page import render_robot
 from pipeline.report.replay import replay_of
 from pipeline.stages import environments
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, median_member
-from pipeline.stages.collect import COLLECT, data_set
 from pipeline.stages.report_replays import looked_at, push_of, surroundings_in
-from pipeline.stages.train import TRAIN
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
-from pipeline.workflow.graph import survey
 from pipeline.workflow.identity import Arm, InputName
 from pipeline.workflow.stage import Files, MissingInputs
 from tasks.evolution import evaluate
@@ -68,7 +66,7 @@ def simulate_design(
     why, is_page = "", kind == _PAGE_SUFFIX
     if environment == "residual_slush" or is_page:
         try:
-            files = _networks(settings, open_store, throws=is_page)
+            files = trained_networks(settings, open_store, throws=is_page)
         except PuddleError as missing:
             advice = f". `{how_to_run('study')}` computes it." if isinstance(missing, MissingInputs) else ""
             why = f"{missing}{advice}"
@@ -138,23 +136,3 @@ def _kind_of(out: Path) -> str:
     except OSError as error:
         raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
     return kind
-
-
-def _networks(settings: Settings, open_store: Callable[[], Store], *, throws: bool) -> dict[InputName, Files]:
-    """Read every member of the ensemble, and the throws that they learned from if asked to."""
-    if not settings.needs_ensemble:
-        raise PuddleError(
-            f"study {settings.name} trains no networks: expected one of {', '.join(RESIDUAL_ENVIRONMENTS)} in "
-            f"grid.environments, or a depth of the grid in grid.single_member_depths. Choose the settings of a study "
-            f"that trains networks: --preset, --settings, --set."
-        )
-    store = open_store()
-    damage: list[str] = []
-    with store.lock_to_read():
-        upstream = survey(settings, (COLLECT, TRAIN), store, say=damage.append)
-        if damage:
-            raise PuddleError(damage[0])
-        inputs = environments.member_inputs(settings, "residual_slush", 0, upstream)
-        if throws:
-            inputs |= data_set(upstream["collect"])
-        return {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()}

@@ -1,0 +1,87 @@
+"""Scores of a table of designs in one environment."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.commands.trained_networks import trained_networks
+from pipeline.config.settings import DEEPEST, Settings
+from pipeline.errors import PuddleError
+from pipeline.stages import environments
+from pipeline.store import disk
+from pipeline.store.design_table import read_designs
+from pipeline.store.encoding import encode_table
+from pipeline.store.store import Store
+from pipeline.store.tables import Columns, csv_of
+from tasks.evolution import evaluate
+from tasks.simulation import OK
+from tasks.world import ENVIRONMENTS
+
+_ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kind.networks != "one")
+_AT_ONCE = 4096  # designs simulated in one call, to bound the memory
+_UNITS = {
+    "design": "row of the table, from 0",
+    "diverged": "",
+    "fitness": "m",
+    "displacement": "m, of the root; of each member",
+    "com_displacement": "m, of the centre of mass; of each member",
+}
+
+
+def score_designs(
+    path: Path, environment: str, depth: float, out: Path | None, *, settings: Settings, open_store: Callable[[], Store]
+) -> Iterator[str]:
+    """Score the designs of a table; yield lines that summarise the scores.
+
+    Args:
+        path: the table of designs; see :func:`pipeline.store.design_table.read_designs`.
+        environment: dry_land, true_slush or residual_slush.
+        depth: depth of the ground below the surface [m], 0 to DEEPEST.
+        out: the Parquet or CSV file to write, if any.
+        settings: they choose the length of the rollout, and the networks of residual_slush.
+        open_store: opens the store that holds the networks.
+
+    Raises:
+        PuddleError: an argument is invalid, networks are missing, or a file can't be read or written.
+    """
+    if environment not in _ENVIRONMENTS:
+        raise PuddleError(f"--environment: expected one of {', '.join(_ENVIRONMENTS)}, got {environment!r}")
+    if not 0.0 <= depth <= DEEPEST:
+        raise PuddleError(f"--depth: expected 0 to {DEEPEST:g} m, got {depth:g}")
+    if out is not None and (out.suffix not in (".parquet", ".csv") or not out.parent.is_dir() or out.is_dir()):
+        raise PuddleError(
+            f"--out: expected a file name that ends in .parquet or .csv, in an existing folder, got {out}"
+        )
+    designs = read_designs(path)
+    networks = trained_networks(settings, open_store, throws=False) if environment == "residual_slush" else {}
+    simulation = environments.simulation_spec(settings, environment)
+    at = environments.build_environment(simulation.media, environment, depth, networks)
+    columns: list[Columns] = []
+    for first in range(0, len(designs), _AT_ONCE):
+        rollouts = environments.roll_out(
+            simulation, environments.execution_options(settings, environment), at, designs[first : first + _AT_ONCE]
+        )
+        scores = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
+        columns.append(
+            {
+                "diverged": (np.atleast_2d(rollouts.status) != OK).any(axis=0),
+                "fitness": scores.fitness,
+                "displacement": scores.displacement if at.is_ensemble else scores.displacement[:, 0],
+                "com_displacement": scores.com_displacement if at.is_ensemble else scores.com_displacement[:, 0],
+            }
+        )
+    table = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
+    table = {"design": np.arange(len(designs)), **table}
+    label, n_diverged = ENVIRONMENTS[environment].label, int(table["diverged"].sum())
+    yield f"{label}, {depth:g} m deep: {len(designs)} designs, {n_diverged} diverged"
+    finite = table["fitness"][~table["diverged"]]
+    if len(finite):
+        best = int(np.argmax(table["fitness"]))
+        yield f"  fitness: mean {finite.mean():z.2f} m, median {np.median(finite):z.2f} m"
+        yield f"  best: design {best}, {finite.max():z.2f} m"
+    if out is not None:
+        content = encode_table(table, schema="scores", version=1, producer=str(path), units=_UNITS)
+        with disk.explained("writing scores", out, advice="choose another file"):
+            out.write_bytes(content if out.suffix == ".parquet" else csv_of(table))
+        yield f"  scores in {out}"
