@@ -89,18 +89,30 @@ def end_if_silent(calls: Calls, over: threading.Event) -> None:
             end_at_once(f"puddle: {SILENT.format(seconds=SILENT_SECONDS)}", 2)
 
 
-def end_if_unreachable(address: str, host: str, port: int, over: threading.Event) -> None:
+def end_if_unreachable(
+    address: str,
+    host: str,
+    port: int,
+    over: threading.Event,
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    connect: Callable[..., socket.socket] = socket.create_connection,
+    end: Callable[[str, int], object] = end_at_once,
+) -> None:
     """End this process if an existing cluster stops answering.
 
     Args:
         address: the cluster's address, for the message.
         host, port: its GCS server.
         over: set when the cluster is no longer needed.
+        clock: returns the time [s].
+        connect: connects to a host and port within a time-out.
+        end: ends this process with a message and an exit code.
     """
-    answered = time.monotonic()
+    answered = clock()
     while not over.wait(CHECK_INTERVAL):
         with contextlib.suppress(OSError):
-            socket.create_connection((host, port), timeout=_ANSWER_SECONDS).close()
-            answered = time.monotonic()
-        if time.monotonic() - answered > GONE_SECONDS and not over.is_set():
-            end_at_once(f"puddle: {UNREACHABLE.format(address=address, seconds=GONE_SECONDS)}", 2)
+            connect((host, port), timeout=_ANSWER_SECONDS).close()
+            answered = clock()
+        if clock() - answered > GONE_SECONDS and not over.is_set():
+            end(f"puddle: {UNREACHABLE.format(address=address, seconds=GONE_SECONDS)}", 2)

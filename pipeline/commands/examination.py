@@ -138,13 +138,28 @@ def _memory(n_workers: int, free: float) -> Check:
     return Check("ok", "memory", found)
 
 
-def examine_store(root: Path, settings: Settings) -> Iterator[Check]:
-    """Check the store's disk: space for the rest of the study, and every operation of a commit."""
+def _free_bytes(folder: Path) -> float:
+    return float(shutil.disk_usage(folder).free)
+
+
+def examine_store(
+    root: Path, settings: Settings, *, free_bytes: Callable[[Path], float] = _free_bytes
+) -> Iterator[Check]:
+    """Check the store's disk: space for the rest of the study, and every operation of a commit.
+
+    Args:
+        root: folder of the store, which need not exist.
+        settings: the study.
+        free_bytes: returns the space that is free for an existing folder.
+
+    Returns:
+        Checks, the quick ones first.
+    """
     try:
         root = disk.resolved(root)
         with disk.explained("looking for the store's disk", root, advice="ask again"):
             existing = next(path for path in (root, *root.parents) if path.exists())
-            free = float(shutil.disk_usage(existing).free)
+            free = free_bytes(existing)
             store_exists = (root / "store.json").exists()
         done, drivers = _done(root, settings) if store_exists else ({}, [])
     except PuddleError as error:

@@ -143,14 +143,14 @@ def test_an_unreadable_folder_is_named(tmp_path):
     assert "choose another folder" in found.found
 
 
-def test_finished_work_needs_no_disk_space(store, tmp_path, monkeypatch):
+def test_finished_work_needs_no_disk_space(store, tmp_path):
     """Half of the space that a whole study needs is enough for the rest of one that is nearly done."""
     settings = parse(Settings, ON_DRY_LAND, name="tiny")
     free = int(examination._SPARE_BYTES + examination.bytes_left_of_study(settings, {}) / 2)
-    monkeypatch.setattr(examination, "shutil", SimpleNamespace(disk_usage=lambda path: SimpleNamespace(free=free)))
 
     def disk_of(root: Path) -> Check:
-        return next(found for found in examine_store(root, settings) if found.what == "disk")
+        found = examine_store(root, settings, free_bytes=lambda folder: free)
+        return next(check for check in found if check.what == "disk")
 
     assert disk_of(tmp_path / "new").verdict == "fail"
     assert disk_of(store.root).verdict == "ok"
