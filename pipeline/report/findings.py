@@ -10,7 +10,7 @@ from tasks.analysis.comparison import Contrast, EvolvedIn
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import Histograms, Regression
-from tasks.analysis.tank import Crossing, Tank
+from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.analysis.uncertainty import Estimate
 from tasks.arrays import Float64
 
@@ -64,8 +64,10 @@ class TankRow:
     zero_shot: float | None  # displacement of its root in True Slush, at its own depth
     dry_land: float | None  # displacement of its root on Dry Land, at its own depth and for as long
     dry_land_com: float | None  # displacement of its centre of mass on Dry Land
-    wet: Crossing  # in the filled tank
-    dry: Crossing  # on the floor of the drained tank
+    wet: Crossing  # first trial in the filled tank
+    dry: Crossing  # first trial on the floor of the drained tank
+    wet_trials: TankTrials
+    dry_trials: TankTrials
 
 
 @dataclass(frozen=True, eq=False)

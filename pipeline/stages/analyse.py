@@ -55,8 +55,9 @@ the page does; if none survives True Slush, the best champion where it evolved:
     member_errors.parquet   as for ``members``, along the rollouts of all champions of the arm in True Slush
 ``tank/<environment>/<depth>m``, the champions of one arm and which to build, if the settings have a tank:
     tank.parquet         a row per champion: trial, proposed; zero_shot, dry_land, dry_land_com; for X = wet, dry (the
-                         filled and the drained tank): X_length, X_distance, X_travelled [m], X_crossed, X_seconds,
-                         X_speed, all in units of the simulation
+                         filled and the drained tank), the first trial: X_length, X_distance, X_travelled [m],
+                         X_crossed, X_seconds, X_speed, all in units of the simulation; of all trials: X_trials_n,
+                         X_trials_n_crossed, X_trials_n_crossed_at_kept_frequencies
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -131,8 +132,8 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
         plan(PartId(specs.INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES), arm.environment)
         if tank is not None:
             n_tank = tank.n_steps(settings.physics.time_step)
-            # One rollout on Dry Land, and one in the filled and one in the drained tank.
-            n_rollouts = 1 + 2 * (n_tank + rollout.n_settle) / (rollout.n_settle + rollout.n_measure)
+            # One rollout on Dry Land, and several in the filled and in the drained tank.
+            n_rollouts = 1 + 2 * tank.n_trials * (n_tank + rollout.n_settle) / (rollout.n_settle + rollout.n_measure)
             plan(
                 PartId(specs.TANK, arm), specs.TankSpec(seed, own, simulation, arm, tank, n_tank), ceil(n * n_rollouts)
             )

@@ -7,17 +7,25 @@ robot: lengths by the scale of the build, times by Froude's law. At 70 mm per me
 The paper states the scale of lengths but not of times, and compares whether a robot crosses, not how fast. Froude's law
 is our choice, and the kit's default (tasks/fabrication/scaling.py). Under the same gravity it is the only law that
 keeps weight, buoyancy, drag and inertia in proportion, so only under it does the simulation predict times in the tank.
+The speed of the paper's servos suggests that it kept the simulation's frequencies instead: then a simulated second is
+one second in the tank, and the same robot has 150 s of the simulation and not 567 s.
+
+The paper repeats each test, 8 times in slush and 6 times on the dry floor. A simulation repeats itself exactly, so each
+further trial here starts at another moment of the gait, with its joints shifted by less than printing can hold.
 
 The tank has no walls.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.random import Generator
 from pydantic import Field
 
+from tasks.analysis.luck import jittered
 from tasks.arrays import Float64
-from tasks.design import Designs
+from tasks.design import Designs, concatenate
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts
 from tasks.world import froude_time
@@ -34,6 +42,8 @@ class Tank(Parameters):
     """Built length of one simulated metre [m]. [P]"""
     seconds: float = Field(default=150.0, gt=0.0, le=10_000.0)
     """Time limit for a crossing [s]. [P]"""
+    n_trials: int = Field(default=8, ge=1, le=1000)
+    """Trials of each robot in the filled tank, and as many in the drained one. [P]: 8 and 6."""
 
     @property
     def simulated_length(self) -> float:
@@ -68,6 +78,39 @@ class Crossing:
     crossed: bool  # whether it crossed in time; False for a robot as long as the tank
     seconds: float  # simulated time until it crossed [s]; NaN if it did not
     speed: float  # mean speed over ``travelled`` [m/s]
+
+
+@dataclass(frozen=True)
+class TankTrials:
+    """How often one robot crossed."""
+
+    n: int  # trials
+    n_crossed: int  # in the time limit, by Froude's law
+    n_crossed_at_kept_frequencies: int  # in the time limit, if the simulation's frequencies are kept
+
+
+def restarted(design: Designs, n: int, rng: Generator) -> Designs:
+    """Return a robot n times, to be tried again: first as it is, then begun at random moments of its gait.
+
+    Joints are also shifted by 1e-4 of half a link, as in :func:`tasks.analysis.luck.jittered`.
+
+    Args:
+        design: a single design.
+        n: number of trials, at least 1.
+        rng: source of randomness.
+    """
+    begun = [
+        replace(again, phase=(again.phase + rng.uniform(0.0, 2 * np.pi)) % (2 * np.pi))
+        for again in (jittered(design, rng) for _ in range(n - 1))
+    ]
+    return concatenate([design, *begun])
+
+
+def count_crossings(trials: Sequence[Crossing], tank: Tank) -> TankTrials:
+    """Count the trials of one robot that crossed in time, by either law of scaling."""
+    # At kept frequencies the tank's limit is as many simulated seconds. A trial that did not cross has NaN seconds.
+    in_time = [trial.crossed and trial.seconds <= tank.seconds for trial in trials]
+    return TankTrials(len(trials), sum(trial.crossed for trial in trials), sum(in_time))
 
 
 def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int, time_step: float) -> list[Crossing]:

@@ -21,7 +21,7 @@ from tasks.analysis.against_paper import Row
 from tasks.analysis.attribution import Attribution
 from tasks.analysis.equivalence import VERDICTS
 from tasks.analysis.prediction import Regression, mean_less_deviations
-from tasks.analysis.tank import Crossing, Tank
+from tasks.analysis.tank import Crossing, Tank, TankTrials
 
 Highlights = tuple[list[str], dict[str, float]]  # lines for the terminal, and metrics
 
@@ -126,6 +126,8 @@ def _tank(arm: Arm, files: Files, tank: Tank) -> Highlights:
         f"{label}: in the tank, {tank.simulated_length:.1f} m x {tank.simulated_depth:.2f} m in the simulation, the "
         f"built robot {_outcome(best.wet, tank)} ({1000 * tank.built_speed(best.wet.speed):.0f} mm/s); on the dry "
         f"floor it {_outcome(best.dry, tank)}",
+        f"{label}: it crosses the tank in {_of_trials(best.wet_trials)}, "
+        f"its dry floor in {_of_trials(best.dry_trials)}",
         f"{label}: {sum(row.wet.crossed for row in rows)} of {len(rows)} champions cross the tank, "
         f"{sum(row.dry.crossed for row in rows)} its dry floor",
     ]
@@ -133,6 +135,7 @@ def _tank(arm: Arm, files: Files, tank: Tank) -> Highlights:
         "zero_shot": best.zero_shot,
         "dry_land": best.dry_land,
         "wet_crossed": float(best.wet.crossed),
+        "wet_share_crossed": best.wet_trials.n_crossed / best.wet_trials.n,
         "wet_seconds": best.wet.seconds,
         "wet_speed": best.wet.speed,
         "dry_crossed": float(best.dry.crossed),
@@ -140,6 +143,11 @@ def _tank(arm: Arm, files: Files, tank: Tank) -> Highlights:
     }
     prefix = f"tank.{arm.label.replace('/', '.')}.proposed"
     return lines, _known({f"{prefix}.{name}": value for name, value in metrics.items()})
+
+
+def _of_trials(trials: TankTrials) -> str:
+    slower = trials.n_crossed_at_kept_frequencies
+    return f"{trials.n_crossed} of {trials.n} trials ({slower} at the simulation's frequencies)"
 
 
 def _outcome(found: Crossing, tank: Tank) -> str:

@@ -6,6 +6,7 @@ Part of the stage analyse, whose page lists the tables. Paper, "Physical Validat
 from dataclasses import replace
 
 import numpy as np
+from numpy.random import Generator
 
 from pipeline.report.findings import TankRow
 from pipeline.stages import environments
@@ -14,11 +15,13 @@ from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.specs import TankSpec
 from pipeline.store.tables import columns_of
 from pipeline.workflow.stage import Execution, Inputs, Job
-from tasks.analysis.tank import Crossing, crossings, nearest_the_mean
+from tasks.analysis.tank import Crossing, count_crossings, crossings, nearest_the_mean, restarted
+from tasks.design import Designs
 from tasks.design.genes import concatenate
+from tasks.seeding import generator
 from tasks.world import DryLand, Environment
 
-_CHAMPIONS_AT_ONCE = 16  # champions whose traces are in memory at the same time: 35,000 steps of one are 5 MB
+_TRIALS_AT_ONCE = 16  # trials whose traces are in memory at the same time: 35,000 steps of one are 5 MB
 
 
 def compute(job: Job[TankSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
@@ -31,26 +34,28 @@ def compute(job: Job[TankSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     designs = concatenate([of.design for of in entrants])
     dry_land = environments.roll_out(spec.simulation, job.execution, DryLand(depth=spec.arm.depth), designs)
     filled = environments.true_slush(spec.simulation.media, spec.tank.simulated_depth)
-    wet = _in_tank(spec, job.execution, filled, entrants)
-    dry = _in_tank(spec, job.execution, DryLand(depth=0.0), entrants)
     root, whole = dry_land.displacement.tolist(), dry_land.com_displacement.tolist()
-    rows = [
-        TankRow(of.trial.index, i == chosen, of.zero_shot, root[i], whole[i], wet[i], dry[i])
-        for i, of in enumerate(entrants)
-    ]
+    rows = []
+    for i, of in enumerate(entrants):
+        tries = restarted(of.design, spec.tank.n_trials, _generator(spec, of))
+        wet, dry = (_in_tank(spec, job.execution, at, tries) for at in (filled, DryLand(depth=0.0)))
+        counts = (count_crossings(trials, spec.tank) for trials in (wet, dry))
+        rows.append(TankRow(of.trial.index, i == chosen, of.zero_shot, root[i], whole[i], wet[0], dry[0], *counts))
     reasons = {} if chosen is not None else {"tank": "no champion survived True Slush: there is no mean to be near"}
     return {"tank": columns_of(TankRow, rows)}, reasons
 
 
-def _in_tank(
-    spec: TankSpec, execution: Execution, environment: Environment, entrants: list[Champion]
-) -> list[Crossing]:
-    """Simulate every champion alone in the tank."""
+def _generator(spec: TankSpec, of: Champion) -> Generator:
+    return generator(spec.seed, "analyse", "tank", of.trial.environment, of.trial.depth, of.trial.index)
+
+
+def _in_tank(spec: TankSpec, execution: Execution, environment: Environment, tries: Designs) -> list[Crossing]:
+    """Simulate the trials of a robot in the tank."""
     rollout = spec.simulation.rollout.model_copy(update={"n_measure": spec.n_steps})
     simulation = replace(spec.simulation, rollout=rollout)
     found = []
-    for first in range(0, len(entrants), _CHAMPIONS_AT_ONCE):
-        designs = concatenate([of.design for of in entrants[first : first + _CHAMPIONS_AT_ONCE]])
+    for first in range(0, len(tries), _TRIALS_AT_ONCE):
+        designs = tries[first : first + _TRIALS_AT_ONCE]
         rollouts = environments.roll_out(simulation, execution, environment, designs, trace=True)
         found += crossings(
             designs, rollouts, spec.tank, n_settle=rollout.n_settle, time_step=simulation.physics.time_step

@@ -10,7 +10,7 @@ from pipeline.report.findings import Findings, TankRow
 from pipeline.report.lineage import main_line
 from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, tank_tests
 from pipeline.report.wording import interval, p_value
-from tasks.analysis.tank import Crossing, Tank
+from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.analysis.uncertainty import Estimate
 
 
@@ -115,12 +115,17 @@ def test_the_tank_table_gives_times_speeds_and_reasons():
     slow = Crossing(length=4.0, distance=12.7, travelled=-0.3, crossed=False, seconds=nan, speed=-0.002)
     long = Crossing(length=17.0, distance=-0.3, travelled=5.0, crossed=False, seconds=nan, speed=0.03)
     lost = Crossing(length=nan, distance=nan, travelled=nan, crossed=False, seconds=nan, speed=nan)
-    rows = [TankRow(0, False, 9.0, 0.2, 0.1, long, slow), TankRow(3, True, 10.0, None, None, crossed, lost)]
+    never = TankTrials(8, 0, 0)
+    rows = [
+        TankRow(0, False, 9.0, 0.2, 0.1, long, slow, never, never),
+        TankRow(3, True, 10.0, None, None, crossed, lost, TankTrials(8, 7, 3), never),
+    ]
     text = words(tank_tests(Findings(tank=Tank(), tank_tests={"Residual Slush, 2 m": rows}), {}))
     assert "At a scale of 70 mm per simulated metre, the tank measures 16.7 m by 2.14 m" in text
     assert "Residual Slush, 2 m: 1 of 2 cross the tank, 0 the dry floor" in text
-    assert "trial 0 9.0 0.2 17.0 – as long as the tank 0.0 of 88.9 cm moves backwards" in text  # a wall stops it
-    assert "✓ trial 3 10.0 – 4.0 17 s 52.9 mm/s – diverged" in text
+    none = "crosses in 0 of 8 trials; 0 at kept frequencies"
+    assert f"trial 0 9.0 0.2 17.0 – as long as the tank {none} 0.0 of 88.9 cm moves backwards {none}" in text  # a wall
+    assert "✓ trial 3 10.0 – 4.0 17 s 52.9 mm/s crosses in 7 of 8 trials; 3 at kept frequencies – diverged" in text
     assert tank_tests(Findings(), {}) == ""
 
 

@@ -147,6 +147,7 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
     for where in ("wet", "dry"):
         assert not tank[f"{where}_crossed"].any()  # no robot travels 10 m in 0.5 s / √0.07
         assert np.isfinite(tank[f"{where}_travelled"]).all()
+        assert (tank[f"{where}_trials_n"] == 8).all() and not tank[f"{where}_trials_n_crossed"].any()
         expected = 1.17 / 0.07 - tank[f"{where}_length"]
         np.testing.assert_allclose(tank[f"{where}_distance"], expected)
     assert np.isfinite(tank["dry_land"]).all()

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tasks.analysis.tank import Tank, crossings, nearest_the_mean
+from tasks.analysis.tank import Crossing, Tank, count_crossings, crossings, nearest_the_mean, restarted
 from tasks.design import Designs, random_designs
 from tasks.simulation import OK, Rollouts
 
@@ -137,3 +137,29 @@ def test_a_robot_that_never_settled_is_refused() -> None:
 )
 def test_the_champion_to_build_is_the_nearest_the_mean(scores: list[float], chosen: int | None) -> None:
     assert nearest_the_mean(np.array(scores)) == chosen
+
+
+def test_further_trials_begin_at_other_moments_of_the_same_gait() -> None:
+    """Joints keep their phases to each other, and lie where printing can't tell them from the first trial's."""
+    design = random_designs(1, np.random.default_rng(4))
+    tries = restarted(design, 5, np.random.default_rng(9))
+    assert (tries.table[0] == design.table[0]).all() and len(tries) == 5
+    shift = np.angle(np.exp(1j * (tries.phase - design.phase)))
+    assert np.ptp(np.exp(1j * shift), axis=1) == pytest.approx(np.zeros(5), abs=1e-9)
+    assert len(np.unique(shift[:, 0].round(6))) == 5
+    for name in ("parent_attachment", "child_attachment"):
+        moved = np.abs(getattr(tries, name) - getattr(design, name))
+        assert (moved[0] == 0).all() and (moved[1:, 1:] > 0).all() and moved.max() < 1.01e-4
+    for name in ("parent", "length_scale", "rest_angle", "motion_range", "motor_on", "frequency"):
+        assert (getattr(tries, name) == getattr(design, name)).all()
+
+
+def test_crossings_are_counted_by_both_laws_of_scaling() -> None:
+    """At kept frequencies the limit of 12.6 s is as many simulated seconds; by Froude's law it is 40 of them."""
+    assert TANK.seconds == pytest.approx(12.65, abs=0.01)
+
+    def trial(seconds: float) -> Crossing:
+        return Crossing(6.0, 14.0, 14.0, np.isfinite(seconds), seconds, 0.5)
+
+    counted = count_crossings([trial(10.0), trial(12.0), trial(30.0), trial(np.nan)], TANK)
+    assert (counted.n, counted.n_crossed, counted.n_crossed_at_kept_frequencies) == (4, 3, 2)
