@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from pipeline.errors import PuddleError
 from tasks.design import Designs, crossover, mutate, random_designs
 from tasks.simulation import simulate
-from tasks.world import DryLand, ResidualSlush, TrueSlush
+from tasks.world import DryLand, RandomisedSlush, ResidualSlush, TrueSlush
 
 if TYPE_CHECKING:
     from pipeline.results.recorded_study import Study
@@ -32,6 +32,7 @@ __all__ = [
     "Designs",
     "DryLand",
     "PuddleError",
+    "RandomisedSlush",
     "ResidualSlush",
     "TrueSlush",
     "crossover",

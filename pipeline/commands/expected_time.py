@@ -61,12 +61,12 @@ def _n_batches(settings: Settings, chain: Chain[Any]) -> int:
 def _rollout(settings: Settings, environment: EnvironmentName) -> float:
     """Return the time of one rollout of one robot [s]."""
     n_steps = settings.rollout.n_settle + settings.rollout.n_measure
-    n_members = {"none": 0, "one": 1, "all": settings.ensemble.n_members}[ENVIRONMENTS[environment].networks]
+    n_members = environments.number_of_members(settings, environment)
     engine: str = settings.work.engine
     if engine == "batch" and (settings.physics.link_collisions or settings.physics.passive_joints == "locked"):
         engine = "rigid"
-    if n_members == 0:
-        return n_steps * _SECONDS_PER_STEP[engine]
+    if ENVIRONMENTS[environment].networks == "none":
+        return n_steps * n_members * _SECONDS_PER_STEP[engine]
     physics = max(_SECONDS_PER_MEMBER_STEP, _SECONDS_PER_STEP[engine])
     return n_steps * n_members * (physics + _LINKS * environments.network_flops(settings) / _FLOPS_OF_INFERENCE)
 

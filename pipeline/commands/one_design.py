@@ -45,9 +45,9 @@ def simulate_design(
 
     Args:
         path: the design file.
-        environment: dry_land, true_slush or residual_slush.
+        environment: dry_land, true_slush, residual_slush, or another registered one.
         depth: depth of the ground below the surface [m], 0 to DEEPEST.
-        out: the GIF, MP4 or HTML file to write, if any; in Residual Slush it shows the median member.
+        out: the GIF, MP4 or HTML file to write, if any; in an ensemble it shows the median member.
         settings: they choose the length of the rollout, and the networks of residual_slush.
         open_store: opens the store that holds the networks.
         how_to_run: returns the command line that runs a command, for messages.
@@ -89,11 +89,11 @@ def simulate_design(
     evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
-    if environment == "residual_slush":
+    if ENVIRONMENTS[environment].is_ensemble:
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
         lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
     if out is not None and rollouts.trace is not None:
-        member = median_member(rollouts.displacement[:, 0]) if environment == "residual_slush" else NO_MEMBER
+        member = median_member(rollouts.displacement[:, 0]) if ENVIRONMENTS[environment].is_ensemble else NO_MEMBER
         trace = rollouts.trace if member == NO_MEMBER else rollouts.trace[member]
         held_out, seed = settings.training.held_out, settings.seed
         replay = replay_of(

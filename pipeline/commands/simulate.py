@@ -13,7 +13,9 @@ from pipeline.commands.output import to_stdout
 @with_options
 def simulate(
     design: Annotated[Path, typer.Argument(help="A design file (design.json).")],
-    environment: Annotated[str, typer.Option("--environment", help="dry_land, true_slush or residual_slush.")],
+    environment: Annotated[
+        str, typer.Option("--environment", help="dry_land, true_slush, residual_slush or randomised_slush.")
+    ],
     depth: Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")],
     options: StudyOptions,
     out: Annotated[Path | None, typer.Option("--out", help="Write a film (.gif, .mp4) or a page (.html).")] = None,

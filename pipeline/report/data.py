@@ -54,14 +54,14 @@ class TrialResult:
     environment: EnvironmentName  # where it evolved
     depth: float  # [m]
     trial: int
-    predicted: float  # of its root where it evolved: in Residual Slush the mean over members, μ
+    predicted: float  # of its root where it evolved: in an ensemble the mean over members, μ
     zero_shot: float | None = None  # displacement of its root in True Slush; None if not simulated yet
     zero_shot_com: float | None = None  # displacement of its centre of mass in True Slush
     adapted: float | None = None  # of its root with a controller that evolved there; None if not adapted
     adapted_com: float | None = None  # displacement of its centre of mass, likewise
     curve: Float64 = field(default_factory=lambda: np.empty(0))  # (n_generations,) best fitness so far [m]
     predicted_sd: float | None = None  # standard deviation over members, σ; None without an ensemble
-    fitness: float | None = None  # where it evolved: in Residual Slush μ - kσ
+    fitness: float | None = None  # where it evolved: in an ensemble μ - kσ
 
     @property
     def all_diverged(self) -> bool:

@@ -27,6 +27,12 @@ _STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded
 _MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text is then as large as a heading
 
 
+_RANDOMISED = """<div><dt><span class="swatch randomised_slush"></span>Randomised Slush, <i>Ẽ</i></dt>
+<dd>Slushes of random density and drag, whose ranges are settings: domain randomisation. It knows the kind of fluid, as
+the networks do not, and has seen no throw. Fitness is the mean over these slushes minus their disagreement.</dd></div>
+"""
+
+
 def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] | None = None) -> str:
     """Write the page of a study; its figures are drawn here if the caller has not done so."""
     drawn = draw_all(report) if drawings is None else drawings
@@ -39,6 +45,7 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         "contents": "".join(f' <a href="#{name}">{escape(title)}</a>' for name, title in contents),
         "failed": _missing(report),
         "seconds": f"{report.measured_seconds:.0f}",
+        "randomised": _RANDOMISED if "randomised_slush" in report.environments else "",
         "sections": "\n".join(
             f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{content}\n</section>'
             for name, title, content in sections

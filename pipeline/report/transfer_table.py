@@ -17,11 +17,11 @@ def transfer_table(trials: Sequence[TrialResult]) -> str:
     bodies = "".join(_depth_rows(trials, depth) for depth in depths(trials))
     note = (
         "Displacement [m]: mean over n trials ± 1 SD. The first line of a cell is the displacement of the root link. "
-        "CoM is the displacement of the robot’s centre of mass, to which a swing of the root adds little. In Residual "
-        "Slush, the prediction is the mean μ over the members; σ is their standard deviation, and evolution maximises "
-        "μ − kσ. “of <i>E</i>” is the mean divided by that of the designs evolved in True Slush at the same depth, as "
-        "they are, which is the paper’s reference. Below it (“adapted”), the mean is divided by theirs after "
-        "adaptation: adapted designs were searched twice as long, so only that comparison is between equals."
+        "CoM is the displacement of the robot’s centre of mass, to which a swing of the root adds little. In an "
+        "ensemble, the prediction is the mean μ over the members; σ is their standard deviation, and evolution "
+        "maximises μ − kσ. “of <i>E</i>” is the mean divided by that of the designs evolved in True Slush at the same"
+        " depth, as they are, which is the paper’s reference. Below it (“adapted”), the mean is divided by theirs "
+        "after adaptation: adapted designs were searched twice as long, so only that comparison is between equals."
     )
     best = paper_mean("true_slush", "zero_shot", paper.DEPTH)
     if paper.DEPTH in depths(trials) and best is not None:

@@ -93,7 +93,7 @@ from pipeline.workflow.stage import (
     Summary,
     Upstream,
 )
-from tasks.world import ENVIRONMENTS, EnvironmentName
+from tasks.world import EnvironmentName
 
 _COMPUTE: Mapping[type[specs.AnalysisSpec], Callable[[Job[Any], Inputs], tuple[Tables, Reasons]]] = {
     specs.StatisticsSpec: statistics.compute,
@@ -111,7 +111,7 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
     """Plan one item for each kind of analysis, and one for each arm's instruments and tank."""
     trials = tuple(trials_of(settings, "transfer"))
     depths, rollout, tank = settings.grid.depths, settings.rollout, settings.tank
-    simulation = environments.simulation_spec(settings, *ENVIRONMENTS)
+    simulation = environments.simulation_spec(settings, "true_slush", *(arm.environment for arm in arms_of(trials)))
     penalty, held_out, seed = settings.ensemble.disagreement_penalty, settings.training.held_out, settings.seed
     chains: list[Chain[specs.AnalysisSpec]] = []
 

@@ -16,7 +16,7 @@ from tasks.evolution import Evaluation, evaluate
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics
+from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics, RandomisedSlushes
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 MEMBER = "member"  # role of the inputs that are networks of the ensemble, or of one single-member trial
@@ -47,9 +47,13 @@ class SimulationSpec:
 
 
 def media_of(settings: Settings, *environments: EnvironmentName) -> Media:
-    """Select the settings of some environments' media."""
+    """Select the settings of some environments' media; random ones get the study's seed."""
     groups = (ENVIRONMENTS[environment].settings_group for environment in environments)
-    return {group: getattr(settings, group) for group in groups if group is not None}
+    media = {group: getattr(settings, group) for group in groups if group is not None}
+    return {
+        group: medium.of_study(settings.seed) if isinstance(medium, RandomisedSlushes) else medium
+        for group, medium in media.items()
+    }
 
 
 def simulation_spec(settings: Settings, *environments: EnvironmentName) -> SimulationSpec:
@@ -172,10 +176,19 @@ def batch_size(settings: Settings, environment: EnvironmentName) -> int:
 
 def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
     """Estimate the cost of a generation, relative to one on dry land."""
+    n_members = number_of_members(settings, environment)
     if environment not in RESIDUAL_ENVIRONMENTS:
-        return 1.0
-    n_members = settings.ensemble.n_members if ENVIRONMENTS[environment].networks == "all" else 1
+        return float(n_members)
     return n_members * (1 + network_flops(settings) / _FLOPS_OF_PHYSICS)
+
+
+def number_of_members(settings: Settings, environment: EnvironmentName) -> int:
+    """Return how many members simulate each design in an environment, 1 without an ensemble."""
+    kind = ENVIRONMENTS[environment]
+    if kind.networks == "all":
+        return settings.ensemble.n_members
+    medium = media_of(settings, environment).get(str(kind.settings_group))
+    return medium.n_members if isinstance(medium, RandomisedSlushes) else 1
 
 
 def network_flops(settings: Settings) -> int:

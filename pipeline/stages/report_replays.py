@@ -139,10 +139,9 @@ def surroundings_in(environment: EnvironmentName) -> Surroundings:
 
 
 def _words(film: Filmed) -> str:
-    """Name the environment of a film; those with networks are Residual Slush with a member."""
-    if film.seen_in in RESIDUAL_ENVIRONMENTS:
-        return f"Residual Slush (member {film.member})"
-    return ENVIRONMENTS[film.seen_in].label
+    """Name the environment of a film, with its member; those with networks are Residual Slush."""
+    label = "Residual Slush" if film.seen_in in RESIDUAL_ENVIRONMENTS else ENVIRONMENTS[film.seen_in].label
+    return label if film.member == NO_MEMBER else f"{label} (member {film.member})"
 
 
 def _overlays(simulation: SimulationSpec, film: Filmed, instruments: Files) -> tuple[Overlay, ...]:
@@ -196,15 +195,17 @@ def push_of(
     Args:
         simulation: physics, rollout, and the environment's medium.
         arm: the environment and its depth.
-        member: number of the network that predicts the medium, or NO_MEMBER.
+        member: number of the member of an ensemble, or NO_MEMBER.
         design: a single design.
         trace: (1, n_steps, n_links, 6)
         networks: the networks, if one predicts the medium.
     """
-    if member == NO_MEMBER:
-        medium: Medium | None = environments.build_environment(simulation.media, arm.environment, arm.depth, {}).medium
-    else:
+    medium: Medium | None
+    if arm.environment in RESIDUAL_ENVIRONMENTS:
         medium = environments.ensemble_of(environments.network_among(networks, member))
+    else:
+        environment = environments.build_environment(simulation.media, arm.environment, arm.depth, {})
+        medium = environment.components[max(member, 0)].medium
     if medium is None:
         return None
     physics = simulation.physics

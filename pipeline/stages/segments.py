@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
+from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
@@ -20,7 +20,7 @@ from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
 from tasks.evolution import EMPTY_POPULATION, HISTORY_UNITS, OPERATORS, Afpo, Population, Trial, evolve
 from tasks.seeding import generator
-from tasks.world import Environment, EnvironmentName
+from tasks.world import ENVIRONMENTS, Environment, EnvironmentName
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
 _HISTORY_UNITS = {**HISTORY_UNITS, **{gene.name: gene.unit for gene in GENES}}
@@ -38,7 +38,7 @@ class TrialSpec:
     simulation: SimulationSpec
     afpo: Afpo
     morphology: Morphology
-    disagreement_penalty: float  # weight of the members' disagreement in the fitness; 0 without networks
+    disagreement_penalty: float  # weight of the members' disagreement in the fitness; 0 without an ensemble
 
     def at_home(self, inputs: Inputs) -> Environment:
         """Build the environment where designs are simulated."""
@@ -69,7 +69,7 @@ def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName)
         environments.simulation_spec(settings, environment),
         settings.evolution.afpo,
         settings.evolution.morphology,
-        settings.ensemble.disagreement_penalty if environment in RESIDUAL_ENVIRONMENTS else 0.0,
+        settings.ensemble.disagreement_penalty if ENVIRONMENTS[environment].is_ensemble else 0.0,
     )
 
 

@@ -56,7 +56,7 @@ class Attribution:
 
 def attribute(scores: Scores, *, rng: Generator) -> tuple[Attribution, ...]:
     """Split the transfer gap of every arm except True Slush, at each depth."""
-    arms: tuple[EvolvedIn, ...] = ("dry_land", "residual_slush", "single_member")
+    arms: tuple[EvolvedIn, ...] = ("dry_land", "residual_slush", "single_member", "randomised_slush")
     return tuple(
         _attribution(scores, arm, depth, rng)
         for arm in arms

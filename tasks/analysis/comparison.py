@@ -235,7 +235,7 @@ ScoredArm = tuple[EvolvedIn, Quantity]  # champions of one environment, zero-sho
 
 BEST: ScoredArm = ("true_slush", "zero_shot")  # designs that evolved in True Slush, E: the paper's upper bound
 
-CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
+PAPERS_CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
     (("dry_land", "zero_shot"), BEST),
     (("dry_land", "adapted"), BEST),
     (("residual_slush", "zero_shot"), BEST),
@@ -249,6 +249,15 @@ CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
     (("residual_slush", "adapted"), ("single_member", "adapted")),
 )
 """Pairs compared at every depth: each arm with the best possible, and the arms that the paper contrasts."""
+
+CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
+    *PAPERS_CONTRASTS,
+    (("randomised_slush", "zero_shot"), BEST),
+    (("randomised_slush", "adapted"), BEST),
+    (("residual_slush", "zero_shot"), ("randomised_slush", "zero_shot")),
+    (("residual_slush", "adapted"), ("randomised_slush", "adapted")),
+)
+"""All pairs: those, and the baseline of domain randomisation in studies that include it."""
 
 
 @dataclass(frozen=True)

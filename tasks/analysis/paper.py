@@ -86,10 +86,11 @@ NAMES: Mapping[str, str] = {
     "dry_land": "Dry Land",
     "residual_slush": "Residual Slush",
     "single_member": "Single member",
+    "randomised_slush": "Randomised Slush",
     "zero_shot": "zero-shot",
     "adapted": "adapted",
 }
-"""Labels of the paper's arms and quantities."""
+"""Labels of arms and quantities: the paper's, and the baseline that it does not measure."""
 
 
 def name_of(arm: ScoredArm) -> str:

@@ -4,7 +4,8 @@ Paper, "Performance Evaluation": a robot settles for a while, then the displacem
 from the first step.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,7 @@ OK, DIVERGED = "ok", "diverged"
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """Results of n_designs designs; in Residual Slush every array has a leading axis of n_members."""
+    """Results of n_designs designs; in an ensemble every array has a leading axis of n_members."""
 
     displacement: Float64  # (n_designs,) of the root along x, from the end of settling on [m]; NaN where diverged
     com_displacement: Float64  # (n_designs,) the same of the whole robot's centre of mass [m]; NaN where diverged
@@ -47,7 +48,7 @@ def simulate(
     trace: bool = False,
     physics: Physics | None = None,
 ) -> Rollouts:
-    """Simulate designs, each alone in its own environment (in Residual Slush, once for each ensemble member).
+    """Simulate designs, each alone in its own environment (in an ensemble, once for each member).
 
     Args:
         designs: n_designs designs.
@@ -72,8 +73,22 @@ def simulate(
     if engine not in ENGINES:
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
     physics = physics or Physics()
-    motion = ENGINES[engine](designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
-    return _measure(motion, squeeze=not environment.is_ensemble)
+    motions = [
+        ENGINES[engine](designs, component, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
+        for component in environment.components
+    ]
+    return _measure(_stacked(motions), squeeze=not environment.is_ensemble)
+
+
+def _stacked(motions: Sequence[Motion]) -> Motion:
+    """Join the motions of several members along their first axis."""
+    if len(motions) == 1:
+        return motions[0]
+    arrays: dict[str, Float32 | None] = {}
+    for field in fields(Motion):
+        each = [getattr(motion, field.name) for motion in motions]
+        arrays[field.name] = None if each[0] is None else np.concatenate(each)
+    return Motion(**arrays)  # type: ignore[arg-type]
 
 
 def _measure(motion: Motion, *, squeeze: bool) -> Rollouts:

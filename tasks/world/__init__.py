@@ -10,6 +10,7 @@ from tasks.world.dry_land import DryLand
 from tasks.world.environment import Environment
 from tasks.world.medium import EnsembleMedium, LinkStates, Medium, VelocityChange
 from tasks.world.physics import Physics, froude_time
+from tasks.world.randomised_slush import RandomisedSlush, RandomisedSlushes
 from tasks.world.registry import ENVIRONMENTS, EnvironmentName
 from tasks.world.residual_slush import ResidualSlush
 from tasks.world.slush import Slush, TrueSlush

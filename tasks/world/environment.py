@@ -1,5 +1,7 @@
 """Environments: a depth and a medium around the same rigid-body simulator. Paper, "Simulation Environments"."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from numbers import Real
@@ -30,3 +32,8 @@ class Environment:
     def n_members(self) -> int:
         """Number of ensemble members, 1 without an ensemble."""
         return 1
+
+    @property
+    def components(self) -> tuple[Environment, ...]:
+        """Environments that are simulated one after another: the members' own, or only itself."""
+        return (self,)

@@ -23,7 +23,7 @@ class EnvironmentKind:
     """An environment as settings name it and as figures show it."""
 
     name: str  # name in settings, tables and files, such as ``true_slush``
-    build: Callable[..., Environment]  # class, called with the depth [m] and the medium, if it has one
+    build: type[Environment]  # called with the depth [m] and the medium, if it has one
     settings_group: str | None = None  # group of settings that states the medium's parameters
     settings: type[Parameters] | None = None  # class of these settings, which is also the medium
     networks: Literal["none", "one", "all"] = "none"  # trained ensemble members that the medium consists of
@@ -36,6 +36,11 @@ class EnvironmentKind:
     dark_color: str  # colour on a dark page
     dark_adapted_color: str
     order: int = 100  # place in every listing; ties are listed by name
+
+    @property
+    def is_ensemble(self) -> bool:
+        """Whether rollouts have an axis of members."""
+        return self.build.is_ensemble
 
     def environment(
         self, depth: float, settings: Mapping[str, Any], ensemble: EnsembleMedium | None = None
@@ -51,13 +56,14 @@ class EnvironmentKind:
             ValueError: the environment requires networks and there are none.
             KeyError: the medium's settings group is missing.
         """
+        build: Callable[..., Environment] = self.build
         if self.networks != "none":
             if ensemble is None:
                 raise ValueError(f"{self.name}: expected an ensemble of trained networks, got None")
-            return self.build(depth, ensemble)
+            return build(depth, ensemble)
         if self.settings is None:
-            return self.build(depth)
-        return self.build(depth, self.settings.model_validate(settings[str(self.settings_group)]))
+            return build(depth)
+        return build(depth, self.settings.model_validate(settings[str(self.settings_group)]))
 
 
 _registered: dict[str, EnvironmentKind] = {}

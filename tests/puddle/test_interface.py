@@ -13,7 +13,7 @@ import tasks.world
 def test_names_are_those_of_the_packages():
     for package, names in (
         (tasks.design, ("Designs", "crossover", "mutate", "random_designs")),
-        (tasks.world, ("DryLand", "ResidualSlush", "TrueSlush")),
+        (tasks.world, ("DryLand", "RandomisedSlush", "ResidualSlush", "TrueSlush")),
         (tasks.simulation, ("simulate",)),
     ):
         for name in names:

@@ -16,7 +16,7 @@ from pipeline.workflow.stage import Execution, Inputs
 from tasks.arrays import Float32, Float64
 from tasks.world import Environment, EnvironmentName
 
-NO_MEMBER = -1  # stands for the member in an environment without networks
+NO_MEMBER = -1  # stands for the member in an environment without an ensemble
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Filmed:
 
     champion: Champion
     seen_in: EnvironmentName  # environment of the rollout
-    member: int  # member that predicts the medium, or NO_MEMBER
+    member: int  # member of the ensemble, or NO_MEMBER
     displacement: float  # [m]
     trace: Float32  # (1, n_steps, n_links, 6)
 
@@ -71,7 +71,7 @@ def _film_at_home(simulation: SimulationSpec, execution: Execution, champion: Ch
     environment, name = home_of(simulation, champion, networks), champion.trial.environment
     rollouts = environments.roll_out(simulation, execution, environment, champion.design, trace=True)
     assert rollouts.trace is not None
-    if name not in RESIDUAL_ENVIRONMENTS:
+    if not environment.is_ensemble:
         return Filmed(champion, name, NO_MEMBER, float(rollouts.displacement[0]), rollouts.trace)
     predicted = rollouts.displacement[:, 0]
     k = median_member(predicted)

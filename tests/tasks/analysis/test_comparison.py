@@ -135,15 +135,18 @@ def test_holm_of_a_worked_example():
     assert holm([0.0, 0.5]) == [0.0, 0.5]
 
 
+LEVELS = {"true_slush": 13, "dry_land": 5, "residual_slush": 11, "single_member": 4, "randomised_slush": 9}
+
+
 def scores(n=4):
-    """Two depths; only the second has single members."""
+    """Two depths; only the second has single members and randomised slush."""
     draw = rng(6)
     rows = [
         (arm, depth, trial, draw.normal(level, 1))
         for depth in (0.5, 9.0)
-        for arm, level in (("true_slush", 13), ("dry_land", 5), ("residual_slush", 11), ("single_member", 4))
+        for arm, level in LEVELS.items()
         for trial in range(n)
-        if depth == 9.0 or arm != "single_member"
+        if depth == 9.0 or arm not in ("single_member", "randomised_slush")
     ]
     evolved_in, depth, trial, z = (np.array(column) for column in zip(*rows, strict=True))
     return Scores(evolved_in, depth, trial, predicted=z + 1, zero_shot=z, adapted=z + 0.5)
@@ -151,7 +154,8 @@ def scores(n=4):
 
 def test_a_sweep_compares_what_there_is():
     found = sweep(scores(), rng=rng())
-    assert len(found) == 2 * len(CONTRASTS) - 4  # the four with single members are at 9 m alone
+    # The four with single members and the four with randomised slush are at 9 m alone.
+    assert len(found) == 2 * len(CONTRASTS) - 8
     for contrast in found:
         table = scores()
         assert contrast.comparison.student.p == pytest.approx(

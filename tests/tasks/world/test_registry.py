@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from tasks.world import ENVIRONMENTS, DryLand, EnvironmentName, ResidualSlush, Slush, TrueSlush
+from tasks.world import ENVIRONMENTS, DryLand, EnvironmentName, RandomisedSlushes, ResidualSlush, Slush, TrueSlush
 from tasks.world.registry import register, settings_groups
 
 
@@ -18,21 +18,20 @@ class FlatEnsemble(Slush):
 
 
 def test_environments_are_listed_in_the_papers_order() -> None:
-    assert list(ENVIRONMENTS) == ["true_slush", "dry_land", "residual_slush", "single_member"]
+    assert list(ENVIRONMENTS) == ["true_slush", "dry_land", "residual_slush", "single_member", "randomised_slush"]
 
 
 def test_settings_accept_registered_names_only() -> None:
     names = TypeAdapter(EnvironmentName)
     assert [names.validate_python(name) for name in ENVIRONMENTS] == list(ENVIRONMENTS)
     assert names.json_schema() == {"enum": list(ENVIRONMENTS), "type": "string"}
-    with pytest.raises(
-        ValidationError, match="should be 'true_slush', 'dry_land', 'residual_slush' or 'single_member'"
-    ):
+    expected = "should be 'true_slush', 'dry_land', 'residual_slush', 'single_member' or 'randomised_slush'"
+    with pytest.raises(ValidationError, match=expected):
         names.validate_python("tar_pit")
 
 
 def test_an_environment_is_built_from_its_settings_group() -> None:
-    assert settings_groups() == {"slush": Slush}
+    assert settings_groups() == {"slush": Slush, "randomised_slush": RandomisedSlushes}
     for group in (Slush(density=2.0), {"density": 2.0}):
         built = ENVIRONMENTS["true_slush"].environment(3.0, {"slush": group})
         assert built == TrueSlush(3.0, Slush(density=2.0))
