@@ -52,8 +52,8 @@ def _statistics(files: Files) -> Highlights:
     shown = [row for row in rows if not row.what.startswith(("Student", "the built robot"))]
     lines = _table([(row.what, row.paper, f"{row.this_run}\n{_bracketed(row.interval)}", row.verdict) for row in shown])
     tests = [row.verdict for row in rows if row.what.startswith("Student")]
-    counts = ", ".join(f"{tests.count(verdict)} {verdict}" for verdict in VERDICTS)
-    lines.append(f"of the paper's {len(tests)} t tests: {counts}")
+    counts = ", ".join(f"{verdict} {tests.count(verdict)}" for verdict in VERDICTS)
+    lines.append(f"verdicts on the paper's {len(tests)} t tests: {counts}")
     metrics: dict[str, float | None] = {
         f"paper.n_{verdict}": float(sum(row.verdict == verdict for row in rows)) for verdict in ("agrees", "differs")
     }
