@@ -211,8 +211,9 @@ class Store(Items):
         except OtherVersion:
             raise
         except (PuddleError, KeyError, TypeError) as error:  # damaged, or some other document in its place
-            problem = f"{path}: expected a study's name, settings and items: {error}"
-            raise DamagedArtifact(f"{problem}. {WRITTEN_ANEW}") from None
+            problem = str(error).removeprefix(f"{path}: ").removesuffix(".")
+            said = f"{path}: expected a study's name, settings and items: {problem}"
+            raise DamagedArtifact(f"{said}{'' if said.endswith('?') else '.'} {WRITTEN_ANEW}") from None
 
     def studies(self, *, recorded: bool = True) -> list[str]:
         """Return the names of the studies that have a record, or of those that have lost it."""
