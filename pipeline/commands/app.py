@@ -12,6 +12,7 @@ import typer
 
 from pipeline.cluster import pin_threads
 from pipeline.commands import study
+from pipeline.commands.compare import compare
 from pipeline.commands.doctor import doctor
 from pipeline.commands.exit_codes import Commands, exit_with
 from pipeline.commands.export import export
@@ -50,6 +51,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "status": status,
         "studies": studies,
         "champions": list_champions,
+        "compare": compare,
         "simulate": simulate,
         "score": score,
         "power": power,

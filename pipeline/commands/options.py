@@ -28,7 +28,7 @@ _STORE_VARIABLE = "PUDDLE_STORE"
 DEFAULT_STORE = Path("store")
 
 
-def _names_of_studies(context: typer.Context, incomplete: str) -> list[str]:
+def names_of_studies(context: typer.Context, incomplete: str) -> list[str]:
     """Complete the name of a study of the store."""
     folder = Path(context.params.get("store") or os.environ.get(_STORE_VARIABLE) or DEFAULT_STORE).expanduser()
     names = (path.parent.name for path in (folder / "studies").glob("*/study.json"))
@@ -53,11 +53,11 @@ TrackingUri = Annotated[
 StudyName = Annotated[
     str | None,
     typer.Option(
-        "--study", metavar="NAME", autocompletion=_names_of_studies, help="A study of the store: its recorded settings."
+        "--study", metavar="NAME", autocompletion=names_of_studies, help="A study of the store: its recorded settings."
     ),
 ]
 StudyArgument = Annotated[
-    str, typer.Argument(metavar="NAME", autocompletion=_names_of_studies, help="A study of the store.")
+    str, typer.Argument(metavar="NAME", autocompletion=names_of_studies, help="A study of the store.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]
 

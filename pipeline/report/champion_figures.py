@@ -115,11 +115,11 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
                 continue
             adapted = measure == "adapted"
             mean, sd = np.array([(found.mean, found.sd or 0.0) for _, found in points]).T
-            _mean_and_band(axes, [depth for depth, _ in points], mean, sd, style.color, adapted=adapted)
+            _mean_and_band(axes, [depth for depth, _ in points], mean, sd, style.color, dashed=adapted)
             axes.lines[-1].set(marker=style.marker, ms=5, mfc="#ffffff" if adapted else style.color, mec=style.color)
             handles[style.label] = Line2D([], [], color=style.color, marker=style.marker, ms=5, label=style.label)
             if adapted:
-                handles["adapted"] = Line2D([], [], color=INK, ls=_ADAPTED_DASHES, label="adapted")
+                handles["adapted"] = Line2D([], [], color=INK, ls=DASHES, label="adapted")
     if not handles:
         raise NothingToDraw(_why_not_scored(report))
     if dashed := handles.pop("adapted", None):
@@ -136,12 +136,12 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
     )
 
 
-_ADAPTED_DASHES = (0, (3, 2))
+DASHES = (0, (3, 2))
 
 
-def _mean_and_band(axes: Any, x: Any, mean: Any, sd: Any, color: str, *, adapted: bool = False) -> None:
-    axes.fill_between(x, mean - sd, mean + sd, color=color, alpha=0.14 if adapted else 0.22, lw=0)
-    axes.plot(x, mean, color=color, ls=_ADAPTED_DASHES if adapted else "-")
+def _mean_and_band(axes: Any, x: Any, mean: Any, sd: Any, color: str, *, dashed: bool = False) -> None:
+    axes.fill_between(x, mean - sd, mean + sd, color=color, alpha=0.14 if dashed else 0.22, lw=0)
+    axes.plot(x, mean, color=color, ls=DASHES if dashed else "-")
 
 
 def fitness_curves(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]:
@@ -155,7 +155,7 @@ def fitness_curves(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]
     present = data.environments(trials)
     for panel, depth in zip(panels, listed, strict=True):
         for environment in present:
-            _curve(panel, data.arm(trials, environment, depth), ENVIRONMENTS[environment].color)
+            draw_curve(panel, data.arm(trials, environment, depth), ENVIRONMENTS[environment].color)
         panel.set_title(f"depth {depth:g} m")
         panel.grid()
     show_at_least(panels[0])
@@ -171,7 +171,15 @@ def fitness_curves(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]
     )
 
 
-def _curve(panel: Any, trials: Sequence[TrialResult], color: str) -> None:
+def draw_curve(panel: Any, trials: Sequence[TrialResult], color: str, *, dashed: bool = False) -> None:
+    """Draw the best fitness of an arm by generation: the mean over its trials with a band of ± 1 SD.
+
+    Args:
+        panel: where to draw.
+        trials: of the arm; nothing is drawn where there are none.
+        color: of the line and the band.
+        dashed: whether the line is dashed and the band lighter.
+    """
     if not trials:
         return
     # Trials that are still running are cut where the shortest ends, so that a mean is always over the same trials.
@@ -180,4 +188,4 @@ def _curve(panel: Any, trials: Sequence[TrialResult], color: str) -> None:
     usable = np.isfinite(curves).all(axis=0)  # every robot of an early generation may have diverged
     curves = curves[:, usable]
     sd = curves.std(axis=0, ddof=1) if len(curves) > 1 else np.zeros(curves.shape[1])
-    _mean_and_band(panel, shown[usable], curves.mean(axis=0), sd, color)
+    _mean_and_band(panel, shown[usable], curves.mean(axis=0), sd, color, dashed=dashed)

@@ -119,18 +119,19 @@ def round_paths(svg: bytes) -> bytes:
     return re.sub(rb' d="[^"]*"', lambda path: re.sub(rb"(\.\d\d)\d+", rb"\1", path[0]), svg)
 
 
-def panel_grid(n_panels: int, n_columns: int, *, row_height: float) -> tuple[Figure, Any]:
-    """Return a figure and its panels (n_panels,), in rows that share both axes.
+def panel_grid(n_panels: int, n_columns: int, *, row_height: float, share_y: bool = True) -> tuple[Figure, Any]:
+    """Return a figure and its panels (n_panels,), in rows that share their axes.
 
     Args:
         n_panels: number of panels.
         n_columns: panels per row at most; more than two widen the figure.
         row_height: height of a row [inch].
+        share_y: whether all panels have the same vertical axis.
     """
     n_columns = min(n_columns, n_panels)
     n_rows = -(-n_panels // n_columns)
     figure = Figure(figsize=(FIGURE_WIDTH * max(1.0, n_columns / 2), row_height * n_rows + 0.75))
-    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=True, squeeze=False).ravel()
+    panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=share_y, squeeze=False).ravel()
     for panel in panels[n_panels:]:
         panel.set_visible(False)
     for panel in panels[n_panels - n_columns : n_panels]:

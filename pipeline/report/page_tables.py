@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
 
 from pipeline.report.data import MOST_EXPLOITERS, StudyReport, arm_words, robot_address
@@ -21,7 +21,7 @@ LINE_ENDS = 12  # ancestors listed from each end of a champion's line
 
 RobotsOnPage = Mapping[tuple[str, int, int], str]  # address by arm in words, trial and identity (-1 for the champion)
 
-_MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "cannot tell": "?", "not comparable": "–"}
+VERDICT_MARKS: dict[Verdict, str] = {"agrees": "✓", "differs": "≠", "cannot tell": "?", "not comparable": "–"}
 """Marks of verdicts, so that colour is not the only difference."""
 _PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ"}
 
@@ -55,7 +55,7 @@ def against_paper(findings: Findings) -> str:
     columns = ("What", "Paper", "This run", "Verdict", "Why")
     content = table(columns, (_paper_cells(row) for row in shown), title, kind="wordy") + links("paper.csv")
     return (
-        f'<div id="against_paper"><h3>{_verdicts(shown)}</h3>{content if shown else ""}'
+        f'<div id="against_paper"><h3>{count_verdicts(row.verdict for row in shown)}</h3>{content if shown else ""}'
         '<p class="small">Below each number of this run is its 95 % interval: Student’s t for means, the bootstrap '
         "over whole trials for ratios and regressions, and the intervals of both ends for a range over members. A "
         "number agrees if the 95 % interval of its difference from the paper’s lies within the bounds given under "
@@ -69,31 +69,33 @@ def _is_test(row: Row) -> bool:
     return row.what.startswith("Student")
 
 
-def _verdicts(rows: Sequence[Row]) -> str:
-    counts = Counter(row.verdict for row in rows)
+def count_verdicts(verdicts: Iterable[Verdict]) -> str:
+    """Count each verdict, in words."""
+    counts = Counter(verdicts)
     return ", ".join(
         f"{counts[verdict]} {verdict if counts[verdict] == 1 else _PLURAL.get(verdict, verdict)}"
-        for verdict in _MARKS
+        for verdict in VERDICT_MARKS
         if counts[verdict]
     )
 
 
 def _paper_cells(row: Row) -> list[str]:
     return [
-        f"{_typeset(row.what[:1].upper() + row.what[1:])}<small>{_typeset(row.source)}</small>",
-        _typeset(row.paper),
-        _typeset(row.this_run) + (f"<small>{_typeset(row.interval)}</small>" if row.interval else ""),
-        _verdict(row),
-        _typeset(row.why),
+        f"{typeset(row.what[:1].upper() + row.what[1:])}<small>{typeset(row.source)}</small>",
+        typeset(row.paper),
+        typeset(row.this_run) + (f"<small>{typeset(row.interval)}</small>" if row.interval else ""),
+        verdict_mark(row.verdict),
+        typeset(row.why),
     ]
 
 
-def _verdict(row: Row) -> str:
-    kind = row.verdict.replace(" ", "-")
-    return f'<span class="verdict {kind}"><span aria-hidden="true">{_MARKS[row.verdict]}</span> {row.verdict}</span>'
+def verdict_mark(verdict: Verdict) -> str:
+    """Write a verdict with its mark and its colour."""
+    kind = verdict.replace(" ", "-")
+    return f'<span class="verdict {kind}"><span aria-hidden="true">{VERDICT_MARKS[verdict]}</span> {verdict}</span>'
 
 
-def _typeset(text: str) -> str:
+def typeset(text: str) -> str:
     """Set plain text as the page does: minus signs, curly quotes, and a number and its unit on one line; as HTML."""
     for plain, typeset in (
         (r"(?<![\w.])-(?= ?\d)", "−"),
@@ -122,7 +124,7 @@ def contrasts(findings: Findings) -> str:
     n_columns = len(columns) if beside_paper else len(columns) - 1
     content = table(columns[:n_columns], (row[:n_columns] for row in cells), title, kind="tests")
     stated = [statement for _, statement in judged if statement]
-    verdicts = f": {_verdicts(stated)}" if stated else ""
+    verdicts = f": {count_verdicts(row.verdict for row in stated)}" if stated else ""
     rule = (
         " “Less” and “greater” agree with the paper if the whole 95 % interval of the difference has that direction. "
         "“No difference” agrees if that interval lies within ± 20 % of the displacement of the designs evolved in True "
@@ -149,7 +151,7 @@ def _statement(row: Contrast, a: ScoredArm, b: ScoredArm) -> str:
 
 
 def _statement_cell(row: Row | None) -> str:
-    return NONE if row is None else f"{_verdict(row)}<small>{_typeset(row.paper)}</small>"
+    return NONE if row is None else f"{verdict_mark(row.verdict)}<small>{typeset(row.paper)}</small>"
 
 
 def _contrast_cells(row: Contrast) -> list[str]:

@@ -3,7 +3,7 @@
 import difflib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import ValidationError
@@ -130,8 +130,20 @@ def settings_of(record: StudyRecord) -> Settings:
         ) from None
 
 
-def differences(old: Any, new: Any, name: str = "") -> list[str]:
-    """Return one line per setting that differs, with both values.
+@dataclass(frozen=True)
+class SettingChange:
+    """A setting with two values."""
+
+    name: str  # dotted, such as slush.linear_drag
+    old: Any  # JSON values
+    new: Any
+
+    def __str__(self) -> str:
+        return f"{self.name}: {json.dumps(self.old)} → {json.dumps(self.new)}"
+
+
+def setting_changes(old: Any, new: Any, name: str = "") -> list[SettingChange]:
+    """Return every setting that differs.
 
     Args:
         old, new: settings as JSON values.
@@ -139,5 +151,14 @@ def differences(old: Any, new: Any, name: str = "") -> list[str]:
     """
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         names = [*new, *(gone for gone in old if gone not in new)]
-        return [line for one in names for line in differences(old.get(one), new.get(one), f"{name}.{one}".strip("."))]
-    return [] if old == new else [f"{name}: {json.dumps(old)} → {json.dumps(new)}"]
+        return [
+            change
+            for one in names
+            for change in setting_changes(old.get(one), new.get(one), f"{name}.{one}".strip("."))
+        ]
+    return [] if old == new else [SettingChange(name, old, new)]
+
+
+def differences(old: Any, new: Any) -> list[str]:
+    """Return one line per setting that differs between two settings as JSON values, with both values."""
+    return [str(change) for change in setting_changes(old, new)]

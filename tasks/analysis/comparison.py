@@ -118,7 +118,7 @@ def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
         a=group(a),
         b=group(b),
         student=student(x, y),
-        welch=_test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=False)),
+        welch=welch(x, y),
         mann_whitney=_test(_too_few(x, y) or tied, lambda: scipy.stats.mannwhitneyu(x, y, method=_method(x, y))),
         hedges_g=hedges_g(x, y),
         ratio=ratio(x, y, rng=rng),
@@ -130,18 +130,37 @@ def student(x: Float64, y: Float64) -> SignificanceTest:
     return _test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=True))
 
 
-def difference(x: Float64, y: Float64) -> Estimate:
-    """Estimate the difference of the means of (n_x,) and (n_y,) finite values, with Student's t interval.
+def welch(x: Float64, y: Float64) -> SignificanceTest:
+    """Run Welch's test: whether the means of (n_x,) and (n_y,) finite values differ, whatever their variances."""
+    return _test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=False))
 
-    The interval contains 0 exactly where p is above 1 - LEVEL.
+
+def difference(x: Float64, y: Float64, *, equal_variances: bool = True) -> Estimate:
+    """Estimate the difference of two means with the interval of Student's or Welch's t test.
+
+    The interval contains 0 exactly where that test's p is above 1 - LEVEL.
+
+    Args:
+        x: (n_x,) finite values.
+        y: (n_y,) finite values.
+        equal_variances: True for Student's interval, False for Welch's.
+
+    Returns:
+        Mean of x minus mean of y.
     """
     if min(len(x), len(y)) == 0:
         return Estimate.missing(f"{len(x)} and {len(y)} finite values, expected 1 or more in both groups")
     value, reason = float(x.mean() - y.mean()), _no_spread(x, y)
     if reason is not None:
         return Estimate(value, reason=reason)
-    m = len(x) + len(y) - 2
-    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, m)) * _pooled_deviation(x, y) * math.sqrt(1 / len(x) + 1 / len(y))
+    if equal_variances:
+        freedom = float(len(x) + len(y) - 2)
+        error = _pooled_deviation(x, y) * math.sqrt(1 / len(x) + 1 / len(y))
+    else:  # Welch 1947
+        parts = [v.var(ddof=1) / len(v) for v in (x, y)]
+        freedom = sum(parts) ** 2 / sum(part**2 / (len(v) - 1) for part, v in zip(parts, (x, y), strict=True))
+        error = math.sqrt(sum(parts))
+    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, freedom)) * error
     return Estimate(value, value - half, value + half)
 
 

@@ -16,7 +16,7 @@ Verdict = Literal["agrees", "differs", "cannot tell", "not comparable"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 Direction = Literal["less", "greater"]
 
-_MOST_TRIALS = 1000  # numbers of trials above it are not worth naming
+MOST_TRIALS = 1000  # numbers of trials above it are not worth naming
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,16 @@ class Judgement:
 
     verdict: Verdict
     why: str
+    n_needed: float | None = None  # trials that would tell, where the verdict is "cannot tell"; inf where none would
 
 
-def judge_equivalence(effect: Estimate, bound: float, *, n: int, form: str, n_other: float = math.inf) -> Judgement:
+def judge_equivalence(effect: Estimate, bound: float, *, n: float, form: str, n_other: float = math.inf) -> Judgement:
     """Return whether an effect lies within ± bound, with the reason.
 
     Args:
         effect: with its 95 % interval.
         bound: largest negligible effect, in the effect's unit.
-        n: number of trials that the interval comes from.
+        n: number of trials that the interval comes from; their harmonic mean for two groups that can both grow.
         form: format of effects, such as "{:z.1f} m".
         n_other: number of trials of another sample whose uncertainty the interval includes and which can't grow.
     """
@@ -44,8 +45,9 @@ def judge_equivalence(effect: Estimate, bound: float, *, n: int, form: str, n_ot
         return Judgement("agrees", f"the difference, {interval}, lies within {within}")
     if effect.low > bound or effect.high < -bound:
         return Judgement("differs", f"the difference, {interval}, lies outside {within}")
-    needed = _needed((effect.high - effect.low) / 2, abs(bound - abs(effect.value)), n, n_other)
-    return Judgement("cannot tell", f"the difference, {interval}, lies across {within} ({needed})")
+    n_needed = _n_needed((effect.high - effect.low) / 2, abs(bound - abs(effect.value)), n, n_other)
+    needs = _needs(n_needed, n_other)
+    return Judgement("cannot tell", f"the difference, {interval}, lies across {within} ({needs})", n_needed)
 
 
 def judge_direction(effect: Estimate, claim: Direction, bound: float, *, n: int, form: str) -> Judgement:
@@ -70,22 +72,27 @@ def judge_direction(effect: Estimate, claim: Direction, bound: float, *, n: int,
         return Judgement("differs", f"the difference, {interval}, has the other direction")
     if -bound <= effect.low and effect.high <= bound:
         return Judgement("differs", f"the difference, {interval}, lies within ± {form.format(bound)}")
-    needed = _needed((effect.high - effect.low) / 2, abs(effect.value), n, math.inf)
-    return Judgement("cannot tell", f"the difference, {interval}, may have either direction ({needed})")
+    n_needed = _n_needed((effect.high - effect.low) / 2, abs(effect.value), n, math.inf)
+    needs = _needs(n_needed, math.inf)
+    return Judgement("cannot tell", f"the difference, {interval}, may have either direction ({needs})", n_needed)
 
 
 def _words(effect: Estimate, form: str) -> str:
     return f"{form.format(effect.value)} ({form.format(effect.low)} to {form.format(effect.high)})"
 
 
-def _needed(half: float, room: float, n: int, n_other: float) -> str:
-    """Say how many trials would make an interval of n trials, with this half width, fit into the room.
+def _n_needed(half: float, room: float, n: float, n_other: float) -> float:
+    """Return how many trials would make an interval of n trials, with this half width, fit into the room.
 
     The variance of an effect is proportional to 1 / n + 1 / n_other.
     """
     inverse = (room / half) ** 2 * (1 / n + 1 / n_other) - 1 / n_other
-    if inverse <= 0:
+    return math.inf if inverse <= 0 else math.ceil(1 / inverse)
+
+
+def _needs(n_needed: float, n_other: float) -> str:
+    if math.isinf(n_needed) and math.isfinite(n_other):
         return f"no number of trials is enough beside the paper's {n_other:g}"
-    if 1 / inverse > _MOST_TRIALS:
-        return f"needs more than {_MOST_TRIALS:,} trials"
-    return f"needs about {math.ceil(1 / inverse)} trials"
+    if n_needed > MOST_TRIALS:
+        return f"needs more than {MOST_TRIALS:,} trials"
+    return f"needs about {n_needed:g} trials"
