@@ -31,6 +31,7 @@ h1, header dd, #settings td { overflow-wrap: anywhere; }
 header dl { margin: 0; display: flex; flex-wrap: wrap; gap: 0.5rem 3rem; }
 header dt { font-weight: 650; } header dd { margin: 0; }
 #settings th, #settings td { text-align: left; } #settings td:first-child { width: 45%; }
+#curves svg { margin: 0 auto; }
 .tests td small { white-space: nowrap; } .tests td:last-child small { white-space: normal; }
 .tests td:last-child { min-width: 9rem; } .scroll:has(> .tests) { max-height: none; }
 #tests > p { max-width: 44rem; }
@@ -70,7 +71,8 @@ NOTE = (
     "with its 95 % interval. A difference is negligible (“agrees”) if its whole 95 % interval lies within ± 20 % of "
     "the displacement of B’s designs evolved in True Slush at that depth, or of B’s mean of the same arm if there are "
     "none. It “differs” if the interval lies outside. Otherwise there are too few trials to tell, and each study would "
-    "need the number that is given. A large p-value alone shows nothing."
+    "need the number that is given. A large p-value alone shows nothing. Each verdict is of its row alone, without a "
+    "correction for the number of rows."
 )
 """How the table of tests is to be read."""
 
@@ -132,8 +134,7 @@ def _settings(pair: StudyPair) -> str:
         [f"<code>{escape(name).replace('.', '.<wbr>')}</code>", escape(of_a), escape(of_b)]
         for name, of_a, of_b in pair.changes
     ]
-    heads = ("Setting", *(f"{letter}: {escape(study.name)}" for letter, study in pair.studies))
-    return table(heads, rows, "Settings that differ", kind="plain")
+    return table(("Setting", "A", "B"), rows, "Settings that differ", kind="plain")
 
 
 # -- fitness by generation -------------------------------------------------------------------------------------------
@@ -178,8 +179,15 @@ def _curves(pair: StudyPair, n_columns: int) -> tuple[Figure, str]:
     legend(figure, handles, n_columns=1 if n_columns == 2 else 2, above=True)
     return figure, (
         f"Best fitness so far by generation at {depth:g} m, in the environment where the robots evolve: A solid, B "
-        f"dashed. Lines are means over trials, bands ± 1 SD. Trials of A and B (n): {'; '.join(n_of)}."
+        f"dashed. Lines are means over trials, bands ± 1 SD. Trials of A and B (n): {'; '.join(n_of)}.{_caution(pair)}"
     )
+
+
+def _caution(pair: StudyPair) -> str:
+    """Warn where the fitness of A and B is not the same quantity."""
+    if not any(name == "ensemble.disagreement_penalty" for name, _, _ in pair.changes):
+        return ""
+    return " In an ensemble fitness is μ − kσ, and k differs between A and B: there their curves can’t be compared."
 
 
 def _shortened(name: str) -> str:

@@ -80,7 +80,7 @@ def test_the_page_holds_settings_curves_transfer_and_tests(page, root):
     words = " ".join(re.sub(r"<[^>]+>", " ", shown).split())
     assert not re.search(r"\b(nan|NaN|inf|None)\b", words)
     assert re.findall(r'<section id="(\w+)">', html) == ["settings", "evolution", "transfer", "tests"]
-    assert "evolution. n_generations 4 5" in words
+    assert "evolution. n_generations 4 5" in words and "k differs" not in words
     assert html.count("<svg") == 2  # for a phone and for a desktop
     assert "Trials of A and B (n): True Slush 2 and 2; Dry Land 2 and 2" in words
     (tests,) = re.findall(r'<table class="tests">.*?</table>', html, flags=re.DOTALL)
@@ -106,13 +106,15 @@ def test_a_study_of_another_store(root, tmp_path, capsys):
     assert f"A: study tiny, in {root}\nB: study other, in {other}\n" in said
 
 
-def test_a_group_that_no_setting_affects_is_not_tested(settings, root, capsys):
+def test_a_group_that_no_setting_affects_is_not_tested(settings, root, tmp_path, capsys):
     own = changed(settings, "name=bold", "ensemble.disagreement_penalty=0")
     store = Store.open(root, create=False)
     with serial_cluster() as cluster:
         results = run(own, store, cluster, STAGES[:BEFORE_ASSESSMENT])
     DrivenStudy(own, store, silent).update(results, finished=True)
-    assert call("compare", "bold", "tiny", "--store", str(root)) == 0
+    out = tmp_path / "compare.html"
+    assert call("compare", "bold", "tiny", "--store", str(root), "--out", str(out)) == 0
+    assert "fitness is μ − kσ, and k differs between A and B" in out.read_text()
     said = capsys.readouterr().out
     rows = [line for line in said.splitlines() if line.startswith("  zero-shot")]
     assert ["–" in row for row in rows] == [True, True, False, True]  # all but the ensemble
