@@ -4,7 +4,11 @@ Each group is a frozen model that rejects unknown names and non-finite numbers. 
 reason. The pipeline nests the groups in its settings, so each parameter has one default and one range.
 """
 
-from pydantic import BaseModel, ConfigDict
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
 
 
 class Parameters(BaseModel):
@@ -13,3 +17,14 @@ class Parameters(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True, use_attribute_docstrings=True
     )
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredNames:
+    """Annotation of a string that makes pydantic accept the names of a registry and no others."""
+
+    registered: Collection[str]
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Accept what is registered when a model with such a field is defined."""
+        return core_schema.literal_schema(list(self.registered))

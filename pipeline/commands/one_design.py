@@ -19,7 +19,7 @@ from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm, InputName
 from pipeline.workflow.stage import Files, MissingInputs
-from tasks.evolution import evaluate
+from tasks.evolution import OBJECTIVES, evaluate
 from tasks.simulation import OK, simulate
 from tasks.world import ENVIRONMENTS
 
@@ -86,12 +86,15 @@ def simulate_design(
     measured_seconds = settings.rollout.n_measure * settings.physics.time_step
     label = ENVIRONMENTS[environment].label
     lines = [f"{label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
-    evaluation = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
+    evaluation = evaluate(
+        rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty, objective=settings.evolution.objective
+    )
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
     if ENVIRONMENTS[environment].is_ensemble:
+        unit = OBJECTIVES[settings.evolution.objective].unit
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
-        lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} m")
+        lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} {unit}")
     if out is not None and rollouts.trace is not None:
         member = median_member(rollouts.displacement[:, 0]) if ENVIRONMENTS[environment].is_ensemble else NO_MEMBER
         trace = rollouts.trace if member == NO_MEMBER else rollouts.trace[member]

@@ -14,7 +14,7 @@ from pipeline.store.design_table import read_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, csv_of
-from tasks.evolution import evaluate
+from tasks.evolution import OBJECTIVES, evaluate
 from tasks.simulation import OK
 from tasks.world import ENVIRONMENTS
 
@@ -23,7 +23,6 @@ _AT_ONCE = 4096  # designs simulated in one call, to bound the memory
 _UNITS = {
     "design": "row of the table, from 0",
     "diverged": "",
-    "fitness": "m",
     "displacement": "m, of the root; of each member",
     "com_displacement": "m, of the centre of mass; of each member",
 }
@@ -62,7 +61,11 @@ def score_designs(
         rollouts = environments.roll_out(
             simulation, environments.execution_options(settings, environment), at, designs[first : first + _AT_ONCE]
         )
-        scores = evaluate(rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty)
+        scores = evaluate(
+            rollouts,
+            disagreement_penalty=settings.ensemble.disagreement_penalty,
+            objective=settings.evolution.objective,
+        )
         columns.append(
             {
                 "diverged": (np.atleast_2d(rollouts.status) != OK).any(axis=0),
@@ -75,13 +78,14 @@ def score_designs(
     table = {"design": np.arange(len(designs)), **table}
     label, n_diverged = ENVIRONMENTS[environment].label, int(table["diverged"].sum())
     yield f"{label}, {depth:g} m deep: {len(designs)} designs, {n_diverged} diverged"
+    unit = OBJECTIVES[settings.evolution.objective].unit
     finite = table["fitness"][~table["diverged"]]
     if len(finite):
         best = int(np.argmax(table["fitness"]))
-        yield f"  fitness: mean {finite.mean():z.2f} m, median {np.median(finite):z.2f} m"
-        yield f"  best: design {best}, {finite.max():z.2f} m"
+        yield f"  fitness: mean {finite.mean():z.2f} {unit}, median {np.median(finite):z.2f} {unit}"
+        yield f"  best: design {best}, {finite.max():z.2f} {unit}"
     if out is not None:
-        content = encode_table(table, schema="scores", version=1, producer=str(path), units=_UNITS)
+        content = encode_table(table, schema="scores", version=1, producer=str(path), units={**_UNITS, "fitness": unit})
         with disk.explained("writing scores", out, advice="choose another file"):
             out.write_bytes(content if out.suffix == ".parquet" else csv_of(table))
         yield f"  scores in {out}"

@@ -10,7 +10,7 @@ from pydantic import Field, create_model, model_validator
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
-from tasks.evolution import Afpo
+from tasks.evolution import PAPERS_OBJECTIVE, Afpo, ObjectiveName
 from tasks.parameters import Parameters
 from tasks.residual import Architecture, Throws, Training
 from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush
@@ -94,6 +94,9 @@ class EvolutionSettings(Parameters):
 
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each trial. [P]"""
+    objective: ObjectiveName = PAPERS_OBJECTIVE
+    """What designs and adapted controllers are selected for. [P]: displacement of the root. Champions are compared by
+    displacement in any case."""
     afpo: Afpo = Afpo()
     """The algorithm."""
     morphology: Morphology = Morphology()

@@ -27,6 +27,7 @@ from tasks.analysis import paper
 from tasks.analysis.prediction import Figure as Statistic
 from tasks.analysis.prediction import Regression, mean_less_deviations
 from tasks.analysis.uncertainty import Estimate
+from tasks.evolution import PAPERS_OBJECTIVE
 from tasks.world import ENVIRONMENTS
 
 _MEAN, _CAUTIOUS = mean_less_deviations(0), mean_less_deviations(1)  # the paper's two aggregates, μ and μ − σ
@@ -75,12 +76,13 @@ def prediction_accuracy(report: StudyReport, *, n_columns: int) -> tuple[Figure,
     ]
     legend(figure, handles, above=True)
     n = max((fit.n for fit in accuracy.regressions), default=0)
+    fitness = ", the fitness in Residual Slush" if report.findings.objective == PAPERS_OBJECTIVE else ""
     return figure, (
         f"Displacement in {accuracy.depth:g} m of True Slush against the displacement that each member predicts, and "
         f"against the mean μ of the members, for {n} designs from all generations of evolution in True Slush and on "
         "Dry Land. Darker cells hold more designs. R is Pearson’s correlation and m the slope of the regression: a "
         "slope below 1 means that the model overestimates how far robots get. The dotted line is the regression on "
-        f"μ − σ, the fitness in Residual Slush. {_outside(histograms.n_outside)}"
+        f"μ − σ{fitness}. {_outside(histograms.n_outside)}"
     )
 
 

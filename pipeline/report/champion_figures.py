@@ -24,6 +24,7 @@ from pipeline.report.drawing import (
     show_at_least,
 )
 from tasks.analysis import paper
+from tasks.evolution import OBJECTIVES
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 CURVE_POINTS = 120  # generations drawn per fitness curve, so that a page of a hundred curves stays small
@@ -161,13 +162,14 @@ def fitness_curves(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]
     show_at_least(panels[0])
     panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     figure.supxlabel("generation")
-    figure.supylabel("best fitness [m]")
+    objective = OBJECTIVES[report.findings.objective]
+    figure.supylabel(f"best fitness [{objective.unit}]")
     handles = [Line2D([], [], color=ENVIRONMENTS[name].color, label=ENVIRONMENTS[name].label) for name in present]
     wide = min(n_columns, len(listed)) > 2
     legend(figure, handles, n_columns=len(handles) if wide else 2, above=True)
     return figure, (
-        "Best fitness so far by generation, in the environment where the robots evolve. Lines are means over trials, "
-        "bands ± 1 SD."
+        f"Best fitness ({objective.label.lower()}) so far by generation, in the environment where the robots evolve. "
+        "Lines are means over trials, bands ± 1 SD."
     )
 
 

@@ -13,6 +13,7 @@ from tasks.analysis.prediction import Histograms, Regression
 from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.analysis.uncertainty import Estimate
 from tasks.arrays import Float64
+from tasks.evolution import PAPERS_OBJECTIVE, ObjectiveName
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class Ancestor:
     age: int  # age of its genes at birth [generations]
     operator: str  # operator that made it: "random", "mutation" or "crossover"
     parents: tuple[int, ...]  # identities; empty for a random design
-    fitness: float  # where it evolved [m]; -inf if it diverged
+    fitness: float  # where it evolved, in the objective's unit; -inf if it diverged
     n_genes_changed: int | None  # genes that differ from the more similar parent; None for a random design
 
 
@@ -117,6 +118,7 @@ class Findings:
     throws: ThrowPaths | None = None
     accuracy: Accuracy | None = None
     against_paper: Sequence[Row] = ()
+    objective: ObjectiveName = PAPERS_OBJECTIVE  # what designs were selected for
     contrasts: Sequence[Contrast] = ()
     attributions: Sequence[Attribution] = ()
     transfer_matrices: Mapping[EvolvedIn, TransferMatrix] = field(default_factory=dict)  # by where champions evolved

@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from pipeline.report.data import StudyReport
 from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, NothingToDraw, legend
 from pipeline.report.findings import Ancestor, Family
+from tasks.evolution import OBJECTIVES
 
 _OPERATOR_LOOKS = {
     "random": ("s", "#1d6b3c", "random design"),
@@ -64,7 +65,7 @@ def family_tree(report: StudyReport) -> tuple[Figure, str]:
     axes.plot(*places[family.ancestors[-1].identity], ms=13, zorder=4, **champion)
     handles.append(Line2D([], [], ms=11, label="champion", **champion))
     axes.set_xlabel("generation of birth")
-    axes.set_ylabel("fitness where it evolved [m]")
+    axes.set_ylabel(f"fitness where it evolved [{OBJECTIVES[report.findings.objective].unit}]")
     axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
     axes.grid()
     legend(figure, handles, n_columns=2)

@@ -20,6 +20,7 @@ from pipeline.report.replay import Replay
 from pipeline.report.transfer_table import transfer_table
 from pipeline.report.wording import absent, folded, percent
 from pipeline.text import escape
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
 from tasks.world import ENVIRONMENTS
 
 _STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
@@ -44,7 +45,7 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         "first_screen": first_screen(report),
         "contents": "".join(f' <a href="#{name}">{escape(title)}</a>' for name, title in contents),
         "failed": _missing(report),
-        "seconds": f"{report.measured_seconds:.0f}",
+        "aim": _aim(report),
         "randomised": _RANDOMISED if "randomised_slush" in report.environments else "",
         "sections": "\n".join(
             f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{content}\n</section>'
@@ -54,6 +55,15 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
     }
     body = Template(resource("page.html")).substitute(texts)
     return document(title=texts["title"], policy=_STUDY_POLICY, body=body)
+
+
+def _aim(report: StudyReport) -> str:
+    """Say what robots evolve for."""
+    measured = f"{report.measured_seconds:.0f}\nseconds"
+    if report.findings.objective == PAPERS_OBJECTIVE:
+        return f"to travel as far to the right as they can in {measured}"
+    objective = OBJECTIVES[report.findings.objective]
+    return f"for this objective, measured over {measured}: {escape(objective.label.lower())} [{escape(objective.unit)}]"
 
 
 def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str, str, str]]:
@@ -78,7 +88,7 @@ def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str
     sections = [
         ("evolved", "What evolved", _GALLERY + gallery(report.replays, reason=reason)),
         ("watch", "Watch them move", viewer(report.replays, study=report.name, reason=reason)),
-        ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials)),
+        ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials, report.findings.objective)),
         ("tank", "The robot to build", tank_tests(found, robots)),
         ("paper", "Comparison with the paper", against_paper(found)),
         ("tests", "t tests", tests),

@@ -16,6 +16,7 @@ from tasks.analysis.comparison import Contrast, ScoredArm, SignificanceTest
 from tasks.analysis.equivalence import Verdict
 from tasks.analysis.paper import name_of
 from tasks.analysis.tank import Crossing, Tank, TankTrials
+from tasks.evolution import OBJECTIVES
 
 LINE_ENDS = 12  # ancestors listed from each end of a champion's line
 
@@ -231,7 +232,8 @@ def retried(findings: Findings, robots: RobotsOnPage) -> str:
     ]
     if not rows:
         return absent(title, findings.why("champions", "no champion has been simulated again yet"))
-    columns = ("Champion", "Fitness [m]", "Luck [m]", "Reach [m]")
+    unit = OBJECTIVES[findings.objective].unit
+    columns = ("Champion", f"Fitness [{unit}]", f"Luck [{unit}]", "Reach [m]")
     note = (
         '<p class="small">Luck: each champion was simulated again where it evolved, with its attachments shifted by '
         "1e-4 of half a link. The mean loss of fitness is luck that no copy of the robot shares. Reach: displacement "
@@ -323,7 +325,7 @@ def lineage(findings: Findings) -> str:
     if len(rows) > 2 * LINE_ENDS:
         left_out = f"… {len(rows) - 2 * LINE_ENDS} more"
         rows = [*rows[:LINE_ENDS], [left_out, "", "", "", ""], *rows[-LINE_ENDS:]]
-    columns = ("Generation", "Made by", "Age", "Genes changed", "Fitness [m]")
+    columns = ("Generation", "Made by", "Age", "Genes changed", f"Fitness [{OBJECTIVES[findings.objective].unit}]")
     label = "The champion’s line"
     content = table(columns, rows, label, kind="named") + links("lineage.csv")
     return folded(f"{label}: {len(line)} designs", content)

@@ -7,20 +7,23 @@ from pipeline.report.downloads import links
 from pipeline.report.wording import NONE, absent, number, percent, scrolling
 from pipeline.text import escape
 from tasks.analysis import paper
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective, ObjectiveName
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 
-def transfer_table(trials: Sequence[TrialResult]) -> str:
+def transfer_table(trials: Sequence[TrialResult], objective: ObjectiveName = PAPERS_OBJECTIVE) -> str:
     """Tabulate the champions' displacement by depth and environment."""
     if not trials:
         return absent("The transfer table", "no trial has finished yet")
-    bodies = "".join(_depth_rows(trials, depth) for depth in depths(trials))
+    of = OBJECTIVES[objective]
+    maximised = "μ − kσ" if of.name == PAPERS_OBJECTIVE else f"fitness, which is {of.label.lower()} [{of.unit}]"
+    bodies = "".join(_depth_rows(trials, depth, of) for depth in depths(trials))
     note = (
         "Displacement [m]: mean over n trials ± 1 SD. The first line of a cell is the displacement of the root link. "
         "CoM is the displacement of the robot’s centre of mass, to which a swing of the root adds little. In an "
         "ensemble, the prediction is the mean μ over the members; σ is their standard deviation, and evolution "
-        "maximises μ − kσ. “of <i>E</i>” is the mean divided by that of the designs evolved in True Slush at the same"
-        " depth, as they are, which is the paper’s reference. Below it (“adapted”), the mean is divided by theirs "
+        f"maximises {maximised}. “of <i>E</i>” is the mean divided by that of the designs evolved in True Slush at the "
+        "same depth, as they are, which is the paper’s reference. Below it (“adapted”), the mean is divided by theirs "
         "after adaptation: adapted designs were searched twice as long, so only that comparison is between equals."
     )
     best = paper_mean("true_slush", "zero_shot", paper.DEPTH)
@@ -39,7 +42,7 @@ def transfer_table(trials: Sequence[TrialResult]) -> str:
     return f'{whole}{links("transfer.csv")}<p class="small">{note}</p>'
 
 
-def _depth_rows(trials: Sequence[TrialResult], depth: float) -> str:
+def _depth_rows(trials: Sequence[TrialResult], depth: float, objective: Objective) -> str:
     of_true_slush = arm(trials, "true_slush", depth)
     best = trial_mean(of_true_slush, "zero_shot"), trial_mean(of_true_slush, "adapted")
     rows = []
@@ -50,10 +53,10 @@ def _depth_rows(trials: Sequence[TrialResult], depth: float) -> str:
         cells = [
             f'<td><span class="swatch {environment}"></span>{escape(style.label)} <i>{escape(style.symbol)}</i>'
             f"<small>n = {len(chosen)}</small></td>",
-            _cell(chosen, environment, "predicted", None, depth),
-            _cell(chosen, environment, "zero_shot", "zero_shot_com", depth),
+            _cell(chosen, environment, "predicted", None, depth, objective),
+            _cell(chosen, environment, "zero_shot", "zero_shot_com", depth, objective),
             _share(chosen, environment, "zero_shot", best, depth),
-            _cell(chosen, environment, "adapted", "adapted_com", depth),
+            _cell(chosen, environment, "adapted", "adapted_com", depth, objective),
             _share(chosen, environment, "adapted", best, depth),
         ]
         rows.append(f"<tr>{''.join(cells)}</tr>")
@@ -62,7 +65,12 @@ def _depth_rows(trials: Sequence[TrialResult], depth: float) -> str:
 
 
 def _cell(
-    trials: Sequence[TrialResult], environment: EnvironmentName, measure: Measure, com: Measure | None, depth: float
+    trials: Sequence[TrialResult],
+    environment: EnvironmentName,
+    measure: Measure,
+    com: Measure | None,
+    depth: float,
+    objective: Objective,
 ) -> str:
     found = trial_mean(trials, measure)
     lines = _spread(found)
@@ -71,7 +79,8 @@ def _cell(
     if com is not None and (found_com := trial_mean(trials, com)):
         lines += f"<small>CoM {_spread(found_com)}</small>"
     if measure == "predicted" and (sd := trial_mean(trials, "predicted_sd")) and (own := trial_mean(trials, "fitness")):
-        lines += f"<small>σ {number(sd.mean)}, μ − kσ {number(own.mean)}</small>"
+        fitness = "μ − kσ" if objective.name == PAPERS_OBJECTIVE else f"fitness [{objective.unit}]"
+        lines += f"<small>σ {number(sd.mean)}, {fitness} {number(own.mean)}</small>"
     if (stated := paper_mean(environment, measure, depth)) is not None:
         lines += f'<small class="paper">paper {number(stated)}</small>'
     return f"<td>{lines}</td>"

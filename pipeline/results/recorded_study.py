@@ -28,6 +28,7 @@ from pipeline.workflow.identity import ChainId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from tasks.design import Designs
+from tasks.evolution import OBJECTIVES
 
 if TYPE_CHECKING:
     from tasks.world import EnsembleMedium
@@ -159,7 +160,7 @@ class Study:
 
         Columns: environment, depth, trial; predicted (displacement where it evolved, the mean μ over an ensemble's
         members), zero_shot and adapted (displacement in True Slush) [m]; design_json (content of a design file);
-        predicted_sd (σ over members) and fitness (μ - kσ) [m]. What does not exist is null.
+        predicted_sd (σ over members) [m] and fitness (μ - kσ, in the objective's unit). What does not exist is null.
         """
         rows = []
         transferred = self.upstream["transfer"].done
@@ -169,7 +170,10 @@ class Study:
                     scores = decode_json(self.store.read(scored, SCORE), trial.label)
                     design = self.store.read(scored, CHAMPION).decode()
                     rows.append({**catalogue.keys_of(trial), **scores, "design_json": design})
-        return pa.Table.from_pylist(rows, schema=_CHAMPION_FIELDS)
+        of_fitness = {"unit": OBJECTIVES[self.settings.evolution.objective].unit}
+        last = len(_CHAMPION_FIELDS) - 1
+        schema = _CHAMPION_FIELDS.set(last, _CHAMPION_FIELDS.field("fitness").with_metadata(of_fitness))
+        return pa.Table.from_pylist(rows, schema=schema)
 
     def champion(self, environment: str, *, depth: float, trial: int) -> Designs:
         """Return the champion of a trial, a design.

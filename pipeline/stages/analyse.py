@@ -128,7 +128,9 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
     plan(PartId(specs.EXPLOITERS), specs.ExploitersSpec(seed, trials, simulation), len(trials), ensemble)
     for arm, of_arm in arms_of(trials).items():
         own, n = tuple(of_arm), len(of_arm)
-        spec = specs.InstrumentsSpec(seed, own, simulation, arm, held_out, penalty)
+        spec = specs.InstrumentsSpec(
+            seed, own, simulation, arm, held_out, penalty, objective=settings.evolution.objective
+        )
         plan(PartId(specs.INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES), arm.environment)
         if tank is not None:
             n_tank = tank.n_steps(settings.physics.time_step)

@@ -12,7 +12,7 @@ from pipeline.store.encoding import decode_arrays
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
 from tasks.design import Designs
-from tasks.evolution import Evaluation, evaluate
+from tasks.evolution import Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
@@ -221,13 +221,19 @@ def roll_out(
 
 
 def _score_batch(
-    designs: Designs, simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float
+    designs: Designs,
+    simulation: SimulationSpec,
+    execution: Execution,
+    environment: Environment,
+    penalty: float,
+    objective: ObjectiveName,
 ) -> Evaluation:
-    return evaluate(roll_out(simulation, execution, environment, designs), disagreement_penalty=penalty)
+    rollouts = roll_out(simulation, execution, environment, designs)
+    return evaluate(rollouts, disagreement_penalty=penalty, objective=objective)
 
 
 def scorer(
-    simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float
+    simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float, objective: ObjectiveName
 ) -> Callable[[Designs], Evaluation]:
     """Return a function that evaluates (n_designs,) designs, over several workers where the execution options say so.
 
@@ -236,14 +242,15 @@ def scorer(
         execution: the engine, and the number of designs per batch.
         environment: where they are simulated.
         penalty: weight of the members' disagreement in the fitness.
+        objective: what the fitness of a member's rollout is.
     """
-    spread = Spread(_score_batch, simulation, execution, environment, penalty)
+    spread = Spread(_score_batch, simulation, execution, environment, penalty, objective)
 
     def score(designs: Designs) -> Evaluation:
         size = execution.designs_per_batch or len(designs)
         parts: Sequence[Evaluation]
         if size >= len(designs):
-            return _score_batch(designs, simulation, execution, environment, penalty)
+            return _score_batch(designs, simulation, execution, environment, penalty, objective)
         parts = spread([designs[first : first + size] for first in range(0, len(designs), size)])
         return Evaluation(
             fitness=np.concatenate([part.fitness for part in parts]),

@@ -14,7 +14,7 @@ from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
 from pipeline.workflow.identity import Arm, ChainId, trials_of
 from pipeline.workflow.stage import Chain, Item, Results, Stage, Summary, TrialSummary, Upstream
-from tasks.evolution import OPERATORS
+from tasks.evolution import OBJECTIVES, OPERATORS
 
 _DIVERGED = "n_designs_diverged"  # MLflow metric: designs of a trial that diverged, over all its generations
 
@@ -54,11 +54,11 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             drawn[operator] += int(curve[segments.drawn_column(operator)].sum())
             rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
         trials.append(_summarise_trial(store, trial, results.done[trial]))
-    lines = []
+    lines, unit = [], OBJECTIVES[settings.evolution.objective].unit
     metrics = {"n_diverged": sum(trial.metrics[_DIVERGED] for trial in trials)}
     for arm, fitness in best.items():
         known = [value for value in fitness if np.isfinite(value)]
-        shown = f"{segments.mean_and_deviation(known)} m (n = {len(known)})" if known else "     -"
+        shown = f"{segments.mean_and_deviation(known)} {unit} (n = {len(known)})" if known else "     -"
         n_lost = len(fitness) - len(known)
         lost = f"; in {n_lost} of {len(fitness)} trials every design diverged" if n_lost else ""
         lines.append(f"{arm.environment:>15} at {arm.depth:g} m: champions' fitness {shown}{lost}")

@@ -88,6 +88,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         member_errors=read_rows(ensemble, "member_errors", MemberError),
         family=traced,
         tank=settings.tank,
+        objective=settings.evolution.objective,
         tank_tests={words: read_rows(files, "tank", TankRow) for words, files in tanks.items()},
         missing=missing,
     )

@@ -1,7 +1,7 @@
 """Segments: a work item of some generations of one trial. Evolution and adaptation both consist of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -14,11 +14,22 @@ from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
-from pipeline.workflow.identity import Arm, InputName, TrialId
+from pipeline.workflow.identity import OMIT_DEFAULT, Arm, InputName, TrialId
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Job
 from tasks.design import Designs, Morphology
 from tasks.design.genes import GENES
-from tasks.evolution import EMPTY_POPULATION, HISTORY_UNITS, OPERATORS, Afpo, Population, Trial, evolve
+from tasks.evolution import (
+    EMPTY_POPULATION,
+    HISTORY_UNITS,
+    OBJECTIVES,
+    OPERATORS,
+    PAPERS_OBJECTIVE,
+    Afpo,
+    ObjectiveName,
+    Population,
+    Trial,
+    evolve,
+)
 from tasks.seeding import generator
 from tasks.world import ENVIRONMENTS, Environment, EnvironmentName
 
@@ -39,6 +50,7 @@ class TrialSpec:
     afpo: Afpo
     morphology: Morphology
     disagreement_penalty: float  # weight of the members' disagreement in the fitness; 0 without an ensemble
+    objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT)
 
     def at_home(self, inputs: Inputs) -> Environment:
         """Build the environment where designs are simulated."""
@@ -70,6 +82,7 @@ def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName)
         settings.evolution.afpo,
         settings.evolution.morphology,
         settings.ensemble.disagreement_penalty if ENVIRONMENTS[environment].is_ensemble else 0.0,
+        settings.evolution.objective,
     )
 
 
@@ -122,10 +135,13 @@ def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs])
     if any(_common(job, of, spec) != _common(jobs[0], inputs[0], spec) for job, of in zip(jobs, inputs, strict=True)):
         raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
     trials = [_trial(job.spec.trial, of) for job, of in zip(jobs, inputs, strict=True)]
-    environment, penalty = spec.trial.at_home(inputs[0]), spec.trial.disagreement_penalty
+    environment, fitness = spec.trial.at_home(inputs[0]), (spec.trial.disagreement_penalty, spec.trial.objective)
+    unit = OBJECTIVES[spec.trial.objective].unit
+    of_history = {**_HISTORY_UNITS, "fitness": unit}
+    of_curve = {**CURVE_UNITS, "best_fitness": unit, "median_fitness": unit}
     advanced = evolve(
         trials,
-        environments.scorer(spec.trial.simulation, execution, environment, penalty),
+        environments.scorer(spec.trial.simulation, execution, environment, *fitness),
         first_generation=spec.first_generation,
         n_generations=spec.n_generations,
         afpo=spec.trial.afpo,
@@ -134,9 +150,9 @@ def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs])
     return [
         {
             POPULATION: encode_arrays(after.arrays(), schema="population", version=1, producer=job.key),
-            HISTORY: encode_table(history, schema="history", version=1, producer=job.key, units=_HISTORY_UNITS),
+            HISTORY: encode_table(history, schema="history", version=1, producer=job.key, units=of_history),
             CURVE: encode_table(
-                _curve(trial.population, history), schema="curve", version=1, producer=job.key, units=CURVE_UNITS
+                _curve(trial.population, history), schema="curve", version=1, producer=job.key, units=of_curve
             ),
         }
         for job, trial, (after, history) in zip(jobs, trials, advanced, strict=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from pydantic_core import to_jsonable_python
@@ -11,10 +12,27 @@ from pydantic_core import to_jsonable_python
 from pipeline.config.settings import Settings
 from tasks.world import EnvironmentName
 
+OMIT_DEFAULT = MappingProxyType({"omit_default": True})
+"""Metadata of a dataclass's field that is left out of JSON where it has its default. So a choice that is added later
+leaves the keys of older results as they are."""
+
 
 def to_json(specification: object) -> Any:
     """Convert a specification of dataclasses, settings and plain values to JSON values."""
-    return to_jsonable_python(specification)
+    return to_jsonable_python(_with_fields(specification))
+
+
+def _with_fields(value: object) -> Any:
+    """Convert dataclasses to dictionaries, without the fields that are to be omitted."""
+    if is_dataclass(value) and not isinstance(value, type):
+        named = [(of, getattr(value, of.name)) for of in fields(value)]
+        shown = [(of, inner) for of, inner in named if of.metadata != OMIT_DEFAULT or inner != of.default]
+        return {of.name: _with_fields(inner) for of, inner in shown}
+    if isinstance(value, Mapping):
+        return {name: _with_fields(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_with_fields(inner) for inner in value]
+    return value
 
 
 class ChainId(Protocol):

@@ -15,7 +15,7 @@ from numpy.random import Generator
 from tasks.arrays import Bools, Int64
 from tasks.design import ANY_BODY, Designs, Morphology
 from tasks.evolution.afpo import EMPTY_POPULATION, OPERATORS, Afpo, Children, Population, ask, tell
-from tasks.evolution.objectives import OBJECTIVES, Evaluation
+from tasks.evolution.objectives import OBJECTIVES, PAPERS_OBJECTIVE, Evaluation
 
 History = dict[str, npt.NDArray[Any]]  # columns of equal length, one row per evaluated design; see HISTORY_UNITS
 
@@ -27,11 +27,11 @@ HISTORY_UNITS: Mapping[str, str] = {
     "parents": "two identities, -1 where there is none",
     "n_draws": "draws of its operator, the last of which the morphology allowed",
     "survived": "whether it was selected in its own generation",
-    "fitness": OBJECTIVES["displacement"].unit,
+    "fitness": OBJECTIVES[PAPERS_OBJECTIVE].unit,
     "displacement": "m, per member",
     "com_displacement": "m, per member",
 }
-"""Columns of a history in addition to the genes, and their units."""
+"""Columns of a history in addition to the genes, and their units; fitness has the unit of the objective."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,8 +102,9 @@ def roll_out(
     shape = (n_members, len(designs))
     states = np.empty((robots.n_robots, n_steps, N_LINKS, 6), np.float32) if trace else None
     robots.advance(scene, 0, 0, None)
-    settled = robots.poses()
-    for first, last in ((0, n_settle), (n_settle, n_steps)):
+    settled = halfway = robots.poses()
+    n_half = n_settle + n_measure // 2
+    for first, last in ((0, n_settle), (n_settle, n_half), (n_half, n_steps)):
         if networks is not None and not trace:
             robots.advance_with_networks(networks, scene, first, last - first)
         elif medium is not None and not _is_built_in(medium):
@@ -114,8 +115,11 @@ def roll_out(
             robots.advance(scene, first, last - first, None if states is None else states[:, first:last])
         if last == n_settle:
             settled = robots.poses()
+        if last == n_half:
+            halfway = robots.poses()
     return Motion(
         settled=settled.reshape(*shape, N_LINKS, 6),
+        halfway=halfway.reshape(*shape, N_LINKS, 6),
         final=robots.poses().reshape(*shape, N_LINKS, 6),
         trace=None if states is None else states.reshape(*shape, n_steps, N_LINKS, 6),
     )

@@ -46,6 +46,7 @@ class Motion:
     """Motion of links as an engine reports it; NaN from the step in which a rollout diverged."""
 
     settled: Float32  # (n_members, n_designs, n_links, 6) states at the end of settling
+    halfway: Float32  # (n_members, n_designs, n_links, 6) states in the middle of the measured steps
     final: Float32  # (n_members, n_designs, n_links, 6) states at the end
     trace: Float32 | None  # (n_members, n_designs, n_steps, n_links, 6) states after each step, if requested
     motor_torque: Float32 | None = None

@@ -157,7 +157,7 @@ def roll_out(
     placed = links.place()
     recorded = np.full((n_members, n_designs, n_steps, N_LINKS, 6), np.nan, np.float32) if trace else None
     torque = np.zeros((n_members, n_designs, n_steps, N_LINKS), np.float32) if trace else None
-    settled = placed.state
+    settled = halfway = placed.state
     for step in range(n_steps):
         _command_motors(robots, controllers, trees, placed.state, step, physics)
         if environment.medium is not None:
@@ -177,7 +177,9 @@ def roll_out(
             torque[~alive, step] = np.nan
         if step + 1 == n_settle:
             settled = placed.state
-    return Motion(settled=settled, final=placed.state, trace=recorded, motor_torque=torque)
+        if step + 1 == n_settle + n_measure // 2:
+            halfway = placed.state
+    return Motion(settled=settled, halfway=halfway, final=placed.state, trace=recorded, motor_torque=torque)
 
 
 def _motor_torques(robots: list[_Robot], physics: Physics) -> Float32:

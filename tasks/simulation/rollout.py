@@ -29,6 +29,7 @@ class Rollouts:
 
     displacement: Float64  # (n_designs,) of the root along x, from the end of settling on [m]; NaN where diverged
     com_displacement: Float64  # (n_designs,) the same of the whole robot's centre of mass [m]; NaN where diverged
+    second_half_speed: Float64  # (n_designs,) mean speed of the root along x over the second half [m/s]; NaN likewise
     status: npt.NDArray[np.str_]  # (n_designs,) "ok", or "diverged" where a state became non-finite
     trace: Float32 | None
     """(n_designs, n_steps, n_links, 6) x, y [m], angle [rad], vx, vy [m/s], omega [rad/s] after each step, links in the
@@ -77,7 +78,8 @@ def simulate(
         ENGINES[engine](designs, component, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
         for component in environment.components
     ]
-    return _measure(_stacked(motions), squeeze=not environment.is_ensemble)
+    second_half_seconds = (n_measure - n_measure // 2) * physics.time_step
+    return _measure(_stacked(motions), second_half_seconds, squeeze=not environment.is_ensemble)
 
 
 def _stacked(motions: Sequence[Motion]) -> Motion:
@@ -91,16 +93,26 @@ def _stacked(motions: Sequence[Motion]) -> Motion:
     return Motion(**arrays)  # type: ignore[arg-type]
 
 
-def _measure(motion: Motion, *, squeeze: bool) -> Rollouts:
-    """Turn the states at two instants into displacements."""
+def _measure(motion: Motion, second_half_seconds: float, *, squeeze: bool) -> Rollouts:
+    """Turn the states at three instants into displacements and speeds."""
     finite = np.asarray(np.isfinite(motion.final).all(axis=(2, 3)))
-    x_settled, x_final = (states[..., Column.X].astype(np.float64) for states in (motion.settled, motion.final))
+    x_settled, x_halfway, x_final = (
+        states[..., Column.X].astype(np.float64) for states in (motion.settled, motion.halfway, motion.final)
+    )
     moved = np.where(finite[..., None], x_final - x_settled, np.nan)
     root = moved[..., 0]
     whole = moved.mean(axis=2)  # every link has the same mass
+    speed = np.where(finite, x_final[..., 0] - x_halfway[..., 0], np.nan) / second_half_seconds
     status: npt.NDArray[np.str_] = np.where(finite, OK, DIVERGED)
     if squeeze:
-        root, whole, status = root[0], whole[0], status[0]
+        root, whole, speed, status = root[0], whole[0], speed[0], status[0]
     trace = motion.trace if motion.trace is None or not squeeze else motion.trace[0]
     torque = motion.motor_torque if motion.motor_torque is None or not squeeze else motion.motor_torque[0]
-    return Rollouts(displacement=root, com_displacement=whole, status=status, trace=trace, motor_torque=torque)
+    return Rollouts(
+        displacement=root,
+        com_displacement=whole,
+        second_half_speed=speed,
+        status=status,
+        trace=trace,
+        motor_torque=torque,
+    )

@@ -10,10 +10,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import GetCoreSchemaHandler
-from pydantic_core import CoreSchema, core_schema
-
-from tasks.parameters import Parameters
+from tasks.parameters import Parameters, RegisteredNames
 from tasks.world.environment import Environment
 from tasks.world.medium import EnsembleMedium
 
@@ -92,11 +89,4 @@ def settings_groups() -> dict[str, type[Parameters]]:
     }
 
 
-class _RegisteredNames:
-    """Lets pydantic accept the registered names and no others."""
-
-    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.literal_schema(list(ENVIRONMENTS))
-
-
-EnvironmentName = Annotated[str, _RegisteredNames()]  # name of a registered environment
+EnvironmentName = Annotated[str, RegisteredNames(ENVIRONMENTS)]  # name of a registered environment

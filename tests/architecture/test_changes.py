@@ -1,4 +1,4 @@
-"""The recipes of docs/extending.md for a medium and for genes, performed in a copy of the sources, and run."""
+"""The recipes of docs/extending.md for media, an objective and genes, performed in a copy of the sources, and run."""
 
 import base64
 import json
@@ -54,7 +54,7 @@ for stage, results in upstream.items():
 print(json.dumps([f"{stage} {of.label}: {why}" for stage in upstream for of, why in upstream[stage].failed.items()]))
 """
 
-(TAR,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S)
+TAR, OBJECTIVE = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "extending.md").read_text(), flags=re.M | re.S)
 PULL, TIME_STEP = 3.0, 1 / 60
 
 LEARN_TAR = {
@@ -162,6 +162,21 @@ def test_a_medium_to_learn_and_to_transfer_to(copy):
     assert not any(push[:, 1].any() for (_, seen_in), push in pushes(copy).items() if seen_in == "True Slush")
     errors = polars.read_parquet(copy / "out/analyse/members/member_errors.parquet")
     assert errors.filter(component="vy")["rms_true"].max() == 0
+
+
+@pytest.mark.timeout(600)
+def test_an_objective(copy):
+    (copy / "tasks/evolution/objectives/com_displacement.py").write_text(OBJECTIVE)
+    settings = STUDY.replace("depths: [1.0],", "depths: [1.0], environments: [true_slush],", 1)
+    assert run(copy, settings.replace("afpo:", "objective: com_displacement, afpo:")) == []
+    for stage in ("evolve", "transfer"):
+        (history,) = (copy / "out" / stage / "true_slush").glob("**/history.parquet")
+        table = polars.read_parquet(history)
+        com, root = (np.stack(table[name].to_numpy())[:, 0] for name in ("com_displacement", "displacement"))
+        np.testing.assert_array_equal(table["fitness"].to_numpy(), com)
+        assert (com != root).any()
+    page = (copy / "out" / "report" / "index.html" / "index.html").read_text()
+    assert "displacement of the centre of mass [m]" in page
 
 
 @pytest.mark.timeout(600)

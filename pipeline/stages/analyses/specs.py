@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from pipeline.stages.environments import SimulationSpec
-from pipeline.workflow.identity import Arm, TrialId
+from pipeline.workflow.identity import OMIT_DEFAULT, Arm, TrialId
 from tasks.analysis.tank import Tank
+from tasks.evolution import PAPERS_OBJECTIVE, ObjectiveName
 
 STATISTICS, MEMBERS, MATRIX, EXPLOITERS = "statistics", "members", "transfer-matrix", "exploiters"
 INSTRUMENTS, TANK = "instruments", "tank"  # kinds of analyses
@@ -56,6 +57,7 @@ class InstrumentsSpec(AnalysisSpec):
     arm: Arm
     held_out: float
     disagreement_penalty: float
+    objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT, kw_only=True)
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ import pkgutil
 
 from tasks.evolution.objectives.evaluation import (
     OBJECTIVES,
+    PAPERS_OBJECTIVE,
     Evaluation,
     Objective,
+    ObjectiveName,
     evaluate,
     penalised_mean,
     register_objective,

@@ -2,10 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from tasks.arrays import Float64
+from tasks.parameters import RegisteredNames
 from tasks.simulation import Rollouts
 
 
@@ -20,6 +22,10 @@ class Objective:
 
 
 OBJECTIVES: dict[str, Objective] = {}  # objectives by name
+
+PAPERS_OBJECTIVE = "displacement"
+
+ObjectiveName = Annotated[str, RegisteredNames(OBJECTIVES)]  # name of a registered objective
 
 
 def register_objective(objective: Objective) -> None:
@@ -42,7 +48,9 @@ class Evaluation:
     com_displacement: Float64  # (n_designs, n_members) the same of the whole robot's centre of mass
 
 
-def evaluate(rollouts: Rollouts, *, disagreement_penalty: float, objective: str = "displacement") -> Evaluation:
+def evaluate(
+    rollouts: Rollouts, *, disagreement_penalty: float, objective: ObjectiveName = PAPERS_OBJECTIVE
+) -> Evaluation:
     """Return the scores of rollouts; in an environment without an ensemble, the fitness is the score itself.
 
     Args:

@@ -46,11 +46,13 @@ def test_the_same_bytes_each_time_whatever_style_is_set(study, drawn):
     assert not any(b"<dc:date>" in drawing.svg for drawing in drawn.values())
 
 
-def test_the_arms_have_their_colours_and_names(drawn):
-    svg = drawn["transfer_at_depth"].svg.decode()
+def test_the_arms_have_their_colours_and_names(study):
+    randomised = replace(study.trials[0], environment="randomised_slush")
+    drawing = draw("transfer_at_depth", replace(study, trials=[*study.trials, randomised]))
+    svg = drawing.svg.decode()
     for style in ENVIRONMENTS.values():
         assert style.color in svg
-        assert set(style.label.split()) <= set(texts(drawn["transfer_at_depth"]))
+        assert set(style.label.split()) <= set(texts(drawing))
     assert ENVIRONMENTS["residual_slush"].adapted_color in svg
 
 

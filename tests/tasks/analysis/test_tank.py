@@ -25,7 +25,7 @@ def rolled_out(x: np.ndarray, angle: np.ndarray | float = 0.0) -> Rollouts:
     trace = np.zeros((*x.shape, 6), dtype=np.float32)
     trace[..., 0], trace[..., 2] = x, angle
     n = len(x)
-    return Rollouts(np.zeros(n), np.zeros(n), np.full(n, OK), trace)
+    return Rollouts(np.zeros(n), np.zeros(n), np.zeros(n), np.full(n, OK), trace)
 
 
 def gliding(speed: float, apart: float, n_steps: int = N_SETTLE + 400) -> np.ndarray:

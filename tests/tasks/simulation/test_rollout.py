@@ -243,3 +243,21 @@ def test_bad_designs_are_refused_by_index_and_gene(designs: Designs, engine: str
         simulate(replace(designs, parent=broken), DryLand(0.0), engine=engine)  # type: ignore[arg-type]
     with pytest.raises(DesignError, match="design 5: frequency is nan"):
         simulate(replace(designs, frequency=wild), DryLand(0.0), engine=engine)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("engine", ["batch", "reference"])
+@pytest.mark.parametrize("n_settle", [0, 4])
+@pytest.mark.parametrize("n_measure", [1, 2, 7, 40])
+def test_the_second_half_s_speed_is_that_of_the_trace(engine: str, n_settle: int, n_measure: int) -> None:
+    """The second half begins after n_measure // 2 measured steps, so that of an odd number it is the longer one."""
+    designs, first = random_designs(3, np.random.default_rng(3)), n_settle + n_measure // 2
+    for trace in (False, True):
+        ours = simulate(
+            designs, TrueSlush(1.0), n_settle=n_settle, n_measure=n_measure, engine=engine, trace=trace
+        ).second_half_speed
+        x = simulate(designs, TrueSlush(1.0), n_settle=0, n_measure=n_settle + n_measure, trace=True).trace[:, :, 0, 0]
+        if first:
+            seconds = (n_measure - n_measure // 2) / 60
+            expected = (x[:, -1].astype(np.float64) - x[:, first - 1]) / seconds
+            np.testing.assert_allclose(ours, expected, rtol=1e-12, atol=1e-12)
+        assert np.isfinite(ours).all()

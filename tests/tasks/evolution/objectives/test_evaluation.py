@@ -5,13 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tasks.evolution import OBJECTIVES, evaluate, penalised_mean
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, evaluate, penalised_mean
 from tasks.evolution.objectives import Objective, register_objective
 from tasks.simulation import DIVERGED, OK, Rollouts
 
 ENSEMBLE = Rollouts(  # (n_members, n_designs)
     displacement=np.array([[1.0, 4.0, np.nan], [3.0, 4.0, 5.0]]),
     com_displacement=np.array([[0.5, 2.0, np.nan], [1.5, 2.5, 3.0]]),
+    second_half_speed=np.array([[0.1, 0.3, np.nan], [0.3, 0.3, 0.4]]),
     status=np.array([[OK, OK, DIVERGED], [OK, OK, OK]]),
     trace=None,
 )
@@ -52,6 +53,7 @@ def test_an_environment_without_members_has_one() -> None:
     rollouts = Rollouts(
         displacement=np.array([1.0, np.nan]),
         com_displacement=np.array([0.5, np.nan]),
+        second_half_speed=np.array([0.1, np.nan]),
         status=np.array([OK, DIVERGED]),
         trace=None,
     )
@@ -81,5 +83,15 @@ def test_a_name_is_registered_once(com: Objective) -> None:
         register_objective(com)
 
 
+def test_speed_in_the_second_half_is_an_objective() -> None:
+    # 0.1 and 0.3: μ = 0.2, σ = 0.1.
+    evaluation = evaluate(ENSEMBLE, disagreement_penalty=1.0, objective="second_half_speed")
+    np.testing.assert_allclose(evaluation.fitness, [0.1, 0.3, -np.inf], rtol=1e-15)
+
+
 def test_the_papers_objective_is_displacement() -> None:
-    assert [(one.name, one.label, one.unit) for one in OBJECTIVES.values()] == [("displacement", "Displacement", "m")]
+    assert PAPERS_OBJECTIVE == "displacement"
+    assert [(one.name, one.label, one.unit) for one in OBJECTIVES.values()] == [
+        ("displacement", "Displacement", "m"),
+        ("second_half_speed", "Speed in the second half", "m/s"),
+    ]
