@@ -21,6 +21,7 @@ from pipeline.text import escape
 from tasks.analysis.comparison import Quantity
 from tasks.analysis.equivalence import MOST_TRIALS
 from tasks.analysis.study_differences import StudyDifference
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, ObjectiveName
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 QUANTITY_WORDS: Mapping[Quantity, str] = {"predicted": "predicted", "zero_shot": "zero-shot", "adapted": "adapted"}
@@ -46,6 +47,7 @@ class ComparedStudy:
     name: str
     store: str  # path of its store; "" where both are in one
     trials: Sequence[TrialResult]
+    objective: ObjectiveName = PAPERS_OBJECTIVE
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +173,8 @@ def _curves(pair: StudyPair, n_columns: int) -> tuple[Figure, str]:
         n_of.append(f"{ENVIRONMENTS[environment].label} {len(groups[0])} and {len(groups[1])}")
     panels[0].xaxis.set_major_locator(MaxNLocator(4, integer=True))
     figure.supxlabel("generation")
-    figure.supylabel("best fitness [m]")
+    units = dict.fromkeys(OBJECTIVES[study.objective].unit for _, study in pair.studies)
+    figure.supylabel(f"best fitness [{' and '.join(units)}]")
     handles = [
         Line2D([], [], color=INK, ls=style, label=f"{letter}: {_shortened(study.name)}")
         for (letter, study), style in zip(pair.studies, ("-", DASHES), strict=True)
@@ -185,6 +188,9 @@ def _curves(pair: StudyPair, n_columns: int) -> tuple[Figure, str]:
 
 def _caution(pair: StudyPair) -> str:
     """Warn where the fitness of A and B is not the same quantity."""
+    if pair.a.objective != pair.b.objective:
+        of_a, of_b = (OBJECTIVES[study.objective].label.lower() for _, study in pair.studies)
+        return f" A’s fitness is {of_a}, B’s is {of_b}: their curves can’t be compared."
     if not any(name == "ensemble.disagreement_penalty" for name, _, _ in pair.changes):
         return ""
     return " In an ensemble fitness is μ − kσ, and k differs between A and B: there their curves can’t be compared."

@@ -121,6 +121,19 @@ def test_a_group_that_no_setting_affects_is_not_tested(settings, root, tmp_path,
     assert "2 of the trials are the same in both studies" in said
 
 
+def test_curves_of_different_objectives_are_not_comparable(settings, root, tmp_path):
+    own = changed(settings, "name=fast", "evolution.objective=second_half_speed")
+    store = Store.open(shutil.copytree(root, tmp_path / "store"), create=False)
+    with serial_cluster() as cluster:
+        results = run(own, store, cluster, STAGES[:BEFORE_ASSESSMENT])
+    DrivenStudy(own, store, silent).update(results, finished=True)
+    out = tmp_path / "compare.html"
+    assert call("compare", "fast", "tiny", "--store", str(store.root), "--out", str(out)) == 0
+    page = out.read_text()
+    assert "A’s fitness is speed in the second half, B’s is displacement: their curves can’t be compared." in page
+    assert "best fitness [m/s and m]" in page
+
+
 # -- bad input -------------------------------------------------------------------------------------------------------
 
 

@@ -56,8 +56,10 @@ def test_every_module_of_the_science_is_among_what_some_stage_imports():
     missed = {name for name in set(sources()) - found if not name.startswith("tasks.fabrication")}
     of_commands = {
         "pipeline.report.column_figures",
+        "pipeline.report.pair_page",
         "pipeline.report.transfer_latex",
         "tasks.analysis.statistical_power",
+        "tasks.analysis.study_differences",
     }
     assert missed == {*PACKAGES, *of_commands}
 
