@@ -314,7 +314,8 @@ def test_the_proposed_champion_of_a_study(study, settings):
     assert len(source.predicted) == 2
     mean, deviation = np.mean(source.predicted), np.std(source.predicted)
     # The champion's fitness is μ - σ over the same members.
-    assert mean - deviation == pytest.approx(nearest["predicted"], abs=1e-6)
+    assert mean - deviation == pytest.approx(nearest["fitness"], abs=1e-6)
+    assert (mean, deviation) == pytest.approx((nearest["predicted"], nearest["predicted_sd"]), abs=1e-6)
 
 
 @pytest.mark.parametrize("file", ["score.json", "champion.json"])
