@@ -287,7 +287,7 @@ def test_a_run_listens_on_the_loopback_alone_and_connects_to_no_other_host(tortu
                         ends = [end for end in (found.laddr, found.raddr) if end]
                         assert all(is_loopback(end.ip) for end in ends), (process.cmdline(), found)
             n_inspections += 1
-            time.sleep(1.0)
+            time.sleep(0.2)
         assert one.process.returncode == 0, one.said()
     assert {"gcs_server", "raylet"} <= seen and n_inspections > 10
     torture.note(f"sockets of {len(seen)} kinds of processes inspected {n_inspections} times")
