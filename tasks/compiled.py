@@ -257,7 +257,7 @@ def dependencies(function: Callable[..., Any]) -> tuple[set[str], set[str]]:
                 constants.add(f"{name} = {value!r}")
             else:
                 left.append(value)
-    for name, module in list(sys.modules.items()):
+    for name, module in sys.modules.copy().items():  # another thread may import meanwhile
         if name.partition(".")[0] == package:
             used = _modules_in(module)
             if "llvmlite.ir" in used and used & modules:  # it writes the instructions of their functions
