@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import StudyOptions, with_options
+from pipeline.commands.options import GroundDepth, SimulatedIn, StudyOptions, with_options
 from pipeline.commands.output import to_stdout
 
 
@@ -16,8 +16,8 @@ def score(
         Path,
         typer.Argument(help="A table of designs: Parquet (as `puddle export` writes), or design files line by line."),
     ],
-    environment: Annotated[str, typer.Option("--environment", help="dry_land, true_slush or residual_slush.")],
-    depth: Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")],
+    environment: SimulatedIn,
+    depth: GroundDepth,
     options: StudyOptions,
     out: Annotated[Path | None, typer.Option("--out", help="Write the scores (.parquet or .csv).")] = None,
 ) -> None:

@@ -6,17 +6,15 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import StudyOptions, with_options
+from pipeline.commands.options import GroundDepth, SimulatedIn, StudyOptions, with_options
 from pipeline.commands.output import to_stdout
 
 
 @with_options
 def simulate(
     design: Annotated[Path, typer.Argument(help="A design file (design.json).")],
-    environment: Annotated[
-        str, typer.Option("--environment", help="dry_land, true_slush, residual_slush or randomised_slush.")
-    ],
-    depth: Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")],
+    environment: SimulatedIn,
+    depth: GroundDepth,
     options: StudyOptions,
     out: Annotated[Path | None, typer.Option("--out", help="Write a film (.gif, .mp4) or a page (.html).")] = None,
 ) -> None:

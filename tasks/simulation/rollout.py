@@ -6,7 +6,7 @@ from the first step.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -86,11 +86,11 @@ def _stacked(motions: Sequence[Motion]) -> Motion:
     """Join the motions of several members along their first axis."""
     if len(motions) == 1:
         return motions[0]
-    arrays: dict[str, Float32 | None] = {}
+    arrays: dict[str, Any] = {}
     for field in fields(Motion):
         each = [getattr(motion, field.name) for motion in motions]
         arrays[field.name] = None if each[0] is None else np.concatenate(each)
-    return Motion(**arrays)  # type: ignore[arg-type]
+    return Motion(**arrays)
 
 
 def _measure(motion: Motion, second_half_seconds: float, *, squeeze: bool) -> Rollouts:

@@ -42,7 +42,7 @@ def settings() -> Settings:
 
 @pytest.fixture(scope="session")
 def study(settings, tmp_path_factory):
-    """A store with every stage done, and what came of each."""
+    """A store with every stage done, and the results of each."""
     store = Store.open(tmp_path_factory.mktemp("stages") / "store", create=True)
     with serial_cluster() as cluster:
         return store, run(settings, store, cluster)
