@@ -77,7 +77,7 @@ def score_designs(
     table = {name: np.concatenate([part[name] for part in columns]) for name in columns[0]}
     table = {"design": np.arange(len(designs)), **table}
     label, n_diverged = ENVIRONMENTS[environment].label, int(table["diverged"].sum())
-    yield f"{label}, {depth:g} m deep: {len(designs)} designs, {n_diverged} diverged"
+    yield f"{label}, {depth:g} m deep: {len(designs)} design{'s' * (len(designs) != 1)}, {n_diverged} diverged"
     unit = OBJECTIVES[settings.evolution.objective].unit
     finite = table["fitness"][~table["diverged"]]
     if len(finite):

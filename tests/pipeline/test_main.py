@@ -1,0 +1,52 @@
+"""The entry point: Ctrl-C while Python still imports what a command needs."""
+
+import os
+import signal
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from pipeline.commands.exit_codes import INTERRUPTED
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]["puddle"]
+AS_MODULE = ("-m", "pipeline")
+AS_SCRIPT = ("-c", "from {} import {} as main; main()".format(*SCRIPT.split(":")))  # as pip writes it
+IMPORTS_FOREVER = "import time\nprint('importing', flush=True)\ntime.sleep(60)\n"
+
+
+@pytest.mark.parametrize("arguments", [AS_MODULE, AS_SCRIPT], ids=["python -m pipeline", "puddle"])
+def test_ctrl_c_during_the_imports_shows_no_traceback(arguments, tmp_path):
+    (tmp_path / "typer.py").write_text(IMPORTS_FOREVER)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
+    process = subprocess.Popen(
+        [sys.executable, *arguments, "studies"],
+        env=environment,
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        assert process.stdout.readline() == "importing\n"
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=30)
+    assert (process.returncode, said) == (INTERRUPTED, ("", ""))
+
+
+AFTER_THE_IMPORTS = """
+import pipeline.commands.app as app
+from pipeline.__main__ import main
+def interrupted():
+    raise KeyboardInterrupt
+app.main = interrupted
+main()
+"""
+
+
+def test_ctrl_c_between_the_imports_and_the_command_shows_no_traceback():
+    ended = subprocess.run([sys.executable, "-c", AFTER_THE_IMPORTS], cwd=ROOT, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (INTERRUPTED, "")
