@@ -10,6 +10,11 @@ from numpy.random import Generator, SeedSequence
 _encode = json.JSONEncoder(allow_nan=False).encode
 
 
+def replicate_seed(seed: int, replicate: int) -> int:
+    """Return the seed of one replicate's data set and networks; replicate 0 has the study's own seed."""
+    return seed if replicate == 0 else int(generator(seed, "replicate", replicate).integers(2**63))
+
+
 def generator(seed: int, *identity: str | int | float) -> Generator:
     """Return the generator of one work item.
 

@@ -21,6 +21,7 @@ from pipeline.store.encoding import digest
 from pipeline.store.manifest import FileEntry, Manifest
 from pipeline.workflow.identity import ChainId
 from pipeline.workflow.stage import AnyStage, Chain, Files, Results
+from tasks.world import ENVIRONMENTS
 
 # The setting that decides the size of a stage's items. Other stages are timed at one size.
 _SIZES = {
@@ -107,12 +108,14 @@ def calibrate(
 
 def _small_study(settings: Settings) -> Settings:
     depth = statistics.median_low(settings.grid.depths)
-    single = any(environment == "single_member" for environment, _, _ in settings.grid.trials())
+    single = any(ENVIRONMENTS[environment].networks == "one" for environment, _, _ in settings.grid.trials())
+    groups = ("throws", "designed_throws")
     changes = {
         "grid.depths": (depth,),
         "grid.single_member_depths": (depth,) if single else (),
         "grid.n_trials": min(_N_TRIALS, settings.grid.n_trials),
-        "throws.n_throws": _full_size("collect", settings),
+        "replicates": 1,
+        **{f"{group}.n_throws": _full_size("collect", settings) for group in groups},
         "work.throws_per_item": _full_size("collect", settings),
         "training.n_iterations": min(_N_FIRST_ITERATIONS, settings.training.n_iterations),
         "evolution.n_generations": 1,
@@ -126,7 +129,7 @@ def _small_study(settings: Settings) -> Settings:
 def _changed(settings: Settings, values: Mapping[str, Any]) -> Settings:
     for name, value in values.items():
         group, _, field_name = name.partition(".")
-        changed = getattr(settings, group).model_copy(update={field_name: value})
+        changed = getattr(settings, group).model_copy(update={field_name: value}) if field_name else value
         settings = settings.model_copy(update={group: changed})
     return settings
 
@@ -136,7 +139,9 @@ def _full_size(stage: str, settings: Settings) -> int:
     work, n_trials = settings.work, min(_N_TRIALS, settings.grid.n_trials)
     n_assessed = sum(environment in ASSESSED_ENVIRONMENTS for environment in settings.grid.environments) * n_trials
     return {
-        "collect": max(2, min(work.throws_per_item, settings.throws.n_throws)),
+        "collect": max(
+            2, min([work.throws_per_item, *(settings.throws_of(of).n_throws for of in settings.throw_groups)])
+        ),
         "train": settings.training.n_iterations,
         "evolve": min(work.generations_per_item, settings.evolution.n_generations),
         "transfer": min(work.generations_per_item, settings.transfer.n_generations),

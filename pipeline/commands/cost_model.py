@@ -183,7 +183,9 @@ def _decides_cost(settings: Settings) -> dict[str, Any]:
     """Return the settings that decide the cost of a unit, without those that count units."""
     chosen = settings.model_dump(mode="json", exclude={"name", "seed", "grid", "transfer", "assess"})
     chosen["work"] = settings.work.engine
-    for group, count in (("throws", "n_throws"), ("training", "n_iterations"), ("evolution", "n_generations")):
+    del chosen["replicates"]
+    throws = [(group, "n_throws") for group in ("throws", "designed_throws")]
+    for group, count in (*throws, ("training", "n_iterations"), ("evolution", "n_generations")):
         del chosen[group][count]
     return chosen
 

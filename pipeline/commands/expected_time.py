@@ -16,6 +16,7 @@ from pipeline.workflow.stage import Chain
 from tasks.simulation.batch import seconds_to_compile
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
+_STEPS_OF_DESIGNED_THROW = 30  # where the settings leave them to the range of robots' speeds
 _LINKS = 6
 _SECONDS_PER_STEP = {"batch": 0.1e-6, "rigid": 0.8e-6, "reference": 15e-6}  # of one robot without networks
 _SECONDS_PER_MEMBER_STEP = 0.2e-6  # of one robot under one network, besides the network's arithmetic
@@ -83,7 +84,9 @@ def _generation(settings: Settings, chain: Chain[Any]) -> float:
 
 
 _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
-    "collect": lambda settings, chain: settings.throws.n_steps * _SECONDS_PER_THROW_STEP,
+    "collect": lambda settings, chain: (
+        (chain.spec.throws.n_steps or _STEPS_OF_DESIGNED_THROW) * _SECONDS_PER_THROW_STEP
+    ),
     "train": lambda settings, chain: _iteration(settings),
     "evolve": _generation,
     "transfer": _generation,

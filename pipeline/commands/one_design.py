@@ -14,6 +14,7 @@ from pipeline.report.page import render_robot
 from pipeline.report.replay import replay_of
 from pipeline.stages import environments
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, median_member
+from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.report_replays import looked_at, push_of, surroundings_in
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
@@ -64,13 +65,14 @@ def simulate_design(
     simulation = environments.simulation_spec(settings, environment)
     files: dict[InputName, Files] = {}
     why, is_page = "", kind == _PAGE_SUFFIX
-    if environment == "residual_slush" or is_page:
+    needs_networks = ENVIRONMENTS[environment].networks == "all"
+    if needs_networks or is_page:
         try:
-            files = trained_networks(settings, open_store, throws=is_page)
+            files = trained_networks(settings, open_store, environment, throws=is_page)
         except PuddleError as missing:
             advice = f". `{how_to_run('study')}` computes it." if isinstance(missing, MissingInputs) else ""
             why = f"{missing}{advice}"
-            if environment == "residual_slush":
+            if needs_networks:
                 raise PuddleError(why) from None
     rollouts = simulate(
         design,
@@ -98,6 +100,7 @@ def simulate_design(
     if out is not None and rollouts.trace is not None:
         member = median_member(rollouts.displacement[:, 0]) if ENVIRONMENTS[environment].is_ensemble else NO_MEMBER
         trace = rollouts.trace if member == NO_MEMBER else rollouts.trace[member]
+        network = NetworkId(environments.main_data_set_among(files), member) if files else None
         held_out, seed = settings.training.held_out, settings.seed
         replay = replay_of(
             design,
@@ -112,7 +115,9 @@ def simulate_design(
             overlays=looked_at(simulation, design, trace, files, held_out=held_out, seed=seed)
             if is_page and files
             else (),
-            push=push_of(simulation, Arm(environment, depth), member, design, trace, files) if is_page else None,
+            push=push_of(simulation, Arm(environment, depth), member, design, trace, files, network)
+            if is_page
+            else None,
         )
         if is_page and why:
             lines.append(f"  shown without the networks' view: {why}")

@@ -35,10 +35,10 @@ def score_designs(
 
     Args:
         path: the table of designs; see :func:`pipeline.store.design_table.read_designs`.
-        environment: dry_land, true_slush or residual_slush.
+        environment: dry_land, true_slush, residual_slush, or another registered one.
         depth: depth of the ground below the surface [m], 0 to DEEPEST.
         out: the Parquet or CSV file to write, if any.
-        settings: they choose the length of the rollout, and the networks of residual_slush.
+        settings: they choose the length of the rollout, and the networks of environments that need them.
         open_store: opens the store that holds the networks.
 
     Raises:
@@ -53,7 +53,8 @@ def score_designs(
             f"--out: expected a file name that ends in .parquet or .csv, in an existing folder, got {out}"
         )
     designs = read_designs(path)
-    networks = trained_networks(settings, open_store, throws=False) if environment == "residual_slush" else {}
+    needs_networks = ENVIRONMENTS[environment].networks == "all"
+    networks = trained_networks(settings, open_store, environment, throws=False) if needs_networks else {}
     simulation = environments.simulation_spec(settings, environment)
     at = environments.build_environment(simulation.media, environment, depth, networks)
     columns: list[Columns] = []

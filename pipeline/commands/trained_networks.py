@@ -5,20 +5,27 @@ from collections.abc import Callable
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import environments
-from pipeline.stages.collect import COLLECT, data_set
+from pipeline.stages.collect import COLLECT, throws_inputs
+from pipeline.stages.data_sets import DataSetId, data_sets, main_data_set
 from pipeline.stages.train import TRAIN
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Files
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 
-def trained_networks(settings: Settings, open_store: Callable[[], Store], *, throws: bool) -> dict[InputName, Files]:
-    """Return every member of the ensemble, and the throws that they learned from if asked to.
+def trained_networks(
+    settings: Settings, open_store: Callable[[], Store], environment: EnvironmentName, *, throws: bool
+) -> dict[InputName, Files]:
+    """Return every member of an environment's ensemble, and the throws that they learned from if asked to.
+
+    With several replicates it is the ensemble of the first.
 
     Args:
         settings: the settings of the networks.
         open_store: opens the store that holds them.
+        environment: residual_slush, designed_throws, or one without networks, which gets the main ensemble.
         throws: whether to read the throws, too.
 
     Raises:
@@ -30,13 +37,20 @@ def trained_networks(settings: Settings, open_store: Callable[[], Store], *, thr
             f"grid.environments, or a depth of the grid in grid.single_member_depths. Choose the settings of a study "
             f"that trains networks: --preset, --settings, --set."
         )
+    kind, main = ENVIRONMENTS[environment], main_data_set(settings)
+    data_set = main if kind.networks == "none" else DataSetId(kind.learns_from, 0)
+    if data_set not in data_sets(settings):
+        raise PuddleError(
+            f"study {settings.name} trains no networks for {environment}: expected it in grid.environments. Choose the "
+            f"settings of another study: --preset, --settings, --set."
+        )
     store = open_store()
     damage: list[str] = []
     with store.lock_to_read():
         upstream = survey(settings, (COLLECT, TRAIN), store, say=damage.append)
         if damage:
             raise PuddleError(damage[0])
-        inputs = environments.member_inputs(settings, "residual_slush", 0, upstream)
+        inputs = environments.ensemble_inputs(settings, data_set, upstream)
         if throws:
-            inputs |= data_set(upstream["collect"])
+            inputs |= throws_inputs(upstream["collect"], data_set)
         return {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()}

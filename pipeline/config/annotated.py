@@ -39,7 +39,7 @@ def _fields(group: BaseModel, indent: str) -> Iterator[str]:
         else:
             default = field.get_default(call_default_factory=True)
             differs = "" if value == default else f"  # default: {_value(default)}"
-            yield f"{indent}{name}: {_value(value)}{differs}"
+            yield from _wrapped(f"{indent}{name}: {_value(value)}{differs}", indent)
 
 
 def _choices(field: FieldInfo) -> str:
@@ -51,6 +51,13 @@ def _choices(field: FieldInfo) -> str:
 def _comment(text: str, indent: str) -> list[str]:
     prefix = f"{indent}# "
     return textwrap.wrap(" ".join(text.split()), _LINE_LENGTH, initial_indent=prefix, subsequent_indent=prefix)
+
+
+def _wrapped(line: str, indent: str) -> list[str]:
+    """Break a long list after a comma, which YAML allows inside brackets."""
+    if len(line) <= _LINE_LENGTH or "#" in line:
+        return [line]
+    return textwrap.wrap(line, _LINE_LENGTH, subsequent_indent=f"{indent}  ", break_long_words=False)
 
 
 def _value(value: object) -> str:

@@ -4,6 +4,7 @@ The defaults are the paper's study ([P] marks its values). A file in configs/ st
 scientific parameters are declared beside the equations that use them, in tasks/.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, create_model, model_validator
@@ -12,9 +13,15 @@ from tasks.analysis.tank import Tank
 from tasks.design import Morphology
 from tasks.evolution import PAPERS_OBJECTIVE, Afpo, ObjectiveName
 from tasks.parameters import Parameters
-from tasks.residual import Architecture, Throws, Training
+from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush
 from tasks.world.registry import settings_groups
+
+SINGLE_MEMBERS: Mapping[EnvironmentName, EnvironmentName] = {
+    "single_member": "residual_slush",
+    "designed_single_member": "designed_throws",
+}
+"""Environments of one network, which grid.single_member_depths adds, and of the ensemble beside it."""
 
 RESIDUAL_ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kind.networks != "none")
 DEEPEST = 1000.0  # greatest depth of the ground [m]
@@ -41,8 +48,8 @@ class GridSettings(Parameters):
     )
     """Environments in which designs evolve, at every depth. [P]"""
     single_member_depths: tuple[Depth, ...] = (9.0,)
-    """Depths at which designs also evolve in a single network: trial k in network k. Where there are more trials
-    than members, more networks are trained, so that every trial has its own. [P]"""
+    """Depths at which designs also evolve in a single network, every trial in its own. Where there are more trials than
+    members, more networks are trained. [P]"""
     n_trials: int = Field(default=10, ge=1, le=10_000)
     """Number of independent trials of each depth and environment. [P]"""
 
@@ -64,8 +71,9 @@ class GridSettings(Parameters):
     def trials(self) -> list[tuple[EnvironmentName, float, int]]:
         """List the environment, depth [m] and number of every trial."""
         arms = [(environment, depth) for depth in self.depths for environment in self.environments]
-        if "single_member" not in self.environments:
-            arms += [("single_member", depth) for depth in self.single_member_depths if depth in self.depths]
+        for single, beside in SINGLE_MEMBERS.items():
+            if single not in self.environments and (beside in self.environments or single == "single_member"):
+                arms += [(single, depth) for depth in self.single_member_depths if depth in self.depths]
         return [(environment, depth, trial) for environment, depth in arms for trial in range(self.n_trials)]
 
 
@@ -162,8 +170,13 @@ class Settings(Parameters):
     """The base simulator."""
     slush: Slush = Slush()
     """The medium of True Slush, which the base simulator lacks."""
+    replicates: int = Field(default=1, ge=1, le=1000)
+    """Number of independent data sets and ensembles, of which trial k uses number k mod replicates. With one, the
+    spread over trials shows the chance in evolution alone; with more, also that in throws and training."""
     throws: Throws = Throws()
-    """The data set."""
+    """The data set that networks of residual_slush and single_member learn from."""
+    designed_throws: DesignedThrows = DesignedThrows()
+    """The data set that networks of designed_throws and designed_single_member learn from."""
     network: Architecture = Architecture()
     """One residual network."""
     training: Training = Training()
@@ -193,6 +206,11 @@ class Settings(Parameters):
                 "physics.passive_joints is locked, so motors decide which links form one body: "
                 "expected evolution.morphology.n_actuated, the number of motors"
             )
+        if self.replicates > self.grid.n_trials:
+            raise ValueError(
+                f"replicates is {self.replicates} and grid.n_trials is {self.grid.n_trials}, so some data sets would "
+                f"have no trial: expected at least as many trials as replicates"
+            )
         if self.tank is not None and self.rollout.n_settle < 1:
             raise ValueError(
                 "rollout.n_settle is 0, but a robot in the tank is measured from where it settles: "
@@ -209,12 +227,16 @@ class Settings(Parameters):
     @property
     def needs_ensemble(self) -> bool:
         """Whether any trial evolves under residual networks."""
-        return any(environment in RESIDUAL_ENVIRONMENTS for environment, _, _ in self.grid.trials())
+        return bool(self.throw_groups)
 
     @property
-    def n_networks(self) -> int:
-        """Number of networks to train: the members of the ensemble, and one for each trial that evolves in its own."""
-        if not self.needs_ensemble:
-            return 0
-        single = any(ENVIRONMENTS[environment].networks == "one" for environment, _, _ in self.grid.trials())
-        return max(self.ensemble.n_members, self.grid.n_trials if single else 0)
+    def throw_groups(self) -> tuple[str, ...]:
+        """Settings groups of the throws that networks of this study learn from; the first ensemble is the main one."""
+        in_use = {environment for environment, _, _ in self.grid.trials()}
+        return tuple(dict.fromkeys(ENVIRONMENTS[name].learns_from for name in RESIDUAL_ENVIRONMENTS if name in in_use))
+
+    def throws_of(self, group: str) -> Throws:
+        """Return a settings group of throws."""
+        throws = getattr(self, group)
+        assert isinstance(throws, Throws)
+        return throws

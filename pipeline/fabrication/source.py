@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import STAGES, environments
+from pipeline.stages.data_sets import data_set_of, main_data_set
 from pipeline.stages.environments import WEIGHTS
 from pipeline.stages.transfer import CHAMPION, read_scores
 from pipeline.store.design_file import design_from, read_design
@@ -83,7 +84,7 @@ def _proposed(settings: Settings, store: Store) -> DesignSource:
     if chosen is None:
         raise PuddleError(f"study {settings.name!r}: no champion survived True Slush")
     row = arm[chosen]
-    trial = TrialId("transfer", environment, depth, row["trial"])
+    trial = TrialId("transfer", environment, depth, row["trial"], settings.replicates)
     design = design_from(
         decode_json(store.read(upstream["transfer"].chain(trial)[-1], CHAMPION), trial.label), trial.label
     )
@@ -98,21 +99,24 @@ def _proposed(settings: Settings, store: Store) -> DesignSource:
         origin,
         settings,
         depth,
-        _predictions(settings, upstream, store, design, depth),
+        _predictions(settings, upstream, store, design, trial),
         row["zero_shot"],
     )
 
 
 def _predictions(
-    settings: Settings, upstream: Mapping[str, Results], store: Store, design: Designs, depth: float
+    settings: Settings, upstream: Mapping[str, Results], store: Store, design: Designs, trial: TrialId
 ) -> tuple[float, ...] | None:
-    """Simulate a design under every member of the study's ensemble, if there is one."""
+    """Simulate a trial's design under every member of the ensemble that serves it, if there is one."""
+    if not settings.needs_ensemble:
+        return None
     try:
-        inputs = environments.member_inputs(settings, "residual_slush", 0, upstream)
+        data_set = data_set_of(trial, main_data_set(settings).group)
+        inputs = environments.ensemble_inputs(settings, data_set, upstream)
     except (MissingInputs, KeyError):
         return None
     files = {name: {WEIGHTS: store.read(source.manifest, WEIGHTS)} for name, source in inputs.items()}
-    environment = environments.build_environment({}, "residual_slush", depth, files)
+    environment = environments.build_environment({}, "residual_slush", trial.depth, files)
     simulation = environments.simulation_spec(settings, "residual_slush")
     rollouts = environments.roll_out(simulation, Execution(settings.work.engine), environment, design)
     if not (rollouts.status == OK).all():

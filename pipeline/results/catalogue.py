@@ -16,7 +16,8 @@ import pyarrow as pa
 
 from pipeline.stages.analyses import specs
 from pipeline.stages.analyses.analysis_tables import ANALYSIS_VERSION
-from pipeline.stages.environments import member_id
+from pipeline.stages.assess import AssessmentId
+from pipeline.stages.data_sets import ChunkId, NetworkId
 from pipeline.stages.part import PartId
 from pipeline.store.encoding import Array, decode_table, units_of
 from pipeline.store.manifest import Manifest
@@ -120,15 +121,16 @@ def available(upstream: Upstream) -> list[str]:
 
 
 def keys_of(chain: ChainId) -> dict[str, Any]:
-    """Return what a chain says of all its rows: the keys that it has, or the number of a member."""
+    """Return what a chain says of all its rows: the keys that it has, the number of a member, or the data set."""
     if isinstance(chain, TrialId):
         return {"environment": chain.environment, "depth": chain.depth, "trial": chain.index}
     if isinstance(chain, PartId) and chain.arm is not None:
         return {"environment": chain.arm.environment, "depth": chain.arm.depth}
-    return {"member": _MEMBERS[chain]} if chain in _MEMBERS else {}
-
-
-_MEMBERS: Mapping[ChainId, int] = {member_id(number): number for number in range(64)}
+    if isinstance(chain, AssessmentId):
+        return {**keys_of(chain.trial), "data_set": chain.data_set.words}
+    if isinstance(chain, NetworkId):
+        return {"member": chain.index, "data_set": chain.data_set.words}
+    return {"data_set": chain.data_set.words} if isinstance(chain, ChunkId) else {}
 
 
 _UNITS = {"environment": "", "depth": "m", "trial": "", "operator": ""}

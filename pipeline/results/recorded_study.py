@@ -18,6 +18,7 @@ from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.results import catalogue
 from pipeline.results.catalogue import CATALOGUE, KEYS
 from pipeline.stages import STAGES, environments
+from pipeline.stages.data_sets import data_sets
 from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
@@ -192,14 +193,28 @@ class Study:
             raise PuddleError(f"{where} has no champion: it is not done yet, or every design diverged")
         return design_from(decode_json(found["design_json"][0].as_py().encode(), where), where)
 
-    def ensemble(self) -> EnsembleMedium:
+    def ensemble(self, *, throws: str | None = None, replicate: int = 0) -> EnsembleMedium:
         """Return the trained networks, for ``ResidualSlush(depth=9.0, ensemble=study.ensemble())``.
 
+        Args:
+            throws: settings group of the throws that they learned from, ``throws`` or ``designed_throws``; by default
+                the study's main one.
+            replicate: number of the data set.
+
         Raises:
-            MissingInputs: a network is not trained yet, or the study needs none.
+            PuddleError: the study has no such ensemble.
+            MissingInputs: a network is not trained yet.
         """
+        known = data_sets(self.settings)
+        wanted = [of for of in known if of.group == (throws or known[0].group) and of.replicate == replicate]
+        if not wanted:
+            listed = ", ".join(of.words for of in known) or "none"
+            raise PuddleError(
+                f"study {self.name} has no ensemble of replicate {replicate} of {throws or 'any throws'}: expected one "
+                f"of {listed}"
+            )
         with self.store.lock_to_read():
-            inputs = environments.member_inputs(self.settings, "residual_slush", 0, self.upstream)
+            inputs = environments.ensemble_inputs(self.settings, wanted[0], self.upstream)
             files = {
                 name: {file: self.store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()
             }

@@ -72,13 +72,14 @@ from pipeline.stages.analyses import champions, instruments, specs, statistics, 
 from pipeline.stages.analyses.analysis_tables import ANALYSIS_VERSION, Reasons, Tables, encode, read_reasons, read_table
 from pipeline.stages.analyses.summary import highlights, wrapped
 from pipeline.stages.assess import ASSESSED, ASSESSED_ENVIRONMENTS, PREDICTIONS
-from pipeline.stages.collect import data_set
+from pipeline.stages.collect import throws_inputs
+from pipeline.stages.data_sets import data_set_of, main_data_set
 from pipeline.stages.part import PartId
 from pipeline.stages.transfer import scores_inputs
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import csv_of
-from pipeline.workflow.identity import InputName, TrialId, arms_of, trials_of
+from pipeline.workflow.identity import InputName, arms_of, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -122,7 +123,8 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
         chains.append(Chain(part, (1,), spec, weight=weight))
 
     ensemble: EnvironmentName = "residual_slush" if settings.needs_ensemble else "true_slush"
-    plan(PartId(specs.STATISTICS), specs.StatisticsSpec(seed, trials, simulation, settings.assessed_depth), 0)
+    groups, assessed_depth = settings.throw_groups, settings.assessed_depth
+    plan(PartId(specs.STATISTICS), specs.StatisticsSpec(seed, trials, simulation, assessed_depth, groups), 0)
     plan(PartId(specs.MEMBERS), specs.MembersSpec(seed, (), simulation, held_out), 0, ensemble)
     plan(PartId(specs.MATRIX), specs.MatrixSpec(seed, trials, simulation, depths), len(trials) * len(depths))
     plan(PartId(specs.EXPLOITERS), specs.ExploitersSpec(seed, trials, simulation), len(trials), ensemble)
@@ -156,30 +158,33 @@ def _item(
         failed = {trial.label: why for trial, why in upstream["transfer"].failed.items()}
         spec = replace(spec, failed=failed, not_assessed=_why_not_assessed(settings, upstream))
     elif not isinstance(spec, specs.MatrixSpec | specs.TankSpec):
-        own = spec.trials if isinstance(spec, specs.InstrumentsSpec) else ()
-        networks, why = _networks(settings, upstream, own, throws=not isinstance(spec, specs.ExploitersSpec))
+        networks, why = _networks(settings, upstream, spec)
         inputs |= networks
         spec = replace(spec, no_networks=why)
     return Item(ANALYSE.name, ANALYSE.version, chain.label, spec, inputs, Execution(settings.work.engine))
 
 
-def _networks(
-    settings: Settings, upstream: Upstream, own: Sequence[TrialId], *, throws: bool
-) -> tuple[dict[InputName, Input], str]:
-    """Return the members, the networks of some trials, and the throws, or the reason why they are missing.
+def _networks(settings: Settings, upstream: Upstream, spec: specs.AnalysisSpec) -> tuple[dict[InputName, Input], str]:
+    """Return the networks that an analysis uses, and the throws that they learned from, or why they are missing.
 
     Args:
         settings: the study's settings.
         upstream: results of the stages before.
-        own: trials whose own networks are needed, too, where they evolved in a single one.
-        throws: whether to include the throws that the networks learned from.
+        spec: the analysis.
     """
     if not settings.needs_ensemble:
         return {}, "no trial of this study needs networks"
+    main = main_data_set(settings)
     try:
-        networks = environments.member_inputs(settings, "residual_slush", 0, upstream)
-        networks |= environments.single_member_inputs(settings, own, upstream)
-        return {**networks, **(data_set(upstream["collect"]) if throws else {})}, ""
+        if isinstance(spec, specs.ExploitersSpec):
+            return environments.networks_inputs(settings, spec.trials, upstream), ""
+        if not isinstance(spec, specs.InstrumentsSpec):
+            networks, used = environments.ensemble_inputs(settings, main, upstream), [main]
+        else:
+            networks = environments.networks_inputs(settings, spec.trials, upstream)
+            used = list(dict.fromkeys(data_set_of(trial, main.group) for trial in spec.trials))
+        throws = [throws_inputs(upstream["collect"], data_set) for data_set in used]
+        return {of: given for inputs in (networks, *throws) for of, given in inputs.items()}, ""
     except MissingInputs as missing:
         return {}, str(missing)
 

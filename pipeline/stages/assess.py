@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
+from pipeline.stages.data_sets import PAPERS_GROUP, DataSetId
 from pipeline.stages.environments import SimulationSpec
 from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.manifest import Manifest
@@ -47,6 +48,20 @@ _UNITS = {
 
 
 @dataclass(frozen=True)
+class AssessmentId:
+    """A trial's share of the assessed designs, predicted by the ensemble of a data set."""
+
+    trial: TrialId
+    data_set: DataSetId
+
+    @property
+    def label(self) -> str:
+        """Name for display."""
+        group = "" if self.data_set.group == PAPERS_GROUP else f"{self.data_set.group}/"
+        return f"{group}{self.trial.label}"
+
+
+@dataclass(frozen=True)
 class AssessSpec:
     """A trial's share of the assessed designs."""
 
@@ -57,7 +72,7 @@ class AssessSpec:
 
 
 def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
-    """Give every trial its share of the designs; none where there are no networks to assess."""
+    """Give every trial its share of the designs, once for each group of throws that an ensemble learns from."""
     trials = [
         trial
         for trial in trials_of(settings, "assess")
@@ -67,14 +82,21 @@ def _plan(settings: Settings) -> Sequence[Chain[AssessSpec]]:
         return []
     simulation = environments.simulation_spec(settings, "true_slush")
     shares = zip(trials, spread_evenly(settings.assess.n_designs, len(trials)), strict=True)
-    return [Chain(trial, (n,), AssessSpec(trial, n, settings.seed, simulation)) for trial, n in shares if n]
+    return [
+        Chain(AssessmentId(trial, DataSetId(group, trial.replicate)), (n,), spec)
+        for trial, n in shares
+        if n
+        for spec in [AssessSpec(trial, n, settings.seed, simulation)]
+        for group in settings.throw_groups
+    ]
 
 
 def _item(
     settings: Settings, chain: Chain[AssessSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[AssessSpec]:
     """Specify a trial's share, which reads the trial's whole history and every member."""
-    inputs = environments.member_inputs(settings, "residual_slush", 0, upstream)
+    assert isinstance(chain.identity, AssessmentId)
+    inputs = environments.ensemble_inputs(settings, chain.identity.data_set, upstream)
     evolved = chain.spec.trial.in_stage("evolve")
     for number, segment in enumerate(upstream["evolve"].chain(evolved)):
         inputs[InputName(_SEGMENT, evolved, number)] = Input(segment, (segments.HISTORY,))
@@ -121,6 +143,14 @@ def _history(parts: Sequence[Files]) -> Columns:
     return {name: np.concatenate([table[name] for table in tables]) for name in names}
 
 
+def assessed_among(inputs: Inputs, group: str | None = None) -> list[Files]:
+    """Select the inputs that are trials' predictions by ensembles of one group of throws, or of the first of them."""
+    shares = {of.chain: files for of, files in inputs.items() if of.role == ASSESSED}
+    groups = [of.data_set.group for of in shares if isinstance(of, AssessmentId)]
+    chosen = group or next(iter(groups), None)
+    return [files for of, files in shares.items() if isinstance(of, AssessmentId) and of.data_set.group == chosen]
+
+
 def read_predictions(files: Sequence[Files]) -> Columns:
     """Decode and join the shares of one or more trials."""
     tables = [decode_table(part[PREDICTIONS], schema="predictions", version=1, source=PREDICTIONS) for part in files]
@@ -135,10 +165,11 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     table = read_predictions(shares)
     n_diverged = int(divergence.somewhere(table).sum())
     n = len(table["true"])
+    ensembles = f" of {len(settings.throw_groups)} ensembles" if len(settings.throw_groups) > 1 else ""
     return Summary(
         lines=[
             f"{n} designs of {len(shares)} trials at {settings.assessed_depth:g} m, in True Slush and under "
-            f"{table['predicted'].shape[1]} members; {n_diverged} diverged"
+            f"{table['predicted'].shape[1]} members{ensembles}; {n_diverged} diverged"
         ],
         metrics={"n_designs": n, "n_diverged": n_diverged},
     )

@@ -1,25 +1,26 @@
-"""collect: the data set of throws, in chunks. Paper, "Dataset Collection"."""
+"""collect: the data sets of throws, in chunks. Paper, "Dataset Collection"."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
+from pipeline.stages.data_sets import ChunkId, DataSetId, data_sets
 from pipeline.stages.environments import Media
-from pipeline.stages.part import PartId
-from pipeline.store.encoding import decode_table, encode_table
+from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
-from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, simulate_throws
-from tasks.seeding import generator
+from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, robot_ranges, simulate_throws
+from tasks.seeding import generator, replicate_seed
 from tasks.world import Physics
 
 THROWN = "throws"  # role of the inputs that are chunks of the data set
 TRANSITIONS = "transitions.parquet"
+_RANGES = "ranges.json"  # of the states of robots, which designed throws cover
 _STATE_UNITS = f"{', '.join(STATE)} [m, m, rad, m/s, m/s, rad/s]"
 _UNITS = {
     "throw": "",
@@ -46,20 +47,17 @@ class ChunkSpec:
 
 
 def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec]]:
-    """Divide the throws into chunks, if any trial needs networks."""
-    if not settings.needs_ensemble:
-        return []
-    size, n_throws = settings.work.throws_per_item, settings.throws.n_throws
+    """Divide the throws of every data set into chunks; there are none if no trial needs networks."""
     media = environments.media_of(settings, "true_slush")
-    return [
-        Chain(
-            PartId(f"throws-{first}"),
-            (n,),
-            ChunkSpec(first, n, settings.seed, settings.throws, settings.physics, media),
-        )
-        for first in range(0, n_throws, size)
-        for n in [min(size, n_throws - first)]
-    ]
+    chains = []
+    for data_set in data_sets(settings):
+        throws, size = settings.throws_of(data_set.group), settings.work.throws_per_item
+        seed = replicate_seed(settings.seed, data_set.replicate)
+        for first in range(0, throws.n_throws, size):
+            n = min(size, throws.n_throws - first)
+            spec = ChunkSpec(first, n, seed, throws, settings.physics, media)
+            chains.append(Chain(ChunkId(data_set, first), (n,), spec))
+    return chains
 
 
 def _item(
@@ -70,26 +68,36 @@ def _item(
 
 def _compute(job: Job[ChunkSpec], inputs: Inputs) -> Files:
     spec = job.spec
-    starts = initial_states(spec.throws, generator(spec.seed, "collect"))[spec.first : spec.first + spec.n]
+    starts = initial_states(spec.throws, generator(spec.seed, "collect"), spec.physics)
+    starts = starts[spec.first : spec.first + spec.n]
     medium = environments.true_medium(spec.media)
-    transitions = simulate_throws(starts, spec.throws.n_steps, medium, spec.physics)
+    transitions = simulate_throws(starts, spec.throws.n_steps_of(spec.physics), medium, spec.physics)
     columns = {field.name: getattr(transitions, field.name) for field in fields(Transitions)}
-    return {TRANSITIONS: encode_table(columns, schema="transitions", version=1, producer=job.key, units=_UNITS)}
+    files = {TRANSITIONS: encode_table(columns, schema="transitions", version=1, producer=job.key, units=_UNITS)}
+    if spec.throws.design == "robots":
+        files[_RANGES] = encode_json(asdict(robot_ranges(spec.physics)))
+    return files
 
 
-def data_set(collected: Results) -> dict[InputName, Input]:
-    """Return the chunks of the whole data set as inputs.
+def throws_inputs(collected: Results, data_set: DataSetId) -> dict[InputName, Input]:
+    """Return the chunks of a whole data set as inputs.
 
     Raises:
         MissingInputs: a chunk is not there.
     """
     chunks = (*collected.done, *collected.unfinished, *collected.failed)
-    return {InputName(THROWN, chunk): Input(collected.chain(chunk)[0], (TRANSITIONS,)) for chunk in chunks}
+    own = [chunk for chunk in chunks if isinstance(chunk, ChunkId) and chunk.data_set == data_set]
+    return {InputName(THROWN, chunk): Input(collected.chain(chunk)[0], (TRANSITIONS,)) for chunk in own}
 
 
-def throws_among(inputs: Inputs) -> list[Files]:
-    """Select the inputs that are chunks of the data set, in its order."""
-    return [files for name, files in inputs.items() if name.role == THROWN]
+def throws_among(inputs: Inputs, data_set: DataSetId | None = None) -> list[Files]:
+    """Select the inputs that are chunks of a data set, or of the only one that there is, in its order."""
+    thrown = {name.chain: files for name, files in inputs.items() if name.role == THROWN}
+    return [
+        files
+        for chunk, files in thrown.items()
+        if data_set is None or (isinstance(chunk, ChunkId) and chunk.data_set == data_set)
+    ]
 
 
 def read_transitions(chunks: Sequence[Files]) -> Transitions:
@@ -103,20 +111,37 @@ def read_transitions(chunks: Sequence[Files]) -> Transitions:
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Count transitions by immersion and speed: robots move at low speeds, throws mostly do not."""
-    chunks = [{TRANSITIONS: store.read(chain[0], TRANSITIONS)} for chain in results.done.values()]
-    if not chunks:
-        return Summary(lines=["no throws"])
-    transitions = read_transitions(chunks)
-    speed = np.hypot(transitions.state[:, 3], transitions.state[:, 4])
-    wet = np.abs(transitions.residual).max(axis=1) > 0
-    slow_and_wet = float(np.mean(wet & (speed < 0.5)))
-    return Summary(
-        lines=[
-            f"{len(np.unique(transitions.throw))} throws, {len(transitions)} transitions; "
+    """Count the transitions of each data set by immersion and speed: robots move slowly, the paper's throws do not."""
+    lines, metrics = list[str](), dict[str, float]()
+    for data_set in data_sets(settings):
+        done = {
+            of: parts[0] for of, parts in results.done.items() if isinstance(of, ChunkId) and of.data_set == data_set
+        }
+        if not done:
+            continue
+        transitions = read_transitions([{TRANSITIONS: store.read(part, TRANSITIONS)} for part in done.values()])
+        speed = np.hypot(transitions.state[:, 3], transitions.state[:, 4])
+        wet = np.abs(transitions.residual).max(axis=1) > 0
+        slow_and_wet = float(np.mean(wet & (speed < 0.5)))
+        n_throws, name = len(np.unique(transitions.throw)), "" if len(data_sets(settings)) == 1 else data_set.words
+        lines.append(
+            f"{name}{name and ': '}{n_throws:,} throws, {len(transitions):,} transitions; "
             f"{wet.mean():.0%} touch slush, {slow_and_wet:.0%} touch it at less than 0.5 m/s"
-        ],
-        metrics={"n_transitions": len(transitions), "wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet},
+        )
+        lines += [_ranges_line(store, part) for part in list(done.values())[:1] if _RANGES in part.files]
+        figures = {"wet_share": float(wet.mean()), "slow_and_wet_share": slow_and_wet}
+        counts = {"n_throws": float(n_throws), "n_transitions": float(len(transitions))}
+        metrics |= {f"{data_set.prefix.replace('/', '.')}{name}": x for name, x in {**counts, **figures}.items()}
+    return Summary(lines=lines or ["no throws"], metrics=metrics)
+
+
+def _ranges_line(store: Store, chunk: Manifest) -> str:
+    """State the ranges that designed throws start in."""
+    ranges = decode_json(store.read(chunk, _RANGES), _RANGES)
+    return (
+        f"    designed for links of {ranges['length_scale'][0]:g} to {ranges['length_scale'][1]:g} m within "
+        f"± {ranges['y_reach']:g} m of the surface, at up to {ranges['max_velocity']:.1f} m/s and "
+        f"{ranges['max_omega']:.1f} rad/s, followed for {ranges['n_steps']} steps"
     )
 
 

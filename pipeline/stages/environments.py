@@ -7,7 +7,16 @@ import numpy as np
 
 from pipeline.cluster import Spread
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS, RolloutSettings, Settings
-from pipeline.stages.part import PartId
+from pipeline.stages.data_sets import (
+    DataSetId,
+    NetworkId,
+    data_set_of,
+    data_sets,
+    ensemble_ids,
+    main_data_set,
+    networks_of,
+    own_network,
+)
 from pipeline.store.encoding import decode_arrays
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
@@ -19,19 +28,9 @@ from tasks.simulation.batch import n_that_fill_lanes
 from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics, RandomisedSlushes
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
-MEMBER = "member"  # role of the inputs that are networks of the ensemble, or of one single-member trial
-SINGLE = "single"  # role of the inputs that are networks of single-member trials and not of the ensemble beside them
+MEMBER = "member"  # role of the inputs that are networks of an ensemble, or of one single-member trial
+SINGLE = "single"  # role of the inputs that are networks of single-member trials and not of an ensemble beside them
 _FLOPS_OF_PHYSICS = 8e3  # approximate cost of one link's Box2D step, to weigh networks against
-
-
-def member_id(index: int) -> PartId:
-    """Return the identity of a network. The ensemble consists of the first n_members."""
-    return PartId(f"member-{index:02d}")
-
-
-def member_ids(settings: Settings) -> list[PartId]:
-    """Return the identities of the members of the ensemble, in its order."""
-    return [member_id(index) for index in range(settings.ensemble.n_members)]
 
 
 Media = Mapping[str, Parameters]  # settings of the environments' media, by group
@@ -98,60 +97,104 @@ def true_medium(media: Media) -> Medium:
 
 
 def members_among(inputs: Inputs) -> dict[InputName, Files]:
-    """Select the inputs that are members of the ensemble, in its order."""
+    """Select the inputs that are members of ensembles, in their order."""
     return {name: files for name, files in inputs.items() if name.role == MEMBER}
 
 
 def networks_among(inputs: Inputs) -> dict[InputName, Files]:
-    """Select the inputs that are networks: the members of the ensemble, and those of single-member trials."""
+    """Select the inputs that are networks: the members of ensembles, and those of single-member trials."""
     return {name: files for name, files in inputs.items() if name.role in (MEMBER, SINGLE)}
 
 
-def network_among(inputs: Inputs, index: int) -> dict[InputName, Files]:
+def network_among(inputs: Inputs, network: NetworkId) -> dict[InputName, Files]:
     """Return one network as an ensemble of its own.
 
     Raises:
         KeyError: the inputs do not include it.
     """
-    own = InputName(MEMBER, member_id(index))
+    own = InputName(MEMBER, network)
     return {own: inputs[own] if own in inputs else inputs[replace(own, role=SINGLE)]}
 
 
-def member_inputs(
-    settings: Settings, environment: EnvironmentName, trial: int, upstream: Upstream
-) -> dict[InputName, Input]:
-    """Return the trained networks of an environment as inputs, in the order of the ensemble.
+def data_set_among(inputs: Inputs, trial: TrialId) -> DataSetId:
+    """Return the data set whose ensemble serves a trial: its own, or the main one of its replicate if it needs none."""
+    return data_set_of(trial, main_data_set_among(inputs).group)
+
+
+def main_data_set_among(inputs: Inputs) -> DataSetId:
+    """Return the data set of the first ensemble among the inputs.
+
+    Raises:
+        StopIteration: there is none.
+    """
+    return next(name.chain.data_set for name in members_among(inputs) if isinstance(name.chain, NetworkId))
+
+
+def ensemble_among(inputs: Inputs, data_set: DataSetId) -> dict[InputName, Files]:
+    """Select the members of one ensemble, in its order."""
+    members = members_among(inputs).items()
+    return {of: files for of, files in members if isinstance(of.chain, NetworkId) and of.chain.data_set == data_set}
+
+
+def home_networks_among(inputs: Inputs, trial: TrialId) -> dict[InputName, Files]:
+    """Select the networks that a trial evolved in; none if it needs none."""
+    kind = ENVIRONMENTS[trial.environment]
+    if kind.networks == "none":
+        return {}
+    data_set = data_set_of(trial, kind.learns_from)
+    if kind.networks == "one":
+        return network_among(inputs, NetworkId(data_set, own_network(trial)))
+    return ensemble_among(inputs, data_set)
+
+
+def home_inputs(settings: Settings, trial: TrialId, upstream: Upstream) -> dict[InputName, Input]:
+    """Return the networks that a trial evolves in as inputs.
 
     Args:
         settings: the study's settings.
-        environment: name of the environment.
-        trial: number of the trial, which is that of its network in ``single_member``.
+        trial: the trial.
         upstream: results of the stages before.
 
     Raises:
         MissingInputs: a network is not trained.
     """
-    members = {"none": [], "one": [member_id(trial)], "all": member_ids(settings)}[ENVIRONMENTS[environment].networks]
-    return {InputName(MEMBER, of): _weights(of, upstream) for of in members}
+    return {InputName(MEMBER, of): _weights(of, upstream) for of in networks_of(settings, trial)}
 
 
-def single_member_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
-    """Return the networks of single-member trials that are not members of the ensemble, as inputs beside its members.
+def ensemble_inputs(settings: Settings, data_set: DataSetId, upstream: Upstream) -> dict[InputName, Input]:
+    """Return the members of an ensemble as inputs, in its order.
 
     Args:
         settings: the study's settings.
-        trials: trials of any environments.
+        data_set: the data set that it learned from.
         upstream: results of the stages before.
 
     Raises:
         MissingInputs: a network is not trained.
     """
-    own = [member_id(trial.index) for trial in trials if ENVIRONMENTS[trial.environment].networks == "one"]
-    others = [of for of in dict.fromkeys(own) if of not in member_ids(settings)]
-    return {InputName(SINGLE, of): _weights(of, upstream) for of in others}
+    return {InputName(MEMBER, of): _weights(of, upstream) for of in ensemble_ids(settings, data_set)}
 
 
-def _weights(network: PartId, upstream: Upstream) -> Input:
+def networks_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
+    """Return the ensembles that serve some trials, and their own networks, as inputs.
+
+    Args:
+        settings: the study's settings.
+        trials: trials of any environments; those that need no networks are served by the main ensemble.
+        upstream: results of the stages before.
+
+    Raises:
+        MissingInputs: a network is not trained.
+    """
+    main, inputs = main_data_set(settings).group, dict[InputName, Input]()
+    served = dict.fromkeys(data_set_of(trial, main) for trial in trials)
+    for data_set in [of for of in data_sets(settings) if of in served]:
+        inputs |= ensemble_inputs(settings, data_set, upstream)
+    own = dict.fromkeys(network for trial in trials for network in networks_of(settings, trial))
+    return inputs | {InputName(SINGLE, of): _weights(of, upstream) for of in own if InputName(MEMBER, of) not in inputs}
+
+
+def _weights(network: NetworkId, upstream: Upstream) -> Input:
     return Input(upstream["train"].chain(network)[-1], (WEIGHTS,))
 
 

@@ -29,7 +29,7 @@ def _item(
     settings: Settings, chain: Chain[TrialSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[SegmentSpec]:
     trial = chain.spec
-    members = environments.member_inputs(settings, trial.environment, trial.identity.index, upstream)
+    members = environments.home_inputs(settings, trial.identity, upstream)
     return Item(
         EVOLVE.name,
         EVOLVE.version,

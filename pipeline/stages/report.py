@@ -17,8 +17,9 @@ from pipeline.report.replay import Replay
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.analyses.champions import champions
 from pipeline.stages.analyses.filmed_rollouts import best_of
-from pipeline.stages.assess import ASSESSED, PREDICTIONS, read_predictions
-from pipeline.stages.collect import data_set
+from pipeline.stages.assess import ASSESSED, PREDICTIONS, AssessmentId, read_predictions
+from pipeline.stages.collect import throws_inputs
+from pipeline.stages.data_sets import DataSetId, NetworkId, ensemble_ids, main_data_set
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED, PROPOSED, proposal_files, proposed, tank_replays
@@ -119,7 +120,7 @@ def _item(
         return Item(REPORT.name, REPORT.version, chain.label, chain.spec, inputs, execution)
     inputs = _film_inputs(settings, trials_of(settings, "transfer"), upstream)
     trained = upstream["train"].done
-    members = [of for of in environments.member_ids(settings) if of in trained]
+    members = [of for of in _main_members(settings) if of in trained]
     inputs |= {InputName(TRAINED, of): Input(trained[of][0], (MEMBER_ERRORS,)) for of in members}
     for trial, evolved in upstream["evolve"].done.items():
         for number, segment in enumerate(evolved):
@@ -133,7 +134,7 @@ def _item(
         inputs[InputName(ANALYSED, of)] = Input(analysis, tuple(analysis.files))
     if settings.needs_ensemble:
         with suppress(MissingInputs):  # the figure of the data set then gives a reason
-            inputs |= data_set(upstream["collect"])
+            inputs |= throws_inputs(upstream["collect"], main_data_set(settings))
     if (family := _family_trial(settings, upstream["evolve"].done)) is not None:
         for number, segment in enumerate(upstream["evolve"].done[family]):
             inputs[InputName(HISTORIES, family, number)] = Input(segment, (segments.HISTORY,))
@@ -157,9 +158,12 @@ def _film_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstre
     inputs = scores_inputs(trials, upstream)
     if any(trial.environment in RESIDUAL_ENVIRONMENTS for trial in trials):
         with suppress(MissingInputs):  # where a member is missing there are no residual environments to film
-            inputs |= environments.member_inputs(settings, "residual_slush", 0, upstream)
-            inputs |= environments.single_member_inputs(settings, trials, upstream)
+            inputs |= environments.networks_inputs(settings, trials, upstream)
     return inputs
+
+
+def _main_members(settings: Settings) -> list[NetworkId]:
+    return ensemble_ids(settings, main_data_set(settings)) if settings.needs_ensemble else []
 
 
 def _family_trial(settings: Settings, evolved: Container[object]) -> TrialId | None:
@@ -309,8 +313,10 @@ def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Colu
         if (scored := inputs.get(InputName(SCORED, trial))) is not None:
             scores = decode_json(scored[SCORE], label)
             found.append((f"transfer: {label}", divergence.in_transfer(scores, adapted.get(trial))))
-        if (share := inputs.get(InputName(ASSESSED, trial.in_stage("assess")))) is not None:
-            found.append((f"assess: {label}", divergence.in_assessment(read_predictions([share]))))
+        for group in settings.throw_groups:
+            of = AssessmentId(trial.in_stage("assess"), DataSetId(group, trial.replicate))
+            if (share := inputs.get(InputName(ASSESSED, of))) is not None:
+                found.append((f"assess: {of.label}", divergence.in_assessment(read_predictions([share]))))
     return [f"{where}: {what}" for where, what in found if what is not None]
 
 

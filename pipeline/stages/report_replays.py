@@ -17,6 +17,7 @@ from pipeline.stages.analyses.champions import champions
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, film_arm
 from pipeline.stages.analyses.instruments import FilmRow, transitions_of
 from pipeline.stages.analyses.specs import INSTRUMENTS
+from pipeline.stages.data_sets import NetworkId
 from pipeline.stages.environments import SimulationSpec, networks_among
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
@@ -113,7 +114,8 @@ def _replay(
     champion, trial = film.champion, film.champion.trial
     style = ENVIRONMENTS[trial.environment]
     arm = Arm(film.seen_in, trial.depth)
-    push = push_of(simulation, arm, film.member, champion.design, film.trace, networks) if pushed else None
+    network = NetworkId(environments.data_set_among(networks, trial), film.member) if networks else None
+    push = push_of(simulation, arm, film.member, champion.design, film.trace, networks, network) if pushed else None
     replay = replay_of(
         champion.design,
         film.trace[0],
@@ -177,7 +179,7 @@ def looked_at(
         seed: seed of the study.
     """
     physics = simulation.physics
-    learned, _ = transitions_of(held_out, seed, inputs)
+    learned, _ = transitions_of(held_out, seed, inputs, environments.main_data_set_among(inputs))
     magnitude = disagreement(design, trace, environments.ensemble_of(inputs), physics).magnitude[0]
     new = novelty(link_states(design, trace, physics), thrown(learned.observation, learned.throw)).novelty[0]
     return tuple(
@@ -188,7 +190,13 @@ def looked_at(
 
 
 def push_of(
-    simulation: SimulationSpec, arm: Arm, member: int, design: Designs, trace: Floats, networks: Inputs
+    simulation: SimulationSpec,
+    arm: Arm,
+    member: int,
+    design: Designs,
+    trace: Floats,
+    networks: Inputs,
+    network: NetworkId | None,
 ) -> Float64 | None:
     """Return the acceleration of each link by the medium, (n_frames, n_links, 2) [m/s²]; None where there is none.
 
@@ -198,11 +206,13 @@ def push_of(
         member: number of the member of an ensemble, or NO_MEMBER.
         design: a single design.
         trace: (1, n_steps, n_links, 6)
-        networks: the networks, if one predicts the medium.
+        networks: files of the networks.
+        network: the one that predicts the medium, if one does.
     """
     medium: Medium | None
     if arm.environment in RESIDUAL_ENVIRONMENTS:
-        medium = environments.ensemble_of(environments.network_among(networks, member))
+        assert network is not None
+        medium = environments.ensemble_of(environments.network_among(networks, network))
     else:
         environment = environments.build_environment(simulation.media, arm.environment, arm.depth, {})
         medium = environment.components[max(member, 0)].medium

@@ -14,7 +14,8 @@ from pipeline.stages.analyses.analysis_tables import read_rows
 from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.filmed_rollouts import NO_MEMBER, Filmed, median_member
 from pipeline.stages.analyses.specs import EXPLOITERS
-from pipeline.stages.assess import ASSESSED, read_predictions
+from pipeline.stages.assess import assessed_among, read_predictions
+from pipeline.stages.data_sets import NetworkId, own_network
 from pipeline.stages.environments import SimulationSpec, networks_among
 from pipeline.stages.part import PartId
 from pipeline.stages.proposed_design import ANALYSED
@@ -25,7 +26,7 @@ from pipeline.workflow.stage import Execution, Files, Inputs
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.simulation import OK
-from tasks.world import ResidualSlush
+from tasks.world import ENVIRONMENTS, ResidualSlush
 
 
 def address_of(champion: Champion) -> str:
@@ -64,7 +65,7 @@ def exploiters(inputs: Inputs, trials: Sequence[TrialId]) -> Mapping[str, tuple[
         trials: trials of the champions.
     """
     rows = read_rows(inputs.get(InputName(ANALYSED, PartId(EXPLOITERS))), "exploiters", ExploiterRow)[:MOST_EXPLOITERS]
-    shares = [files for name, files in inputs.items() if name.role == ASSESSED]
+    shares = assessed_among(inputs)
     assessed = read_predictions(shares) if shares else {}
     known = {address_of(champion): champion for champion in champions(trials, inputs)}
     found: dict[str, tuple[ExploiterRow, Champion]] = {}
@@ -98,8 +99,11 @@ def films_of_exploiter(
     films = in_true_slush(simulation, execution, [exploiter]) if row.kind == "assessed" else []
     if not networks:
         return films
-    member = row.trial if row.environment == "single_member" else median_member(np.array(row.by_member))
-    ensemble = environments.ensemble_of(environments.network_among(networks, member))
+    trial = exploiter.trial
+    single = ENVIRONMENTS[trial.environment].networks == "one"
+    member = own_network(trial) if single else median_member(np.array(row.by_member))
+    network = NetworkId(environments.data_set_among(networks, trial), member)
+    ensemble = environments.ensemble_of(environments.network_among(networks, network))
     environment = ResidualSlush(depth=row.depth, ensemble=ensemble)
     rollouts = environments.roll_out(simulation, execution, environment, exploiter.design, trace=True)
     assert rollouts.trace is not None

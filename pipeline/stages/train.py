@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from pipeline.config.settings import Settings
-from pipeline.stages import environments
-from pipeline.stages.collect import data_set, read_transitions, throws_among
-from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS, member_id
+from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
+from pipeline.stages.data_sets import NetworkId, ensemble_ids, main_data_set, network_ids
+from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS
 from pipeline.store.encoding import canonical_json, decode_table, digest, encode_arrays, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -29,6 +29,7 @@ from pipeline.workflow.stage import (
     Upstream,
 )
 from tasks.residual import Architecture, ErrorRow, Training
+from tasks.seeding import replicate_seed
 
 MEMBER_ERRORS = "errors.parquet"  # file of a member's errors on the throws held out
 _LEARNING = "learning.parquet"
@@ -55,19 +56,22 @@ class MemberSpec:
 
 
 def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
-    """Train each network by itself, if any trial needs networks."""
-    return [
-        Chain(member_id(spec.member), (spec.training.n_iterations,), spec)
-        for member in range(settings.n_networks)
-        for spec in [MemberSpec(member, settings.seed, settings.network, settings.training)]
-    ]
+    """Train each network by itself."""
+    chains = []
+    for network in network_ids(settings):
+        seed = replicate_seed(settings.seed, network.data_set.replicate)
+        spec = MemberSpec(network.index, seed, settings.network, settings.training)
+        chains.append(Chain(network, (spec.training.n_iterations,), spec))
+    return chains
 
 
 def _item(
     settings: Settings, chain: Chain[MemberSpec], index: int, previous: Manifest | None, upstream: Upstream
 ) -> Item[MemberSpec]:
     execution = Execution(n_gpus=1 if settings.training.device == "cuda" else 0)
-    return Item(TRAIN.name, TRAIN.version, chain.label, chain.spec, data_set(upstream["collect"]), execution)
+    assert isinstance(chain.identity, NetworkId)
+    throws = throws_inputs(upstream["collect"], chain.identity.data_set)
+    return Item(TRAIN.name, TRAIN.version, chain.label, chain.spec, throws, execution)
 
 
 def _compute(job: Job[MemberSpec], inputs: Inputs) -> Files:
@@ -122,7 +126,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         f"(bias {trial.metrics['bias.vx.low_speed']:+.4f} m/s)"
         for trial in trials
     ]
-    members = environments.member_ids(settings)
+    members = ensemble_ids(settings, main_data_set(settings)) if settings.needs_ensemble else []
     complete = bool(trials) and all(member in results.done for member in members)
     model = _ensemble(settings, [of for of in trials if of.chain in members], results, store) if complete else None
     return Summary(lines=lines or ["no trial needs residual networks"], trials=trials, model=model)

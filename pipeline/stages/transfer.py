@@ -79,7 +79,7 @@ def _item(
         trial = chain.spec.identity
         home = environments.simulation_spec(settings, trial.environment)
         label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home)
-        inputs |= environments.member_inputs(settings, trial.environment, trial.index, upstream)
+        inputs |= environments.home_inputs(settings, trial, upstream)
         if previous is not None:
             inputs[_ADAPTED_TO] = Input(previous, (POPULATION,))
     execution = environments.execution_options(settings, "true_slush")

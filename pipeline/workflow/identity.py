@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -64,6 +64,12 @@ class TrialId:
     environment: EnvironmentName  # where its designs evolved
     depth: float  # [m]
     index: int
+    n_replicates: int = field(default=1, compare=False, metadata=OMIT_DEFAULT)  # of the study's data sets
+
+    @property
+    def replicate(self) -> int:
+        """The replicate of the data set and the ensemble that it uses."""
+        return self.index % self.n_replicates
 
     @property
     def arm(self) -> Arm:
@@ -87,7 +93,7 @@ class TrialId:
 
 def trials_of(settings: Settings, stage: str) -> list[TrialId]:
     """List the study's trials as chains of a stage."""
-    return [TrialId(stage, *row) for row in settings.grid.trials()]
+    return [TrialId(stage, *row, settings.replicates) for row in settings.grid.trials()]
 
 
 def arms_of(trials: Sequence[TrialId]) -> dict[Arm, list[TrialId]]:

@@ -23,6 +23,7 @@ from numpy.random import Generator
 from tasks.analysis.comparison import EvolvedIn, Scores, difference, ratio
 from tasks.analysis.uncertainty import Estimate, bootstrap, finite, mean
 from tasks.arrays import Float64, Floats, Int64
+from tasks.world import ENVIRONMENTS
 
 _NO_GAP = "there is no gap to take shares of"
 
@@ -56,10 +57,10 @@ class Attribution:
 
 def attribute(scores: Scores, *, rng: Generator) -> tuple[Attribution, ...]:
     """Split the transfer gap of every arm except True Slush, at each depth."""
-    arms: tuple[EvolvedIn, ...] = ("dry_land", "residual_slush", "single_member", "randomised_slush")
     return tuple(
         _attribution(scores, arm, depth, rng)
-        for arm in arms
+        for arm in ENVIRONMENTS
+        if arm != "true_slush"
         for depth in scores.depths()
         if len(scores.rows(arm, depth))
     )

@@ -271,12 +271,18 @@ PAPERS_CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
 
 CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
     *PAPERS_CONTRASTS,
+    (("designed_throws", "zero_shot"), BEST),
+    (("designed_throws", "adapted"), BEST),
+    (("designed_throws", "zero_shot"), ("residual_slush", "zero_shot")),
+    (("designed_throws", "adapted"), ("residual_slush", "adapted")),
+    (("designed_throws", "zero_shot"), ("designed_single_member", "zero_shot")),
+    (("designed_throws", "adapted"), ("designed_single_member", "adapted")),
     (("randomised_slush", "zero_shot"), BEST),
     (("randomised_slush", "adapted"), BEST),
     (("residual_slush", "zero_shot"), ("randomised_slush", "zero_shot")),
     (("residual_slush", "adapted"), ("randomised_slush", "adapted")),
 )
-"""All pairs: those, and the baseline of domain randomisation in studies that include it."""
+"""All pairs: those, and those of arms that a study may have beside the paper's."""
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from typing import Literal
 
 from tasks.analysis.comparison import BEST, ScoredArm
 from tasks.analysis.prediction import Figure, mean_less_deviations
+from tasks.world import ENVIRONMENTS
 
 Claim = Literal["less", "greater", "no difference"]
 
@@ -81,19 +82,11 @@ PHYSICAL = (
 )
 """Results of the built robot."""
 
-NAMES: Mapping[str, str] = {
-    "true_slush": "True Slush",
-    "dry_land": "Dry Land",
-    "residual_slush": "Residual Slush",
-    "single_member": "Single member",
-    "randomised_slush": "Randomised Slush",
-    "zero_shot": "zero-shot",
-    "adapted": "adapted",
-}
-"""Labels of arms and quantities: the paper's, and the baseline that it does not measure."""
+_QUANTITIES: Mapping[str, str] = {"predicted": "predicted", "zero_shot": "zero-shot", "adapted": "adapted"}
 
 
 def name_of(arm: ScoredArm) -> str:
     """Return an arm's label; zero-shot designs of True Slush are at home there, so 'zero-shot' is left out."""
     evolved_in, quantity = arm
-    return NAMES[evolved_in] if arm == BEST else f"{NAMES[evolved_in]} {NAMES[quantity]}"
+    label = ENVIRONMENTS[evolved_in].label
+    return label if arm == BEST else f"{label} {_QUANTITIES[quantity]}"

@@ -40,6 +40,7 @@ class Regression:
     slope: Estimate
     intercept: Estimate  # [m]
     r: Estimate  # pearson's R
+    learned_from: str = "throws"  # settings group of the throws that the ensemble learned from
 
 
 @dataclass(frozen=True)

@@ -7,5 +7,6 @@ This package imports no torch, so that reading a settings file is fast. :mod:`ta
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.observation import OBSERVATION, STATE, observe
-from tasks.residual.throws import Throws, Transitions, initial_states, simulate_throws
+from tasks.residual.robot_ranges import robot_ranges
+from tasks.residual.throws import DesignedThrows, Throws, Transitions, initial_states, simulate_throws
 from tasks.residual.validation import split_throws

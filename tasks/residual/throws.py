@@ -2,20 +2,24 @@
 
 Throws have no ground, so one data set serves every depth. A throw depends on its start only, not on the chunk of throws
 that it was computed with.
+
+The paper's throws start at up to 28 m/s and 20 rad/s, stop within a few steps, and then drift. Robots move at a few
+metres per second and turn slowly. Throws that are designed for robots cover the states of robots' links evenly.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.parameters import Parameters
 from tasks.residual.observation import STATE, observe
+from tasks.residual.robot_ranges import robot_ranges
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
 
@@ -25,8 +29,13 @@ class Throws(Parameters):
 
     n_throws: int = Field(default=500, ge=2, le=1_000_000)
     """Number of throws. [P]"""
-    n_steps: int = Field(default=200, ge=1, le=100_000)
-    """Steps of each throw; the default is 3.3 s. [P]"""
+    n_steps: int | None = Field(default=200, ge=1, le=100_000)
+    """Steps of each throw; the default is 3.3 s [P]. null: in throws for robots, as many as gravity takes to accelerate
+    a link beyond the range of their speeds, about half a second."""
+    design: Literal["paper", "robots"] = Field(default="paper", exclude_if=lambda design: design == "paper")
+    """Starts: "paper" draws them uniformly within the ranges below [P]. "robots" spreads them evenly, as a scrambled
+    Sobol sequence, over the states that links of random designs pass through in the base simulator, and ignores the
+    ranges below."""
     length_scales: tuple[Annotated[float, Field(ge=0.1, le=10.0)], ...] = Field(default=(1.0, 2.0, 3.0), min_length=1)
     """Long axes of links, drawn with equal probability [m]. [P]"""
     x_reach: float = Field(default=0.2, ge=0.0, le=1000.0)
@@ -39,6 +48,32 @@ class Throws(Parameters):
     """Initial ω lies within ± this [rad/s]. [P] Box2D limits rotation to π/2 per step."""
     throw_speed: Literal["uniform", "log_uniform"] = "uniform"
     """Initial velocities: uniform [P], or all three of a throw times 10^U(-2, 0), for more low speeds."""
+
+    @model_validator(mode="after")
+    def _ranges_are_used(self) -> Self:
+        if self.design == "robots":
+            ranges = ("length_scales", "x_reach", "y_reach", "max_velocity", "max_omega", "throw_speed")
+            changed = [name for name in ranges if getattr(self, name) != type(self).model_fields[name].default]
+            if changed:
+                raise ValueError(f"design is robots, which ignores {', '.join(changed)}: expected the design paper")
+        elif self.n_steps is None:
+            raise ValueError("n_steps is null, which only the design robots decides: expected at least 1")
+        return self
+
+    def n_steps_of(self, physics: Physics) -> int:
+        """Return the number of steps of each throw."""
+        return robot_ranges(physics).n_steps if self.n_steps is None else self.n_steps
+
+
+class DesignedThrows(Throws):
+    """Settings of throws that are designed for robots."""
+
+    n_throws: int = Field(default=2500, ge=2, le=1_000_000)
+    """Number of throws. With 29 steps each they are fewer transitions than the paper's 100,000."""
+    n_steps: int | None = Field(default=None, ge=1, le=100_000)
+    """Steps of each throw; null: as many as gravity takes to accelerate a link beyond the range of robots' speeds."""
+    design: Literal["paper", "robots"] = "robots"
+    """Starts, as in throws.design."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +118,46 @@ class Transitions:
         return Transitions(*(np.concatenate([getattr(c, f.name) for c in chunks]) for f in fields(Transitions)))
 
 
-def initial_states(throws: Throws, rng: np.random.Generator) -> Starts:
-    """Draw the initial states of all throws, uniformly within their ranges."""
+def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | None = None) -> Starts:
+    """Draw the initial states of all throws.
+
+    Args:
+        throws: their number, design and ranges.
+        rng: source of randomness.
+        physics: constants of the base simulator, in which the range of robots' states is estimated; the paper's by
+            default.
+
+    Returns:
+        n_throws starts.
+    """
+    if throws.design == "robots":
+        return _for_robots(throws.n_throws, physics or Physics(), rng)
+    return _uniform(throws, rng)
+
+
+def _for_robots(n: int, physics: Physics, rng: np.random.Generator) -> Starts:
+    """Spread n starts evenly over length, height, angle, velocities and spin.
+
+    Args:
+        n: number of starts.
+        physics: constants of the base simulator.
+        rng: source of randomness, which scrambles the sequence.
+    """
+    from scipy.stats import qmc  # takes long to import, and settings files are read without it
+
+    ranges = robot_ranges(physics)
+    v, omega, turn = ranges.max_velocity, ranges.max_omega, 2 * np.pi
+    low, high = np.transpose(
+        [ranges.length_scale, (-ranges.y_reach, ranges.y_reach), (0, turn), (-v, v), (-v, v), (-omega, omega)]
+    )
+    sequence = qmc.Sobol(len(low), scramble=True, rng=rng)
+    even = sequence.random_base2((n - 1).bit_length())[:n]  # whole powers of 2 are balanced
+    length_scale, *rest = (low + (high - low) * even).T
+    return Starts(np.arange(n), length_scale, np.stack((np.zeros(n), *rest), axis=1).astype(np.float32))
+
+
+def _uniform(throws: Throws, rng: np.random.Generator) -> Starts:
+    """Draw starts uniformly within their ranges. Paper, "Dataset Collection"."""
     n = throws.n_throws
     reach = np.array((throws.x_reach, throws.y_reach, np.pi, *[throws.max_velocity] * 2, throws.max_omega))
     length_scale = rng.choice(np.array(throws.length_scales), size=n)

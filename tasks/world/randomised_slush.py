@@ -120,6 +120,6 @@ register(
         adapted_color="#eeb4c0",
         dark_color="#e5708a",
         dark_adapted_color="#6d2a3a",
-        order=5,
+        order=7,
     )
 )

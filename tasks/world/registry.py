@@ -24,6 +24,7 @@ class EnvironmentKind:
     settings_group: str | None = None  # group of settings that states the medium's parameters
     settings: type[Parameters] | None = None  # class of these settings, which is also the medium
     networks: Literal["none", "one", "all"] = "none"  # trained ensemble members that the medium consists of
+    learns_from: str = "throws"  # settings group of the throws that these networks learn from
     label: str
     symbol: str  # symbol in the paper
     evolved: str  # phrase that completes "evolved ..."

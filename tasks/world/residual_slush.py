@@ -1,4 +1,7 @@
-"""Residual Slush: Dry Land plus the velocity changes that residual networks predict. Paper, "Residual Physics"."""
+"""Residual Slush: Dry Land plus the velocity changes that residual networks predict. Paper, "Residual Physics".
+
+Each arm names the throws that its networks learn from: the paper's, or throws that are designed for robots.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -57,5 +60,39 @@ register(
         dark_color="#b58bdb",
         dark_adapted_color="#573577",
         order=4,
+    )
+)
+register(
+    EnvironmentKind(
+        name="designed_throws",
+        build=ResidualSlush,
+        networks="all",
+        learns_from="designed_throws",
+        label="Designed throws",
+        symbol="Ê*",
+        evolved="in Residual Slush learned from designed throws",
+        marker="v",
+        color="#b8860b",
+        adapted_color="#ead9a0",
+        dark_color="#d9b13b",
+        dark_adapted_color="#5f4a12",
+        order=5,
+    )
+)
+register(
+    EnvironmentKind(
+        name="designed_single_member",
+        build=ResidualSlush,
+        networks="one",
+        learns_from="designed_throws",
+        label="Designed, single member",
+        symbol="Ê*₁",
+        evolved="with a single member learned from designed throws",
+        marker="d",
+        color="#5b6ea8",
+        adapted_color="#c3cbe6",
+        dark_color="#93a5de",
+        dark_adapted_color="#3a4672",
+        order=6,
     )
 )

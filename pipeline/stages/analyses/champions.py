@@ -13,7 +13,7 @@ from pipeline.report.findings import ExploiterRow
 from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.specs import ExploitersSpec, MatrixSpec
-from pipeline.stages.assess import ASSESSED, read_predictions
+from pipeline.stages.assess import assessed_among, read_predictions
 from pipeline.stages.transfer import CHAMPION, SCORE, SCORED
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
@@ -25,7 +25,7 @@ from tasks.analysis.hallucination import Exploiter, rank_exploiters
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
-from tasks.world import EnvironmentName, ResidualSlush
+from tasks.world import ENVIRONMENTS, EnvironmentName, ResidualSlush
 
 
 @dataclass(frozen=True)
@@ -152,19 +152,21 @@ def _exploiter_row(row: Exploiter, of: Candidate) -> ExploiterRow:
 
 
 def _champions_under_members(job: Job[ExploitersSpec], inputs: Inputs) -> list[Candidate]:
-    """Simulate champions of all environments under every member, at the depth where they evolved."""
-    spec, ensemble = job.spec, environments.ensemble_of(inputs)
+    """Simulate champions of all environments under the members of an ensemble, at the depth where they evolved."""
+    spec = job.spec
     entrants = champions(spec.trials, inputs)
+    data_sets = {of.trial: environments.data_set_among(inputs, of.trial) for of in entrants}
     suspects = []
-    for depth in dict.fromkeys(of.trial.depth for of in entrants):
-        here = [of for of in entrants if of.trial.depth == depth]
+    for depth, data_set in dict.fromkeys((of.trial.depth, data_sets[of.trial]) for of in entrants):
+        here = [of for of in entrants if (of.trial.depth, data_sets[of.trial]) == (depth, data_set)]
+        ensemble = environments.ensemble_of(environments.ensemble_among(inputs, data_set))
         environment = ResidualSlush(depth=depth, ensemble=ensemble)
         designs = concatenate([of.design for of in here])
         by_member = environments.roll_out(spec.simulation, job.execution, environment, designs).displacement.T
         predicted = by_member.mean(axis=1)  # NaN where a member's rollout diverged
         for of, each, prediction in zip(here, by_member, predicted, strict=True):
             trial = of.trial
-            own = of.predicted if trial.environment == "single_member" else prediction
+            own = of.predicted if ENVIRONMENTS[trial.environment].networks == "one" else prediction
             suspects.append(
                 Candidate("champion", trial.environment, depth, trial.index, -1, -1, float(own), of.zero_shot, each)
             )
@@ -172,7 +174,7 @@ def _champions_under_members(job: Job[ExploitersSpec], inputs: Inputs) -> list[C
 
 
 def _assessed(inputs: Inputs) -> list[Candidate]:
-    shares = [files for name, files in inputs.items() if name.role == ASSESSED]
+    shares = assessed_among(inputs)
     if not shares:
         return []
     table = read_predictions(shares)

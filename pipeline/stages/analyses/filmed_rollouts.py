@@ -11,10 +11,11 @@ import numpy as np
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
 from pipeline.stages import environments
 from pipeline.stages.analyses.champions import Champion
+from pipeline.stages.data_sets import own_network
 from pipeline.stages.environments import SimulationSpec
 from pipeline.workflow.stage import Execution, Inputs
 from tasks.arrays import Float32, Float64
-from tasks.world import Environment, EnvironmentName
+from tasks.world import ENVIRONMENTS, Environment, EnvironmentName
 
 NO_MEMBER = -1  # stands for the member in an environment without an ensemble
 
@@ -75,7 +76,7 @@ def _film_at_home(simulation: SimulationSpec, execution: Execution, champion: Ch
         return Filmed(champion, name, NO_MEMBER, float(rollouts.displacement[0]), rollouts.trace)
     predicted = rollouts.displacement[:, 0]
     k = median_member(predicted)
-    member = champion.trial.index if name == "single_member" else k
+    member = own_network(champion.trial) if ENVIRONMENTS[name].networks == "one" else k
     return Filmed(champion, name, member, float(predicted[k]), rollouts.trace[k])
 
 
@@ -91,8 +92,8 @@ def home_of(simulation: SimulationSpec, champion: Champion, networks: Inputs) ->
     Args:
         simulation: the media.
         champion: the champion.
-        networks: files of every member; a champion of single_member uses only its own network.
+        networks: files of every network.
     """
     trial = champion.trial
-    own = environments.network_among(networks, trial.index) if trial.environment == "single_member" else networks
+    own = environments.home_networks_among(networks, trial)
     return environments.build_environment(simulation.media, trial.environment, trial.depth, own)

@@ -19,6 +19,7 @@ from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.filmed_rollouts import Filmed, best_of, film_arm, home_of
 from pipeline.stages.analyses.specs import InstrumentsSpec, MembersSpec
 from pipeline.stages.collect import read_transitions, throws_among
+from pipeline.stages.data_sets import DataSetId
 from pipeline.stages.environments import networks_among
 from pipeline.store.tables import Columns, columns_of
 from pipeline.workflow.stage import Inputs, Job
@@ -31,21 +32,23 @@ from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.residual import Transitions, split_throws
-from tasks.seeding import generator
+from tasks.seeding import generator, replicate_seed
 from tasks.world import EnsembleMedium, Physics
 
 N_TRIES = 32  # repeats of each champion: the standard error of its loss is then a fifth of their standard deviation
 
 
-def transitions_of(held_out: float, seed: int, inputs: Inputs) -> tuple[Transitions, Transitions]:
-    """Return the throws that the members were trained on, and those that they are validated on.
+def transitions_of(held_out: float, seed: int, inputs: Inputs, data_set: DataSetId) -> tuple[Transitions, Transitions]:
+    """Return the throws that the members of an ensemble were trained on, and those that they are validated on.
 
     Args:
         held_out: share of the throws that are held out.
         seed: seed of the study.
         inputs: files by name, with the throws.
+        data_set: the data set that the ensemble learned from.
     """
-    transitions = read_transitions(throws_among(inputs))
+    transitions = read_transitions(throws_among(inputs, data_set))
+    seed = replicate_seed(seed, data_set.replicate)
     learned, validated = split_throws(transitions.throw, held_out, seed=seed)
     return transitions[learned], transitions[validated]
 
@@ -64,7 +67,9 @@ def compute_members(job: Job[MembersSpec], inputs: Inputs) -> tuple[Tables, Reas
     thrusts: list[ThrustRow] = []
     errors: Sequence[MemberError] = ()
     if not why:
-        ensemble, (_, held_out) = environments.ensemble_of(inputs), transitions_of(spec.held_out, spec.seed, inputs)
+        data_set = environments.main_data_set_among(inputs)
+        ensemble = environments.ensemble_of(environments.ensemble_among(inputs, data_set))
+        _, held_out = transitions_of(spec.held_out, spec.seed, inputs, data_set)
         rng = generator(spec.seed, "analyse", "phantom thrust")
         physics = spec.simulation.physics
         found = phantom_thrust(ensemble, held_out, physics, rng=rng)
@@ -104,10 +109,11 @@ def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reas
     rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
     if why := job.spec.no_networks:
         return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "films", "member_errors"), why)
-    ensemble, physics = environments.ensemble_of(inputs), simulation.physics
+    data_set, physics = environments.data_set_among(inputs, arm[best].trial), simulation.physics
+    ensemble = environments.ensemble_of(environments.ensemble_among(inputs, data_set))
     links = link_states(designs, in_slush.trace, physics)
     errors = member_errors(ensemble, environments.true_medium(simulation.media), links, physics)
-    learned, _ = transitions_of(spec.held_out, spec.seed, inputs)
+    learned, _ = transitions_of(spec.held_out, spec.seed, inputs, data_set)
     index = thrown(learned.observation, learned.throw)
     films = film_arm(simulation, job.execution, arm, networks_among(inputs))
     seen = [_measure(film, ensemble, index, physics) for film in films]

@@ -27,13 +27,14 @@ class StatisticsSpec(AnalysisSpec):
     """Scores and predictions."""
 
     assessed_depth: float
+    throw_groups: tuple[str, ...] = ()  # throws that ensembles learned from, the main one first
     failed: Mapping[str, str] = field(default_factory=dict)  # reasons of trials without scores, by label
     not_assessed: str = ""  # why there are no predictions; "" if there are
 
 
 @dataclass(frozen=True)
 class MembersSpec(AnalysisSpec):
-    """Networks and throws."""
+    """Networks and throws of the main ensemble."""
 
     held_out: float
 

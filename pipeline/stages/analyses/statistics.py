@@ -4,13 +4,13 @@ Part of the stage analyse, whose page lists the tables.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.specs import StatisticsSpec
-from pipeline.stages.assess import ASSESSED, read_predictions
+from pipeline.stages.assess import assessed_among, read_predictions
 from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json
 from pipeline.store.tables import Columns, columns_of, text
@@ -80,7 +80,7 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     rng = generator(spec.seed, "analyse", "statistics")
     table = columns_of(ScoreRow, _score_rows(spec.trials, inputs, job.spec.failed))
     scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
-    shares = [files for name, files in inputs.items() if name.role == ASSESSED]
+    shares = assessed_among(inputs, spec.throw_groups[0]) if spec.throw_groups else []
     predicted, true, trial = _predictions(shares)
     regressions = accuracy(predicted, true, rng=rng, trial=trial)
     ranges = members_ranges(predicted, true, rng=generator(spec.seed, "analyse", "members-ranges"), trial=trial)
@@ -90,9 +90,10 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
         reasons |= dict.fromkeys(("regressions", "histograms"), lost)
     contrasts = sweep(scores, rng=rng)
     made = {(contrast.a, contrast.b) for contrast in contrasts}
-    randomised = any(trial.environment == "randomised_slush" for trial in spec.trials)
-    expected = CONTRASTS if randomised else PAPERS_CONTRASTS
-    lacking = [f"{name_of(a)} against {name_of(b)}" for a, b in expected if (a, b) not in made]
+    evolved_in = {trial.environment for trial in spec.trials}
+    expected = {environment for pair in PAPERS_CONTRASTS for environment, _ in pair} | evolved_in
+    wanted = [(a, b) for a, b in CONTRASTS if {a[0], b[0]} <= expected]
+    lacking = [f"{name_of(a)} against {name_of(b)}" for a, b in wanted if (a, b) not in made]
     if lacking:
         reasons["contrasts"] = f"no depth has scores of both sides: {'; '.join(lacking)}"
     attributions = attribute(scores, rng=rng)
@@ -102,7 +103,7 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     assessed = (regressions, ranges) if at_papers_depth else ((), {})
     return {
         "scores": table,
-        "regressions": columns_of(Regression, regressions),
+        "regressions": columns_of(Regression, [*regressions, *_of_other_ensembles(spec, inputs)]),
         "histograms": _drawn(predicted, true),
         "contrasts": columns_of(Contrast, contrasts),
         "attribution": columns_of(Attribution, attributions),
@@ -110,8 +111,21 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     }, reasons
 
 
+def _of_other_ensembles(spec: StatisticsSpec, inputs: Inputs) -> list[Regression]:
+    """Assess the ensembles that learned from other throws than the main one."""
+    found = []
+    for group in spec.throw_groups[1:]:
+        predicted, true, trial = _predictions(assessed_among(inputs, group))
+        rng = generator(spec.seed, "analyse", "accuracy", group)
+        found += [replace(row, learned_from=group) for row in accuracy(predicted, true, rng=rng, trial=trial)]
+    return found
+
+
 def _predictions(shares: Sequence[Files]) -> tuple[Float64, Float64, list[str]]:
-    """Return (n_members, n_designs) predicted and (n_designs,) true displacement, and the trial of each design."""
+    """Return (n_members, n_designs) predicted and (n_designs,) true displacement, and the trial of each design.
+
+    With several replicates, member k is the k-th of that replicate's ensemble which the design's trial uses.
+    """
     if not shares:
         return np.zeros((0, 0)), np.zeros(0), []
     table = read_predictions(shares)

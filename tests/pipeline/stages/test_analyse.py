@@ -9,8 +9,8 @@ from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.stages.analyse import ANALYSE
 from pipeline.stages.analyses.analysis_tables import read_reasons, read_table
-from pipeline.stages.assess import ASSESS, ASSESSED, PREDICTIONS, read_predictions
-from pipeline.stages.environments import member_id
+from pipeline.stages.assess import ASSESS, ASSESSED, PREDICTIONS, AssessmentId, read_predictions
+from pipeline.stages.data_sets import DataSetId, NetworkId
 from pipeline.stages.transfer import SCORE, SCORED, read_scores
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.workflow.identity import InputName, TrialId
@@ -150,7 +150,7 @@ def test_a_planted_exploiter_is_ranked_first(settings, study):
     store, upstream = study
     item = specified(ANALYSE, settings, upstream, "exploiters")
     inputs = inputs_of(store, item)
-    share = InputName(ASSESSED, TrialId("assess", "dry_land", 1.0, 1))
+    share = InputName(ASSESSED, AssessmentId(TrialId("assess", "dry_land", 1.0, 1), DataSetId("throws", 0)))
     table = read_predictions([inputs[share]])
     table["predicted"][2] = 900.0
     inputs[share] = {PREDICTIONS: encode_table(table, schema="predictions", version=1, producer="planted")}
@@ -200,7 +200,7 @@ def test_failed_trials_are_named_and_the_rest_is_there(settings, study):
     found = upstream["transfer"]
     done = {trial: chain for trial, chain in found.done.items() if trial not in lost}
     cut = type(found)("transfer", done, dict.fromkeys(lost, "failed: no such luck"))
-    no_member = type(found)("train", {}, {member_id(0): "failed: it burst"})
+    no_member = type(found)("train", {}, {NetworkId(DataSetId("throws", 0), 0): "failed: it burst"})
     upstream = {**upstream, "transfer": cut, "train": no_member}
     statistics = specified(ANALYSE, settings, upstream, "statistics")
     files = ANALYSE.compute(statistics.job, inputs_of(store, statistics))

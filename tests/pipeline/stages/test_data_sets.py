@@ -1,0 +1,155 @@
+"""Several data sets in one study: throws for robots beside the paper's, and independent replicates of both."""
+
+import numpy as np
+import pytest
+from small_study import labelled, run
+
+from pipeline.cluster import serial_cluster
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.results import catalogue
+from pipeline.stages.analyses.analysis_tables import read_table
+from pipeline.stages.assess import PREDICTIONS, read_predictions
+from pipeline.stages.collect import COLLECT, TRANSITIONS
+from pipeline.stages.data_sets import DataSetId, NetworkId, data_sets, network_ids, networks_of
+from pipeline.stages.environments import WEIGHTS
+from pipeline.stages.train import TRAIN
+from pipeline.stages.transfer import SCORE
+from pipeline.store.encoding import decode_json, decode_table
+from pipeline.store.store import Store
+from pipeline.workflow.identity import TrialId, trials_of
+
+SETTINGS = """
+name: sets
+replicates: 2
+throws: {n_throws: 4, n_steps: 20}
+designed_throws: {n_throws: 6}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 10, batch_size: 16}
+ensemble: {n_members: 2}
+grid:
+  depths: [1.0]
+  environments: [true_slush, residual_slush, designed_throws]
+  single_member_depths: [1.0]
+  n_trials: 3
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 2, afpo: {population_size: 4}}
+transfer: {n_generations: 1, adapted_environments: [designed_throws]}
+assess: {n_designs: 6}
+"""
+
+
+def settings_with(**changes):
+    return parse(Settings, SETTINGS, name="sets").model_copy(update=changes)
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory):
+    store = Store.open(tmp_path_factory.mktemp("sets") / "store", create=True)
+    with serial_cluster() as cluster:
+        return store, run(settings_with(), store, cluster)
+
+
+def trial(environment, index):
+    return TrialId("evolve", environment, 1.0, index, n_replicates=2)
+
+
+def test_trials_take_turns_over_the_replicates():
+    settings = settings_with()
+    assert networks_of(settings, trial("true_slush", 1)) == []
+    for index in range(3):
+        own = DataSetId("designed_throws", index % 2)
+        assert networks_of(settings, trial("designed_throws", index)) == [NetworkId(own, 0), NetworkId(own, 1)]
+        assert networks_of(settings, trial("designed_single_member", index)) == [NetworkId(own, index // 2)]
+
+
+def test_every_single_member_trial_has_a_network_of_its_own():
+    for replicates in (1, 2, 3):
+        settings = settings_with(replicates=replicates)
+        own = [networks_of(settings, of) for of in trials_of(settings, "evolve") if of.environment == "single_member"]
+        assert len({network for (network,) in own}) == 3
+        assert {network for networks in own for network in networks} <= set(network_ids(settings))
+
+
+def test_a_replicate_changes_no_identity_of_the_first():
+    """The first replicate of a study is the study without replicates."""
+    alone, both = settings_with(replicates=1), settings_with()
+    specs = {chain.label: chain.spec for chain in COLLECT.plan(both)}
+    for chain in COLLECT.plan(alone):
+        assert specs[chain.label] == chain.spec
+    members = {chain.label: chain.spec for chain in TRAIN.plan(both)}
+    kept = [chain for chain in TRAIN.plan(alone) if chain.label in members]
+    assert len(kept) >= 4 and all(members[chain.label] == chain.spec for chain in kept)
+
+
+def test_data_sets_and_networks_all_differ(sets):
+    store, upstream = sets
+    assert len(data_sets(settings_with())) == 4
+    networks = {store.read(done, WEIGHTS) for (done,) in upstream["train"].done.values()}
+    assert len(networks) == len(network_ids(settings_with())) == 8
+    first = {
+        label: decode_table(store.read(done, TRANSITIONS), schema="transitions", version=1, source=label)
+        for label, (done,) in labelled(upstream["collect"].done).items()
+    }
+    assert list(first) == [
+        *("throws-0", "replicate-1/throws-0"),
+        *("designed_throws/throws-0", "designed_throws/replicate-1/throws-0"),
+    ]
+    states = [table["state"][0].tolist() for table in first.values()]
+    assert len(np.unique(states, axis=0)) == 4
+    assert len(first["designed_throws/throws-0"]["step"]) == 6 * 29  # as many steps as the design chooses
+
+
+def test_champions_repeat_their_predictions_in_their_own_networks(sets):
+    """What the analysis computes anew, with networks selected by trial, equals what evolution found."""
+    store, upstream = sets
+    scored = labelled(upstream["transfer"].done)
+    for environment in ("residual_slush", "designed_throws", "single_member", "designed_single_member"):
+        label = f"instruments/{environment}/1m"
+        (done,) = labelled(upstream["analyse"].done)[label]
+        files = {name: store.read(done, name) for name in done.files}
+        expected = [
+            decode_json(store.read(scored[f"{environment}/1m/trial-{k}"][-1], SCORE), "score")["predicted"]
+            for k in range(3)
+        ]
+        assert read_table(files, "champions")["home_displacement"].tolist() == pytest.approx(expected, abs=1e-6)
+
+
+def test_only_the_arms_that_adapt_are_adapted(sets):
+    _, upstream = sets
+    n_items = {of.environment: len(parts) for of, parts in upstream["transfer"].done.items()}
+    assert n_items["designed_throws"] == 2 and n_items["residual_slush"] == 1
+
+
+def test_both_ensembles_are_assessed_on_the_same_designs(sets):
+    store, upstream = sets
+    regressions = _statistics(store, upstream, "regressions")
+    assert set(regressions["learned_from"]) == {"throws", "designed_throws"}
+    shares = labelled(upstream["assess"].done)
+    for k in range(3):
+        one, other = (
+            read_predictions([{PREDICTIONS: store.read(shares[label][0], PREDICTIONS)}])
+            for label in (f"true_slush/1m/trial-{k}", f"designed_throws/true_slush/1m/trial-{k}")
+        )
+        assert (one["true"] == other["true"]).all() and (one["predicted"] != other["predicted"]).any()
+
+
+def test_the_arms_are_contrasted_and_attributed(sets):
+    store, upstream = sets
+    contrasts = _statistics(store, upstream, "contrasts")
+    pairs = set(zip(map(tuple, contrasts["a"]), map(tuple, contrasts["b"]), strict=True))
+    assert (("designed_throws", "zero_shot"), ("residual_slush", "zero_shot")) in pairs
+    assert "designed_throws" in _statistics(store, upstream, "attribution")["evolved_in"]
+
+
+def test_tables_name_the_data_set(sets):
+    store, upstream = sets
+    tables = catalogue.parts_of("learning_curves", upstream["train"], store, only={})
+    assert {name for table in tables for name in table["data_set"].to_pylist()} == {
+        of.words for of in data_sets(settings_with())
+    }
+
+
+def _statistics(store, upstream, table):
+    (done,) = labelled(upstream["analyse"].done)["statistics"]
+    return read_table({name: store.read(done, name) for name in done.files}, table)
