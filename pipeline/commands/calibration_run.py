@@ -119,6 +119,7 @@ def _small_study(settings: Settings) -> Settings:
         "work.throws_per_item": _full_size("collect", settings),
         "training.n_iterations": min(_N_FIRST_ITERATIONS, settings.training.n_iterations),
         "evolution.n_generations": 1,
+        "evolution.objective_depths": settings.objective_depths or None,
         "transfer.n_generations": 1,
         "work.generations_per_item": 1,
         "assess.n_designs": _full_size("assess", settings),

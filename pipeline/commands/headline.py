@@ -49,6 +49,7 @@ def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[s
         "share of it adapted": _mean([score.get("adapted") for score in of_true_slush]),
     }
     yield f"Champions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]"
+    yield f"selected for: {settings.selected_for}"
     yield f"  {'evolved in':<28} {'predicted':>14} {'zero-shot':>14} {'adapted':>14}"
     for environment, style in ENVIRONMENTS.items():
         arm = [score for score in scores if score["environment"] == environment]

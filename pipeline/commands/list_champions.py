@@ -30,6 +30,7 @@ def champion_lines(study: "Study") -> Iterator[str]:
         why = "no trial has been transferred to True Slush yet, or every design diverged"
         raise PuddleError(f"study {study.name} has no champions: {why}")
     yield f"study {study.name}: champions by zero-shot displacement in True Slush [m]"
+    yield f"selected for: {study.settings.selected_for}"
     for depth in sorted({row["depth"] for row in rows}, reverse=True):
         yield f"\n{f'{depth:g} m':>6}  {'evolved in':<16} trial  predicted  zero-shot    adapted"
         here = [row for row in rows if row["depth"] == depth]

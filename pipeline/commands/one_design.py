@@ -19,8 +19,8 @@ from pipeline.stages.report_replays import looked_at, push_of, surroundings_in
 from pipeline.store.design_file import read_design
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm, InputName
-from pipeline.workflow.stage import Files, MissingInputs
-from tasks.evolution import OBJECTIVES, evaluate
+from pipeline.workflow.stage import Execution, Files, MissingInputs
+from tasks.evolution import OBJECTIVES
 from tasks.simulation import OK, simulate
 from tasks.world import ENVIRONMENTS
 
@@ -74,9 +74,10 @@ def simulate_design(
             why = f"{missing}{advice}"
             if needs_networks:
                 raise PuddleError(why) from None
+    at = environments.build_environment(simulation.media, environment, depth, files)
     rollouts = simulate(
         design,
-        environments.build_environment(simulation.media, environment, depth, files),
+        at,
         n_settle=settings.rollout.n_settle,
         n_measure=settings.rollout.n_measure,
         engine=settings.work.engine,
@@ -88,15 +89,16 @@ def simulate_design(
     measured_seconds = settings.rollout.n_measure * settings.physics.time_step
     label = ENVIRONMENTS[environment].label
     lines = [f"{label}, {depth:g} m deep, {measured_seconds:.0f} s:"]
-    evaluation = evaluate(
-        rollouts, disagreement_penalty=settings.ensemble.disagreement_penalty, objective=settings.evolution.objective
-    )
     root, whole = np.mean(rollouts.displacement), np.mean(rollouts.com_displacement)
     lines.append(f"  root {root:+.3f} m, whole robot {whole:+.3f} m")
     if ENVIRONMENTS[environment].is_ensemble:
-        unit = OBJECTIVES[settings.evolution.objective].unit
+        fitness, execution = environments.fitness_spec(settings, environment), Execution(settings.work.engine)
+        evaluation = environments.evaluate_designs(design, simulation, execution, at, fitness)
         members = ", ".join(f"{value:+.2f}" for value in evaluation.displacement[0])
-        lines.append(f"  members {members} m; fitness {evaluation.fitness[0]:+.3f} {unit}")
+        objective = OBJECTIVES[fitness.objective]
+        lines.append(
+            f"  members {members} m; fitness ({objective.label.lower()}) {evaluation.fitness[0]:+.3f} {objective.unit}"
+        )
     if out is not None and rollouts.trace is not None:
         member = median_member(rollouts.displacement[:, 0]) if ENVIRONMENTS[environment].is_ensemble else NO_MEMBER
         trace = rollouts.trace if member == NO_MEMBER else rollouts.trace[member]

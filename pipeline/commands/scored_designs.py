@@ -14,8 +14,8 @@ from pipeline.store.design_table import read_designs
 from pipeline.store.encoding import encode_table
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns, csv_of
-from tasks.evolution import OBJECTIVES, evaluate
-from tasks.simulation import OK
+from pipeline.workflow.stage import Execution
+from tasks.evolution import OBJECTIVES
 from tasks.world import ENVIRONMENTS
 
 _ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kind.networks != "one")
@@ -57,19 +57,13 @@ def score_designs(
     networks = trained_networks(settings, open_store, environment, throws=False) if needs_networks else {}
     simulation = environments.simulation_spec(settings, environment)
     at = environments.build_environment(simulation.media, environment, depth, networks)
+    execution, fitness = Execution(settings.work.engine), environments.fitness_spec(settings, environment)
     columns: list[Columns] = []
     for first in range(0, len(designs), _AT_ONCE):
-        rollouts = environments.roll_out(
-            simulation, environments.execution_options(settings, environment), at, designs[first : first + _AT_ONCE]
-        )
-        scores = evaluate(
-            rollouts,
-            disagreement_penalty=settings.ensemble.disagreement_penalty,
-            objective=settings.evolution.objective,
-        )
+        scores = environments.evaluate_designs(designs[first : first + _AT_ONCE], simulation, execution, at, fitness)
         columns.append(
             {
-                "diverged": (np.atleast_2d(rollouts.status) != OK).any(axis=0),
+                "diverged": np.isneginf(scores.fitness),
                 "fitness": scores.fitness,
                 "displacement": scores.displacement if at.is_ensemble else scores.displacement[:, 0],
                 "com_displacement": scores.com_displacement if at.is_ensemble else scores.com_displacement[:, 0],
@@ -79,11 +73,13 @@ def score_designs(
     table = {"design": np.arange(len(designs)), **table}
     label, n_diverged = ENVIRONMENTS[environment].label, int(table["diverged"].sum())
     yield f"{label}, {depth:g} m deep: {len(designs)} design{'s' * (len(designs) != 1)}, {n_diverged} diverged"
-    unit = OBJECTIVES[settings.evolution.objective].unit
+    objective = OBJECTIVES[settings.evolution.objective]
+    unit = objective.unit
     finite = table["fitness"][~table["diverged"]]
     if len(finite):
         best = int(np.argmax(table["fitness"]))
-        yield f"  fitness: mean {finite.mean():z.2f} {unit}, median {np.median(finite):z.2f} {unit}"
+        mean, median = (f"{value:z.2f} {unit}" for value in (finite.mean(), np.median(finite)))
+        yield f"  fitness ({objective.label.lower()}): mean {mean}, median {median}"
         yield f"  best: design {best}, {finite.max():z.2f} {unit}"
     if out is not None:
         content = encode_table(table, schema="scores", version=1, producer=str(path), units={**_UNITS, "fitness": unit})

@@ -4,14 +4,14 @@ The defaults are the paper's study ([P] marks its values). A file in configs/ st
 scientific parameters are declared beside the equations that use them, in tasks/.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, create_model, model_validator
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
-from tasks.evolution import PAPERS_OBJECTIVE, Afpo, ObjectiveName
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Afpo, ObjectiveName
 from tasks.parameters import Parameters
 from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush
@@ -27,6 +27,11 @@ RESIDUAL_ENVIRONMENTS = tuple(name for name, kind in ENVIRONMENTS.items() if kin
 DEEPEST = 1000.0  # greatest depth of the ground [m]
 
 Depth = Annotated[float, Field(ge=0.0, le=DEEPEST)]
+
+
+def _check_values_differ(name: str, values: Sequence[object]) -> None:
+    if len(set(values)) != len(values):
+        raise ValueError(f"{name} repeats a value: expected each value once")
 
 
 class EnsembleSettings(Parameters):
@@ -55,11 +60,9 @@ class GridSettings(Parameters):
 
     @model_validator(mode="after")
     def _values_differ(self) -> Self:
-        for name in ("depths", "environments", "single_member_depths"):
-            values = getattr(self, name)
-            if len(set(values)) != len(values):
-                raise ValueError(f"{name} repeats a value: expected each value once")
+        _check_values_differ("environments", self.environments)
         for name in ("depths", "single_member_depths"):
+            _check_values_differ(name, getattr(self, name))
             called: dict[str, float] = {}
             for depth in getattr(self, name):
                 other = called.setdefault(f"{depth:g}", depth)  # as in labels
@@ -105,10 +108,26 @@ class EvolutionSettings(Parameters):
     objective: ObjectiveName = PAPERS_OBJECTIVE
     """What designs and adapted controllers are selected for. [P]: displacement of the root. Champions are compared by
     displacement in any case."""
+    objective_depths: tuple[Depth, ...] | None = None
+    """Depths of the ground [m] over which the objective mean_over_depths is the mean; null for those of the grid. Each
+    adds a rollout of every design."""
     afpo: Afpo = Afpo()
     """The algorithm."""
     morphology: Morphology = Morphology()
     """Constraints on bodies and motors."""
+
+    @model_validator(mode="after")
+    def _depths_belong_to_the_objective(self) -> Self:
+        if self.objective_depths is None:
+            return self
+        if not OBJECTIVES[self.objective].over_depths:
+            over = " or ".join(name for name, of in OBJECTIVES.items() if of.over_depths)
+            raise ValueError(
+                f"objective_depths are given, but objective is {self.objective}, which is measured at the depth of the "
+                f"trial: expected objective {over}, or objective_depths to be null"
+            )
+        _check_values_differ("objective_depths", self.objective_depths)
+        return self
 
 
 class TransferSettings(Parameters):
@@ -211,12 +230,38 @@ class Settings(Parameters):
                 f"replicates is {self.replicates} and grid.n_trials is {self.grid.n_trials}, so some data sets would "
                 f"have no trial: expected at least as many trials as replicates"
             )
+        self._check_objective()
         if self.tank is not None and self.rollout.n_settle < 1:
             raise ValueError(
                 "rollout.n_settle is 0, but a robot in the tank is measured from where it settles: "
                 "expected at least 1, or tank to be null"
             )
         return self
+
+    def _check_objective(self) -> None:
+        """Refuse an objective without its data."""
+        objective, n_motors = self.evolution.objective, self.evolution.morphology.n_actuated
+        if OBJECTIVES[objective].over_depths and len(self.objective_depths) < 2:
+            raise ValueError(
+                f"evolution.objective is {objective}, but evolution.objective_depths, or grid.depths where they are "
+                f"null, has {len(self.objective_depths)} depth: expected at least 2"
+            )
+        if OBJECTIVES[objective].motor_work and (self.physics.max_motor_torque == 0 or n_motors == 0):
+            which = "evolution.morphology.n_actuated" if n_motors == 0 else "physics.max_motor_torque"
+            raise ValueError(f"evolution.objective is {objective}, but {which} is 0: expected motors that do work")
+
+    @property
+    def objective_depths(self) -> tuple[float, ...]:
+        """Depths over which the objective is the mean [m]; none if it is measured at the depth of the trial alone."""
+        if not OBJECTIVES[self.evolution.objective].over_depths:
+            return ()
+        depths = self.evolution.objective_depths
+        return self.grid.depths if depths is None else depths
+
+    @property
+    def selected_for(self) -> str:
+        """What designs and adapted controllers are selected for, in words."""
+        return OBJECTIVES[self.evolution.objective].in_words(self.objective_depths)
 
     @property
     def assessed_depth(self) -> float:

@@ -162,14 +162,13 @@ def fitness_curves(report: StudyReport, *, n_columns: int) -> tuple[Figure, str]
     show_at_least(panels[0])
     panels[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     figure.supxlabel("generation")
-    objective = OBJECTIVES[report.findings.objective]
-    figure.supylabel(f"best fitness [{objective.unit}]")
+    figure.supylabel(f"best fitness [{OBJECTIVES[report.findings.objective].unit}]")
     handles = [Line2D([], [], color=ENVIRONMENTS[name].color, label=ENVIRONMENTS[name].label) for name in present]
     wide = min(n_columns, len(listed)) > 2
     legend(figure, handles, n_columns=len(handles) if wide else 2, above=True)
     return figure, (
-        f"Best fitness ({objective.label.lower()}) so far by generation, in the environment where the robots evolve. "
-        "Lines are means over trials, bands ± 1 SD."
+        f"Best fitness ({report.findings.selected_for}) so far by generation, in the environment where the robots "
+        "evolve. Lines are means over trials, bands ± 1 SD."
     )
 
 

@@ -119,6 +119,7 @@ class Findings:
     accuracy: Accuracy | None = None
     against_paper: Sequence[Row] = ()
     objective: ObjectiveName = PAPERS_OBJECTIVE  # what designs were selected for
+    selected_for: str = "displacement"  # the objective, in words
     contrasts: Sequence[Contrast] = ()
     attributions: Sequence[Attribution] = ()
     transfer_matrices: Mapping[EvolvedIn, TransferMatrix] = field(default_factory=dict)  # by where champions evolved

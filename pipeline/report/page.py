@@ -62,8 +62,8 @@ def _aim(report: StudyReport) -> str:
     measured = f"{report.measured_seconds:.0f}\nseconds"
     if report.findings.objective == PAPERS_OBJECTIVE:
         return f"to travel as far to the right as they can in {measured}"
-    objective = OBJECTIVES[report.findings.objective]
-    return f"for this objective, measured over {measured}: {escape(objective.label.lower())} [{escape(objective.unit)}]"
+    words = f"{report.findings.selected_for} [{OBJECTIVES[report.findings.objective].unit}]"
+    return f"for this objective, measured over {measured}: {escape(words)}"
 
 
 def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str, str, str]]:
@@ -88,7 +88,7 @@ def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str
     sections = [
         ("evolved", "What evolved", _GALLERY + gallery(report.replays, reason=reason)),
         ("watch", "Watch them move", viewer(report.replays, study=report.name, reason=reason)),
-        ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials, report.findings.objective)),
+        ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials, found)),
         ("tank", "The robot to build", tank_tests(found, robots)),
         ("paper", "Comparison with the paper", against_paper(found)),
         ("tests", "t tests", tests),

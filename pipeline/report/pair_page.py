@@ -48,6 +48,7 @@ class ComparedStudy:
     store: str  # path of its store; "" where both are in one
     trials: Sequence[TrialResult]
     objective: ObjectiveName = PAPERS_OBJECTIVE
+    selected_for: str = "displacement"  # the objective, in words
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,8 +189,8 @@ def _curves(pair: StudyPair, n_columns: int) -> tuple[Figure, str]:
 
 def _caution(pair: StudyPair) -> str:
     """Warn where the fitness of A and B is not the same quantity."""
-    if pair.a.objective != pair.b.objective:
-        of_a, of_b = (OBJECTIVES[study.objective].label.lower() for _, study in pair.studies)
+    of_a, of_b = (study.selected_for for _, study in pair.studies)
+    if of_a != of_b:
         return f" A’s fitness is {of_a}, B’s is {of_b}: their curves can’t be compared."
     if not any(name == "ensemble.disagreement_penalty" for name, _, _ in pair.changes):
         return ""

@@ -17,15 +17,25 @@ _ACCENTS = {
 _HEAD = r"""% Transfer results of study {name}. Needs \usepackage{{booktabs}}.
 % Displacement of the root link [m], mean over n trials +- sample standard deviation. "% of E": the mean divided by the
 % zero-shot mean of the designs evolved in True Slush at the same depth / by their adapted mean.
+% Designs and adapted controllers were selected for: {selected_for}.
 \begin{{tabular}}{{@{{}}l*{{6}}{{@{{\hspace{{8pt}}}}r}}@{{}}}}
 \toprule
 evolved in & $n$ & predicted & zero-shot & \% of $E$ & adapted & \% of $E$ \\
 """
 
 
-def transfer_latex(name: str, trials: Sequence[TrialResult]) -> str:
-    """Tabulate the champions' displacement by depth and environment, as a ``tabular``."""
-    lines = [_HEAD.format(name=name)]
+def transfer_latex(name: str, trials: Sequence[TrialResult], *, selected_for: str) -> str:
+    """Tabulate the champions' displacement by depth and environment, as a ``tabular``.
+
+    Args:
+        name: name of the study.
+        trials: its trials.
+        selected_for: the objective, in words.
+
+    Returns:
+        LaTeX code.
+    """
+    lines = [_HEAD.format(name=name, selected_for=selected_for)]
     for depth in depths(trials):
         lines.append(f"\\midrule\n\\multicolumn{{7}}{{@{{}}l}}{{\\textit{{{depth:g}\\,m deep}}}} \\\\\n")
         of_true_slush = arm(trials, "true_slush", depth)

@@ -4,19 +4,22 @@ from collections.abc import Sequence
 
 from pipeline.report.data import Measure, TrialMean, TrialResult, arm, depths, paper_mean, ratio, trial_mean
 from pipeline.report.downloads import links
+from pipeline.report.findings import Findings
 from pipeline.report.wording import NONE, absent, number, percent, scrolling
 from pipeline.text import escape
 from tasks.analysis import paper
-from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective, ObjectiveName
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 
-def transfer_table(trials: Sequence[TrialResult], objective: ObjectiveName = PAPERS_OBJECTIVE) -> str:
+def transfer_table(trials: Sequence[TrialResult], findings: Findings) -> str:
     """Tabulate the champions' displacement by depth and environment."""
     if not trials:
         return absent("The transfer table", "no trial has finished yet")
-    of = OBJECTIVES[objective]
-    maximised = "μ − kσ" if of.name == PAPERS_OBJECTIVE else f"fitness, which is {of.label.lower()} [{of.unit}]"
+    of = OBJECTIVES[findings.objective]
+    maximised = "μ − kσ"
+    if of.name != PAPERS_OBJECTIVE:
+        maximised += f" of the {escape(findings.selected_for)} [{escape(of.unit)}], the fitness"
     bodies = "".join(_depth_rows(trials, depth, of) for depth in depths(trials))
     note = (
         "Displacement [m]: mean over n trials ± 1 SD. The first line of a cell is the displacement of the root link. "

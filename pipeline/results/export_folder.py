@@ -206,5 +206,6 @@ def _write_figures(study: Study, folder: NewFolder) -> DrawnFigures:
         for suffix, content in (("svg", figure.svg), ("png", figure.png), ("pdf", figure.pdf)):
             folder.write(f"figures/{figure.name}.{suffix}", content)
     folder.write("figures/captions.txt", "\n".join(drawn.captions).encode())
-    folder.write("transfer.tex", transfer_latex(study.name, report.trials).encode())
+    table = transfer_latex(study.name, report.trials, selected_for=study.settings.selected_for)
+    folder.write("transfer.tex", table.encode())
     return drawn

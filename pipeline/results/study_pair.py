@@ -41,7 +41,13 @@ def pair_of(a: Study, b: Study) -> StudyPair:
         )
     same_store = a.store.root == b.store.root
     first, second = (
-        ComparedStudy(study.name, "" if same_store else str(study.store.root), of, study.settings.evolution.objective)
+        ComparedStudy(
+            study.name,
+            "" if same_store else str(study.store.root),
+            of,
+            study.settings.evolution.objective,
+            study.settings.selected_for,
+        )
         for study, of in zip((a, b), trials, strict=True)
     )
     return StudyPair(first, second, changes, differences, dict(provenance()))

@@ -131,9 +131,17 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
     for arm, of_arm in arms_of(trials).items():
         own, n = tuple(of_arm), len(of_arm)
         spec = specs.InstrumentsSpec(
-            seed, own, simulation, arm, held_out, penalty, objective=settings.evolution.objective
+            seed,
+            own,
+            simulation,
+            arm,
+            held_out,
+            penalty,
+            objective=settings.evolution.objective,
+            objective_depths=settings.objective_depths,
         )
-        plan(PartId(specs.INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES), arm.environment)
+        n_depths = len({arm.depth, *settings.objective_depths})
+        plan(PartId(specs.INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES * n_depths), arm.environment)
         if tank is not None:
             n_tank = tank.n_steps(settings.physics.time_step)
             # One rollout on Dry Land, and several in the filled and in the drained tank.

@@ -21,7 +21,7 @@ from pipeline.store.encoding import decode_arrays
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
 from tasks.design import Designs
-from tasks.evolution import Evaluation, ObjectiveName, evaluate
+from tasks.evolution import OBJECTIVES, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
@@ -241,7 +241,13 @@ def network_flops(settings: Settings) -> int:
 
 
 def roll_out(
-    simulation: SimulationSpec, execution: Execution, environment: Environment, designs: Designs, *, trace: bool = False
+    simulation: SimulationSpec,
+    execution: Execution,
+    environment: Environment,
+    designs: Designs,
+    *,
+    trace: bool = False,
+    motor_work: bool = False,
 ) -> Rollouts:
     """Return simulations of designs.
 
@@ -251,6 +257,7 @@ def roll_out(
         environment: where they are simulated.
         designs: (n_designs,)
         trace: whether to record every step.
+        motor_work: whether to add up the work of the motors.
     """
     return simulate(
         designs,
@@ -259,24 +266,54 @@ def roll_out(
         n_measure=simulation.rollout.n_measure,
         engine=execution.engine,
         trace=trace,
+        motor_work=motor_work,
         physics=simulation.physics,
     )
 
 
-def _score_batch(
-    designs: Designs,
-    simulation: SimulationSpec,
-    execution: Execution,
-    environment: Environment,
-    penalty: float,
-    objective: ObjectiveName,
+@dataclass(frozen=True)
+class FitnessSpec:
+    """What designs are selected for."""
+
+    disagreement_penalty: float  # weight of the members' disagreement; 0 without an ensemble
+    objective: ObjectiveName
+    objective_depths: tuple[float, ...]  # [m], over which an objective over depths is the mean; otherwise none
+
+
+def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpec:
+    """Return what designs are selected for in an environment."""
+    penalty = settings.ensemble.disagreement_penalty if ENVIRONMENTS[environment].is_ensemble else 0.0
+    return FitnessSpec(penalty, settings.evolution.objective, settings.objective_depths)
+
+
+def evaluate_designs(
+    designs: Designs, simulation: SimulationSpec, execution: Execution, environment: Environment, fitness: FitnessSpec
 ) -> Evaluation:
-    rollouts = roll_out(simulation, execution, environment, designs)
-    return evaluate(rollouts, disagreement_penalty=penalty, objective=objective)
+    """Return the scores of designs; displacement is that at the environment's own depth.
+
+    Args:
+        designs: (n_designs,)
+        simulation: physics and duration.
+        execution: the engine.
+        environment: where they are simulated.
+        fitness: what their fitness is.
+    """
+    motor_work = OBJECTIVES[fitness.objective].motor_work
+    at = {depth: replace(environment, depth=depth) for depth in fitness.objective_depths}
+    rollouts = {
+        depth: roll_out(simulation, execution, of_depth, designs, motor_work=motor_work)
+        for depth, of_depth in (at | {environment.depth: environment}).items()
+    }
+    return evaluate(
+        rollouts[environment.depth],
+        disagreement_penalty=fitness.disagreement_penalty,
+        objective=fitness.objective,
+        at_depths=[rollouts[depth] for depth in fitness.objective_depths],
+    )
 
 
 def scorer(
-    simulation: SimulationSpec, execution: Execution, environment: Environment, penalty: float, objective: ObjectiveName
+    simulation: SimulationSpec, execution: Execution, environment: Environment, fitness: FitnessSpec
 ) -> Callable[[Designs], Evaluation]:
     """Return a function that evaluates (n_designs,) designs, over several workers where the execution options say so.
 
@@ -284,16 +321,15 @@ def scorer(
         simulation: physics and duration.
         execution: the engine, and the number of designs per batch.
         environment: where they are simulated.
-        penalty: weight of the members' disagreement in the fitness.
-        objective: what the fitness of a member's rollout is.
+        fitness: what their fitness is.
     """
-    spread = Spread(_score_batch, simulation, execution, environment, penalty, objective)
+    spread = Spread(evaluate_designs, simulation, execution, environment, fitness)
 
     def score(designs: Designs) -> Evaluation:
         size = execution.designs_per_batch or len(designs)
         parts: Sequence[Evaluation]
         if size >= len(designs):
-            return _score_batch(designs, simulation, execution, environment, penalty, objective)
+            return evaluate_designs(designs, simulation, execution, environment, fitness)
         parts = spread([designs[first : first + size] for first in range(0, len(designs), size)])
         return Evaluation(
             fitness=np.concatenate([part.fitness for part in parts]),

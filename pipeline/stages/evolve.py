@@ -54,7 +54,8 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
             drawn[operator] += int(curve[segments.drawn_column(operator)].sum())
             rejected[operator] += int(curve[segments.rejected_column(operator)].sum())
         trials.append(_summarise_trial(store, trial, results.done[trial]))
-    lines, unit = [], OBJECTIVES[settings.evolution.objective].unit
+    unit = OBJECTIVES[settings.evolution.objective].unit
+    lines = [f"fitness: {settings.selected_for} [{unit}]"] if best else []
     metrics = {"n_diverged": sum(trial.metrics[_DIVERGED] for trial in trials)}
     for arm, fitness in best.items():
         known = [value for value in fitness if np.isfinite(value)]

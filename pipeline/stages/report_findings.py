@@ -89,6 +89,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         family=traced,
         tank=settings.tank,
         objective=settings.evolution.objective,
+        selected_for=settings.selected_for,
         tank_tests={words: read_rows(files, "tank", TankRow) for words, files in tanks.items()},
         missing=missing,
     )

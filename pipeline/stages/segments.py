@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pipeline.config.settings import Settings
 from pipeline.stages import environments
-from pipeline.stages.environments import SimulationSpec
+from pipeline.stages.environments import FitnessSpec, SimulationSpec
 from pipeline.store.encoding import decode_arrays, decode_table, encode_arrays, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -31,7 +31,7 @@ from tasks.evolution import (
     evolve,
 )
 from tasks.seeding import generator
-from tasks.world import ENVIRONMENTS, Environment, EnvironmentName
+from tasks.world import Environment, EnvironmentName
 
 POPULATION, HISTORY, CURVE = "population.safetensors", "history.parquet", "curve.parquet"
 _HISTORY_UNITS = {**HISTORY_UNITS, **{gene.name: gene.unit for gene in GENES}}
@@ -51,6 +51,12 @@ class TrialSpec:
     morphology: Morphology
     disagreement_penalty: float  # weight of the members' disagreement in the fitness; 0 without an ensemble
     objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT)
+    objective_depths: tuple[float, ...] = field(default=(), metadata=OMIT_DEFAULT)  # [m], of an objective over depths
+
+    @property
+    def fitness(self) -> FitnessSpec:
+        """What its designs are selected for."""
+        return FitnessSpec(self.disagreement_penalty, self.objective, self.objective_depths)
 
     def at_home(self, inputs: Inputs) -> Environment:
         """Build the environment where designs are simulated."""
@@ -81,8 +87,7 @@ def trial_spec(settings: Settings, trial: TrialId, environment: EnvironmentName)
         environments.simulation_spec(settings, environment),
         settings.evolution.afpo,
         settings.evolution.morphology,
-        settings.ensemble.disagreement_penalty if ENVIRONMENTS[environment].is_ensemble else 0.0,
-        settings.evolution.objective,
+        **vars(environments.fitness_spec(settings, environment)),
     )
 
 
@@ -100,11 +105,12 @@ def trial_chain(settings: Settings, spec: TrialSpec, units: tuple[float, ...]) -
         spec: what its items have in common.
         units: generations of each item.
     """
+    n_depths = len({spec.identity.depth, *spec.objective_depths})
     return Chain(
         spec.identity,
         units,
         spec,
-        weight=environments.relative_cost(settings, spec.environment),
+        weight=environments.relative_cost(settings, spec.environment) * n_depths,
         batch_key=Arm(spec.environment, spec.identity.depth),
         batch_size=environments.batch_size(settings, spec.environment),
     )
@@ -135,13 +141,13 @@ def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs])
     if any(_common(job, of, spec) != _common(jobs[0], inputs[0], spec) for job, of in zip(jobs, inputs, strict=True)):
         raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
     trials = [_trial(job.spec.trial, of) for job, of in zip(jobs, inputs, strict=True)]
-    environment, fitness = spec.trial.at_home(inputs[0]), (spec.trial.disagreement_penalty, spec.trial.objective)
+    environment = spec.trial.at_home(inputs[0])
     unit = OBJECTIVES[spec.trial.objective].unit
     of_history = {**_HISTORY_UNITS, "fitness": unit}
     of_curve = {**CURVE_UNITS, "best_fitness": unit, "median_fitness": unit}
     advanced = evolve(
         trials,
-        environments.scorer(spec.trial.simulation, execution, environment, *fitness),
+        environments.scorer(spec.trial.simulation, execution, environment, spec.trial.fitness),
         first_generation=spec.first_generation,
         n_generations=spec.n_generations,
         afpo=spec.trial.afpo,

@@ -72,6 +72,7 @@ def roll_out(
     n_settle: int,
     n_measure: int,
     trace: bool,
+    motor_work: bool = False,
     n_lanes: int | None = None,
 ) -> Motion:
     """Return the motion of designs in an environment.
@@ -86,6 +87,7 @@ def roll_out(
         n_settle: steps before the displacement is measured.
         n_measure: steps over which it is measured.
         trace: whether to record the states after each step.
+        motor_work: whether to add up the work of the motors over the measured steps.
         n_lanes: lanes of a group; results do not depend on them. The default suits the machine: half as many would take
             0.7 of the time for few robots, but another 20 s to compile.
     """
@@ -105,6 +107,8 @@ def roll_out(
     settled = halfway = robots.poses()
     n_half = n_settle + n_measure // 2
     for first, last in ((0, n_settle), (n_settle, n_half), (n_half, n_steps)):
+        if first == n_settle:
+            scene = scene._replace(motor_work=motor_work)
         if networks is not None and not trace:
             robots.advance_with_networks(networks, scene, first, last - first)
         elif medium is not None and not _is_built_in(medium):
@@ -122,4 +126,5 @@ def roll_out(
         halfway=halfway.reshape(*shape, N_LINKS, 6),
         final=robots.poses().reshape(*shape, N_LINKS, 6),
         trace=None if states is None else states.reshape(*shape, n_steps, N_LINKS, 6),
+        motor_work=robots.motor_work().reshape(*shape, N_LINKS) if motor_work else None,
     )

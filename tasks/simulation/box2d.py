@@ -52,3 +52,8 @@ class Motion:
     motor_torque: Float32 | None = None
     """(n_members, n_designs, n_steps, n_links) torque of each joint's motor on the child link [N·m], 0 without a motor.
     Only the reference engine reports it, together with the trace."""
+    motor_work: Float32 | None = None
+    """(n_members, n_designs, n_links) work of each joint's motor over the measured steps [J], if requested: the sum of
+    |J ω|, with J [N·m·s] the motor's impulse in a step, as Box2D's velocity solver leaves it, and ω [rad/s] the angular
+    velocity of the child link less that of its parent at the end of that step. Difference, product and sum are float32,
+    in the order of the steps."""

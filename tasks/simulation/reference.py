@@ -131,7 +131,14 @@ class _Links:
 
 
 def roll_out(
-    designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool
+    designs: Designs,
+    environment: Environment,
+    physics: Physics,
+    *,
+    n_settle: int,
+    n_measure: int,
+    trace: bool,
+    motor_work: bool = False,
 ) -> Motion:
     """Return the motion of designs in an environment.
 
@@ -142,6 +149,7 @@ def roll_out(
         n_settle: steps before the displacement is measured.
         n_measure: steps over which it is measured.
         trace: whether to record states and motor torques of each step.
+        motor_work: whether to add up the work of the motors over the measured steps.
     """
     n_members, n_designs, n_steps = environment.n_members, len(designs), n_settle + n_measure
     trees = kinematic_trees(designs, density=physics.link_density)
@@ -157,6 +165,7 @@ def roll_out(
     placed = links.place()
     recorded = np.full((n_members, n_designs, n_steps, N_LINKS, 6), np.nan, np.float32) if trace else None
     torque = np.zeros((n_members, n_designs, n_steps, N_LINKS), np.float32) if trace else None
+    work = np.zeros((n_members, n_designs, N_LINKS), np.float32) if motor_work else None
     settled = halfway = placed.state
     for step in range(n_steps):
         _command_motors(robots, controllers, trees, placed.state, step, physics)
@@ -173,22 +182,33 @@ def roll_out(
         if recorded is not None:
             recorded[:, :, step] = placed.state
         if torque is not None:
-            torque[:, :, step] = _motor_torques(robots, physics).reshape(n_members, n_designs, N_LINKS)
+            torque[:, :, step] = _motor_impulses(robots, alive.shape) * np.float32(1.0 / physics.time_step)
             torque[~alive, step] = np.nan
+        if work is not None and step >= n_settle:
+            work += np.abs(_motor_impulses(robots, alive.shape) * _relative(placed.state[..., Column.OMEGA], trees))
         if step + 1 == n_settle:
             settled = placed.state
         if step + 1 == n_settle + n_measure // 2:
             halfway = placed.state
-    return Motion(settled=settled, halfway=halfway, final=placed.state, trace=recorded, motor_torque=torque)
+    return Motion(
+        settled=settled, halfway=halfway, final=placed.state, trace=recorded, motor_torque=torque, motor_work=work
+    )
 
 
-def _motor_torques(robots: list[_Robot], physics: Physics) -> Float32:
-    """Read the motor torques of the last step; (n_robots, n_links) [N·m]."""
-    torque = np.zeros((len(robots), N_LINKS), np.float32)
-    for row, robot in zip(torque, robots, strict=True):
+def _motor_impulses(robots: list[_Robot], shape: tuple[int, ...]) -> Float32:
+    """Read the motor impulses of the last step; shape is (n_members, n_designs); (*shape, n_links) [N·m·s]."""
+    impulse = np.zeros((len(robots), N_LINKS), np.float32)
+    for row, robot in zip(impulse, robots, strict=True):
         for link, joint in robot.joints.items():
-            row[link] = joint.GetMotorTorque(1.0 / physics.time_step)
-    return torque
+            row[link] = joint.GetMotorTorque(1.0)  # the impulse over an inverse time step of 1, which rounds nothing
+    return impulse.reshape(*shape, N_LINKS)
+
+
+def _relative(quantity: Float32, trees: KinematicTrees) -> Float32:
+    """Return an angle or angular velocity of each link less its parent's; (..., n_links), of the root 0."""
+    parent = np.broadcast_to(np.maximum(trees.parent, 0), quantity.shape)
+    of_parent: Float32 = np.take_along_axis(quantity, parent, axis=2)
+    return quantity - of_parent
 
 
 def _command_motors(
@@ -196,9 +216,7 @@ def _command_motors(
 ) -> None:
     """Set the speed of each motor that is on to gain · (θ* - θ)."""
     angle = state[..., Column.ANGLE]
-    parent = np.broadcast_to(np.maximum(trees.parent, 0), angle.shape)
-    joint_angle = angle - np.take_along_axis(angle, parent, axis=2)
-    error = controllers.target_angle(step, physics.time_step) - joint_angle
+    error = controllers.target_angle(step, physics.time_step) - _relative(angle, trees)
     speed = (np.float32(physics.motor_gain) * error).reshape(len(robots), N_LINKS).tolist()
     on = np.broadcast_to(controllers.motor_on, angle.shape).reshape(len(robots), N_LINKS).tolist()
     for robot, speeds, flags in zip(robots, speed, on, strict=True):

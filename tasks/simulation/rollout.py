@@ -37,6 +37,10 @@ class Rollouts:
     motor_torque: Float32 | None = None
     """(n_designs, n_steps, n_links) torque of each joint's motor on the child link [N·m]; NaN like the trace. Only the
     reference engine reports it, together with the trace."""
+    motor_work: Float64 | None = None
+    """(n_designs,) work of all motors after settling [J], braking included: the sum over steps and joints of
+    |torque · speed of the joint| · dt, for each joint exactly as :class:`tasks.simulation.box2d.Motion` says, and then
+    summed over the joints in float64. NaN where diverged; None unless requested."""
 
 
 def simulate(
@@ -47,6 +51,7 @@ def simulate(
     n_measure: int = 1200,
     engine: Engine = "batch",
     trace: bool = False,
+    motor_work: bool = False,
     physics: Physics | None = None,
 ) -> Rollouts:
     """Simulate designs, each alone in its own environment (in an ensemble, once for each member).
@@ -58,10 +63,11 @@ def simulate(
         n_measure: steps over which it is measured.
         engine: "reference" is pybox2d; "batch" computes the same bits faster.
         trace: whether to record the state after every step.
+        motor_work: whether to add up the mechanical work of the motors.
         physics: constants of the simulator; the paper's by default.
 
     Returns:
-        Displacement, status and trace of each design.
+        Displacement and status of each design, and what was requested beside them.
 
     Raises:
         tasks.design.DesignError: a design is out of bounds.
@@ -75,7 +81,9 @@ def simulate(
         raise ValueError(f"engine is {engine!r}, expected 'batch' or 'reference'")
     physics = physics or Physics()
     motions = [
-        ENGINES[engine](designs, component, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
+        ENGINES[engine](
+            designs, component, physics, n_settle=n_settle, n_measure=n_measure, trace=trace, motor_work=motor_work
+        )
         for component in environment.components
     ]
     second_half_seconds = (n_measure - n_measure // 2) * physics.time_step
@@ -104,15 +112,8 @@ def _measure(motion: Motion, second_half_seconds: float, *, squeeze: bool) -> Ro
     whole = moved.mean(axis=2)  # every link has the same mass
     speed = np.where(finite, x_final[..., 0] - x_halfway[..., 0], np.nan) / second_half_seconds
     status: npt.NDArray[np.str_] = np.where(finite, OK, DIVERGED)
-    if squeeze:
-        root, whole, speed, status = root[0], whole[0], speed[0], status[0]
-    trace = motion.trace if motion.trace is None or not squeeze else motion.trace[0]
-    torque = motion.motor_torque if motion.motor_torque is None or not squeeze else motion.motor_torque[0]
-    return Rollouts(
-        displacement=root,
-        com_displacement=whole,
-        second_half_speed=speed,
-        status=status,
-        trace=trace,
-        motor_torque=torque,
-    )
+    work = None
+    if motion.motor_work is not None:
+        work = np.where(finite, motion.motor_work.astype(np.float64).sum(axis=2), np.nan)
+    measured = (root, whole, speed, status, motion.trace, motion.motor_torque, work)
+    return Rollouts(*(None if array is None else array[0] for array in measured) if squeeze else measured)

@@ -102,12 +102,16 @@ def assert_equal(
     designs: Designs, environment: Environment, physics: Physics, *, n_settle: int, n_measure: int, trace: bool = True
 ) -> Motion:
     """Check that both engines agree in every float; return their motion."""
+    duration = {"n_settle": n_settle, "n_measure": n_measure}
     ours, theirs = (
-        engine.roll_out(designs, environment, physics, n_settle=n_settle, n_measure=n_measure, trace=trace)
+        engine.roll_out(designs, environment, physics, **duration, trace=trace, motor_work=True)
         for engine in (batch, reference)
     )
-    np.testing.assert_array_equal(ours.settled, theirs.settled)
-    np.testing.assert_array_equal(ours.final, theirs.final)
+    for name in ("settled", "halfway", "final"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    alive = np.isfinite(ours.final).all(axis=(2, 3))
+    assert ours.motor_work is not None and theirs.motor_work is not None
+    np.testing.assert_array_equal(ours.motor_work[alive], theirs.motor_work[alive])
     assert (ours.trace is not None) == (theirs.trace is not None) == trace
     if ours.trace is not None:
         np.testing.assert_array_equal(ours.trace, theirs.trace)

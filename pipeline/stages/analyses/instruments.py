@@ -146,8 +146,7 @@ def _champion_row(
         untried = Luck(champion.fitness, np.nan, Estimate.missing(job.spec.no_networks), np.nan, 0, 0)
         return ChampionRow(trial.index, best, Moved(np.nan, np.nan, np.nan), slush, untried)
     environment = home_of(spec.simulation, champion, networks_among(inputs))
-    penalty = spec.disagreement_penalty
-    score = environments.scorer(spec.simulation, job.execution, environment, penalty, spec.objective)
+    score = environments.scorer(spec.simulation, job.execution, environment, spec.fitness)
     at_home = score(champion.design)
     (home,) = _moved(at_home.displacement.mean(axis=1), at_home.com_displacement.mean(axis=1))
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pipeline.stages.environments import SimulationSpec
+from pipeline.stages.environments import FitnessSpec, SimulationSpec
 from pipeline.workflow.identity import OMIT_DEFAULT, Arm, TrialId
 from tasks.analysis.tank import Tank
 from tasks.evolution import PAPERS_OBJECTIVE, ObjectiveName
@@ -59,6 +59,12 @@ class InstrumentsSpec(AnalysisSpec):
     held_out: float
     disagreement_penalty: float
     objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT, kw_only=True)
+    objective_depths: tuple[float, ...] = field(default=(), metadata=OMIT_DEFAULT, kw_only=True)  # [m]
+
+    @property
+    def fitness(self) -> FitnessSpec:
+        """What the champions were selected for."""
+        return FitnessSpec(self.disagreement_penalty, self.objective, self.objective_depths)
 
 
 @dataclass(frozen=True)

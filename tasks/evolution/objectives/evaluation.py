@@ -1,6 +1,6 @@
 """The registry of objectives, and fitness from the scores of an ensemble. Paper, "Performance Evaluation"."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from tasks.arrays import Float64
 from tasks.parameters import RegisteredNames
-from tasks.simulation import Rollouts
+from tasks.simulation import OK, Rollouts
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,12 @@ class Objective:
     label: str
     unit: str
     score: Callable[[Rollouts], Float64]  # a score for each, in the shape of ``rollouts.displacement``
+    motor_work: bool = False  # whether the score needs ``rollouts.motor_work``
+    over_depths: bool = False  # whether it is the mean of the scores at several depths, which are a setting
+
+    def in_words(self, depths: Sequence[float] = ()) -> str:
+        """Name it within a sentence, with the depths [m] that it is the mean over."""
+        return self.label.lower() + (f" ({', '.join(f'{depth:g}' for depth in depths)} m)" if depths else "")
 
 
 OBJECTIVES: dict[str, Objective] = {}  # objectives by name
@@ -43,13 +49,17 @@ def register_objective(objective: Objective) -> None:
 class Evaluation:
     """Scores of n_designs designs; environments without an ensemble have one member."""
 
-    fitness: Float64  # (n_designs,) in the objective's unit; -inf where any rollout diverged
+    fitness: Float64  # (n_designs,) in the objective's unit; -inf where any rollout diverged, at any depth
     displacement: Float64  # (n_designs, n_members) displacement of the root [m]; NaN where diverged
     com_displacement: Float64  # (n_designs, n_members) the same of the whole robot's centre of mass
 
 
 def evaluate(
-    rollouts: Rollouts, *, disagreement_penalty: float, objective: ObjectiveName = PAPERS_OBJECTIVE
+    rollouts: Rollouts,
+    *,
+    disagreement_penalty: float,
+    objective: ObjectiveName = PAPERS_OBJECTIVE,
+    at_depths: Sequence[Rollouts] = (),
 ) -> Evaluation:
     """Return the scores of rollouts; in an environment without an ensemble, the fitness is the score itself.
 
@@ -57,14 +67,27 @@ def evaluate(
         rollouts: rollouts of n_designs designs.
         disagreement_penalty: k in μ - k σ over members.
         objective: name of the objective.
+        at_depths: rollouts of the same designs under the same members at each depth of an objective over depths.
+
+    Raises:
+        ValueError: an objective over depths has no depths, or another one has some.
     """
+    of = OBJECTIVES[objective]
+    if of.over_depths != bool(at_depths):
+        expected = "at least 1" if of.over_depths else "0"
+        raise ValueError(f"objective {of.name!r}: at_depths has length {len(at_depths)}, expected {expected}")
+    scores = _mean_over_depths(of, rollouts, at_depths) if of.over_depths else of.score(rollouts)
     return Evaluation(
-        fitness=penalised_mean(
-            np.atleast_2d(OBJECTIVES[objective].score(rollouts)).T, disagreement_penalty=disagreement_penalty
-        ),
+        fitness=penalised_mean(np.atleast_2d(scores).T, disagreement_penalty=disagreement_penalty),
         displacement=np.atleast_2d(rollouts.displacement).T,
         com_displacement=np.atleast_2d(rollouts.com_displacement).T,
     )
+
+
+def _mean_over_depths(of: Objective, rollouts: Rollouts, at_depths: Sequence[Rollouts]) -> Float64:
+    """Return the mean score of each rollout over depths; NaN where it diverged at one of them or at its own."""
+    mean = np.mean([of.score(each) for each in at_depths], axis=0)
+    return np.where(rollouts.status == OK, mean, np.nan)
 
 
 def penalised_mean(scores: Float64, *, disagreement_penalty: float) -> Float64:

@@ -5,7 +5,7 @@ import numpy as np
 from tasks.arrays import Float32
 from tasks.compiled import compiled
 from tasks.design.body import kinematic_trees, rigid_bodies
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import N_JOINTS, N_LINKS, Designs
 from tasks.simulation.fused_links import body_change
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
@@ -57,6 +57,14 @@ class Robots:
         states: Float32 = np.stack([links[name] for name in ("x", "y", "angle", "vx", "vy", "omega")], axis=-1)
         states[np.isnan(self.records["divergence"])] = np.nan
         return states
+
+    def motor_work(self) -> Float32:
+        """Read (n_robots, n_links) work of the joints' motors since it began to be counted [J]."""
+        work = np.zeros((self.n_robots, N_LINKS), np.float32)
+        robot, joint = np.nonzero(np.arange(N_JOINTS) < self.records["n_joints"][:, None])
+        joints = self.records["joints"][robot, joint]
+        work[robot, joints["child"]] = joints["motor_work"]
+        return work
 
     def advance(self, scene: Scene, first_step: int, n_steps: int, trace: Float32 | None) -> None:
         """Take steps with all robots.

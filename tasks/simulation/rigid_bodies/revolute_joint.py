@@ -93,6 +93,13 @@ def solve_velocity_constraints(robot: RobotRecord, joint: JointRecord) -> None:
 
 
 @inline
+def add_motor_work(robot: RobotRecord, joint: JointRecord) -> None:
+    """Add |J ω| of a step to the motor's work; see :class:`tasks.simulation.box2d.Motion`."""
+    speed = robot.bodies[joint.body_b].w - robot.bodies[joint.body_a].w
+    joint.motor_work = joint.motor_work + abs(joint.motor_impulse * speed)
+
+
+@inline
 def solve_position_constraints(robot: RobotRecord, joint: JointRecord) -> bool:
     """b2RevoluteJoint::SolvePositionConstraints; return whether the error was small before the correction."""
     body_a, body_b = robot.bodies[joint.body_a], robot.bodies[joint.body_b]

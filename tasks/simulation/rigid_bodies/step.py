@@ -9,7 +9,7 @@ from numpy import float32
 
 from tasks.arrays import Float32
 from tasks.compiled import inline
-from tasks.simulation.rigid_bodies import broad_phase, island
+from tasks.simulation.rigid_bodies import broad_phase, island, revolute_joint
 from tasks.simulation.rigid_bodies.layout import RobotRecord
 from tasks.simulation.rigid_bodies.transform import rotate, transform
 from tasks.simulation.simd.rotation import scalar_sincos
@@ -107,7 +107,7 @@ def _begin_step(robot: RobotRecord, scene: Scene, step: int) -> None:
 
 @inline
 def _finish_step(robot: RobotRecord, scene: Scene) -> None:
-    """Look for new contacts, place the links, and notice a divergence."""
+    """Look for new contacts, place the links, notice a divergence, and count the motors' work if wanted."""
     _synchronize_fixtures(robot, scene)
     for index in range(scene.n_links):
         _place_link(robot, index)
@@ -115,6 +115,9 @@ def _finish_step(robot: RobotRecord, scene: Scene) -> None:
         pose = _ZERO * link.x + _ZERO * link.y + _ZERO * link.angle
         velocity = _ZERO * link.vx + _ZERO * link.vy + _ZERO * link.omega
         robot.divergence = robot.divergence + (pose + velocity)
+    if scene.motor_work:
+        for j in range(robot.n_joints):
+            revolute_joint.add_motor_work(robot, robot.joints[j])
 
 
 @inline

@@ -6,7 +6,7 @@ import numpy as np
 
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
-from tasks.design.genes import N_LINKS, Designs
+from tasks.design.genes import N_JOINTS, N_LINKS, Designs
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
@@ -83,6 +83,12 @@ class Groups:
         state = np.take_along_axis(np.moveaxis(states, 0, -1), self._number_of_link()[..., None], axis=1)
         state[np.isnan(self.blocks[:, layout.DIVERGENCE].reshape(-1)[: self.n_robots])] = np.nan
         return state
+
+    def motor_work(self) -> Float32:
+        """Read (n_robots, n_links) work of the joints' motors since it began to be counted [J]."""
+        joints = self.blocks[:, layout.MOTOR_WORK : layout.MOTOR_WORK + N_JOINTS].transpose(0, 2, 1)
+        of_links = np.pad(joints.reshape(-1, N_JOINTS)[: self.n_robots], ((0, 0), (1, 0)))  # the root has no joint
+        return np.take_along_axis(of_links, self._number_of_link(), axis=1)
 
     def _number_of_link(self) -> Int64:
         return np.tile(self._number, (self._n_members, 1))

@@ -156,6 +156,13 @@ def solve_velocity_constraint(block: Block, joint: int) -> None:
 
 
 @inline
+def add_motor_work(block: Block, joint: int) -> None:
+    """Add |J ω| of a step to the motor's work; see :class:`tasks.simulation.box2d.Motion`."""
+    speed = block[at.OMEGA + joint + 1] - of_parent(from_row(block, at.OMEGA), block[at.PARENT + joint], joint)
+    block[at.MOTOR_WORK + joint] = block[at.MOTOR_WORK + joint] + abs(block[at.MOTOR_IMPULSE + joint] * speed)
+
+
+@inline
 def solve_position_constraint(block: Block, joint: int, unsolved: Mask) -> Mask:
     """Return the lanes in which a joint was within the tolerance before b2RevoluteJoint::SolvePositionConstraints.
 

@@ -46,7 +46,9 @@ TANGENT_MASS_1, TANGENT_MASS_2, NORMAL_MASS_1, NORMAL_MASS_2, BIAS_1, BIAS_2 = r
 # K of the block of both points, and 1/det K. NORMAL_MASS_2 is 0 where there is no block.
 _BLOCK = BIAS_2 + N_LINKS
 K_11, K_12, K_22, K_INVERSE_DETERMINANT = range(_BLOCK, _BLOCK + 4 * N_LINKS, N_LINKS)
-N_ROWS = K_INVERSE_DETERMINANT + N_LINKS
+# Work of a joint's motor since it began to be counted [J]; a step does not touch it otherwise.
+MOTOR_WORK = K_INVERSE_DETERMINANT + N_LINKS
+N_ROWS = MOTOR_WORK + N_JOINTS
 
 QUANTITIES = {
     "length_scale": LONG_AXIS,

@@ -47,6 +47,7 @@ class Scene(NamedTuple):
     drag: np.float32  # ½ ρ C_dl dt
     angular_drag: np.float32  # ρ C_dr dt
     lift: np.float32  # ρ g dt
+    motor_work: bool = False  # whether to add up the work of the motors
 
 
 @inline
@@ -288,7 +289,7 @@ def _start_contacts(block: Block, scene: Scene) -> tuple[int, int]:
 
 @inline
 def _end_step(block: Block, scene: Scene, touching: int) -> None:
-    """Integrate positions, correct them, and note divergence."""
+    """Integrate positions, correct them, note divergence, and count the motors' work if wanted."""
     for link in range(scene.n_links):
         _integrate_position(block, link, scene.dt)
     _solve_positions(block, scene, touching)
@@ -296,6 +297,9 @@ def _end_step(block: Block, scene: Scene, touching: int) -> None:
     for row in range(at.N_TRACED):
         divergence = divergence + 0.0 * block[row]
     block[at.DIVERGENCE] = divergence
+    if scene.motor_work:
+        for j in range(scene.n_links - 1):
+            joint.add_motor_work(block, j)
 
 
 @inline

@@ -70,8 +70,9 @@ def refused(capsys, *arguments: str) -> str:
 
 def check_headline(said: str, page: Path, store: str) -> None:
     """Check what a study shows at its end: figures in 80 columns, the page's address, and commands that exist."""
-    heading, columns, *arms, opened = said.strip().partition("\nNext:\n")[0].splitlines()
+    heading, objective, columns, *arms, opened = said.strip().partition("\nNext:\n")[0].splitlines()
     assert heading.startswith("Champions of study tiny in True Slush, 1 m deep")
+    assert objective == "selected for: displacement"
     assert columns.split() == ["evolved", "in", "predicted", "zero-shot", "adapted"]
     assert [arm.split("  ")[1] for arm in arms if "share" not in arm] == ["True Slush", "Dry Land", "Residual Slush"]
     assert opened == f"Open: {page.as_uri()}"

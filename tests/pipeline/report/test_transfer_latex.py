@@ -22,7 +22,7 @@ def rows(text: str) -> list[list[str]]:
 
 
 def test_the_rows_are_those_of_the_page(study):
-    head, *body = rows(transfer_latex("tiny", study.trials))
+    head, *body = rows(transfer_latex("tiny", study.trials, selected_for="displacement"))
     assert head[3:] == ["predicted", "zero-shot", r"\% of $E$", "adapted", r"\% of $E$"]
     assert {len(row) for row in (head, *body)} == {8}
     slush = next(row for row in body if row[:2] == [r"9\,m", "True Slush $E$"])
@@ -34,8 +34,9 @@ def test_the_rows_are_those_of_the_page(study):
 
 
 def test_it_is_ascii_with_balanced_braces_and_mathematics_that_parses(study):
-    text = transfer_latex("tiny", study.trials)
+    text = transfer_latex("tiny", study.trials, selected_for="displacement")
     assert text.isascii() and text.count("{") == text.count("}")
+    assert "selected for: displacement." in text
     begin, end = text.index(r"\begin{tabular}{@{}l*{6}{@{\hspace{8pt}}r}@{}}"), text.index(r"\end{tabular}")
     assert begin < text.index(r"\toprule") < text.index(r"\midrule") < text.index(r"\bottomrule") < end
     parser = MathTextParser("path")
@@ -45,10 +46,10 @@ def test_it_is_ascii_with_balanced_braces_and_mathematics_that_parses(study):
 
 def test_what_is_missing_is_a_dash():
     trials = [TrialResult("dry_land", 2.0, 0, predicted=3.0, zero_shot=float("nan"))]
-    (row,) = rows(transfer_latex("tiny", trials))[1:]
+    (row,) = rows(transfer_latex("tiny", trials, selected_for="displacement"))[1:]
     assert row == [r"2\,m", "Dry Land $E'$", "1", "$3.0$", "--", "--", "--", "--"]
 
 
 def test_every_registered_symbol_is_written_in_ascii():
     trials = [TrialResult(name, 1.0, 0, 1.0, 1.0) for name in ENVIRONMENTS]
-    assert transfer_latex("tiny", trials).isascii()
+    assert transfer_latex("tiny", trials, selected_for="displacement").isascii()

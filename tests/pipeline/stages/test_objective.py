@@ -1,10 +1,12 @@
 """Studies with another objective than the paper's: what is selected for it, and what states it."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command_line import refused
 from small_study import labelled, run
 
 from pipeline.cluster import serial_cluster
@@ -12,6 +14,7 @@ from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.stages import environments
+from pipeline.stages.analyse import ANALYSE
 from pipeline.stages.analyses.analysis_tables import read_table
 from pipeline.stages.evolve import EVOLVE
 from pipeline.stages.segments import CURVE, HISTORY, POPULATION, champion_of, population_of
@@ -20,6 +23,7 @@ from pipeline.store.encoding import decode_json, decode_table
 from pipeline.store.store import Store
 from pipeline.workflow.identity import to_json
 from pipeline.workflow.stage import Execution
+from tasks.design import Designs
 
 SETTINGS = """
 name: fast
@@ -59,8 +63,10 @@ def test_designs_and_adapted_controllers_are_selected_for_it(fast, settings, sta
         assert (history["fitness"] != history["displacement"][:, 0]).any()
 
 
-def test_tables_and_the_page_state_its_unit(fast, tmp_path):
+def test_tables_and_the_page_name_it_and_state_its_unit(fast, settings, tmp_path):
     store, upstream = fast
+    lines = EVOLVE.summarise(settings, upstream["evolve"], store).lines
+    assert lines[0] == "fitness: speed in the second half [m/s]"
     (segment,) = labelled(upstream["evolve"].done)["dry_land/1m/trial-0"]
     for name, column in ((HISTORY, "fitness"), (CURVE, "best_fitness")):
         path = tmp_path / name
@@ -68,7 +74,8 @@ def test_tables_and_the_page_state_its_unit(fast, tmp_path):
         assert json.loads(pq.read_schema(path).metadata[b"puddle"])["units"][column] == "m/s"
     (done,) = labelled(upstream["report"].done)["index.html"]
     page = store.read(done, "index.html").decode()
-    assert "speed in the second half [m/s]" in page and "Fitness [m/s]" in page and "to travel as far" not in page
+    assert "speed in the second half [m/s]" in page and "Fitness [m/s]" in page
+    assert "μ − kσ of the speed in the second half [m/s], the fitness" in page and "to travel as far" not in page
     assert "best fitness [m/s]" in store.read(done, "fitness_curves.svg").decode()
 
 
@@ -94,12 +101,99 @@ def test_the_paper_s_objective_leaves_keys_as_they_were(settings):
     paper = settings.model_copy(
         update={"evolution": settings.evolution.model_copy(update={"objective": "displacement"})}
     )
-    for stage in (EVOLVE, TRANSFER):
-        ours, theirs = (to_json(stage.plan(of)[0].spec) for of in (settings, paper))
-        assert "objective" not in theirs
+    for stage in (EVOLVE, TRANSFER, ANALYSE):
+        ours, theirs = (to_json(stage.plan(of)[-1].spec) for of in (settings, paper))
+        assert "objective" not in theirs and "objective_depths" not in theirs
         assert ours == {**theirs, "objective": "second_half_speed"}
 
 
+def evolved(settings, tmp_path):
+    """Evolve designs, and return the history of each trial with its environment."""
+    store = Store.open(tmp_path / "store", create=True)
+    with serial_cluster() as cluster:
+        upstream = run(settings, store, cluster, [EVOLVE])
+    for trial, segments in upstream["evolve"].done.items():
+        (history,) = (store.read(segment, HISTORY) for segment in segments)
+        simulation = environments.simulation_spec(settings, trial.environment)
+        environment = environments.build_environment(simulation.media, trial.environment, 1.0, {})
+        yield decode_table(history, schema="history", version=1, source=HISTORY), simulation, environment
+
+
+def test_displacement_per_energy_is_selected_for(settings, tmp_path):
+    settings = parse(
+        Settings, settings.model_dump_json(), name="fast", overrides=["evolution.objective=displacement_per_energy"]
+    )
+    for history, simulation, environment in evolved(settings, tmp_path):
+        designs = Designs.from_arrays(history)
+        rollouts = environments.roll_out(simulation, Execution(), environment, designs, motor_work=True)
+        expected = rollouts.displacement / (np.maximum(rollouts.motor_work, 58.8) / 1000)
+        np.testing.assert_array_equal(history["fitness"], expected)
+
+
+@pytest.mark.parametrize("designs_per_batch", ["null", "3"])
+def test_a_generalist_is_selected_for_its_mean_over_depths(settings, tmp_path, designs_per_batch):
+    """Depths of the objective may differ from the trial's own, at which displacement is recorded."""
+    changes = ["evolution.objective=mean_over_depths", "evolution.objective_depths=[0,2,5]", "work.engine=reference"]
+    changes.append(f"work.designs_per_batch={designs_per_batch}")
+    settings = parse(Settings, settings.model_dump_json(), name="fast", overrides=changes)
+    assert settings.selected_for == "mean displacement over several depths (0, 2, 5 m)"
+    for history, simulation, environment in evolved(settings, tmp_path):
+        moved = {
+            depth: environments.roll_out(
+                simulation, Execution(), replace(environment, depth=depth), Designs.from_arrays(history)
+            ).displacement
+            for depth in (0.0, 1.0, 2.0, 5.0)
+        }
+        np.testing.assert_array_equal(history["displacement"][:, 0], moved[1.0])
+        np.testing.assert_array_equal(history["fitness"], np.mean([moved[of] for of in (0.0, 2.0, 5.0)], axis=0))
+    (first, *_) = EVOLVE.plan(settings)
+    (paper, *_) = EVOLVE.plan(parse(Settings, SETTINGS, name="fast"))
+    assert first.weight == 4 * paper.weight  # rollouts of each design: three depths and the trial's own
+
+
+def test_the_depths_of_the_objective_are_the_grids_by_default():
+    text = SETTINGS.replace("second_half_speed", "mean_over_depths").replace("[1.0]", "[1.0, 3.0]", 1)
+    settings = parse(Settings, text, name="fast")
+    assert settings.objective_depths == (1.0, 3.0)
+    (trial, *_) = EVOLVE.plan(settings)
+    assert to_json(trial.spec)["objective_depths"] == [1.0, 3.0]
+    assert parse(Settings, SETTINGS, name="fast").objective_depths == ()
+
+
 def test_an_unknown_objective_lists_those_there_are():
-    with pytest.raises(PuddleError, match=r"evolution.objective.*'displacement' or 'second_half_speed'"):
+    with pytest.raises(PuddleError, match=r"evolution.objective.*'mean_over_depths' or 'second_half_speed'"):
         parse(Settings, SETTINGS.replace("second_half_speed", "third_half_speed"), name="fast")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["evolution.objective_depths=[1,2]"], r"objective_depths are given, but objective is second_half_speed"),
+        (["objective=mean_over_depths", "objective_depths=[1,1]"], r"objective_depths repeats a value"),
+        (["objective=mean_over_depths"], r"objective_depths, or grid\.depths where they are null, has 1 depth"),
+        (["objective=mean_over_depths", "objective_depths=[3]"], r"has 1 depth: expected at least 2"),
+        (["objective=displacement_per_energy", "physics.max_motor_torque=0"], r"but physics\.max_motor_torque is 0"),
+        (
+            ["objective=displacement_per_energy", "morphology.n_actuated=0"],
+            r"but evolution\.morphology\.n_actuated is 0",
+        ),
+    ],
+)
+def test_an_objective_without_its_data_is_refused(overrides, message):
+    overrides = [of if of.startswith(("evolution.", "physics.")) else f"evolution.{of}" for of in overrides]
+    with pytest.raises(PuddleError, match=message):
+        parse(Settings, SETTINGS, name="fast", overrides=overrides)
+
+
+def test_the_command_line_refuses_it_in_one_message(capsys):
+    words = [
+        "settings",
+        "--preset",
+        "smoke",
+        "--set",
+        "evolution.objective=mean_over_depths",
+        "--set",
+        "grid.depths=[9]",
+    ]
+    said = refused(capsys, *words)
+    assert "evolution.objective is mean_over_depths" in said and "grid.depths" in said

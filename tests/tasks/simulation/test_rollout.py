@@ -261,3 +261,38 @@ def test_the_second_half_s_speed_is_that_of_the_trace(engine: str, n_settle: int
             expected = (x[:, -1].astype(np.float64) - x[:, first - 1]) / seconds
             np.testing.assert_allclose(ours, expected, rtol=1e-12, atol=1e-12)
         assert np.isfinite(ours).all()
+
+
+@pytest.mark.parametrize("locked", [False, True])
+@pytest.mark.parametrize("environment", ENVIRONMENTS, ids=name_of)
+def test_motor_work_is_that_of_torque_and_speed_after_settling(environment: Environment, locked: bool) -> None:
+    """In the trace, a torque is rounded once, a work of n steps n times: by 6e-8 each at the most."""
+    designs = random_designs(6, np.random.default_rng(52))
+    physics = Physics(passive_joints="locked") if locked else Physics()
+    duration = {"n_settle": 40, "n_measure": 60, "physics": physics}
+    rollouts = simulate(designs, environment, engine="reference", trace=True, motor_work=True, **duration)
+    assert rollouts.motor_torque is not None and rollouts.motor_work is not None
+    omega = trace_of(rollouts)[..., 5].astype(np.float64)
+    parent = np.broadcast_to(np.maximum(designs.parent, 0)[:, None], omega.shape)
+    speed = omega - np.take_along_axis(omega, parent, axis=-1)
+    power = np.abs(rollouts.motor_torque.astype(np.float64) * speed)[..., 40:, :]
+    np.testing.assert_allclose(rollouts.motor_work, power.sum(axis=(-1, -2)) * physics.time_step, rtol=60 * 6e-8)
+    assert (rollouts.motor_work > 0).all()
+    batched = simulate(designs, environment, motor_work=True, **duration)
+    np.testing.assert_array_equal(batched.motor_work, rollouts.motor_work)
+
+
+@pytest.mark.parametrize("engine", ["batch", "reference"])
+def test_motor_work_is_counted_on_request_and_changes_nothing(designs: Designs, engine: str) -> None:
+    medium = Poisoned(float(np.float32(designs.length_scale[2, 4])), np.nan, "vy")
+    plain, counted = (
+        simulate(designs, OtherSlush(9.0, medium), n_settle=0, n_measure=90, engine=engine, motor_work=motor_work)
+        for motor_work in (False, True)
+    )
+    assert plain.motor_work is None
+    np.testing.assert_array_equal(plain.displacement, counted.displacement)
+    np.testing.assert_array_equal(np.isnan(counted.motor_work), counted.status == DIVERGED)
+    assert (counted.status == DIVERGED).sum() == 1
+    idle = replace(designs, motor_on=np.zeros_like(designs.motor_on))
+    without_motors = simulate(idle, DryLand(1.0), n_settle=0, n_measure=90, engine=engine, motor_work=True)
+    np.testing.assert_array_equal(without_motors.motor_work, 0.0)

@@ -1,6 +1,7 @@
 """Objectives and fitness on figures worked out by hand."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,7 +92,49 @@ def test_speed_in_the_second_half_is_an_objective() -> None:
 
 def test_the_papers_objective_is_displacement() -> None:
     assert PAPERS_OBJECTIVE == "displacement"
-    assert [(one.name, one.label, one.unit) for one in OBJECTIVES.values()] == [
-        ("displacement", "Displacement", "m"),
-        ("second_half_speed", "Speed in the second half", "m/s"),
-    ]
+    assert {one.name: (one.label, one.unit) for one in OBJECTIVES.values()} == {
+        "displacement": ("Displacement", "m"),
+        "displacement_per_energy": ("Displacement per mechanical energy", "m/kJ"),
+        "mean_over_depths": ("Mean displacement over several depths", "m"),
+        "second_half_speed": ("Speed in the second half", "m/s"),
+    }
+
+
+def test_displacement_per_energy_and_the_least_work_that_counts() -> None:
+    rollouts = replace(ENSEMBLE, motor_work=np.array([[500.0, 0.0, np.nan], [1500.0, 29.4, 500.0]]))
+    evaluation = evaluate(rollouts, disagreement_penalty=0.0, objective="displacement_per_energy")
+    # 1 m by 0.5 kJ, 3 m by 1.5 kJ: 2 m/kJ each. 4 m by nothing and by 29.4 J, which both count as 58.8 J: 4 / 0.0588.
+    np.testing.assert_allclose(evaluation.fitness, [2.0, 4 / 0.0588, -np.inf], rtol=1e-15)
+    np.testing.assert_array_equal(evaluation.displacement[0], [1.0, 3.0])
+
+
+def test_a_generalist_is_scored_by_its_mean_over_depths() -> None:
+    """The mean over depths comes first, so that members disagree only where they do so in the mean."""
+    deeper = replace(ENSEMBLE, displacement=np.array([[5.0, 0.0, 1.0], [3.0, 0.0, 1.0]]))
+    mean = {"disagreement_penalty": 1.0, "objective": "mean_over_depths"}
+    evaluation = evaluate(ENSEMBLE, at_depths=[ENSEMBLE, deeper], **mean)
+    # Members' means over depths: 3 and 3; 2 and 2. The third diverges in its own depth, under the first member.
+    np.testing.assert_array_equal(evaluation.fitness, [3.0, 2.0, -np.inf])
+    np.testing.assert_array_equal(evaluation.displacement, ENSEMBLE.displacement.T)
+    np.testing.assert_array_equal(evaluate(ENSEMBLE, at_depths=[deeper], **mean).fitness, [3.0, 0.0, -np.inf])
+    deeper = replace(deeper, status=np.full((2, 3), OK))
+    lost = replace(deeper, displacement=np.array([[5.0, np.nan, 1.0], [3.0, 0.0, 1.0]]))
+    np.testing.assert_array_equal(evaluate(deeper, at_depths=[deeper, lost], **mean).fitness, [3.0, -np.inf, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("objective", "at_depths", "message"),
+    [
+        ("mean_over_depths", (), "'mean_over_depths': at_depths has length 0, expected at least 1"),
+        ("displacement", (ENSEMBLE,), "'displacement': at_depths has length 1, expected 0"),
+    ],
+)
+def test_rollouts_at_other_depths_belong_to_an_objective_over_depths(objective, at_depths, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        evaluate(ENSEMBLE, disagreement_penalty=1.0, objective=objective, at_depths=at_depths)
+
+
+def test_an_objective_in_words() -> None:
+    assert OBJECTIVES["displacement"].in_words() == "displacement"
+    words = OBJECTIVES["mean_over_depths"].in_words((0.0, 0.5, 9.0))
+    assert words == "mean displacement over several depths (0, 0.5, 9 m)"
