@@ -60,7 +60,8 @@ StudyArgument = Annotated[
     str, typer.Argument(metavar="NAME", autocompletion=names_of_studies, help="A study of the store.")
 ]
 SimulatedIn = Annotated[
-    str, typer.Option("--environment", help="dry_land, true_slush, residual_slush, designed_throws or randomised_slush.")
+    str,
+    typer.Option("--environment", help="dry_land, true_slush, residual_slush, designed_throws or randomised_slush."),
 ]
 GroundDepth = Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]

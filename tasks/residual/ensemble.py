@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from tasks.arrays import Float32
-from tasks.residual.observation import OBSERVATION, OBSERVED, STATE, VELOCITIES, observe
+from tasks.residual.observation import INPUTS, OBSERVATION, STATE, VELOCITIES, InputName, observe
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
@@ -36,15 +36,16 @@ class WeightsError(ValueError):
 class Ensemble:
     """Networks of one shape; the first axis of every array is the member."""
 
-    weights: tuple[Float32, ...]  # (n_members, n_in, n_out) for each layer, from 6 observations to 3 velocity changes
+    weights: tuple[Float32, ...]  # (n_members, n_in, n_out) for each layer, from observations to 3 velocity changes
     biases: tuple[Float32, ...]  # (n_members, n_out) for each layer
+    inputs: tuple[InputName, ...] = OBSERVATION
     device: str = "cpu"  # device of the networks: "cpu" selects the compiled kernel, any other name is torch's
 
     def __post_init__(self) -> None:
         n_members = self.weights[0].shape[:1]
         if n_members == (0,):
             raise WeightsError("an ensemble of 0 members, expected at least 1")
-        _check_layers(self.weights, self.biases, n_out=N_OUT, members=n_members)
+        _check_layers(self.weights, self.biases, n_in=len(self.inputs), n_out=N_OUT, members=n_members)
 
     @staticmethod
     def from_members(members: Sequence[Mapping[str, Float32]], *, device: str = "cpu") -> Ensemble:
@@ -60,10 +61,14 @@ class Ensemble:
         for k, shape in enumerate(shapes):
             if shape != shapes[0]:
                 raise WeightsError(f"member {k} has layers {shape}, expected those of member 0: {shapes[0]}")
+        inputs = [_inputs(member, f"member {k}") for k, member in enumerate(members)]
+        if len(set(inputs)) > 1:
+            raise WeightsError(f"members observe {' and '.join(map(str, dict.fromkeys(inputs)))}, expected the same")
         by_layer = list(zip(*folded, strict=True))
         return Ensemble(
             weights=tuple(np.stack([weight for weight, _ in layer]) for layer in by_layer),
             biases=tuple(np.stack([bias for _, bias in layer]) for layer in by_layer),
+            inputs=inputs[0],
             device=device,
         )
 
@@ -83,13 +88,13 @@ class Ensemble:
         shape = links.y.shape
         if not shape or shape[0] != self.n_members:
             raise ValueError(f"links of shape {shape}, expected ({self.n_members} members, ...)")
-        observation = observe(**{name: getattr(links, name) for name in OBSERVED})
-        change = self.predict(observation.reshape(self.n_members, -1, len(OBSERVATION)))
+        observation = observe(vars(links), self.inputs)
+        change = self.predict(observation.reshape(self.n_members, -1, len(self.inputs)))
         vx, vy, omega = np.moveaxis(change.astype(links.y.dtype, copy=False), -1, 0)
         return VelocityChange(vx=vx.reshape(shape), vy=vy.reshape(shape), omega=omega.reshape(shape))
 
     def predict(self, observation: Float32) -> Float32:
-        """Map (n_members, n_rows, 6) observations to (n_members, n_rows, 3) changes of vx, vy, ω in one step, in SI."""
+        """Map (n_members, n_rows, n_inputs) observations to (n_members, n_rows, 3) changes of vx, vy, ω in a step."""
         if self.networks is not None:
             return self.networks.forward(observation)
         return self.predict_with_torch(observation)
@@ -111,7 +116,7 @@ class Ensemble:
         """Networks of the compiled kernel; None where torch is used instead."""
         if self.device != "cpu" or numba.config.DISABLE_JIT:
             return None
-        return PackedNetworks(self.weights, self.biases, OBSERVED)
+        return PackedNetworks(self.weights, self.biases, tuple(INPUTS[name] for name in self.inputs))
 
     @cached_property
     def _tensors(self) -> tuple[tuple[Tensor, Tensor], ...]:
@@ -126,10 +131,11 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
     """Fold a member's standardisation into its first and last layers; compute in float64."""
     whose = f"member {k}"
     n_layers = _count_layers(member, whose)
+    n_in = len(_inputs(member, whose))
     for name in _SCALES:
-        _check(f"{whose}: {name}", member[name], (len(STATE),))
+        _check(f"{whose}: {name}", member[name], (n_in if name.startswith("observation") else len(STATE),))
     layers = [member[f"weight_{i}"] for i in range(n_layers)], [member[f"bias_{i}"] for i in range(n_layers)]
-    _check_layers(*layers, n_out=len(STATE), whose=f"{whose}: ")
+    _check_layers(*layers, n_in=n_in, n_out=len(STATE), whose=f"{whose}: ")
     weights, biases = ([array.astype(np.float64) for array in arrays] for arrays in layers)
 
     # W ((o - mean) / deviation) + b = (W / deviation) o + (b - W mean / deviation)
@@ -143,21 +149,37 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
     return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in zip(weights, biases, strict=True)]
 
 
+def _inputs(member: Mapping[str, Float32], whose: str) -> tuple[InputName, ...]:
+    """Return what a member observes: its array of numbers in the table of inputs, or the paper's six."""
+    if "inputs" not in member:
+        return OBSERVATION
+    known = list(INPUTS)
+    numbers = np.asarray(member["inputs"])
+    if numbers.ndim != 1 or not np.isin(numbers, np.arange(len(known))).all():
+        raise WeightsError(f"{whose}: inputs is {numbers.tolist()}, expected numbers from 0 to {len(known) - 1}")
+    return tuple(known[int(number)] for number in numbers)
+
+
 def _count_layers(arrays: Mapping[str, Float32], whose: str) -> int:
     """Count a member's layers, at least two; refuse missing and unknown names."""
     n_layers = max(sum(name.startswith("weight_") for name in arrays), 2)
     expected = {f"{kind}_{i}" for kind in ("weight", "bias") for i in range(n_layers)} | set(_SCALES)
-    if set(arrays) != expected:
+    if set(arrays) - {"inputs"} != expected:
         missing, unknown = sorted(expected - set(arrays)), sorted(set(arrays) - expected)
         raise WeightsError(f"{whose}: arrays are missing {missing} and unknown {unknown}, expected {sorted(expected)}")
     return n_layers
 
 
 def _check_layers(
-    weights: Sequence[Float32], biases: Sequence[Float32], *, n_out: int, members: tuple[int, ...] = (), whose: str = ""
+    weights: Sequence[Float32],
+    biases: Sequence[Float32],
+    *,
+    n_in: int,
+    n_out: int,
+    members: tuple[int, ...] = (),
+    whose: str = "",
 ) -> None:
-    """Refuse layers that do not connect 6 observations to n_out residuals."""
-    n_in = len(OBSERVATION)
+    """Refuse layers that do not connect n_in observations to n_out residuals."""
     for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
         last = i == len(weights) - 1
         n_units = n_out if last or weight.ndim == 0 else weight.shape[-1]

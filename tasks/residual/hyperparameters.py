@@ -8,6 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from tasks.parameters import Parameters
+from tasks.residual.observation import OBSERVATION, InputName
 
 
 class Architecture(Parameters):
@@ -19,6 +20,17 @@ class Architecture(Parameters):
     """Units in each hidden layer. [P]"""
     dropout: float = Field(default=0.001, ge=0.0, le=0.9)
     """Probability to drop a hidden unit from a sample of a minibatch. [P]"""
+    observation: tuple[InputName, ...] = Field(
+        default=OBSERVATION, min_length=1, exclude_if=lambda inputs: inputs == OBSERVATION
+    )
+    """Inputs: by default the six of the paper [P]. Magnitudes (speed, abs_omega, abs_sin_angle) make small networks
+    more accurate, because drag grows with |v| v and |ω| ω. sin_angle is for media that push a tilted plate sideways."""
+
+    @model_validator(mode="after")
+    def _inputs_differ(self) -> Self:
+        if len(set(self.observation)) != len(self.observation):
+            raise ValueError("observation repeats an input, expected each once")
+        return self
 
 
 class Training(Parameters):

@@ -11,12 +11,12 @@ from torch import Tensor, nn
 
 from tasks.arrays import Float32
 from tasks.residual.hyperparameters import Architecture
-from tasks.residual.observation import OBSERVATION, STATE
+from tasks.residual.observation import STATE
 
 
 @dataclass(frozen=True, eq=False)
 class Standardisation:
-    """Means and deviations of the training set's observations and residuals, each (6,) in the components' units."""
+    """Means and deviations of the training set's observations (n_inputs,) and residuals (6,) in their units."""
 
     observation_mean: Float32
     observation_deviation: Float32
@@ -28,7 +28,7 @@ class Standardisation:
         """Return the standardisation of a training set.
 
         Args:
-            observation: (n_rows, 6) observations in the order of OBSERVATION.
+            observation: (n_rows, n_inputs) observations.
             residual: (n_rows, 6) residuals in the order of STATE.
             standardise_targets: whether to standardise residuals; they keep SI units otherwise.
         """
@@ -39,7 +39,7 @@ class Standardisation:
         return Standardisation(observation_mean, observation_deviation, residual_mean, residual_deviation)
 
     def standard_observation(self, observation: Float32) -> Float32:
-        """Standardise (n_rows, 6) observations."""
+        """Standardise (n_rows, n_inputs) observations."""
         return _standard(observation, self.observation_mean, self.observation_deviation)
 
     def standard_residual(self, residual: Float32) -> Float32:
@@ -69,12 +69,12 @@ def _moments(rows: Float32) -> tuple[Float32, Float32]:
 
 
 class ResidualNetwork(nn.Module):
-    """Network from (n_rows, 6) standardised observations to (n_rows, 6) standardised residuals."""
+    """Network from (n_rows, n_inputs) standardised observations to (n_rows, 6) standardised residuals."""
 
     def __init__(self, architecture: Architecture) -> None:
         """Initialise from torch's current seed."""
         super().__init__()
-        sizes = [len(OBSERVATION), *[architecture.width] * architecture.hidden_layers, len(STATE)]
+        sizes = [len(architecture.observation), *[architecture.width] * architecture.hidden_layers, len(STATE)]
         self.layers = nn.ModuleList(nn.Linear(n_in, n_out) for n_in, n_out in pairwise(sizes))
         self.dropout = architecture.dropout
 

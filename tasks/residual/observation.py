@@ -1,7 +1,12 @@
 """The order of a network's inputs and outputs.
 
 Paper: o = (a, y, cos θ, vx, vy, ω). The horizontal position is left out, because the dynamics do not depend on x.
+Networks may observe more: sin θ, which a medium that pushes a tilted plate sideways requires, and magnitudes, which a
+network would otherwise have to approximate, since drag grows with |v| v and |ω| ω.
 """
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -9,26 +14,47 @@ from tasks.arrays import Float32, Floats
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
-OBSERVATION = ("a", "y", "cos_angle", "vx", "vy", "omega")  # components of a network's input [m, m, 1, m/s, m/s, rad/s]
+InputName = Literal["a", "y", "cos_angle", "vx", "vy", "omega", "sin_angle", "speed", "abs_omega", "abs_sin_angle"]
 
-OBSERVED = ("length_scale", "y", "cos", "vx", "vy", "omega")  # the same as fields of LinkStates
+OBSERVATION: tuple[InputName, ...] = ("a", "y", "cos_angle", "vx", "vy", "omega")
+"""Components of a network's input in the paper [m, m, 1, m/s, m/s, rad/s]."""
+
+INPUTS: Mapping[InputName, tuple[bool, tuple[str, ...]]] = {
+    "a": (False, ("length_scale",)),
+    "y": (False, ("y",)),
+    "cos_angle": (False, ("cos",)),
+    "vx": (False, ("vx",)),
+    "vy": (False, ("vy",)),
+    "omega": (False, ("omega",)),
+    "sin_angle": (False, ("sin",)),
+    "speed": (True, ("vx", "vy")),
+    "abs_omega": (True, ("omega",)),
+    "abs_sin_angle": (True, ("sin",)),
+}
+"""Every possible input: whether it is a magnitude, and of which fields of LinkStates. New ones are added at the end,
+because weights name their inputs by number."""
 
 VELOCITIES = slice(3, 6)  # components of a residual that are applied; positions follow by integration
 
 
-def observe(*, length_scale: Floats, y: Floats, cos: Floats, vx: Floats, vy: Floats, omega: Floats) -> Float32:
-    """Return (..., 6) observations of link states.
+def observe(quantities: Mapping[str, Floats], inputs: Sequence[InputName] = OBSERVATION) -> Float32:
+    """Return (..., n_inputs) observations of link states.
 
     A state that is not finite, or too large for float32, gives an observation that is not finite and no error, because
     a diverged rollout is a status.
 
     Args:
-        length_scale: (...) long axis [m].
-        y: (...) height of the centre [m].
-        cos: (...) cosine of the angle.
-        vx: (...) horizontal velocity of the centre [m/s].
-        vy: (...) vertical velocity of the centre [m/s].
-        omega: (...) angular velocity [rad/s].
+        quantities: arrays of one shape (...) by the name of a field of :class:`tasks.world.LinkStates`.
+        inputs: what to observe.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack((length_scale, y, cos, vx, vy, omega), axis=-1, dtype=np.float32, casting="same_kind")
+        return np.stack([_input(quantities, name) for name in inputs], axis=-1)
+
+
+def _input(quantities: Mapping[str, Floats], name: InputName) -> Float32:
+    """Compute one input in float32, with the roundings of the kernel in tasks/simulation/networks/coupled.py."""
+    is_magnitude, fields = INPUTS[name]
+    of = [np.asarray(quantities[field]).astype(np.float32) for field in fields]
+    if not is_magnitude:
+        return of[0]
+    return np.abs(of[0]) if len(of) == 1 else np.sqrt(of[0] * of[0] + of[1] * of[1])

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.parameters import Parameters
-from tasks.residual.observation import STATE, observe
+from tasks.residual.observation import OBSERVATION, STATE, InputName, observe
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
@@ -107,6 +107,14 @@ class Transitions:
 
     def __len__(self) -> int:
         return len(self.throw)
+
+    def observed(self, inputs: Sequence[InputName]) -> Float32:
+        """Return (n_transitions, n_inputs) observations."""
+        if tuple(inputs) == OBSERVATION:
+            return self.observation
+        _, y, angle, vx, vy, omega = self.state.T
+        quantities = {"length_scale": self.length_scale, "y": y, "cos": np.cos(angle), "sin": np.sin(angle)}
+        return observe({**quantities, "vx": vx, "vy": vy, "omega": omega}, inputs)
 
     def __getitem__(self, rows: Bools) -> Transitions:
         """Select transitions by a mask."""
@@ -197,6 +205,8 @@ def simulate_throws(starts: Starts, n_steps: int, medium: Medium, physics: Physi
         state=x,
         next_in_slush=E,
         next_on_dry_land=E_dry,
-        observation=observe(length_scale=length_scale, y=y, cos=np.cos(angle), vx=vx, vy=vy, omega=omega),
+        observation=observe(
+            {"length_scale": length_scale, "y": y, "cos": np.cos(angle), "vx": vx, "vy": vy, "omega": omega}
+        ),
         residual=E - E_dry,
     )

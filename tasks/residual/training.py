@@ -19,7 +19,7 @@ from tasks.arrays import Float32, Float64
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import ResidualNetwork, Standardisation
-from tasks.residual.observation import OBSERVATION
+from tasks.residual.observation import INPUTS, OBSERVATION, STATE, InputName
 from tasks.residual.throws import Transitions
 from tasks.residual.validation import split_throws
 from tasks.seeding import generator
@@ -41,12 +41,16 @@ class TrainedMember:
 
     weights: dict[str, Float32]  # weight_i (n_in, n_out), bias_i (n_out,) of each layer i, for standardised quantities
     standardisation: Standardisation  # standardisation of the training set
+    inputs: tuple[InputName, ...]  # what the network observes
     learning_curve: Float64  # (n_points, 3) iteration, mean training loss since the previous point, validation loss
     validation: tuple[ErrorRow, ...]  # errors on the held-out throws, in SI units
 
     def arrays(self) -> dict[str, Float32]:
-        """Return the weights and the standardisation by name: everything that inference needs."""
-        return {**self.weights, **asdict(self.standardisation)}
+        """Return all that inference needs by name: weights, standardisation, and inputs if not the paper's."""
+        arrays = {**self.weights, **asdict(self.standardisation)}
+        if self.inputs != OBSERVATION:
+            arrays["inputs"] = np.array([list(INPUTS).index(name) for name in self.inputs], np.float32)
+        return arrays
 
 
 def learning_rate(training: Training, iteration: int) -> float:
@@ -108,14 +112,13 @@ def train_member(
         built = f"was built for CUDA {torch.version.cuda}" if torch.version.cuda else "was built without CUDA"
         raise NoDevice(f"training.device is 'cuda', but torch {torch.__version__}, which {built}, finds no CUDA device")
     to_learn, to_validate = map(np.flatnonzero, split_throws(transitions.throw, training.held_out, seed=seed))
+    observed = transitions.observed(architecture.observation)
     standardisation = Standardisation.of(
-        transitions.observation[to_learn],
-        transitions.residual[to_learn],
-        standardise_targets=training.standardise_targets,
+        observed[to_learn], transitions.residual[to_learn], standardise_targets=training.standardise_targets
     )
 
     def standardised(rows: npt.NDArray[np.intp]) -> Tensor:
-        observation = standardisation.standard_observation(transitions.observation[rows])
+        observation = standardisation.standard_observation(observed[rows])
         residual = standardisation.standard_residual(transitions.residual[rows])
         return torch.from_numpy(np.concatenate((observation, residual), axis=1)).to(training.device)
 
@@ -124,12 +127,13 @@ def train_member(
         network = ResidualNetwork(architecture).to(training.device)
         validation_set = standardised(to_validate)
         curve = _fit(network, standardised(to_learn), validation_set, training, member, on_progress)
-        predicted = _predict(network, validation_set[:, : len(OBSERVATION)]).cpu().numpy()
+        predicted = _predict(network, validation_set[:, : observed.shape[1]]).cpu().numpy()
 
     vx, vy = transitions.state[to_validate, 3], transitions.state[to_validate, 4]
     return TrainedMember(
         weights=network.arrays(),
         standardisation=standardisation,
+        inputs=architecture.observation,
         learning_curve=curve,
         validation=error_rows(standardisation.residual(predicted), transitions.residual[to_validate], np.hypot(vx, vy)),
     )
@@ -143,9 +147,9 @@ def _fit(
     member: int,
     on_progress: Callable[[int, float], None] | None,
 ) -> Float64:
-    """Train in place on (n_rows, 12) observations and residuals; return the learning curve."""
+    """Train in place on (n_rows, n_inputs + 6) observations and residuals; return the learning curve."""
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=training.weight_decay, fused=True)
-    n_rows, n_observed = len(training_set), len(OBSERVATION)
+    n_rows, n_observed = len(training_set), training_set.shape[1] - len(STATE)
     curve = []
     losses = []
     for iteration in range(training.n_iterations):

@@ -16,6 +16,7 @@ import numpy as np
 
 from tasks.design import Designs
 from tasks.residual.ensemble import Ensemble
+from tasks.residual.observation import OBSERVATION, InputName
 from tasks.simulation import batch, reference, simulate
 from tasks.simulation.box2d import Motion
 from tasks.world import Environment, LinkStates, Physics, Slush, TrueSlush, VelocityChange
@@ -52,13 +53,13 @@ class Slushes:
         return VelocityChange(**{name: np.stack([change[name] for change in each]) for name in each[0]})
 
 
-def networks(rng: np.random.Generator) -> Ensemble:
+def networks(rng: np.random.Generator, inputs: tuple[InputName, ...] = OBSERVATION) -> Ensemble:
     """Create three untrained networks with changes as large as the slush's."""
-    sizes = (6, 40, 40, 3)
+    sizes = (len(inputs), 40, 40, 3)
     weights = [(rng.normal(size=(3, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
     weights[-1] *= np.float32(0.05)
     biases = [(0.01 * rng.normal(size=(3, b))).astype(np.float32) for b in sizes[1:]]
-    return Ensemble(weights=tuple(weights), biases=tuple(biases))
+    return Ensemble(weights=tuple(weights), biases=tuple(biases), inputs=inputs)
 
 
 def wild(designs: Designs, rng: np.random.Generator, *, motor_on: float) -> Designs:

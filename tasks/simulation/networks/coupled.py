@@ -19,8 +19,10 @@ from tasks.arrays import Bools, Float32, Int64
 from tasks.compiled import inline
 from tasks.design.genes import N_LINKS
 from tasks.simulation.networks.inference import N_LANES, PackedNetworks, run_networks
-from tasks.simulation.simd.lanes import Block, as_block
+from tasks.simulation.simd.lanes import Block, as_block, sqrt
 from tasks.simulation.trees import layout
+
+_VALUE, _MAGNITUDE, _MAGNITUDE_OF_TWO = 0, 1, 2  # codes of inputs: q, |q| and √(q² + p²)
 
 
 class LinkCopies(NamedTuple):
@@ -39,7 +41,7 @@ class Coupling(NamedTuple):
 
     whole: LinkCopies  # copies of N_LANES links that are neighbours in both
     single: LinkCopies  # copies of all other links
-    observed: Int64  # (n_inputs,) first rows of the quantities that networks read
+    observed: Int64  # (n_inputs, 3) what networks read: one of the codes below, and first rows of its quantities
     layers: Int64  # this field and those below are arguments of the networks' kernel, in inference.py
     sizes: Int64
     x: Float32
@@ -90,7 +92,7 @@ def couple(
     return Coupling(
         whole=copies(begins, N_LANES),
         single=copies(~is_whole, 1),
-        observed=np.array([quantities[name] for name in networks.inputs], np.int64),
+        observed=np.array([_code(*of, quantities) for of in networks.inputs], np.int64),
         layers=networks.layers,
         sizes=networks.sizes,
         x=x,
@@ -99,13 +101,25 @@ def couple(
     )
 
 
+def _code(is_magnitude: bool, fields: tuple[str, ...], quantities: Mapping[str, int]) -> tuple[int, int, int]:
+    """Return a row of ``observed``."""
+    first, last = quantities[fields[0]], quantities[fields[-1]]
+    return (_MAGNITUDE + len(fields) - 1 if is_magnitude else _VALUE), first, last
+
+
 @inline
 def _read(copies: LinkCopies, observed: Int64) -> None:
-    """Copy the links' states to the networks' inputs."""
+    """Copy the links' states, or magnitudes of them, to the networks' inputs."""
     for copy in range(copies.rows.shape[0]):
         robot, x = copies.rows[copy, 0], copies.rows[copy, 1]
         for k in range(observed.shape[0]):
-            copies.x[x + k * copies.number] = copies.robots[robot + observed[k] * copies.quantity]
+            q = copies.robots[robot + observed[k, 1] * copies.quantity]
+            if observed[k, 0] == _MAGNITUDE:
+                q = abs(q)
+            elif observed[k, 0] == _MAGNITUDE_OF_TWO:
+                p = copies.robots[robot + observed[k, 2] * copies.quantity]
+                q = sqrt(q * q + p * p)
+            copies.x[x + k * copies.number] = q
 
 
 @inline

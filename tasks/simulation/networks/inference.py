@@ -162,13 +162,16 @@ def _padded(n: int) -> int:
 class PackedNetworks:
     """Networks of one shape, with their weights in the kernel's memory layout."""
 
-    def __init__(self, weights: Sequence[Float32], biases: Sequence[Float32], inputs: tuple[str, ...]) -> None:
+    def __init__(
+        self, weights: Sequence[Float32], biases: Sequence[Float32], inputs: tuple[tuple[bool, tuple[str, ...]], ...]
+    ) -> None:
         """Pack the weights of networks with ReLU after every layer but the last.
 
         Args:
             weights: (n_members, n_in, n_out) of each layer.
             biases: (n_members, n_out) of each layer.
-            inputs: fields of :class:`tasks.world.LinkStates` that the first layer reads, in order.
+            inputs: what the first layer reads, in order: whether it is a magnitude, and of which one or two fields of
+                :class:`tasks.world.LinkStates`.
         """
         self._source = tuple(weights), tuple(biases), inputs
         self.inputs = inputs

@@ -8,6 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tasks.design import random_designs
+from tasks.residual.observation import INPUTS, OBSERVATION
 from tasks.simulation.batch import scene_of
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.inference import N_LANES
@@ -24,14 +25,15 @@ PHYSICS = Physics()
 @given(
     n_designs=st.integers(1, 3 * N_LANES),
     n_lanes=st.sampled_from([widest(), widest() // 2, 1]),
+    inputs=st.sampled_from([OBSERVATION, tuple(INPUTS)]),
     seed=st.integers(0, 2**32 - 1),
 )
-@example(n_designs=N_LANES, n_lanes=widest(), seed=0)  # all vectors move whole
-@example(n_designs=N_LANES + N_LANES // 2, n_lanes=widest(), seed=0)  # some do
-@example(n_designs=1, n_lanes=widest() // 2, seed=0)  # none does, and lanes are left over
-def test_one_kernel_gives_the_bits_of_asking_between_steps(n_designs, n_lanes, seed):
+@example(n_designs=N_LANES, n_lanes=widest(), inputs=OBSERVATION, seed=0)  # all vectors move whole
+@example(n_designs=N_LANES + N_LANES // 2, n_lanes=widest(), inputs=tuple(INPUTS), seed=0)  # some do
+@example(n_designs=1, n_lanes=widest() // 2, inputs=OBSERVATION, seed=0)  # none does, and lanes are left over
+def test_one_kernel_gives_the_bits_of_asking_between_steps(n_designs, n_lanes, inputs, seed):
     rng = np.random.default_rng(seed)
-    environment = ResidualSlush(1.0, networks(rng))
+    environment = ResidualSlush(1.0, networks(rng, inputs))
     designs, scene = random_designs(n_designs, rng), scene_of(environment, PHYSICS)
     together, apart = (Groups(designs, PHYSICS, n_members=3, n_lanes=n_lanes) for _ in range(2))
     together.advance(scene, 0, 0, None)
@@ -52,7 +54,7 @@ def test_every_link_is_tied_to_a_row_of_its_own_member(n_designs, n_members, n_l
     n_robots = n_members * n_designs
     blocks = np.zeros((-(-n_robots // n_lanes), 7, n_lanes), np.float32)
     nets = coupled.PackedNetworks(
-        [np.zeros((n_members, 6, 3), np.float32)], [np.zeros((n_members, 3), np.float32)], ("y",) * 6
+        [np.zeros((n_members, 6, 3), np.float32)], [np.zeros((n_members, 3), np.float32)], ((False, ("y",)),) * 6
     )
     coupling = coupled.couple(nets, blocks, n_robots)
     wide = coupling.whole.rows[:, None] * N_LANES + np.arange(N_LANES)[:, None]

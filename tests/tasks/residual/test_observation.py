@@ -1,0 +1,81 @@
+"""What networks observe."""
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from tasks.residual import Architecture, Throws, initial_states, simulate_throws
+from tasks.residual.ensemble import Ensemble, WeightsError
+from tasks.residual.hyperparameters import Training
+from tasks.residual.observation import INPUTS, OBSERVATION, observe
+from tasks.residual.training import train_member
+from tasks.world import LinkStates, Physics, Slush
+
+RICH = (*OBSERVATION, "speed", "abs_omega", "abs_sin_angle")
+
+
+def links(n=1000, seed=0):
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-9, 9, n)
+    y, vx, vy, omega = rng.normal(size=(4, n)) * 3
+    arrays = (rng.uniform(1, 3, n), np.ones(n), np.ones(n), y, np.cos(angle), np.sin(angle), vx, vy, omega)
+    return LinkStates(*(array.astype(np.float32) for array in arrays))
+
+
+def test_magnitudes_are_those_of_velocities_and_angles():
+    states = links()
+    speed, spin, tilt = observe(vars(states), ("speed", "abs_omega", "abs_sin_angle")).T
+    assert speed == pytest.approx(np.hypot(states.vx, states.vy), rel=1e-6)
+    assert (spin == np.abs(states.omega)).all() and tilt == pytest.approx(np.sqrt(1 - states.cos**2), abs=1e-3)
+
+
+def test_the_papers_observation_comes_first_and_other_inputs_keep_their_numbers():
+    """Weights name their inputs by number, so the table may only grow at its end."""
+    assert tuple(INPUTS)[:6] == OBSERVATION
+    assert tuple(INPUTS)[6:10] == ("sin_angle", "speed", "abs_omega", "abs_sin_angle")
+
+
+def test_throws_are_observed_as_links_are():
+    found = simulate_throws(initial_states(Throws(n_throws=4), np.random.default_rng(1)), 5, Slush(), Physics())
+    rich = found.observed(RICH)
+    assert (found.observed(OBSERVATION) == found.observation).all() and (rich[:, :6] == found.observation).all()
+    assert rich[:, 6] == pytest.approx(np.hypot(*found.state[:, 3:5].T), rel=1e-6)
+    assert rich[:, 8] == pytest.approx(np.abs(np.sin(found.state[:, 2])), abs=1e-6)
+
+
+def test_a_network_of_other_inputs_predicts_links_as_it_was_trained():
+    found = simulate_throws(initial_states(Throws(n_throws=8), np.random.default_rng(1)), 20, Slush(), Physics())
+    training = Training(n_iterations=20, batch_size=64, held_out=0.0)
+    architecture = Architecture(hidden_layers=1, width=8, observation=RICH)
+    arrays = train_member(found, architecture, training, seed=1, member=0).arrays()
+    ensemble = Ensemble.from_members([arrays, arrays])
+    assert ensemble.inputs == RICH and ensemble.weights[0].shape == (2, 9, 8)
+    states = LinkStates(**{name: np.stack([array, array]) for name, array in vars(links()).items()})
+    change = ensemble.velocity_change(states, Physics())
+    expected = ensemble.predict_with_torch(observe(vars(states), RICH))
+    assert np.stack([change.vx, change.vy, change.omega], axis=-1) == pytest.approx(expected, rel=1e-4, abs=1e-5)
+
+
+def test_members_that_observe_different_things_are_refused():
+    arrays = {
+        inputs: train_member(
+            simulate_throws(initial_states(Throws(n_throws=2), np.random.default_rng(1)), 5, Slush(), Physics()),
+            Architecture(hidden_layers=1, width=4, observation=inputs),
+            Training(n_iterations=10, batch_size=4, held_out=0.0),
+            seed=1,
+            member=0,
+        ).arrays()
+        for inputs in (("y", "vx", "vy"), ("y", "vx", "omega"))
+    }
+    with pytest.raises(WeightsError, match="members observe"):
+        Ensemble.from_members(list(arrays.values()))
+    (one, _) = arrays.values()
+    with pytest.raises(WeightsError, match=r"member 0: inputs is \[99\.0\], expected numbers from 0 to"):
+        Ensemble.from_members([{**one, "inputs": np.array([99], np.float32)}])
+
+
+def test_an_input_is_named_once_and_is_known():
+    with pytest.raises(ValidationError, match="observation repeats an input"):
+        Architecture(observation=("y", "y"))
+    with pytest.raises(ValidationError):
+        Architecture(observation=("temperature",))
