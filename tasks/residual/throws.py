@@ -68,8 +68,8 @@ class Throws(Parameters):
 class DesignedThrows(Throws):
     """Settings of throws that are designed for robots."""
 
-    n_throws: int = Field(default=2500, ge=2, le=1_000_000)
-    """Number of throws. With 29 steps each they are fewer transitions than the paper's 100,000."""
+    n_throws: int = Field(default=3400, ge=2, le=1_000_000)
+    """Number of throws; of 29 steps each, they are 98,600 transitions, about as many as the paper's 100,000."""
     n_steps: int | None = Field(default=None, ge=1, le=100_000)
     """Steps of each throw; null: as many as gravity takes to accelerate a link beyond the range of robots' speeds."""
     design: Literal["paper", "robots"] = "robots"
