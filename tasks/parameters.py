@@ -6,8 +6,9 @@ reason. The pipeline nests the groups in its settings, so each parameter has one
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
 
@@ -17,6 +18,14 @@ class Parameters(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True, use_attribute_docstrings=True
     )
+
+
+def later_choice(default: Any) -> Any:
+    """Declare a field that results were computed without.
+
+    JSON omits it where it has its default, which is how those results came about: so their keys stay as they are.
+    """
+    return Field(default=default, exclude_if=lambda value: value == default)
 
 
 @dataclass(frozen=True, eq=False)

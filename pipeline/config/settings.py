@@ -11,8 +11,8 @@ from pydantic import Field, create_model, model_validator
 
 from tasks.analysis.tank import Tank
 from tasks.design import Morphology
-from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Afpo, ObjectiveName
-from tasks.parameters import Parameters
+from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Afpo, Deviation, ObjectiveName
+from tasks.parameters import Parameters, later_choice
 from tasks.residual import Architecture, DesignedThrows, Throws, Training
 from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush
 from tasks.world.registry import settings_groups
@@ -41,6 +41,9 @@ class EnsembleSettings(Parameters):
     """Number of independently initialised networks. [P]"""
     disagreement_penalty: float = Field(default=1.0, ge=0.0, le=100.0)
     """Weight k of disagreement in the fitness μ - k σ over members. [P]"""
+    deviation: Deviation = later_choice("population")
+    """What σ over n members is: the population's deviation, with n in its denominator, or the sample's, with n - 1,
+    which is 7 % larger for 8. The paper does not say; the population's is the default of NumPy and exists for one."""
 
 
 class GridSettings(Parameters):
@@ -137,6 +140,10 @@ class TransferSettings(Parameters):
     """Environments whose champions' controllers are evolved again from scratch in True Slush, with frozen bodies."""
     n_generations: int = Field(default=1000, ge=1, le=1_000_000)
     """Generations of each adaptation. [P]"""
+    mutation_rate: Literal["per_gene", "per_individual"] = later_choice("per_gene")
+    """Rate of mutation in an adaptation, where only 16 of a design's 37 genes vary: that of each gene is the same as in
+    the evolution of bodies, so that 1.3 genes change on average, or as many genes change as there, 3. The paper does
+    not say."""
 
 
 class AssessSettings(Parameters):

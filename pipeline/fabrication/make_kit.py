@@ -58,6 +58,11 @@ def fabricate(
     Raises:
         PuddleError: The kit can't be made. Nothing was written.
     """
+    if settings.physics.range_of_motion != "amplitude":
+        raise PuddleError(
+            f"study {settings.name}: physics.range_of_motion is {settings.physics.range_of_motion}, but a kit's servos "
+            "swing by the range to either side: expected amplitude"
+        )
     require_cad()
     place = KIT.check_place(out)
     # Imported late, because the CAD kernel takes ten seconds.

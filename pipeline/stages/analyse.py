@@ -114,6 +114,7 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
     depths, rollout, tank = settings.grid.depths, settings.rollout, settings.tank
     simulation = environments.simulation_spec(settings, "true_slush", *(arm.environment for arm in arms_of(trials)))
     penalty, held_out, seed = settings.ensemble.disagreement_penalty, settings.training.held_out, settings.seed
+    deviation = settings.ensemble.deviation
     chains: list[Chain[specs.AnalysisSpec]] = []
 
     def plan(
@@ -124,10 +125,12 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
 
     ensemble: EnvironmentName = "residual_slush" if settings.needs_ensemble else "true_slush"
     groups, assessed_depth = settings.throw_groups, settings.assessed_depth
-    plan(PartId(specs.STATISTICS), specs.StatisticsSpec(seed, trials, simulation, assessed_depth, groups), 0)
+    statistics = specs.StatisticsSpec(seed, trials, simulation, assessed_depth, groups, deviation=deviation)
+    plan(PartId(specs.STATISTICS), statistics, 0)
     plan(PartId(specs.MEMBERS), specs.MembersSpec(seed, (), simulation, held_out), 0, ensemble)
     plan(PartId(specs.MATRIX), specs.MatrixSpec(seed, trials, simulation, depths), len(trials) * len(depths))
-    plan(PartId(specs.EXPLOITERS), specs.ExploitersSpec(seed, trials, simulation), len(trials), ensemble)
+    exploiters = specs.ExploitersSpec(seed, trials, simulation, deviation=deviation)
+    plan(PartId(specs.EXPLOITERS), exploiters, len(trials), ensemble)
     for arm, of_arm in arms_of(trials).items():
         own, n = tuple(of_arm), len(of_arm)
         spec = specs.InstrumentsSpec(
@@ -139,6 +142,7 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
             penalty,
             objective=settings.evolution.objective,
             objective_depths=settings.objective_depths,
+            deviation=deviation,
         )
         n_depths = len({arm.depth, *settings.objective_depths})
         plan(PartId(specs.INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES * n_depths), arm.environment)

@@ -21,7 +21,7 @@ from pipeline.store.encoding import decode_arrays
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Execution, Files, Input, Inputs, Upstream
 from tasks.design import Designs
-from tasks.evolution import OBJECTIVES, Evaluation, ObjectiveName, evaluate
+from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, evaluate
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
@@ -278,12 +278,15 @@ class FitnessSpec:
     disagreement_penalty: float  # weight of the members' disagreement; 0 without an ensemble
     objective: ObjectiveName
     objective_depths: tuple[float, ...]  # [m], over which an objective over depths is the mean; otherwise none
+    deviation: Deviation  # what σ over members is; "population" without an ensemble
 
 
 def fitness_spec(settings: Settings, environment: EnvironmentName) -> FitnessSpec:
     """Return what designs are selected for in an environment."""
-    penalty = settings.ensemble.disagreement_penalty if ENVIRONMENTS[environment].is_ensemble else 0.0
-    return FitnessSpec(penalty, settings.evolution.objective, settings.objective_depths)
+    objective, depths = settings.evolution.objective, settings.objective_depths
+    if not ENVIRONMENTS[environment].is_ensemble:
+        return FitnessSpec(0.0, objective, depths, "population")
+    return FitnessSpec(settings.ensemble.disagreement_penalty, objective, depths, settings.ensemble.deviation)
 
 
 def evaluate_designs(
@@ -309,6 +312,7 @@ def evaluate_designs(
         disagreement_penalty=fitness.disagreement_penalty,
         objective=fitness.objective,
         at_depths=[rollouts[depth] for depth in fitness.objective_depths],
+        deviation=fitness.deviation,
     )
 
 

@@ -25,6 +25,7 @@ from tasks.evolution import (
     OPERATORS,
     PAPERS_OBJECTIVE,
     Afpo,
+    Deviation,
     ObjectiveName,
     Population,
     Trial,
@@ -52,11 +53,12 @@ class TrialSpec:
     disagreement_penalty: float  # weight of the members' disagreement in the fitness; 0 without an ensemble
     objective: ObjectiveName = field(default=PAPERS_OBJECTIVE, metadata=OMIT_DEFAULT)
     objective_depths: tuple[float, ...] = field(default=(), metadata=OMIT_DEFAULT)  # [m], of an objective over depths
+    deviation: Deviation = field(default="population", metadata=OMIT_DEFAULT)  # what σ over members is
 
     @property
     def fitness(self) -> FitnessSpec:
         """What its designs are selected for."""
-        return FitnessSpec(self.disagreement_penalty, self.objective, self.objective_depths)
+        return FitnessSpec(self.disagreement_penalty, self.objective, self.objective_depths, self.deviation)
 
     def at_home(self, inputs: Inputs) -> Environment:
         """Build the environment where designs are simulated."""

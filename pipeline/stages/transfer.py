@@ -6,7 +6,7 @@ Slush: the gap that remains is the body's fault.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from pipeline.store.encoding import decode_json, encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
-from pipeline.workflow.identity import ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -35,7 +35,8 @@ from pipeline.workflow.stage import (
     TrialSummary,
     Upstream,
 )
-from tasks.design import Designs
+from tasks.design import Designs, as_many_genes
+from tasks.evolution import Deviation, disagreement
 
 SCORED = "scored"  # role of the inputs of later stages that are a trial's scores and champion
 _ADAPTED_TO = InputName("adapted")  # the last segment of the adaptation
@@ -50,6 +51,7 @@ class ScoreSpec:
 
     trial: TrialSpec
     home: SimulationSpec  # of the environment where it evolved
+    deviation: Deviation = field(default="population", metadata=OMIT_DEFAULT)  # what σ over its members is
 
 
 TransferSpec = SegmentSpec | ScoreSpec  # A segment of an adaptation, or the scoring at its end
@@ -62,6 +64,9 @@ def _plan(settings: Settings) -> Sequence[Chain[TrialSpec]]:
         adapted = trial.environment in settings.transfer.adapted_environments
         adaptation = segments.segment_lengths(settings, settings.transfer.n_generations) if adapted else ()
         spec = segments.trial_spec(settings, trial, "true_slush")
+        if settings.transfer.mutation_rate == "per_individual":
+            mutation = as_many_genes(spec.afpo.mutation, ("control",), spec.morphology)
+            spec = replace(spec, afpo=spec.afpo.model_copy(update={"mutation": mutation}))
         chains.append(segments.trial_chain(settings, spec, (*adaptation, _SCORING_UNITS)))
     return chains
 
@@ -78,7 +83,8 @@ def _item(
     else:
         trial = chain.spec.identity
         home = environments.simulation_spec(settings, trial.environment)
-        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home)
+        deviation = environments.fitness_spec(settings, trial.environment).deviation
+        label, spec = f"{chain.label}/score", ScoreSpec(chain.spec, home, deviation)
         inputs |= environments.home_inputs(settings, trial, upstream)
         if previous is not None:
             inputs[_ADAPTED_TO] = Input(previous, (POPULATION,))
@@ -96,14 +102,15 @@ def _compute_batch(jobs: Sequence[Job[TransferSpec]], inputs: Sequence[Inputs]) 
     if adaptations:
         return segments.compute_segments(adaptations, inputs)
     return [
-        _score(job.spec.trial, job.spec.home, job.execution, of)
+        _score(job.spec, job.execution, of)
         for job, of in zip(jobs, inputs, strict=True)
         if isinstance(job.spec, ScoreSpec)
     ]
 
 
-def _score(trial: TrialSpec, home: SimulationSpec, execution: Execution, inputs: Inputs) -> Files:
+def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
     """Score a trial's champion where it evolved, and before and after its adaptation."""
+    trial, home = spec.trial, spec.home
     evolved = segments.population_of(inputs[CHAMPION_OF])
     champion = segments.champion_of(evolved)
     if champion is None:
@@ -113,7 +120,8 @@ def _score(trial: TrialSpec, home: SimulationSpec, execution: Execution, inputs:
     at_home = environments.build_environment(home.media, trial.identity.environment, trial.identity.depth, inputs)
     by_member = np.atleast_2d(environments.roll_out(home, execution, at_home, champion).displacement)[:, 0]
     scores["predicted"] = float(by_member.mean())
-    scores["predicted_sd"] = float(by_member.std()) if at_home.is_ensemble and len(by_member) > 1 else None
+    has_sd = at_home.is_ensemble and len(by_member) > 1
+    scores["predicted_sd"] = float(disagreement(by_member[None], spec.deviation)[0]) if has_sd else None
     scores |= _in_true_slush(trial, execution, champion, "zero_shot")
     if _ADAPTED_TO in inputs:
         adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))

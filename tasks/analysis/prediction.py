@@ -20,7 +20,7 @@ from numpy.random import Generator
 
 from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_constant
 from tasks.arrays import Bools, Float64, Floats, Int64
-from tasks.evolution import penalised_mean
+from tasks.evolution import Deviation, penalised_mean
 
 Figure = Literal["r", "slope"]  # A figure of a regression: Pearson's R, or the slope of true on predicted
 
@@ -74,16 +74,20 @@ def members(predicted: Floats) -> dict[str, Float64]:
     return {f"member {k}": np.asarray(row, dtype=np.float64) for k, row in enumerate(predicted)}
 
 
-def aggregates(predicted: Floats) -> dict[str, Float64]:
+def aggregates(predicted: Floats, deviation: Deviation = "population") -> dict[str, Float64]:
     """Aggregate (n_members, n_designs) predictions [m] in several ways, by name; not finite where any member diverged.
 
     CVaR is the mean of the lowest quarter of the members; the last member counts in part if that is not a whole number.
+    The deviation says what σ is in μ - kσ.
     """
     of_members = np.asarray(predicted, dtype=np.float64)
     ranked = np.sort(of_members, axis=0)  # NaN last, and so into every weighted sum below
     weight = np.clip(_TAIL * len(ranked) - np.arange(len(ranked)), 0, 1)
     return {
-        **{mean_less_deviations(k): penalised_mean(of_members.T, disagreement_penalty=k) for k in _PENALTIES},
+        **{
+            mean_less_deviations(k): penalised_mean(of_members.T, disagreement_penalty=k, deviation=deviation)
+            for k in _PENALTIES
+        },
         "min": of_members.min(axis=0),
         "median": np.median(of_members, axis=0),
         f"quantile {_TAIL:g}": np.quantile(of_members, _TAIL, axis=0),
@@ -183,7 +187,12 @@ def _regression(
 
 
 def accuracy(
-    predicted: Floats, true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
+    predicted: Floats,
+    true: Floats,
+    *,
+    rng: Generator,
+    trial: npt.ArrayLike | None = None,
+    deviation: Deviation = "population",
 ) -> tuple[Regression, ...]:
     """Return the regression of true displacement on each member's prediction and on every aggregate (Fig. 3).
 
@@ -192,8 +201,9 @@ def accuracy(
         true: (n_designs,) displacement in True Slush [m]; NaN where diverged.
         rng: source of randomness.
         trial: (n_designs,) trial of each design; see :func:`regress`.
+        deviation: what σ is in μ - kσ.
     """
-    aggregated = aggregates(predicted) if len(predicted) else {}
+    aggregated = aggregates(predicted, deviation) if len(predicted) else {}
     return regress(members(predicted) | aggregated, true, rng=rng, trial=trial)
 
 

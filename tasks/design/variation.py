@@ -9,6 +9,7 @@ Designs that a morphology does not allow are rejected and drawn anew. variation_
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
@@ -20,7 +21,7 @@ from tasks.design import variation_kernels
 from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, DesignTable, Gene, GenePart
 from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, until_apart
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
-from tasks.parameters import Parameters
+from tasks.parameters import Parameters, later_choice
 
 
 class Mutation(Parameters):
@@ -32,6 +33,9 @@ class Mutation(Parameters):
     """Standard deviation of the Gaussian step, as a share of the gene's range. 0.2 is faster over few generations."""
     rewiring: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability that one link of a mutant gets another parent."""
+    changed_genes: Literal["step", "redraw"] = later_choice("step")
+    """What a changed gene does: it takes a Gaussian step, or is drawn anew as in a random design, whatever the step. A
+    flag flips. The paper's "randomly modified copies" may be either; steps find better robots."""
 
 
 _MUTATION = Mutation()
@@ -71,8 +75,21 @@ def _variation(n_actuated: int | None, mutation: Mutation, parts: tuple[GenePart
         numbers=_numbers(parts, n_actuated),
         change=mutation.genes_changed / N_GENES,
         step=mutation.step,
+        redraws=mutation.changed_genes == "redraw",
         rewiring=mutation.rewiring if "body" in parts else BODY_STAYS,
     )
+
+
+def as_many_genes(mutation: Mutation, parts: tuple[GenePart, ...], morphology: Morphology) -> Mutation:
+    """Return a mutation that changes as many genes of some parts as the given one changes of a whole design.
+
+    Args:
+        mutation: rates and step size; the mean number of changed genes is of the 37 of a whole design.
+        parts: parts that vary.
+        morphology: constraints on bodies, which may count motors among the body.
+    """
+    share = len(_numbers(parts, morphology.n_actuated).column) / N_GENES
+    return mutation.model_copy(update={"genes_changed": min(mutation.genes_changed / share, N_GENES)})
 
 
 def _part_of(gene: Gene, n_actuated: int | None) -> GenePart:
@@ -188,9 +205,9 @@ def mutate(
 ) -> Designs:
     """Return copies of designs with some genes changed, at least one in each.
 
-    Intervals and angles take a Gaussian step; an interval is clipped, an angle wraps around. A flag flips. Rewiring
-    gives one link another parent and keeps its other genes. If the number of motors is given, a motor's flag swaps with
-    an opposite one instead: the motor moves to another joint.
+    Intervals and angles take a Gaussian step, or are drawn anew; an interval is clipped, an angle wraps around. A flag
+    flips. Rewiring gives one link another parent and keeps its other genes. If the number of motors is given, a motor's
+    flag swaps with an opposite one instead: the motor moves to another joint.
 
     Args:
         designs: n_designs parents within the morphology.

@@ -4,9 +4,11 @@ from tasks.evolution.afpo import EMPTY_POPULATION, OPERATORS, Afpo, Population, 
 from tasks.evolution.objectives import (
     OBJECTIVES,
     PAPERS_OBJECTIVE,
+    Deviation,
     Evaluation,
     Objective,
     ObjectiveName,
+    disagreement,
     evaluate,
     penalised_mean,
 )

@@ -17,7 +17,7 @@ any generation and resume.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from tasks.arrays import Float64, Int64
 from tasks.design import ANY_BODY, Designs, Morphology, Mutation
 from tasks.design.genes import N_COLUMNS, DesignTable, GenePart
 from tasks.design.variation import Sampler, mutate_kernel, random_kernel, recombine_kernel, variation_of
-from tasks.parameters import Parameters
+from tasks.parameters import Parameters, later_choice
 
 OPERATORS = ("random", "mutation", "crossover")  # operators that make a child, in the order of their codes
 RANDOM, MUTATION, CROSSOVER = range(3)
@@ -49,6 +49,9 @@ class Afpo(Parameters):
     """Share of children that are recombinations of two designs. [P]"""
     mutation: Mutation = Mutation()
     """How mutants depart from their parents."""
+    parent_selection: Literal["uniform", "tournament"] = later_choice("uniform")
+    """How the parent of a mutant and the first parent of a crossover are chosen: uniformly, or as the fitter of two
+    survivors. The paper does not say; uniformly, as in age-fitness Pareto optimisation's own paper."""
 
     @model_validator(mode="after")
     def _shares_add_up(self) -> Self:
@@ -151,6 +154,9 @@ def ask(
     chance = rng.random(n_children)
     table = random_kernel(n_children, rng, variation)
     first = rng.integers(0, max(n_parents, 1), n_children)
+    if afpo.parent_selection == "tournament" and n_parents:
+        rival = rng.integers(0, n_parents, n_children)
+        first = np.where(population.fitness[rival] > population.fitness[first], rival, first)
     second = (first + rng.integers(1, max(n_parents, 2), n_children)) % max(n_parents, 1)  # never first, if it can be
     operator = np.digitize(chance, np.cumsum(afpo.shares[:2])) if n_parents else np.full(n_children, RANDOM)
     mutants, crosses = operator == MUTATION, operator == CROSSOVER

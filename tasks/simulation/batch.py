@@ -16,6 +16,7 @@ from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees.groups import Groups
 from tasks.simulation.trees.step import MAX_GROUPS_AT_ONCE, Scene
 from tasks.world import Environment, Medium, Physics, Slush
+from tasks.world.slush import INTEGRATIONS
 
 
 def seconds_to_compile(physics: Physics) -> float:
@@ -52,6 +53,9 @@ def scene_of(environment: Environment, physics: Physics) -> Scene:
         drag=single(0.5 * slush.density * slush.linear_drag * physics.time_step),
         angular_drag=single(slush.density * slush.angular_drag * physics.time_step),
         lift=single(slush.density * physics.gravity * physics.time_step),
+        by_component=slush.drag == "by_component",
+        integration=INTEGRATIONS.index(slush.drag_integration),
+        joint_limits=() if physics.joint_limits == "none" else (True,),
     )
 
 
@@ -99,6 +103,10 @@ def roll_out(
         robots = Robots(designs, environment.depth, physics, n_members=n_members)
     else:
         robots = Groups(designs, physics, n_members=n_members, n_lanes=n_lanes or widest())
+    motors = robots.max_motor_impulse
+    switched_on = motors.copy()
+    if not physics.motors_while_settling:
+        motors[:] = 0.0
     scene = scene_of(environment, physics)
     n_steps = n_settle + n_measure
     shape = (n_members, len(designs))
@@ -119,6 +127,7 @@ def roll_out(
             robots.advance(scene, first, last - first, None if states is None else states[:, first:last])
         if last == n_settle:
             settled = robots.poses()
+            motors[:] = switched_on
         if last == n_half:
             halfway = robots.poses()
     return Motion(

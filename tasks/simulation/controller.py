@@ -1,6 +1,7 @@
 """The controller: target angle of each joint's motor in each step. Paper, "Evolutionary Design".
 
-θ*(t) = rest + range · sin(2π f t + phase), with one frequency f per robot.
+θ*(t) = rest + A · sin(2π f t + phase), with one frequency f per robot. The amplitude A is the joint's range of motion,
+or half of it, as the setting ``physics.range_of_motion`` has it.
 
 Both engines must agree on θ* to the last bit, and platforms differ in the last bit of their sine. So the sine here is a
 polynomial in single precision. Its argument is in turns, so that whole turns are subtracted without rounding.
@@ -8,12 +9,14 @@ polynomial in single precision. Its argument is in turns, so that whole turns ar
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from tasks.arrays import Bools, Float32
 from tasks.design.genes import Designs
+from tasks.world.physics import RangeOfMotion
 
 TURN = 2 * np.pi  # [rad]
 
@@ -33,25 +36,29 @@ def sine_of_turns(turns: Float32) -> Float32:
     return signed
 
 
+AMPLITUDE: Mapping[RangeOfMotion, float] = {"amplitude": 1.0, "peak_to_peak": 0.5}
+"""Amplitude of an oscillation over the joint's range of motion."""
+
+
 @dataclass(frozen=True, eq=False)
 class Controllers:
     """Controllers of designs, rounded once to the engines' precision."""
 
     frequency: Float32  # (n_designs, 1) [Hz]
     phase_turns: Float32  # (n_designs, n_links) [turns]
-    motion_range: Float32  # (n_designs, n_links) [rad]
+    amplitude: Float32  # (n_designs, n_links) [rad]
     rest_angle: Float32  # (n_designs, n_links) [rad]
     motor_on: Bools  # (n_designs, n_links); False for the root, which has no joint
 
     @staticmethod
-    def of(designs: Designs) -> Controllers:
+    def of(designs: Designs, range_of_motion: RangeOfMotion = "amplitude") -> Controllers:
         """Return the controllers of designs."""
         single = np.float32
         jointed = np.arange(designs.parent.shape[1]) > 0
         return Controllers(
             frequency=designs.frequency[:, None].astype(single),
             phase_turns=(designs.phase / TURN).astype(single),
-            motion_range=designs.motion_range.astype(single),
+            amplitude=(AMPLITUDE[range_of_motion] * designs.motion_range).astype(single),
             rest_angle=designs.rest_angle.astype(single),
             motor_on=designs.motor_on & jointed,
         )
@@ -60,4 +67,8 @@ class Controllers:
         """Compute the target angles between child and parent in a step; (n_designs, n_links) [rad]."""
         time = np.float32(step) * np.float32(time_step)
         turns = self.frequency * time + self.phase_turns
-        return self.rest_angle + self.motion_range * sine_of_turns(turns)
+        return self.rest_angle + self.amplitude * sine_of_turns(turns)
+
+    def limits(self) -> tuple[Float32, Float32]:
+        """Return the least and the greatest target angle of each joint; (n_designs, n_links) [rad]."""
+        return self.rest_angle - self.amplitude, self.rest_angle + self.amplitude

@@ -65,6 +65,7 @@ class _Robot:
             categoryBits=GROUND_BIT,
         )
         first_link, parents = rigid.first_link[design], trees.parent[design]
+        lower_angle, upper_angle = controllers.limits()
         body_of: dict[int, Any] = {}
         for first in reversed(np.unique(first_link).tolist()):
             pose = (float(trees.x[design, first]), float(trees.y[design, first]), float(trees.angle[design, first]))
@@ -89,8 +90,11 @@ class _Robot:
                 localAnchorA=(float(rigid.joint_x[design, link]), float(rigid.joint_y[design, link])),
                 localAnchorB=(0.0, float(trees.child_anchor[design, link])),
                 referenceAngle=0.0,
-                enableMotor=bool(controllers.motor_on[design, link]),
+                enableMotor=bool(controllers.motor_on[design, link]) and physics.motors_while_settling,
                 maxMotorTorque=physics.max_motor_torque,
+                enableLimit=physics.joint_limits != "none",
+                lowerAngle=float(lower_angle[design, link]),
+                upperAngle=float(upper_angle[design, link]),
                 collideConnected=physics.link_collisions,  # the filters except links that a joint ties
             )
             for link in sorted(body_of)
@@ -152,9 +156,9 @@ def roll_out(
         motor_work: whether to add up the work of the motors over the measured steps.
     """
     n_members, n_designs, n_steps = environment.n_members, len(designs), n_settle + n_measure
-    trees = kinematic_trees(designs, density=physics.link_density)
+    trees = kinematic_trees(designs, density=physics.link_density, spawn=physics.spawn)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
-    controllers = Controllers.of(designs)
+    controllers = Controllers.of(designs, physics.range_of_motion)
     robots = [
         _Robot(trees, rigid, design, controllers, environment.depth, physics)
         for _ in range(n_members)
@@ -168,6 +172,8 @@ def roll_out(
     work = np.zeros((n_members, n_designs, N_LINKS), np.float32) if motor_work else None
     settled = halfway = placed.state
     for step in range(n_steps):
+        if step == n_settle and not physics.motors_while_settling:
+            _switch_on_motors(robots, controllers)
         _command_motors(robots, controllers, trees, placed.state, step, physics)
         if environment.medium is not None:
             _push(links, environment.medium, designs, trees, placed, physics)
@@ -209,6 +215,13 @@ def _relative(quantity: Float32, trees: KinematicTrees) -> Float32:
     parent = np.broadcast_to(np.maximum(trees.parent, 0), quantity.shape)
     of_parent: Float32 = np.take_along_axis(quantity, parent, axis=2)
     return quantity - of_parent
+
+
+def _switch_on_motors(robots: list[_Robot], controllers: Controllers) -> None:
+    for number, robot in enumerate(robots):
+        on = controllers.motor_on[number % len(controllers.motor_on)]
+        for link, joint in robot.joints.items():
+            joint.motorEnabled = bool(on[link])
 
 
 def _command_motors(

@@ -11,20 +11,19 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from tasks.parameters import Parameters
 from tasks.seeding import generator
 from tasks.world.environment import Environment
 from tasks.world.medium import EnsembleMedium, LinkStates, VelocityChange
 from tasks.world.physics import Physics
 from tasks.world.registry import EnvironmentKind, register
-from tasks.world.slush import Slush, TrueSlush
+from tasks.world.slush import DragLaw, Slush, TrueSlush
 
 _DIGITS = 6  # significant digits of a parameter, so that members are the same wherever logarithms round differently
 
 _Bound = Annotated[float, Field(gt=0.0, le=1e4)]
 
 
-class RandomisedSlushes(Parameters):
+class RandomisedSlushes(DragLaw):
     """Slushes with random parameters, the same ones in every trial of a study, as the members of an ensemble are.
 
     The ranges are those of a designer who knows the kind of fluid and not its parameters. None is fitted to throws, and
@@ -71,7 +70,8 @@ class RandomisedSlushes(Parameters):
             np.exp(rng.uniform(*np.log(bounds))) for bounds in (self.linear_drag, self.angular_drag)
         )
         drawn = (float(f"{value:.{_DIGITS}g}") for value in (density, linear_drag, angular_drag))
-        return Slush(**dict(zip(("density", "linear_drag", "angular_drag"), drawn, strict=True)))
+        parameters = dict(zip(("density", "linear_drag", "angular_drag"), drawn, strict=True))
+        return Slush(drag=self.drag, drag_integration=self.drag_integration, **parameters)
 
     def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
         """Compute the change over one step; member k pushes entry k of the links' first axis."""

@@ -25,6 +25,7 @@ from tasks.analysis.hallucination import Exploiter, rank_exploiters
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import concatenate
+from tasks.evolution import disagreement
 from tasks.world import ENVIRONMENTS, EnvironmentName, ResidualSlush
 
 
@@ -138,7 +139,9 @@ def compute_exploiters(job: Job[ExploitersSpec], inputs: Inputs) -> tuple[Tables
     suspects = [] if why else [*_champions_under_members(job, inputs), *_assessed(inputs)]
     by_member = np.array([s.by_member for s in suspects]).reshape(len(suspects), -1 if suspects else 1)
     ranked = rank_exploiters(
-        np.array([s.predicted for s in suspects]), np.array([s.true for s in suspects]), by_member.std(axis=1)
+        np.array([s.predicted for s in suspects]),
+        np.array([s.true for s in suspects]),
+        disagreement(by_member, job.spec.deviation),
     )
     rows = [_exploiter_row(row, suspects[row.design]) for row in ranked]
     reason = why or ("" if suspects else "no trial has a champion and no design was assessed")

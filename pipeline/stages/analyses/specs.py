@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pipeline.stages.environments import FitnessSpec, SimulationSpec
 from pipeline.workflow.identity import OMIT_DEFAULT, Arm, TrialId
 from tasks.analysis.tank import Tank
-from tasks.evolution import PAPERS_OBJECTIVE, ObjectiveName
+from tasks.evolution import PAPERS_OBJECTIVE, Deviation, ObjectiveName
 
 STATISTICS, MEMBERS, MATRIX, EXPLOITERS = "statistics", "members", "transfer-matrix", "exploiters"
 INSTRUMENTS, TANK = "instruments", "tank"  # kinds of analyses
@@ -20,6 +20,7 @@ class AnalysisSpec:
     trials: tuple[TrialId, ...]  # trials whose champions are analysed
     simulation: SimulationSpec
     no_networks: str = field(default="", kw_only=True)  # why there are no networks; "" if there are
+    deviation: Deviation = field(default="population", metadata=OMIT_DEFAULT, kw_only=True)  # what σ over members is
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class InstrumentsSpec(AnalysisSpec):
     @property
     def fitness(self) -> FitnessSpec:
         """What the champions were selected for."""
-        return FitnessSpec(self.disagreement_penalty, self.objective, self.objective_depths)
+        return FitnessSpec(self.disagreement_penalty, self.objective, self.objective_depths, self.deviation)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from tasks.analysis.prediction import (
     members_ranges,
 )
 from tasks.arrays import Float64
+from tasks.evolution import Deviation
 from tasks.seeding import generator
 
 
@@ -82,7 +83,7 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
     shares = assessed_among(inputs, spec.throw_groups[0]) if spec.throw_groups else []
     predicted, true, trial = _predictions(shares)
-    regressions = accuracy(predicted, true, rng=rng, trial=trial)
+    regressions = accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
     ranges = members_ranges(predicted, true, rng=generator(spec.seed, "analyse", "members-ranges"), trial=trial)
     reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), job.spec.not_assessed)
     if shares and not (np.isfinite(predicted).all(axis=0) & np.isfinite(true)).any():
@@ -104,7 +105,7 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     return {
         "scores": table,
         "regressions": columns_of(Regression, [*regressions, *_of_other_ensembles(spec, inputs)]),
-        "histograms": _drawn(predicted, true),
+        "histograms": _drawn(predicted, true, spec.deviation),
         "contrasts": columns_of(Contrast, contrasts),
         "attribution": columns_of(Attribution, attributions),
         "paper": columns_of(Row, against_paper(scores, *assessed, rng=rng)),
@@ -117,7 +118,8 @@ def _of_other_ensembles(spec: StatisticsSpec, inputs: Inputs) -> list[Regression
     for group in spec.throw_groups[1:]:
         predicted, true, trial = _predictions(assessed_among(inputs, group))
         rng = generator(spec.seed, "analyse", "accuracy", group)
-        found += [replace(row, learned_from=group) for row in accuracy(predicted, true, rng=rng, trial=trial)]
+        rows = accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
+        found += [replace(row, learned_from=group) for row in rows]
     return found
 
 
@@ -133,9 +135,15 @@ def _predictions(shares: Sequence[Files]) -> tuple[Float64, Float64, list[str]]:
     return table["predicted"].T, table["true"], trial
 
 
-def _drawn(predicted: Float64, true: Float64) -> Columns:
-    """Count true over predicted displacement, for each member, their mean, and their mean minus a deviation."""
-    together = aggregates(predicted) if len(predicted) else {}
+def _drawn(predicted: Float64, true: Float64, deviation: Deviation) -> Columns:
+    """Count true over predicted displacement, for each member, their mean, and their mean minus a deviation.
+
+    Args:
+        predicted: (n_members, n_designs) [m].
+        true: (n_designs,) [m].
+        deviation: what σ over members is.
+    """
+    together = aggregates(predicted, deviation) if len(predicted) else {}
     chosen = {name: together[name] for name in (mean_less_deviations(0), mean_less_deviations(1)) if name in together}
     found = histograms(members(predicted) | chosen, true)
     n = len(found.names)

@@ -6,9 +6,11 @@ import pkgutil
 from tasks.evolution.objectives.evaluation import (
     OBJECTIVES,
     PAPERS_OBJECTIVE,
+    Deviation,
     Evaluation,
     Objective,
     ObjectiveName,
+    disagreement,
     evaluate,
     penalised_mean,
     register_objective,

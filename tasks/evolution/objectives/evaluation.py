@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Objective:
 OBJECTIVES: dict[str, Objective] = {}  # objectives by name
 
 PAPERS_OBJECTIVE = "displacement"
+
+Deviation = Literal["population", "sample"]  # σ over n members: the sum of squares over n, or over n - 1
 
 ObjectiveName = Annotated[str, RegisteredNames(OBJECTIVES)]  # name of a registered objective
 
@@ -60,6 +62,7 @@ def evaluate(
     disagreement_penalty: float,
     objective: ObjectiveName = PAPERS_OBJECTIVE,
     at_depths: Sequence[Rollouts] = (),
+    deviation: Deviation = "population",
 ) -> Evaluation:
     """Return the scores of rollouts; in an environment without an ensemble, the fitness is the score itself.
 
@@ -68,6 +71,7 @@ def evaluate(
         disagreement_penalty: k in μ - k σ over members.
         objective: name of the objective.
         at_depths: rollouts of the same designs under the same members at each depth of an objective over depths.
+        deviation: what σ is.
 
     Raises:
         ValueError: an objective over depths has no depths, or another one has some.
@@ -77,8 +81,9 @@ def evaluate(
         expected = "at least 1" if of.over_depths else "0"
         raise ValueError(f"objective {of.name!r}: at_depths has length {len(at_depths)}, expected {expected}")
     scores = _mean_over_depths(of, rollouts, at_depths) if of.over_depths else of.score(rollouts)
+    by_member = np.atleast_2d(scores).T
     return Evaluation(
-        fitness=penalised_mean(np.atleast_2d(scores).T, disagreement_penalty=disagreement_penalty),
+        fitness=penalised_mean(by_member, disagreement_penalty=disagreement_penalty, deviation=deviation),
         displacement=np.atleast_2d(rollouts.displacement).T,
         com_displacement=np.atleast_2d(rollouts.com_displacement).T,
     )
@@ -90,12 +95,22 @@ def _mean_over_depths(of: Objective, rollouts: Rollouts, at_depths: Sequence[Rol
     return np.where(rollouts.status == OK, mean, np.nan)
 
 
-def penalised_mean(scores: Float64, *, disagreement_penalty: float) -> Float64:
-    """Return (n_designs,) fitness: μ - k σ, where σ is the population deviation of the members. The paper's k is 1.
+def penalised_mean(scores: Float64, *, disagreement_penalty: float, deviation: Deviation = "population") -> Float64:
+    """Return (n_designs,) fitness: μ - k σ over members. The paper's k is 1.
 
-    Scores are (n_designs, n_members), in the objective's unit. The fitness is -inf where a member's rollout diverged.
+    Args:
+        scores: (n_designs, n_members), in the objective's unit. The fitness is -inf where a member's rollout diverged.
+        disagreement_penalty: k.
+        deviation: what σ is.
     """
     finite = np.asarray(np.isfinite(scores).all(axis=1))
     known = np.where(finite[:, None], scores, 0.0)
-    fitness = known.mean(axis=1) - disagreement_penalty * known.std(axis=1)
+    fitness = known.mean(axis=1) - disagreement_penalty * disagreement(known, deviation)
     return np.where(finite, fitness, -np.inf)
+
+
+def disagreement(scores: Float64, deviation: Deviation) -> Float64:
+    """Return (n_designs,) σ of (n_designs, n_members) scores over members; a single member has none."""
+    n_members = scores.shape[1]
+    sigma: Float64 = scores.std(axis=1, ddof=1 if deviation == "sample" and n_members > 1 else 0)
+    return sigma

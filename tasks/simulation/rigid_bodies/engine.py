@@ -47,7 +47,7 @@ class Robots:
         self._shape = (n_members, len(designs), N_LINKS)
         self._physics = physics
         self._rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
-        trees = kinematic_trees(designs, density=physics.link_density)
+        trees = kinematic_trees(designs, density=physics.link_density, spawn=physics.spawn)
         self.records = np.tile(pack(designs, trees, self._rigid, depth, physics), n_members)
         self.n_robots = len(self.records)
 
@@ -65,6 +65,12 @@ class Robots:
         joints = self.records["joints"][robot, joint]
         work[robot, joints["child"]] = joints["motor_work"]
         return work
+
+    @property
+    def max_motor_impulse(self) -> Float32:
+        """(n_robots, n_joints) most that each motor gives in a step [N·m·s], to be changed in place."""
+        limit: Float32 = self.records["joints"]["max_motor_impulse"]
+        return limit
 
     def advance(self, scene: Scene, first_step: int, n_steps: int, trace: Float32 | None) -> None:
         """Take steps with all robots.

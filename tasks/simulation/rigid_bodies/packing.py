@@ -196,7 +196,8 @@ def _pack_joints(
     design, link = np.nonzero(rigid.is_first & (np.arange(N_LINKS) > 0))
     index, parent = body_index(rigid), designs.parent[design, link]
     center_a, center_b = center[design, rigid.first_link[design, parent]], center[design, link]
-    controllers = Controllers.of(designs)
+    controllers = Controllers.of(designs, physics.range_of_motion)
+    lower_angle, upper_angle = controllers.limits()
     max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
     for name, quantity in (
         ("body_a", index[design, parent]),
@@ -209,8 +210,10 @@ def _pack_joints(
         ("local_rb_y", trees.child_anchor[design, link] - center_b[:, 1]),
         ("max_motor_impulse", designs.motor_on[design, link] * max_motor_impulse),
         ("phase_turns", controllers.phase_turns[design, link]),
-        ("motion_range", controllers.motion_range[design, link]),
+        ("amplitude", controllers.amplitude[design, link]),
         ("rest_angle", controllers.rest_angle[design, link]),
+        ("lower_angle", lower_angle[design, link]),
+        ("upper_angle", upper_angle[design, link]),
     ):
         robots["joints"][name][design, index[design, link] - 1] = quantity
     robots["n_joints"] = rigid.is_first.sum(axis=1) - 1

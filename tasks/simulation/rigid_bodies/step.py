@@ -69,7 +69,7 @@ def _command_motors(robot: RobotRecord, time: float32, gain: float32) -> None:
         joint = robot.joints[j]
         joint_angle = robot.links[joint.child].angle - robot.links[joint.parent].angle
         turns = robot.frequency * time + joint.phase_turns
-        joint.motor_speed = motor_speed(turns, joint.rest_angle, joint.motion_range, joint_angle, gain)
+        joint.motor_speed = motor_speed(turns, joint.rest_angle, joint.amplitude, joint_angle, gain)
 
 
 @inline

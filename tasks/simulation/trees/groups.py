@@ -7,6 +7,7 @@ import numpy as np
 from tasks.arrays import Float32, Int64
 from tasks.compiled import compiled
 from tasks.design.genes import N_JOINTS, N_LINKS, Designs
+from tasks.simulation.controller import AMPLITUDE
 from tasks.simulation.networks import coupled
 from tasks.simulation.networks.coupled import Coupling
 from tasks.simulation.networks.inference import PackedNetworks
@@ -64,7 +65,15 @@ class Groups:
         self._number = np.empty((len(designs), N_LINKS), np.int64)  # the engine's numbers of the designs' links
         max_motor_impulse = np.float32(physics.time_step) * np.float32(physics.max_motor_torque)
         _pack_robots(
-            designs.table, n_members, n_lanes, physics.link_density, max_motor_impulse, self.blocks, self._number
+            designs.table,
+            n_members,
+            n_lanes,
+            physics.link_density,
+            max_motor_impulse,
+            AMPLITUDE[physics.range_of_motion],
+            physics.spawn == "root_centre",
+            self.blocks,
+            self._number,
         )
 
     @cached_property
@@ -89,6 +98,11 @@ class Groups:
         joints = self.blocks[:, layout.MOTOR_WORK : layout.MOTOR_WORK + N_JOINTS].transpose(0, 2, 1)
         of_links = np.pad(joints.reshape(-1, N_JOINTS)[: self.n_robots], ((0, 0), (1, 0)))  # the root has no joint
         return np.take_along_axis(of_links, self._number_of_link(), axis=1)
+
+    @property
+    def max_motor_impulse(self) -> Float32:
+        """(n_groups, n_joints, n_lanes) most that each motor gives in a step [N·m·s], to be changed in place."""
+        return self.blocks[:, layout.MAX_MOTOR_IMPULSE : layout.MAX_MOTOR_IMPULSE + N_JOINTS]
 
     def _number_of_link(self) -> Int64:
         return np.tile(self._number, (self._n_members, 1))

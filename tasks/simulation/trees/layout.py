@@ -28,11 +28,15 @@ PARENT, PARENT_INVERSE_MASS, PARENT_INVERSE_INERTIA, PARENT_ANCHOR, CHILD_ANCHOR
     INERTIA + N_LINKS, INERTIA + N_LINKS + 6 * N_JOINTS, N_JOINTS
 )
 # Controllers: phase [turns], amplitude and rest angle [rad] of each joint; one frequency per robot [Hz].
-PHASE, MOTION_RANGE, REST_ANGLE = range(MAX_MOTOR_IMPULSE + N_JOINTS, MAX_MOTOR_IMPULSE + 4 * N_JOINTS, N_JOINTS)
+PHASE, AMPLITUDE, REST_ANGLE = range(MAX_MOTOR_IMPULSE + N_JOINTS, MAX_MOTOR_IMPULSE + 4 * N_JOINTS, N_JOINTS)
 FREQUENCY = REST_ANGLE + N_JOINTS
+# Limits of joints, used only where there are any: angles [rad], the impulse that warm-starts them, and the state, as in
+# joint_limit.py.
+LOWER_ANGLE, UPPER_ANGLE, LIMIT_IMPULSE, LIMIT_STATE = range(FREQUENCY + 1, FREQUENCY + 1 + 4 * N_JOINTS, N_JOINTS)
+N_PACKED = LIMIT_STATE + N_JOINTS  # what a robot brings along; the rest is scratch
 
 # Scratch, rewritten in every step. Joints: r_A, r_B and K of b2RevoluteJoint, 1/det K, and the motor.
-_JOINT = FREQUENCY + 1
+_JOINT = N_PACKED
 RA_X, RA_Y, RB_X, RB_Y, K_XX, K_XY, K_YY, K_INVERSE_DET, MOTOR_MASS, MOTOR_SPEED = range(
     _JOINT, _JOINT + 10 * N_JOINTS, N_JOINTS
 )

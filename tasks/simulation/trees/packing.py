@@ -81,6 +81,8 @@ def pack_robots(
     n_lanes: int,
     density: float,
     max_motor_impulse: np.float32,
+    amplitude: float,
+    root_at_surface: bool,
     blocks: Float32,
     number: Int64,
 ) -> None:
@@ -95,11 +97,13 @@ def pack_robots(
         n_lanes: lanes of a group.
         density: density of every link [kg/m²].
         max_motor_impulse: largest impulse in a step of a motor that is on [N·m·s].
+        amplitude: amplitude of a joint's oscillation over its range of motion.
+        root_at_surface: whether the root's centre begins at the surface, and not the lowest corner.
         blocks: (n_groups, N_ROWS, n_lanes) zeros to fill.
         number: (n_designs, n_links) array to fill with the engine's numbers of the links.
     """
     single, n_robots = np.float32, n_members * len(table)
-    links, one_density = spawn_kernel(table, density), single(density)
+    links, one_density = spawn_kernel(table, density, root_at_surface), single(density)
     half_width, half_height, mass, inertia = links[0], links[1], links[2], links[3]
     parent_anchor, child_anchor, x, y, angle = links[4], links[5], links[6], links[7], links[8]
     for design in range(len(table)):
@@ -108,7 +112,7 @@ def pack_robots(
             tree += int(genes[PARENT_COLUMN + link]) * TREE_WEIGHTS[link]
         for link in range(N_LINKS):
             number[design, link] = _NUMBER_OF_TREE[tree, link]
-        robot = np.zeros(layout.FREQUENCY + 1, single)  # the rows that follow are scratch
+        robot = np.zeros(layout.N_PACKED, single)
         robot[layout.FREQUENCY] = single(genes[_FREQUENCY])
         for i in range(N_LINKS):
             link = _ORDER_OF_TREE[tree, i]
@@ -133,8 +137,9 @@ def pack_robots(
                 robot[layout.CHILD_ANCHOR + j] = child_anchor[design, link]
                 robot[layout.MAX_MOTOR_IMPULSE + j] = max_motor_impulse if genes[_MOTOR_ON + link] != 0 else _ZERO
                 robot[layout.PHASE + j] = single(genes[_PHASE + link] / TURN)
-                robot[layout.MOTION_RANGE + j] = single(genes[_MOTION_RANGE + link])
-                robot[layout.REST_ANGLE + j] = single(genes[_REST_ANGLE + link])
+                rest, swing = single(genes[_REST_ANGLE + link]), single(amplitude * genes[_MOTION_RANGE + link])
+                robot[layout.REST_ANGLE + j], robot[layout.AMPLITUDE + j] = rest, swing
+                robot[layout.LOWER_ANGLE + j], robot[layout.UPPER_ANGLE + j] = rest - swing, rest + swing
         for copy in range(design, n_robots, len(table)):
             for row in range(len(robot)):
                 blocks[copy // n_lanes, row, copy % n_lanes] = robot[row]

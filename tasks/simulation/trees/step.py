@@ -19,13 +19,14 @@ from tasks.simulation.simd.lanes import Block, Numeric, any_lane, count_parts, f
 from tasks.simulation.simd.rotation import sincos
 from tasks.simulation.trees import contact, joint
 from tasks.simulation.trees import layout as at
-from tasks.simulation.trees.joint import of_parent
-from tasks.world.slush import TINY
+from tasks.simulation.trees.joint import JointLimits, of_parent
+from tasks.world.slush import INTEGRATIONS, TINY
 
 # float32, because motor_speed and slush_change serve lanes and the numbers of tasks/simulation/rigid_bodies.
 _C1, _C3, _C5, _C7, _C9 = (np.float32(c) for c in SINE_OF_TURNS)
 _ZERO, _QUARTER, _HALF, _ONE, _TWO, _FOUR, _TWENTY_FOUR = (np.float32(x) for x in (0, 0.25, 0.5, 1, 2, 4, 24))
 _TINY = np.float32(TINY)
+_EXACT, _CLAMPED_EULER = INTEGRATIONS.index("exact"), INTEGRATIONS.index("clamped_euler")
 
 MAX_GROUPS_AT_ONCE = 2  # of two, what the velocity solver uses still fits a core's L1 cache
 
@@ -47,19 +48,22 @@ class Scene(NamedTuple):
     drag: np.float32  # ½ ρ C_dl dt
     angular_drag: np.float32  # ρ C_dr dt
     lift: np.float32  # ρ g dt
+    by_component: bool  # whether drag acts on each component of the velocity by itself
+    integration: int  # index of the drag's integration in INTEGRATIONS
+    joint_limits: JointLimits  # whether joints have limits
     motor_work: bool = False  # whether to add up the work of the motors
 
 
 @inline
 def motor_speed(
-    turns: Numeric, rest_angle: Numeric, motion_range: Numeric, joint_angle: Numeric, gain: np.float32
+    turns: Numeric, rest_angle: Numeric, amplitude: Numeric, joint_angle: Numeric, gain: np.float32
 ) -> Numeric:
     """Return the motor speed gain · (θ* - θ) of lanes or numbers [rad/s]; see tasks/simulation/controller.py.
 
     Args:
         turns: phase at the present time [turns].
         rest_angle: rest angle [rad].
-        motion_range: amplitude [rad].
+        amplitude: amplitude [rad].
         joint_angle: angle θ of the joint [rad].
         gain: motor gain [1/s].
     """
@@ -67,7 +71,7 @@ def motor_speed(
     folded = _QUARTER - abs(abs(r) - _QUARTER)
     square = folded * folded
     sine = folded * (_C1 + square * (_C3 + square * (_C5 + square * (_C7 + square * _C9))))
-    target = rest_angle + motion_range * select(r < 0.0, -sine, sine)
+    target = rest_angle + amplitude * select(r < 0.0, -sine, sine)
     return gain * (target - joint_angle)
 
 
@@ -76,9 +80,7 @@ def _command_motor(block: Block, j: int, time: np.float32, gain: np.float32) -> 
     parent = block[at.PARENT + j]
     joint_angle = block[at.ANGLE + j + 1] - of_parent(from_row(block, at.ANGLE), parent, j)
     turns = block[at.FREQUENCY] * time + block[at.PHASE + j]
-    block[at.MOTOR_SPEED + j] = motor_speed(
-        turns, block[at.REST_ANGLE + j], block[at.MOTION_RANGE + j], joint_angle, gain
-    )
+    block[at.MOTOR_SPEED + j] = motor_speed(turns, block[at.REST_ANGLE + j], block[at.AMPLITUDE + j], joint_angle, gain)
 
 
 @inline
@@ -101,6 +103,22 @@ def immersion(length: Numeric, width: Numeric, y: Numeric, cos: Numeric, sin: Nu
     """
     rise_short, rise_long = abs(sin) * width / _TWO, abs(cos) * length / _TWO
     return rise_short, rise_long, rise_short + rise_long - y
+
+
+@inline
+def _slowed(velocity: Numeric, lost: Numeric, integration: int) -> Numeric:
+    """Return a velocity after drag; as in slush.py.
+
+    Args:
+        velocity: [m/s] or [rad/s].
+        lost: k |v| dt.
+        integration: index in INTEGRATIONS.
+    """
+    if integration == _EXACT:
+        return velocity / (_ONE + lost)
+    if integration == _CLAMPED_EULER:
+        lost = select(lost < _ONE, lost, _ONE)
+    return velocity - lost * velocity
 
 
 @inline
@@ -143,9 +161,13 @@ def slush_change(
     vx, vy, omega = velocity
     k_dt = scene.drag * area / mass
     k_r_dt = scene.angular_drag * second_moment / inertia
-    slowed = _ONE + k_dt * sqrt(vx * vx + vy * vy)
+    speed_x = speed_y = sqrt(vx * vx + vy * vy)
+    if scene.by_component:
+        speed_x, speed_y = abs(vx), abs(vy)
     lift = scene.lift * area / mass
-    return vx / slowed - vx, (vy / slowed + lift) - vy, omega / (_ONE + k_r_dt * abs(omega)) - omega
+    slow_x, slow_y = _slowed(vx, k_dt * speed_x, scene.integration), _slowed(vy, k_dt * speed_y, scene.integration)
+    slow_omega = _slowed(omega, k_r_dt * abs(omega), scene.integration)
+    return slow_x - vx, (slow_y + lift) - vy, slow_omega - omega
 
 
 @inline
@@ -198,15 +220,15 @@ def _part_of_groups(groups: Block, index: int) -> Block:
 
 
 @inline
-def _start_joint(groups: Block, n_groups: int, j: int, dt_ratio: np.float32) -> None:
+def _start_joint(groups: Block, n_groups: int, j: int, scene: Scene) -> None:
     for k in range(n_groups):
-        joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, dt_ratio)
+        joint.init_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene.dt_ratio, scene.joint_limits)
 
 
 @inline
-def _sweep_joint(groups: Block, n_groups: int, j: int) -> None:
+def _sweep_joint(groups: Block, n_groups: int, j: int, scene: Scene) -> None:
     for k in range(n_groups):
-        joint.solve_velocity_constraint(from_row(groups, k * at.N_ROWS), j)
+        joint.solve_velocity_constraint(from_row(groups, k * at.N_ROWS), j, scene.joint_limits)
 
 
 @inline
@@ -215,17 +237,17 @@ def _solve_velocities(groups: Block, n_groups: int, scene: Scene, touching: int,
 
     Each joint waits for the result of the one before it; meanwhile the processor works on the other group.
     """
-    _start_joint(groups, n_groups, 0, scene.dt_ratio)
-    _start_joint(groups, n_groups, 1, scene.dt_ratio)
-    _start_joint(groups, n_groups, 2, scene.dt_ratio)
-    _start_joint(groups, n_groups, 3, scene.dt_ratio)
-    _start_joint(groups, n_groups, 4, scene.dt_ratio)
+    _start_joint(groups, n_groups, 0, scene)
+    _start_joint(groups, n_groups, 1, scene)
+    _start_joint(groups, n_groups, 2, scene)
+    _start_joint(groups, n_groups, 3, scene)
+    _start_joint(groups, n_groups, 4, scene)
     for _ in range(scene.velocity_iterations):
-        _sweep_joint(groups, n_groups, 0)
-        _sweep_joint(groups, n_groups, 1)
-        _sweep_joint(groups, n_groups, 2)
-        _sweep_joint(groups, n_groups, 3)
-        _sweep_joint(groups, n_groups, 4)
+        _sweep_joint(groups, n_groups, 0, scene)
+        _sweep_joint(groups, n_groups, 1, scene)
+        _sweep_joint(groups, n_groups, 2, scene)
+        _sweep_joint(groups, n_groups, 3, scene)
+        _sweep_joint(groups, n_groups, 4, scene)
         if touching == 0:  # afloat, or in the air
             continue
         for index in range(n_groups * count_parts(groups)):
@@ -247,11 +269,11 @@ def _solve_positions(block: Block, scene: Scene, touching: int) -> None:
         for link in range(scene.n_links):
             if touching >> link & 1:
                 solved = solved & contact.solve_position_constraint(block, link, scene.ground, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 0, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 1, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 2, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 3, unsolved)
-        solved = solved & joint.solve_position_constraint(block, 4, unsolved)
+        solved = solved & joint.solve_position_constraint(block, 0, unsolved, scene.joint_limits)
+        solved = solved & joint.solve_position_constraint(block, 1, unsolved, scene.joint_limits)
+        solved = solved & joint.solve_position_constraint(block, 2, unsolved, scene.joint_limits)
+        solved = solved & joint.solve_position_constraint(block, 3, unsolved, scene.joint_limits)
+        solved = solved & joint.solve_position_constraint(block, 4, unsolved, scene.joint_limits)
         unsolved = unsolved & ~solved
         if not any_lane(unsolved):
             break

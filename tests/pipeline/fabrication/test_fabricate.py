@@ -15,6 +15,7 @@ from pipeline.errors import PuddleError
 from pipeline.fabrication.bench import Bench
 from pipeline.fabrication.kit_folder import KIT, KIT_MANIFEST, write_kit
 from pipeline.fabrication.kit_page import TEMPLATES, verdict
+from pipeline.fabrication.make_kit import fabricate
 from pipeline.fabrication.timeline_file import read_calibration, read_timeline
 from pipeline.servo.play import PlayOptions, play_timeline
 from pipeline.store import disk
@@ -22,6 +23,7 @@ from pipeline.store.design_file import design_document, read_design
 from pipeline.store.store import Store
 from tasks.design import Designs
 from tasks.fabrication.checks import KitFinding
+from tasks.fabrication.kit_settings import FabricationSettings
 
 
 def write(design: Designs, path: Path) -> Path:
@@ -200,6 +202,15 @@ def test_mistakes(made, crane, tmp_path, capsys):
     assert "thesis.tex" in refused(design, "--out", str(tmp_path / "thesis"))
     assert "does not exist" in refused(design, "--out", str(tmp_path / "none" / "kit"))
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["thesis", "thesis.tex"]
+
+
+def test_a_kit_takes_the_range_of_motion_for_an_amplitude(settings, tmp_path):
+    physics = settings.physics.model_copy(update={"range_of_motion": "peak_to_peak"})
+    other = settings.model_copy(update={"physics": physics})
+    store = Store.open(tmp_path / "store", create=True)
+    with pytest.raises(PuddleError, match=r"physics\.range_of_motion is peak_to_peak"):
+        fabricate(None, other, FabricationSettings(), tmp_path / "kit", store=store, tracker=None)
+    assert not (tmp_path / "kit").exists()
 
 
 def test_a_failing_disk_leaves_the_previous_kit(tmp_path, monkeypatch):

@@ -11,11 +11,23 @@ from pydantic import ValidationError
 from scipy import stats
 from varied_designs import BODY, NO_REWIRING, binomial_interval, canonical, is_canonical, mutations, numbers, seeds
 
-from tasks.design import GENES, N_LINKS, Designs, Mutation, check, crossover, mutate, random_designs
-from tasks.design.genes import N_GENES, Gene
+from tasks.design import (
+    GENES,
+    N_LINKS,
+    Designs,
+    Morphology,
+    Mutation,
+    as_many_genes,
+    check,
+    crossover,
+    mutate,
+    random_designs,
+)
+from tasks.design.genes import N_GENES, Gene, GenePart
 
 sizes = st.integers(0, 40)
 CONTROL = tuple(gene.name for gene in GENES if gene.part == "control")
+CONTROLS: tuple[GenePart, ...] = ("control",)
 
 
 def copy(designs: Designs) -> Designs:
@@ -150,6 +162,38 @@ def test_an_interval_takes_a_gaussian_step_of_a_tenth_of_its_range() -> None:
     steps = steps[steps != 0]  # the clip at ±1 m lies 5 deviations away
     assert steps.size > 5000
     assert stats.kstest(steps, stats.norm(0, 0.1 * (3.0 - 1.0)).cdf).pvalue > 1e-3
+
+
+def test_a_gene_that_is_drawn_anew_is_uniform_wherever_it_was() -> None:
+    rng = np.random.default_rng(26)
+    parents = random_designs(20_000, rng)
+    parents = replace(parents, length_scale=np.full_like(parents.length_scale, 1.1))
+    mutation = Mutation(changed_genes="redraw", step=1e-6, rewiring=0.0)
+    mutants = mutate(parents, rng, mutation=mutation)
+    for name, low, high in (("length_scale", 1.0, 3.0), ("rest_angle", -np.pi, np.pi)):
+        before, after = getattr(parents, name), getattr(mutants, name)
+        drawn = after[after != before]
+        assert drawn.size > 5000
+        assert stats.kstest(drawn, stats.uniform(low, high - low).cdf).pvalue > 1e-3
+    flipped = (mutants.motor_on != parents.motor_on)[:, 1:]
+    assert flipped.mean() == pytest.approx(3 / N_GENES, rel=0.1)
+
+
+@pytest.mark.parametrize(("n_actuated", "n_control"), [(None, 16), (2, 11)])
+def test_adaptation_may_change_as_many_genes_as_evolution(n_actuated: int | None, n_control: int) -> None:
+    rng, morphology = np.random.default_rng(27), Morphology(n_actuated=n_actuated)
+    parents = random_designs(6000, rng, morphology=morphology)
+    for mutation, expected in (
+        (NO_REWIRING, 3 * n_control / N_GENES),
+        (as_many_genes(NO_REWIRING, CONTROLS, morphology), 3),
+    ):
+        mutants = mutate(parents, rng, mutation=mutation, parts=CONTROLS, morphology=morphology)
+        p = expected / n_control
+        per_design = (numbers(mutants) != numbers(parents)).sum(axis=1)
+        # Designs of which no gene is drawn get one; a phase is a gene that always moves.
+        deviation = np.sqrt(n_control * p * (1 - p) / len(parents))
+        assert abs(per_design.mean() - (expected + (1 - p) ** n_control)) < 5 * deviation
+    assert as_many_genes(Mutation(genes_changed=30), CONTROLS, morphology).genes_changed == N_GENES
 
 
 def test_angles_wrap_around() -> None:

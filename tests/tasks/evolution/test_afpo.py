@@ -140,6 +140,18 @@ def test_parents_are_drawn_alike() -> None:
         assert ((counts >= low) & (counts <= high)).all()
 
 
+def test_the_fitter_of_two_is_a_parent_in_tournaments() -> None:
+    afpo, population, draw = Afpo(parent_selection="tournament"), population_of(8), rng(12)
+    parents = np.concatenate([ask(population, draw, afpo).parents for _ in range(1500)])
+    first = parents[parents[:, 0] >= 0, 0]
+    # The design of rank r, 0 for the fittest of 8, is not in a draw of two with all the fitter ones left out ...
+    rank = np.argsort(np.argsort(-population.fitness))
+    expected = ((8 - rank) ** 2 - (7 - rank) ** 2) / 64  # ... so it wins with P(both ≥ r) - P(both > r)
+    for share, count in zip(expected, np.bincount(first - 100, minlength=8), strict=True):
+        low, high = binomial_interval(first.size, share)
+        assert low <= count <= high
+
+
 def test_children_are_valid_and_come_from_the_population() -> None:
     afpo, population, draw = Afpo(), population_of(64), rng(3)
     ages = dict(zip(population.identity.tolist(), population.age.tolist(), strict=True))

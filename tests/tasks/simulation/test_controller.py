@@ -70,6 +70,18 @@ def test_the_range_is_an_amplitude() -> None:
     assert (swing >= reached - 1e-6).all()
 
 
+def test_the_range_may_be_peak_to_peak() -> None:
+    designs = random_designs(20, np.random.default_rng(46))
+    whole, half = Controllers.of(designs), Controllers.of(designs, "peak_to_peak")
+    np.testing.assert_array_equal(half.amplitude, whole.amplitude / 2)
+    for step in (0, 77, 1399):
+        from_rest = [of.target_angle(step, DT).astype(np.float64) - of.rest_angle for of in (whole, half)]
+        np.testing.assert_allclose(from_rest[1], from_rest[0] / 2, atol=4 * EPS32 * 5)
+    lower, upper = half.limits()
+    np.testing.assert_allclose((upper - lower)[:, 1:], designs.motion_range[:, 1:], atol=4 * EPS32 * 5)
+    np.testing.assert_allclose((upper + lower)[:, 1:], 2 * designs.rest_angle[:, 1:], atol=4 * EPS32 * 10)
+
+
 def test_a_root_has_no_motor() -> None:
     designs = replace(random_designs(5, np.random.default_rng(45)), motor_on=np.ones((5, 6), dtype=bool))
     on = Controllers.of(designs).motor_on

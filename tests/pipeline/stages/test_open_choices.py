@@ -1,0 +1,94 @@
+"""Choices that the paper leaves open and that a whole study makes: what its stages do with them."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import refused
+from small_study import labelled, run
+
+from pipeline.cluster import serial_cluster
+from pipeline.config.loading import parse
+from pipeline.config.settings import Settings
+from pipeline.stages.analyses.analysis_tables import read_table
+from pipeline.stages.evolve import EVOLVE
+from pipeline.stages.transfer import CHAMPION, SCORE, TRANSFER
+from pipeline.store.design_file import design_from
+from pipeline.store.encoding import decode_json
+from pipeline.store.store import Store
+from pipeline.workflow.identity import to_json
+from tasks.analysis.prediction import aggregates
+
+SETTINGS = """
+name: choices
+throws: {n_throws: 2, n_steps: 20}
+network: {hidden_layers: 1, width: 4}
+training: {n_iterations: 10, batch_size: 16}
+ensemble: {n_members: 3, deviation: sample}
+grid: {depths: [9.0], environments: [true_slush, residual_slush], single_member_depths: [], n_trials: 1}
+rollout: {n_settle: 5, n_measure: 20}
+evolution: {n_generations: 2, afpo: {population_size: 4}}
+transfer: {n_generations: 1}
+assess: {n_designs: 4}
+"""
+
+
+@pytest.fixture(scope="module")
+def settings():
+    return parse(Settings, SETTINGS, name="choices")
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory, settings):
+    store = Store.open(tmp_path_factory.mktemp("choices") / "store", create=True)
+    with serial_cluster() as cluster:
+        return store, run(settings, store, cluster)
+
+
+def test_the_sample_s_deviation_is_that_of_fitness_scores_and_predictions(done):
+    store, upstream = done
+    scored = labelled(upstream["transfer"].done)["residual_slush/9m/trial-0"][-1]
+    scores = decode_json(store.read(scored, SCORE), "scores")
+    analysed = labelled(upstream["analyse"].done)
+    exploiters = read_table(
+        {"exploiters.parquet": store.read(analysed["exploiters"][0], "exploiters.parquet")}, "exploiters"
+    )
+    np.testing.assert_allclose(exploiters["disagreement"], exploiters["by_member"].std(axis=1, ddof=1), rtol=1e-12)
+    own = (exploiters["kind"] == "champion") & (exploiters["environment"] == "residual_slush")
+    assert scores["predicted_sd"] == pytest.approx(exploiters["disagreement"][own][0])
+    assert scores["fitness"] == pytest.approx(scores["predicted"] - scores["predicted_sd"])
+    assert design_from(decode_json(store.read(scored, CHAMPION), "champion"), "champion").frequency.size == 1
+    predicted = np.array([[1.0], [3.0], [8.0]])
+    assert aggregates(predicted, "sample")["mean - 1 sd"] == pytest.approx(4 - np.sqrt(13))
+
+
+def changed(settings: Settings, *overrides: str) -> Settings:
+    return parse(Settings, settings.model_dump_json(), name="choices", overrides=overrides)
+
+
+def specs(stage, settings: Settings) -> list[str]:
+    return [json.dumps(to_json(chain.spec), sort_keys=True) for chain in stage.plan(settings)]
+
+
+def test_the_rate_of_mutation_in_adaptation_concerns_adaptation_alone(settings):
+    other = changed(settings, "transfer.mutation_rate=per_individual")
+    assert specs(EVOLVE, other) == specs(EVOLVE, settings)
+    rates = [{chain.spec.afpo.mutation.genes_changed for chain in TRANSFER.plan(of)} for of in (settings, other)]
+    assert rates == [{3.0}, {3.0 * 37 / 16}]  # 3 of the 16 genes of a controller
+
+
+def test_what_is_not_chosen_is_in_no_key(settings):
+    usual = changed(settings, "ensemble.deviation=population")
+    for stage in (EVOLVE, TRANSFER):
+        written = "".join(specs(stage, usual))
+        for name in ("deviation", "joint_limits", "spawn", "drag_integration", "changed_genes", "parent_selection"):
+            assert f'"{name}"' not in written
+    assert "deviation" in "".join(specs(EVOLVE, settings))
+
+
+def test_joint_limits_contradict_locked_joints(capsys, tmp_path):
+    overrides = ("--set", "physics.joint_limits=range_of_motion", "--set", "physics.passive_joints=locked")
+    said = refused(capsys, "study", "--preset", "smoke", *overrides, "--store", str(tmp_path / "store"))
+    assert len(said.splitlines()) == 1
+    assert "physics: joint_limits is range_of_motion and passive_joints is locked" in said
+    assert not (tmp_path / "store").exists()
