@@ -67,8 +67,12 @@ class TankRow:
     dry_land_com: float | None  # displacement of its centre of mass on Dry Land
     wet: Crossing  # first trial in the filled tank
     dry: Crossing  # first trial on the floor of the drained tank
+    dry_servo: Crossing  # the same with the servo's torque at scale as the motors' limit
+    motor_torque: float  # limit of the motors in the simulation [N·m]
+    servo_torque: float  # the servo's torque at the scale of the simulation [N·m]
     wet_trials: TankTrials
     dry_trials: TankTrials
+    dry_servo_trials: TankTrials
 
 
 @dataclass(frozen=True, eq=False)

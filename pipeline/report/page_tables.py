@@ -259,8 +259,16 @@ def tank_tests(findings: Findings, robots: RobotsOnPage) -> str:
         "law, which alone preserves the ratios of all forces, a simulated second is "
         f"{tank.built_seconds(1.0):.3f} s. The paper gives no scale of time; the speed of its servos suggests that it "
         "kept the simulation’s frequencies, and then a simulated second is one second, and fewer trials cross in time. "
-        "Each further trial begins at another moment of the gait, with joints shifted by 1e-4 of half a link. The "
-        "paper’s robot crossed in 8 of 8 trials, and moved a few centimetres on the dry floor in 6 of 6.</p>"
+        "Each further trial begins at another moment of the gait, with joints shifted by 1e-4 of half a link.</p>"
+        f"<p>The tank is {1000 * tank.width:g} mm wide and {1000 * tank.height:g} mm high. Two pontoons make every "
+        f"robot {1000 * tank.robot_width:g} mm wide; its length and height, settled in the filled tank, are in the "
+        "table, as built. Where it does not fit, its cell says so. A robot as long as the tank or wider can’t cross "
+        "it; one that is higher than its walls may, because the tank is open at the top.</p>"
+        "<p>The paper’s robot crossed in 8 of 8 trials. On the dry floor it moved a few centimetres in 6 of 6, “due to "
+        "insufficient torque”. So the dry floor is tried with two limits of torque: that of the simulation, and that "
+        f"of the built robot’s servos at scale, because {tank.servo_torque:g} N·m hold up as much of its weight as the "
+        "number in the table’s head does in the simulation. A robot that ends within "
+        f"{100 * tank.immobile:g} cm of its start counts as immobile.</p>"
     )
     tables = "".join(_tank_table(arm, rows, tank, robots) for arm, rows in findings.tank_tests.items())
     return f"{intro}{tables}{links('tank.csv')}"
@@ -270,41 +278,52 @@ def _tank_table(arm: str, rows: Sequence[TankRow], tank: Tank, robots: RobotsOnP
     label = f"The tank test of {arm}"
     if not rows:
         return absent(label, "no trial has a champion")
-    columns = ("Champion", "True Slush [m]", "Dry Land [m]", "Length [m]", "In the tank", "On its dry floor")
+    limits = (f"Dry floor, {torque:.0f}\u00a0N·m" for torque in (rows[0].motor_torque, rows[0].servo_torque))
+    columns = ("Champion", "True Slush [m]", "Dry Land [m]", "Length × height [cm]", "In the tank", *limits)
     cells = [
         [
             ("✓ " if row.proposed else "") + _linked(f"trial {row.trial}", robots, (arm, row.trial, -1)),
             number(row.zero_shot),
             number(row.dry_land),
-            number(row.wet.length if isfinite(row.wet.length) else None),
+            _built_size(row.wet, tank),
             _crossing(row.wet, tank) + _trials(row.wet_trials),
-            _crossing(row.dry, tank) + _trials(row.dry_trials),
+            _crossing(row.dry, tank) + _trials(row.dry_trials, immobile=True),
+            _crossing(row.dry_servo, tank) + _trials(row.dry_servo_trials, immobile=True),
         ]
         for row in rows
     ]
-    wet, dry = sum(row.wet.crossed for row in rows), sum(row.dry.crossed for row in rows)
-    heading = f"{escape(arm)}: {wet} of {len(rows)} cross the tank, {dry} the dry floor"
-    return f"<h3>{heading}</h3>{table(columns, cells, label, kind='named')}"
+    wet, dry, servo = (sum(getattr(row, test).crossed for row in rows) for test in ("wet", "dry", "dry_servo"))
+    misfits = sum(bool(row.wet.misfit or row.dry.misfit) for row in rows)
+    counts = f"{wet} of {len(rows)} cross the tank, {dry} the dry floor, {servo} with the servo’s torque"
+    fit = f"; {misfits} of them do not fit" if misfits else ""
+    return f"<h3>{escape(arm)}: {counts}{fit}</h3>{table(columns, cells, label, kind='named')}"
 
 
-def _trials(trials: TankTrials) -> str:
+def _built_size(found: Crossing, tank: Tank) -> str:
+    sizes = (100 * tank.scale * metres for metres in (found.length, found.height))
+    return NONE if not isfinite(found.length) else " × ".join(f"{size:.0f}" for size in sizes)
+
+
+def _trials(trials: TankTrials, *, immobile: bool = False) -> str:
     slower = trials.n_crossed_at_kept_frequencies
-    return f"<small>crosses in {trials.n_crossed} of {trials.n} trials; {slower} at kept frequencies</small>"
+    stays = f"; immobile in {trials.n_immobile}" if immobile else ""
+    return f"<small>crosses in {trials.n_crossed} of {trials.n} trials; {slower} at kept frequencies{stays}</small>"
 
 
 def _crossing(found: Crossing, tank: Tank) -> str:
-    """State the time to cross or the distance travelled, and the speed, all as built."""
+    """State the time to cross or the distance, and the speed, all as built, and why the robot does not fit."""
     if not isfinite(found.travelled):
         return f"{NONE}<small>diverged</small>"
+    misfit = f"<small>{escape(found.misfit)}</small>" if found.misfit else ""
     speed = f"<small>{number(1000 * tank.built_speed(found.speed))} mm/s</small>"
     if found.crossed:
-        return f"{tank.built_seconds(found.seconds):.0f} s{speed}"
-    if found.distance <= 0:
-        return f"{NONE}<small>as long as the tank</small>"
+        return f"{tank.built_seconds(found.seconds):.0f} s{speed}{misfit}"
+    if not tank.lets_pass(found.distance):
+        return f"{NONE}{misfit}"
     if found.travelled < 0:  # the real tank's wall stops it
-        return f"0.0 of {number(100 * tank.scale * found.distance)} cm<small>moves backwards</small>"
+        return f"0.0 of {number(100 * tank.scale * found.distance)} cm<small>moves backwards</small>{misfit}"
     travelled, distance = (number(100 * tank.scale * metres) for metres in (found.travelled, found.distance))
-    return f"{travelled} of {distance} cm{speed}"
+    return f"{travelled} of {distance} cm{speed}{misfit}"
 
 
 def lineage(findings: Findings) -> str:

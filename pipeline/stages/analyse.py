@@ -54,10 +54,13 @@ the page does; if none survives True Slush, the best champion where it evolved:
                          numbers: mean departure along x)
     member_errors.parquet   as for ``members``, along the rollouts of all champions of the arm in True Slush
 ``tank/<environment>/<depth>m``, the champions of one arm and which to build, if the settings have a tank:
-    tank.parquet         a row per champion: trial, proposed; zero_shot, dry_land, dry_land_com; for X = wet, dry (the
-                         filled and the drained tank), the first trial: X_length, X_distance, X_travelled [m],
-                         X_crossed, X_seconds, X_speed, all in units of the simulation; of all trials: X_trials_n,
-                         X_trials_n_crossed, X_trials_n_crossed_at_kept_frequencies
+    tank.parquet         a row per champion: trial, proposed; zero_shot, dry_land, dry_land_com; for X = wet, dry,
+                         dry_servo (the filled and the drained tank, and the drained one with the servo's torque at
+                         scale), the first trial: X_length, X_height [m], X_misfit (why the robot does not fit into the
+                         tank; "" if it fits), X_distance, X_travelled [m], X_crossed, X_seconds, X_speed, all in units
+                         of the simulation; motor_torque, servo_torque (limits of the motors in X = wet, dry and in
+                         dry_servo [N·m]); of all trials: X_trials_n, X_trials_n_crossed,
+                         X_trials_n_crossed_at_kept_frequencies, X_trials_n_immobile
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -148,8 +151,8 @@ def _plan(settings: Settings) -> Sequence[Chain[specs.AnalysisSpec]]:
         plan(PartId(specs.INSTRUMENTS, arm), spec, n * (1 + instruments.N_TRIES * n_depths), arm.environment)
         if tank is not None:
             n_tank = tank.n_steps(settings.physics.time_step)
-            # One rollout on Dry Land, and several in the filled and in the drained tank.
-            n_rollouts = 1 + 2 * tank.n_trials * (n_tank + rollout.n_settle) / (rollout.n_settle + rollout.n_measure)
+            # One rollout on Dry Land, and several in the filled tank and, with either torque, in the drained one.
+            n_rollouts = 1 + 3 * tank.n_trials * (n_tank + rollout.n_settle) / (rollout.n_settle + rollout.n_measure)
             plan(
                 PartId(specs.TANK, arm), specs.TankSpec(seed, own, simulation, arm, tank, n_tank), ceil(n * n_rollouts)
             )

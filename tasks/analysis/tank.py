@@ -13,15 +13,21 @@ one second in the tank, and the same robot has 150 s of the simulation and not 5
 The paper repeats each test, 8 times in slush and 6 times on the dry floor. A simulation repeats itself exactly, so each
 further trial here starts at another moment of the gait, with its joints shifted by less than printing can hold.
 
-The tank has no walls.
+The simulated tank has no walls: whether a robot fits between them follows from its size. Two pontoons make it as wide
+as they are apart, whatever its design; the paper's 0.325 m just fit into 0.33 m.
+
+The paper's robot did not move on the dry floor, "due to insufficient torque". A servo's torque at scale is not the
+simulation's limit, so the dry floor is tried with both. Torque scales as weight times length, by either law: as built,
+1.96 N·m hold up as much of a robot of 1.18 kg at 70 mm per metre as 143 N·m do in the simulation.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.random import Generator
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tasks.analysis.luck import jittered
 from tasks.arrays import Float64
@@ -36,6 +42,10 @@ class Tank(Parameters):
 
     length: float = Field(default=1.17, gt=0.0, le=100.0)
     """Inner length of the tank [m]. [P]"""
+    width: float = Field(default=0.33, gt=0.0, le=100.0)
+    """Inner width of the tank [m]. [P]"""
+    height: float = Field(default=0.27, gt=0.0, le=100.0)
+    """Inner height of the tank [m]. [P]"""
     depth: float = Field(default=0.15, ge=0.0, le=100.0)
     """Depth of its filling [m]. [P]"""
     scale: float = Field(default=0.07, gt=0.0, le=10.0)
@@ -43,7 +53,27 @@ class Tank(Parameters):
     seconds: float = Field(default=150.0, gt=0.0, le=10_000.0)
     """Time limit for a crossing [s]. [P]"""
     n_trials: int = Field(default=8, ge=1, le=1000)
-    """Trials of each robot in the filled tank, and as many in the drained one. [P]: 8 and 6."""
+    """Trials of each robot in the filled tank, and as many in the drained one with either torque. [P]: 8 and 6."""
+    immobile: float = Field(default=0.05, ge=0.0, le=100.0)
+    """Travel up to which a robot counts as immobile [m], as built. [P]: "a few centimeters"."""
+    pontoon_pitch: float = Field(default=0.3, gt=0.0, le=10.0)
+    """Distance from one pontoon of the robot to the other [m]. [P]"""
+    pontoon_thickness: float = Field(default=0.025, gt=0.0, le=10.0)
+    """Thickness of each pontoon [m]. [P]"""
+    robot_density: float = Field(default=800.0, gt=0.0, le=20_000.0)
+    """Mean density of the built robot, from which its mass follows [kg/m³]. The ratio to a fluid as dense as water is
+    then that of a link to the slush, 1 to 1.25, and the robot floats as it does in the simulation."""
+    servo_torque: float = Field(default=1.96, ge=0.0, le=1000.0)
+    """Torque of the servo of a joint [N·m]. [P]: 20 kg·cm."""
+
+    @model_validator(mode="after")
+    def _walls_hold_the_filling(self) -> Self:
+        if self.depth > self.height:
+            raise ValueError(
+                f"depth is {self.depth:g} m and height {self.height:g} m, and the filling overflows: "
+                "expected a height of at least the depth"
+            )
+        return self
 
     @property
     def simulated_length(self) -> float:
@@ -54,6 +84,23 @@ class Tank(Parameters):
     def simulated_depth(self) -> float:
         """Depth in the simulation [m]."""
         return self.depth / self.scale
+
+    @property
+    def robot_width(self) -> float:
+        """Width of every robot, across both pontoons [m], as built."""
+        return self.pontoon_pitch + self.pontoon_thickness
+
+    def lets_pass(self, distance: float) -> bool:
+        """Return whether a robot can cross whose centre of mass must travel a distance [m]."""
+        return distance > 0 and self.robot_width <= self.width
+
+    def simulated_servo_torque(self, link_density: float) -> float:
+        """Return the servo's torque at the scale of the simulation [N·m], for links of a density [kg/m²].
+
+        Torques scale as weight times length, under the same gravity; see tasks/fabrication/scaling.py.
+        """
+        mass_of_a_link = self.robot_density * self.scale**2 * 2 * self.pontoon_thickness  # of 1 m² when simulated [kg]
+        return self.servo_torque * link_density / (mass_of_a_link * self.scale)
 
     def n_steps(self, time_step: float) -> int:
         """Return the time limit in steps of time_step [s]."""
@@ -73,9 +120,11 @@ class Crossing:
     """Result of one robot in the tank, in simulated metres and seconds."""
 
     length: float  # length of the settled robot along the tank [m]; NaN where it diverged
+    height: float  # height of the settled robot [m]; NaN where it diverged
+    misfit: str  # why it does not fit into the tank, in words that follow "it is"; "" if it fits
     distance: float  # distance that its centre of mass must travel [m]; at most 0 if the robot is as long as the tank
     travelled: float  # distance that its centre of mass travelled until it crossed or time ran out [m]
-    crossed: bool  # whether it crossed in time; False for a robot as long as the tank
+    crossed: bool  # whether it crossed in time; False for a robot as long as the tank or wider
     seconds: float  # simulated time until it crossed [s]; NaN if it did not
     speed: float  # mean speed over ``travelled`` [m/s]
 
@@ -87,6 +136,7 @@ class TankTrials:
     n: int  # trials
     n_crossed: int  # in the time limit, by Froude's law
     n_crossed_at_kept_frequencies: int  # in the time limit, if the simulation's frequencies are kept
+    n_immobile: int  # trials that ended at most ``Tank.immobile`` from where they began
 
 
 def restarted(design: Designs, n: int, rng: Generator) -> Designs:
@@ -107,10 +157,11 @@ def restarted(design: Designs, n: int, rng: Generator) -> Designs:
 
 
 def count_crossings(trials: Sequence[Crossing], tank: Tank) -> TankTrials:
-    """Count the trials of one robot that crossed in time, by either law of scaling."""
+    """Count the trials of one robot that crossed in time, by either law of scaling, and those that went nowhere."""
     # At kept frequencies the tank's limit is as many simulated seconds. A trial that did not cross has NaN seconds.
     in_time = [trial.crossed and trial.seconds <= tank.seconds for trial in trials]
-    return TankTrials(len(trials), sum(trial.crossed for trial in trials), sum(in_time))
+    immobile = [tank.scale * abs(trial.travelled) <= tank.immobile for trial in trials]
+    return TankTrials(len(trials), sum(trial.crossed for trial in trials), sum(in_time), sum(immobile))
 
 
 def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int, time_step: float) -> list[Crossing]:
@@ -118,7 +169,8 @@ def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int
 
     A settled robot starts with its rear at one end. It has crossed when its centre of mass has travelled the tank's
     length minus the robot's own. The front would be a poor criterion: a swinging link reaches metres ahead of a robot
-    that stays in place.
+    that stays in place. A robot that is wider than the tank does not cross it. One that is higher than its walls may:
+    the tank is open at the top.
 
     Args:
         designs: n_designs designs.
@@ -138,23 +190,43 @@ def crossings(designs: Designs, rollouts: Rollouts, tank: Tank, *, n_settle: int
     if rollouts.trace.shape[:2] != (len(designs), n_expected):
         raise ValueError(f"the trace has shape {rollouts.trace.shape}, expected ({len(designs)}, {n_expected}, ...)")
     trace = rollouts.trace[:, n_settle - 1 :].astype(np.float64)
-    x, angle = trace[..., 0], trace[:, 0, :, 2]
-    half = (np.abs(np.sin(angle)) * designs.length_scale + np.abs(np.cos(angle)) / designs.length_scale) / 2
-    length = (x[:, 0] + half).max(axis=1) - (x[:, 0] - half).min(axis=1)
-    centre = x.mean(axis=2)  # every link has the same mass
+    cos, sin = np.abs(np.cos(trace[:, 0, :, 2])), np.abs(np.sin(trace[:, 0, :, 2]))
+    long, short = designs.length_scale, 1 / designs.length_scale
+    length = _extent(trace[:, 0, :, 0], (sin * long + cos * short) / 2)
+    height = _extent(trace[:, 0, :, 1], (cos * long + sin * short) / 2)
+    centre = trace[..., 0].mean(axis=2)  # every link has the same mass
     return [
-        _crossing(float(own), along - along[0], tank.simulated_length - float(own), time_step)
-        for own, along in zip(length, centre, strict=True)
+        _crossing(float(length[i]), float(height[i]), along - along[0], tank, time_step)
+        for i, along in enumerate(centre)
     ]
 
 
-def _crossing(length: float, travelled: Float64, distance: float, time_step: float) -> Crossing:
+def _extent(middle: Float64, half: Float64) -> Float64:
+    """Return (n_designs,) extents of robots whose links reach ``half`` to either side of their middles [m]."""
+    extent: Float64 = (middle + half).max(axis=1) - (middle - half).min(axis=1)
+    return extent
+
+
+def _misfit(length: float, height: float, tank: Tank) -> str:
+    """Say in which dimensions a settled robot does not fit into the tank."""
+    exceeded = {
+        "as long as the tank": length >= tank.simulated_length,
+        "wider than the tank": tank.robot_width > tank.width,
+        "higher than the walls of the tank": height * tank.scale > tank.height,
+    }
+    return " and ".join(words for words, is_so in exceeded.items() if is_so)
+
+
+def _crossing(length: float, height: float, travelled: Float64, tank: Tank, time_step: float) -> Crossing:
     """Find when (n_steps + 1,) distances travelled, 0 at first, reach the distance to travel [m]."""
-    reached = np.flatnonzero(travelled >= distance) if distance > 0 else np.array([], dtype=np.int64)
+    distance = tank.simulated_length - length
+    reached = np.flatnonzero(travelled >= distance) if tank.lets_pass(distance) else np.array([], dtype=np.int64)
     last = int(reached[0]) if reached.size else len(travelled) - 1
     time = last * time_step
     return Crossing(
         length=length,
+        height=height,
+        misfit=_misfit(length, height, tank),
         distance=distance,
         travelled=float(travelled[last]),
         crossed=bool(reached.size),

@@ -126,10 +126,16 @@ def _tank(arm: Arm, files: Files, tank: Tank) -> Highlights:
         f"{label}: in the tank, {tank.simulated_length:.1f} m x {tank.simulated_depth:.2f} m in the simulation, the "
         f"built robot {_outcome(best.wet, tank)} ({1000 * tank.built_speed(best.wet.speed):.0f} mm/s); on the dry "
         f"floor it {_outcome(best.dry, tank)}",
+        f"{label}: it is {_size(best.wet, tank)} as built, and {_fit(best)}",
         f"{label}: it crosses the tank in {_of_trials(best.wet_trials)}, "
         f"its dry floor in {_of_trials(best.dry_trials)}",
+        f"{label}: on the dry floor it ends within {100 * tank.immobile:g} cm of its start in "
+        f"{_immobile(best.dry_trials)} with the simulation's {best.motor_torque:.0f} N·m, and in "
+        f"{_immobile(best.dry_servo_trials)} with the {best.servo_torque:.0f} N·m of the servo at scale, with which it "
+        f"crosses in {_of_trials(best.dry_servo_trials)}",
         f"{label}: {sum(row.wet.crossed for row in rows)} of {len(rows)} champions cross the tank, "
-        f"{sum(row.dry.crossed for row in rows)} its dry floor",
+        f"{sum(row.dry.crossed for row in rows)} its dry floor, and {sum(row.dry_servo.crossed for row in rows)} with "
+        f"the servo's torque; {sum(bool(row.wet.misfit or row.dry.misfit) for row in rows)} of them do not fit into it",
     ]
     metrics = {
         "zero_shot": best.zero_shot,
@@ -140,6 +146,8 @@ def _tank(arm: Arm, files: Files, tank: Tank) -> Highlights:
         "wet_speed": best.wet.speed,
         "dry_crossed": float(best.dry.crossed),
         "dry_travelled": best.dry.travelled,
+        "dry_share_immobile": best.dry_trials.n_immobile / best.dry_trials.n,
+        "dry_servo_share_immobile": best.dry_servo_trials.n_immobile / best.dry_servo_trials.n,
     }
     prefix = f"tank.{arm.label.replace('/', '.')}.proposed"
     return lines, _known({f"{prefix}.{name}": value for name, value in metrics.items()})
@@ -150,14 +158,35 @@ def _of_trials(trials: TankTrials) -> str:
     return f"{trials.n_crossed} of {trials.n} trials ({slower} at the simulation's frequencies)"
 
 
+def _immobile(trials: TankTrials) -> str:
+    return f"{trials.n_immobile} of {trials.n} trials"
+
+
+def _size(found: Crossing, tank: Tank) -> str:
+    """State a robot's size as built."""
+    length, height = 100 * tank.scale * found.length, 100 * tank.scale * found.height
+    return f"{length:.0f} cm long, {height:.0f} cm high and {100 * tank.robot_width:.1f} cm wide"
+
+
+def _fit(row: TankRow) -> str:
+    """Say whether a robot fits into the tank, filled and drained."""
+    filled, drained = row.wet.misfit, row.dry.misfit
+    if filled == drained:
+        return f"does not fit into the tank: it is {filled}" if filled else "fits into the tank"
+    return " and ".join(
+        f"does not fit into the {tank} tank: it is {why}" if why else f"fits into the {tank} tank"
+        for tank, why in (("filled", filled), ("drained", drained))
+    )
+
+
 def _outcome(found: Crossing, tank: Tank) -> str:
     """Describe how far a robot travelled, in metres and seconds of the built robot."""
     if found.crossed:
         return f"crosses in {tank.built_seconds(found.seconds):.0f} s"
     if not isfinite(found.travelled):
         return "diverged"
-    if found.distance <= 0:
-        return "is as long as the tank"
+    if not tank.lets_pass(found.distance):
+        return f"is {found.misfit}"
     travelled_cm, distance_cm = (100 * tank.scale * metres for metres in (found.travelled, found.distance))
     return f"travels {travelled_cm:z.1f} of {distance_cm:.1f} cm in {tank.seconds:g} s"
 

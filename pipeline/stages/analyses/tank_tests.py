@@ -19,7 +19,7 @@ from tasks.analysis.tank import Crossing, count_crossings, crossings, nearest_th
 from tasks.design import Designs
 from tasks.design.genes import concatenate
 from tasks.seeding import generator
-from tasks.world import DryLand, Environment
+from tasks.world import DryLand, Environment, Physics
 
 _TRIALS_AT_ONCE = 16  # trials whose traces are in memory at the same time: 35,000 steps of one are 5 MB
 
@@ -34,13 +34,19 @@ def compute(job: Job[TankSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     designs = concatenate([of.design for of in entrants])
     dry_land = environments.roll_out(spec.simulation, job.execution, DryLand(depth=spec.arm.depth), designs)
     filled = environments.true_slush(spec.simulation.media, spec.tank.simulated_depth)
+    drained, physics = DryLand(depth=0.0), spec.simulation.physics
+    servo_torque = spec.tank.simulated_servo_torque(physics.link_density)
+    with_servo = physics.model_copy(update={"max_motor_torque": servo_torque})
+    tests: tuple[tuple[Environment, Physics], ...] = ((filled, physics), (drained, physics), (drained, with_servo))
     root, whole = dry_land.displacement.tolist(), dry_land.com_displacement.tolist()
     rows = []
     for i, of in enumerate(entrants):
         tries = restarted(of.design, spec.tank.n_trials, _generator(spec, of))
-        wet, dry = (_in_tank(spec, job.execution, at, tries) for at in (filled, DryLand(depth=0.0)))
-        counts = (count_crossings(trials, spec.tank) for trials in (wet, dry))
-        rows.append(TankRow(of.trial.index, i == chosen, of.zero_shot, root[i], whole[i], wet[0], dry[0], *counts))
+        wet, dry, dry_servo = (_in_tank(spec, job.execution, at, under, tries) for at, under in tests)
+        counts = (count_crossings(trials, spec.tank) for trials in (wet, dry, dry_servo))
+        moved = of.zero_shot, root[i], whole[i]
+        limits = physics.max_motor_torque, with_servo.max_motor_torque
+        rows.append(TankRow(of.trial.index, i == chosen, *moved, wet[0], dry[0], dry_servo[0], *limits, *counts))
     reasons = {} if chosen is not None else {"tank": "no champion survived True Slush: there is no mean to be near"}
     return {"tank": columns_of(TankRow, rows)}, reasons
 
@@ -49,15 +55,15 @@ def _generator(spec: TankSpec, of: Champion) -> Generator:
     return generator(spec.seed, "analyse", "tank", of.trial.environment, of.trial.depth, of.trial.index)
 
 
-def _in_tank(spec: TankSpec, execution: Execution, environment: Environment, tries: Designs) -> list[Crossing]:
+def _in_tank(
+    spec: TankSpec, execution: Execution, environment: Environment, physics: Physics, tries: Designs
+) -> list[Crossing]:
     """Simulate the trials of a robot in the tank."""
     rollout = spec.simulation.rollout.model_copy(update={"n_measure": spec.n_steps})
-    simulation = replace(spec.simulation, rollout=rollout)
+    simulation = replace(spec.simulation, rollout=rollout, physics=physics)
     found = []
     for first in range(0, len(tries), _TRIALS_AT_ONCE):
         designs = tries[first : first + _TRIALS_AT_ONCE]
         rollouts = environments.roll_out(simulation, execution, environment, designs, trace=True)
-        found += crossings(
-            designs, rollouts, spec.tank, n_settle=rollout.n_settle, time_step=simulation.physics.time_step
-        )
+        found += crossings(designs, rollouts, spec.tank, n_settle=rollout.n_settle, time_step=physics.time_step)
     return found

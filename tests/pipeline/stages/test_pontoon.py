@@ -22,8 +22,10 @@ from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_table
 from pipeline.store.store import Store
 from pipeline.workflow.identity import Arm
+from tasks.analysis.tank import Tank
 from tasks.design import Designs, links_apart
 from tasks.evolution import OPERATORS
+from tasks.fabrication.kit_settings import KitSettings
 
 SMALL = (
     "throws.n_throws=6",
@@ -79,6 +81,9 @@ def test_the_preset_is_what_the_paper_built():
     assert (morphology.n_actuated, morphology.unjoined_links) == (2, "apart")
     tank = settings.tank
     assert (tank.length, tank.depth, tank.scale, tank.seconds) == (1.17, 0.15, 0.07, 150)
+    assert (tank.width, tank.height, tank.pontoon_pitch, tank.pontoon_thickness) == (0.33, 0.27, 0.3, 0.025)
+    kit = KitSettings()
+    assert (kit.pitch_mm, kit.thickness_mm) == (1000 * tank.pontoon_pitch, 1000 * tank.pontoon_thickness)
 
 
 def test_locked_joints_need_a_number_of_motors():
@@ -144,7 +149,9 @@ def test_the_champion_nearest_the_mean_is_proposed(built, tank):
     distance = np.abs(np.array(scores) - np.mean(scores))
     assert tank["proposed"].sum() == 1
     assert distance[tank["proposed"]][0] == distance.min()
-    for where in ("wet", "dry"):
+    assert (tank["motor_torque"] == 30).all() and (tank["servo_torque"] == Tank().simulated_servo_torque(1.0)).all()
+    assert (tank["dry_servo_travelled"] != tank["dry_travelled"]).any()
+    for where in ("wet", "dry", "dry_servo"):
         assert not tank[f"{where}_crossed"].any()  # no robot travels 10 m in 0.5 s / √0.07
         assert np.isfinite(tank[f"{where}_travelled"]).all()
         assert (tank[f"{where}_trials_n"] == 8).all() and not tank[f"{where}_trials_n_crossed"].any()
@@ -162,12 +169,20 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     (way,) = re.findall(r"in the tank, 16.7 m x 2.14 m in the simulation, the built robot (.+) in 0.5 s \(", told)
     travelled, expected = (tank[f"wet_{name}"][tank["proposed"]][0] for name in ("travelled", "distance"))
     assert way == f"travels {7 * travelled:z.1f} of {7 * expected:.1f} cm"  # built at 0.07 m per simulated metre
+    index = int(np.flatnonzero(tank["proposed"])[0])
+    length, height = (round(7 * tank[f"wet_{name}"][index]) for name in ("length", "height"))
+    assert f"it is {length} cm long, {height} cm high and 32.5 cm wide as built, and " in told
+    n_immobile, n_with_servo = (tank[f"{name}_trials_n_immobile"][index] for name in ("dry", "dry_servo"))
+    assert (
+        f"on the dry floor it ends within 5 cm of its start in {n_immobile} of 8 trials with the simulation's 30 N·m, "
+        f"and in {n_with_servo} of 8 trials with the 143 N·m of the servo at scale" in told
+    )
     summary = REPORT.summarise(pontoon, upstream["report"], store)
     (path,) = (line.removesuffix(": a robot to build") for line in summary.lines if line.endswith("a robot to build"))
     page = summary.artifacts[PAGE].decode()
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
     assert f"✓ trial {trial}" in text
-    assert "Residual Slush, 2 m: 0 of 3 cross the tank, 0 the dry floor" in text
+    assert "Residual Slush, 2 m: 0 of 3 cross the tank, 0 the dry floor, 0 with the servo’s torque" in text
     assert "To build: evolved in Residual Slush" in page  # its films
     assert re.search(r"rejected and drawn again: 100 % of [\d,]+ from random, \d+ % of [\d,]+ from mutation", text)
     assert "as far to the right as they can in 1 seconds" in text

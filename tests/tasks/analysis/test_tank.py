@@ -7,6 +7,8 @@ import pytest
 
 from tasks.analysis.tank import Crossing, Tank, count_crossings, crossings, nearest_the_mean, restarted
 from tasks.design import Designs, random_designs
+from tasks.fabrication.scaling import Scaling, scales_of
+from tasks.fabrication.servos import KG_CM
 from tasks.simulation import OK, Rollouts
 
 DT = 0.1
@@ -20,10 +22,10 @@ def upright(n_designs: int) -> Designs:
     return replace(designs, length_scale=np.ones((n_designs, 6)))
 
 
-def rolled_out(x: np.ndarray, angle: np.ndarray | float = 0.0) -> Rollouts:
+def rolled_out(x: np.ndarray, angle: np.ndarray | float = 0.0, y: np.ndarray | float = 0.0) -> Rollouts:
     """Rollouts whose links are at given (n_designs, n_steps, 6) places along the tank."""
     trace = np.zeros((*x.shape, 6), dtype=np.float32)
-    trace[..., 0], trace[..., 2] = x, angle
+    trace[..., 0], trace[..., 1], trace[..., 2] = x, y, angle
     n = len(x)
     return Rollouts(np.zeros(n), np.zeros(n), np.zeros(n), np.full(n, OK), trace)
 
@@ -93,13 +95,61 @@ def test_a_robot_as_long_as_the_tank_does_not_cross_it() -> None:
     assert not found.crossed
 
 
-def test_length_is_from_corner_to_corner() -> None:
+def test_length_and_height_are_from_corner_to_corner() -> None:
     designs = replace(upright(1), length_scale=np.full((1, 6), 2.0))
     flat, upright_, tilted = (
-        cross(gliding(0.0, apart=0.0), designs, angle)[0].length for angle in (np.pi / 2, 0.0, np.pi / 4)
+        cross(gliding(0.0, apart=0.0), designs, angle)[0] for angle in (np.pi / 2, 0.0, np.pi / 4)
     )
-    assert (flat, upright_) == (pytest.approx(2.0), pytest.approx(0.5))
-    assert tilted == pytest.approx((2.0 + 0.5) / np.sqrt(2))
+    assert (flat.length, flat.height) == (pytest.approx(2.0), pytest.approx(0.5))
+    assert (upright_.length, upright_.height) == (pytest.approx(0.5), pytest.approx(2.0))
+    assert (tilted.length, tilted.height) == (pytest.approx(2.5 / np.sqrt(2)), pytest.approx(2.5 / np.sqrt(2)))
+
+
+def settled_at(y: np.ndarray, tank: Tank, apart: float = 1.0) -> Crossing:
+    """A robot of upright links of 1 m by 1 m that glides through a tank, with links at heights y, (6,) [m]."""
+    rollouts = rolled_out(gliding(0.5, apart), y=y)
+    (found,) = crossings(upright(1), rollouts, tank, n_settle=N_SETTLE, time_step=DT)
+    return found
+
+
+def test_a_robot_higher_than_the_walls_does_not_fit_but_may_cross() -> None:
+    """The walls are 2.7 m high to it; 1.7 m between the middles of links of 1 m just fit."""
+    y = np.zeros(6)
+    for middle, misfit in ((1.69, ""), (1.71, "higher than the walls of the tank")):
+        y[2] = middle
+        found = settled_at(y, TANK)
+        assert found.height == pytest.approx(middle + 1.0) and found.crossed
+        assert found.misfit == misfit
+
+
+def test_a_robot_wider_than_the_tank_does_not_cross_it() -> None:
+    """Pontoons of 25 mm, 300 mm from one to the other, are 325 mm wide."""
+    assert TANK.robot_width == pytest.approx(0.325)
+    for width, misfit in ((0.33, ""), (0.32, "wider than the tank")):
+        tank = TANK.model_copy(update={"width": width})
+        found = settled_at(np.zeros(6), tank)
+        assert found.misfit == misfit and found.crossed == (not misfit) == tank.lets_pass(found.distance)
+    narrow = TANK.model_copy(update={"width": 0.3})
+    assert settled_at(np.zeros(6), narrow, apart=4.0).misfit == "as long as the tank and wider than the tank"
+
+
+def test_a_tank_holds_its_filling() -> None:
+    with pytest.raises(
+        ValueError, match=r"depth is 0\.3 m and height 0\.27 m.*expected a height of at least the depth"
+    ):
+        Tank(depth=0.3)
+    assert Tank(depth=0.3, height=0.3).simulated_depth == pytest.approx(0.3 / 0.07)
+
+
+@pytest.mark.parametrize("law", ["froude", "kept_frequencies"])
+@pytest.mark.parametrize("link_density", [1.0, 2.0])
+def test_a_servo_s_torque_at_scale_is_that_of_the_kit(law: str, link_density: float) -> None:
+    """Six links of 1 m² are 2 × 25 mm thick and 29 400 mm² large as built: 1.47 l, and at 800 kg/m³ 1.176 kg."""
+    tank = Tank()
+    scales = scales_of(Scaling(law=law), length=0.07, mass_kg=1.176, simulated_mass_kg=6 * link_density)
+    assert tank.simulated_servo_torque(link_density) * scales.torque == pytest.approx(tank.servo_torque)
+    assert tank.simulated_servo_torque(1.0) == pytest.approx(142.9, abs=0.1)
+    assert tank.servo_torque == pytest.approx(20 * KG_CM, abs=0.002)
 
 
 def test_who_diverges_touches_no_other() -> None:
@@ -158,8 +208,10 @@ def test_crossings_are_counted_by_both_laws_of_scaling() -> None:
     """At kept frequencies the limit of 12.6 s is as many simulated seconds; by Froude's law it is 40 of them."""
     assert TANK.seconds == pytest.approx(12.65, abs=0.01)
 
-    def trial(seconds: float) -> Crossing:
-        return Crossing(6.0, 14.0, 14.0, np.isfinite(seconds), seconds, 0.5)
+    def trial(seconds: float, travelled: float = 14.0) -> Crossing:
+        return Crossing(6.0, 1.0, "", 14.0, travelled, np.isfinite(seconds), seconds, 0.5)
 
-    counted = count_crossings([trial(10.0), trial(12.0), trial(30.0), trial(np.nan)], TANK)
-    assert (counted.n, counted.n_crossed, counted.n_crossed_at_kept_frequencies) == (4, 3, 2)
+    nowhere = [trial(np.nan, travelled) for travelled in (0.49, -0.49, 0.51, -0.51, np.nan)]  # 5 cm are 0.5 m to it
+    counted = count_crossings([trial(10.0), trial(12.0), trial(30.0), *nowhere], TANK)
+    assert (counted.n, counted.n_crossed, counted.n_crossed_at_kept_frequencies) == (8, 3, 2)
+    assert counted.n_immobile == 2
