@@ -115,10 +115,10 @@ def test_the_tank_table_gives_times_speeds_and_reasons():
     slow = Crossing(4.0, 1.0, "", 12.7, travelled=-0.3, crossed=False, seconds=nan, speed=-0.002)
     long = Crossing(17.0, 1.2, "as long as the tank", -0.3, travelled=5.0, crossed=False, seconds=nan, speed=0.03)
     lost = Crossing(nan, nan, "", nan, travelled=nan, crossed=False, seconds=nan, speed=nan)
-    walks = replace(crossed, misfit="")
+    fits = replace(crossed, misfit="")
     never, always = TankTrials(8, 0, 0, 6), TankTrials(8, 8, 8, 0)
     rows = [
-        TankRow(0, False, 9.0, 0.2, 0.1, long, slow, walks, 30.0, 142.9, never, never, always),
+        TankRow(0, False, 9.0, 0.2, 0.1, long, slow, fits, 30.0, 142.9, never, never, always),
         TankRow(3, True, 10.0, None, None, crossed, lost, lost, 30.0, 142.9, TankTrials(8, 7, 3, 0), never, never),
     ]
     text = words(tank_tests(Findings(tank=Tank(), tank_tests={"Residual Slush, 2 m": rows}), {}))
