@@ -24,6 +24,7 @@ from pipeline.commands.list_settings import list_settings
 from pipeline.commands.output import flush, to_stdout
 from pipeline.commands.power import power
 from pipeline.commands.score import score
+from pipeline.commands.sensitivity import sensitivity
 from pipeline.commands.servo_commands import drive, servo
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
@@ -46,6 +47,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         **{name: study.stage_command(name) for name in study.STAGE_SUMMARIES},
         "settings": list_settings,
         "forecast": forecast,
+        "sensitivity": sensitivity,
     },
     "Look": {
         "status": status,
