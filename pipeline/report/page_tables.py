@@ -258,17 +258,18 @@ def tank_tests(findings: Findings, robots: RobotsOnPage) -> str:
         f"within {tank.seconds:g} s. Lengths and times are those of the built robot, in the first trial. By Froude’s "
         "law, which alone preserves the ratios of all forces, a simulated second is "
         f"{tank.built_seconds(1.0):.3f} s. The paper gives no scale of time; the speed of its servos suggests that it "
-        "kept the simulation’s frequencies, and then a simulated second is one second, and fewer trials cross in time. "
-        "Each further trial begins at another moment of the gait, with joints shifted by 1e-4 of half a link.</p>"
+        "kept the simulation’s frequencies, and then a simulated second is one second, and fewer trials cross in time: "
+        "their number is in brackets. Each further trial begins at another moment of the gait, with joints shifted by "
+        "1e-4 of half a link.</p>"
         f"<p>The tank is {1000 * tank.width:g} mm wide and {1000 * tank.height:g} mm high. Two pontoons make every "
-        f"robot {1000 * tank.robot_width:g} mm wide; its length and height, settled in the filled tank, are in the "
-        "table, as built. Where it does not fit, its cell says so. A robot as long as the tank or wider can’t cross "
-        "it; one that is higher than its walls may, because the tank is open at the top.</p>"
+        f"robot {1000 * tank.robot_width:g} mm wide. Its size is its length × height as built, settled in the filled "
+        "tank. Where a robot is too long, too wide or too high for the tank, the table says so. If it is too long or "
+        "too wide, it can’t cross. If it is too high, it may, because the tank is open at the top.</p>"
         "<p>The paper’s robot crossed in 8 of 8 trials. On the dry floor it moved a few centimetres in 6 of 6, “due to "
-        "insufficient torque”. So the dry floor is tried with two limits of torque: that of the simulation, and that "
-        f"of the built robot’s servos at scale, because {tank.servo_torque:g} N·m hold up as much of its weight as the "
-        "number in the table’s head does in the simulation. A robot that ends within "
-        f"{100 * tank.immobile:g} cm of its start counts as immobile.</p>"
+        "insufficient torque”. So the dry floor is tried with two limits of torque: first with the simulation’s, then "
+        f"with that of the built robot’s servos, whose {tank.servo_torque:g} N·m are the other number in the table’s "
+        f"head, scaled as weight times length. A robot that ends within {100 * tank.immobile:g} cm of its start is "
+        "immobile.</p>"
     )
     tables = "".join(_tank_table(arm, rows, tank, robots) for arm, rows in findings.tank_tests.items())
     return f"{intro}{tables}{links('tank.csv')}"
@@ -279,12 +280,11 @@ def _tank_table(arm: str, rows: Sequence[TankRow], tank: Tank, robots: RobotsOnP
     if not rows:
         return absent(label, "no trial has a champion")
     limits = (f"Dry floor, {torque:.0f}\u00a0N·m" for torque in (rows[0].motor_torque, rows[0].servo_torque))
-    columns = ("Champion", "True Slush [m]", "Dry Land [m]", "Length × height [cm]", "In the tank", *limits)
+    columns = ("Champion", "True Slush [m]", "Size [cm]", "In the tank", *limits)
     cells = [
         [
             ("✓ " if row.proposed else "") + _linked(f"trial {row.trial}", robots, (arm, row.trial, -1)),
             number(row.zero_shot),
-            number(row.dry_land),
             _built_size(row.wet, tank),
             _crossing(row.wet, tank) + _trials(row.wet_trials),
             _crossing(row.dry, tank) + _trials(row.dry_trials, immobile=True),
@@ -305,9 +305,8 @@ def _built_size(found: Crossing, tank: Tank) -> str:
 
 
 def _trials(trials: TankTrials, *, immobile: bool = False) -> str:
-    slower = trials.n_crossed_at_kept_frequencies
-    stays = f"; immobile in {trials.n_immobile}" if immobile else ""
-    return f"<small>crosses in {trials.n_crossed} of {trials.n} trials; {slower} at kept frequencies{stays}</small>"
+    stays = f"<small>immobile {trials.n_immobile}</small>" if immobile else ""
+    return f"<small>crosses {trials.n_crossed} of {trials.n} ({trials.n_crossed_at_kept_frequencies})</small>{stays}"
 
 
 def _crossing(found: Crossing, tank: Tank) -> str:
@@ -321,7 +320,7 @@ def _crossing(found: Crossing, tank: Tank) -> str:
     if not tank.lets_pass(found.distance):
         return f"{NONE}{misfit}"
     if found.travelled < 0:  # the real tank's wall stops it
-        return f"0.0 of {number(100 * tank.scale * found.distance)} cm<small>moves backwards</small>{misfit}"
+        return f"0.0 of {number(100 * tank.scale * found.distance)} cm<small>backwards</small>{misfit}"
     travelled, distance = (number(100 * tank.scale * metres) for metres in (found.travelled, found.distance))
     return f"{travelled} of {distance} cm{speed}{misfit}"
 

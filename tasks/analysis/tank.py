@@ -121,7 +121,7 @@ class Crossing:
 
     length: float  # length of the settled robot along the tank [m]; NaN where it diverged
     height: float  # height of the settled robot [m]; NaN where it diverged
-    misfit: str  # why it does not fit into the tank, in words that follow "it is"; "" if it fits
+    misfit: str  # why it does not fit into the tank: "too long", "too wide and too high", ...; "" if it fits
     distance: float  # distance that its centre of mass must travel [m]; at most 0 if the robot is as long as the tank
     travelled: float  # distance that its centre of mass travelled until it crossed or time ran out [m]
     crossed: bool  # whether it crossed in time; False for a robot as long as the tank or wider
@@ -210,11 +210,11 @@ def _extent(middle: Float64, half: Float64) -> Float64:
 def _misfit(length: float, height: float, tank: Tank) -> str:
     """Say in which dimensions a settled robot does not fit into the tank."""
     exceeded = {
-        "as long as the tank": length >= tank.simulated_length,
-        "wider than the tank": tank.robot_width > tank.width,
-        "higher than the walls of the tank": height * tank.scale > tank.height,
+        "long": length >= tank.simulated_length,
+        "wide": tank.robot_width > tank.width,
+        "high": height * tank.scale > tank.height,
     }
-    return " and ".join(words for words, is_so in exceeded.items() if is_so)
+    return " and ".join(f"too {words}" for words, is_so in exceeded.items() if is_so)
 
 
 def _crossing(length: float, height: float, travelled: Float64, tank: Tank, time_step: float) -> Crossing:

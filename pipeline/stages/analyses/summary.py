@@ -171,12 +171,12 @@ def _size(found: Crossing, tank: Tank) -> str:
 def _fit(row: TankRow) -> str:
     """Say whether a robot fits into the tank, filled and drained."""
     filled, drained = row.wet.misfit, row.dry.misfit
+    if not filled and not drained:
+        return "fits into the tank"
     if filled == drained:
-        return f"does not fit into the tank: it is {filled}" if filled else "fits into the tank"
-    return " and ".join(
-        f"does not fit into the {tank} tank: it is {why}" if why else f"fits into the {tank} tank"
-        for tank, why in (("filled", filled), ("drained", drained))
-    )
+        return f"does not fit into the tank: it is {filled}"
+    both = ((filled, "in the filled one"), (drained, "in the drained one"))
+    return f"does not fit into the tank: it is {' and '.join(f'{why} {where}' for why, where in both if why)}"
 
 
 def _outcome(found: Crossing, tank: Tank) -> str:

@@ -115,7 +115,7 @@ def settled_at(y: np.ndarray, tank: Tank, apart: float = 1.0) -> Crossing:
 def test_a_robot_higher_than_the_walls_does_not_fit_but_may_cross() -> None:
     """The walls are 2.7 m high to it; 1.7 m between the middles of links of 1 m just fit."""
     y = np.zeros(6)
-    for middle, misfit in ((1.69, ""), (1.71, "higher than the walls of the tank")):
+    for middle, misfit in ((1.69, ""), (1.71, "too high")):
         y[2] = middle
         found = settled_at(y, TANK)
         assert found.height == pytest.approx(middle + 1.0) and found.crossed
@@ -125,12 +125,12 @@ def test_a_robot_higher_than_the_walls_does_not_fit_but_may_cross() -> None:
 def test_a_robot_wider_than_the_tank_does_not_cross_it() -> None:
     """Pontoons of 25 mm, 300 mm from one to the other, are 325 mm wide."""
     assert TANK.robot_width == pytest.approx(0.325)
-    for width, misfit in ((0.33, ""), (0.32, "wider than the tank")):
+    for width, misfit in ((0.33, ""), (0.32, "too wide")):
         tank = TANK.model_copy(update={"width": width})
         found = settled_at(np.zeros(6), tank)
         assert found.misfit == misfit and found.crossed == (not misfit) == tank.lets_pass(found.distance)
     narrow = TANK.model_copy(update={"width": 0.3})
-    assert settled_at(np.zeros(6), narrow, apart=4.0).misfit == "as long as the tank and wider than the tank"
+    assert settled_at(np.zeros(6), narrow, apart=4.0).misfit == "too long and too wide"
 
 
 def test_a_tank_holds_its_filling() -> None:
