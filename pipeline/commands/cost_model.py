@@ -241,6 +241,7 @@ def _n_batches(settings: Settings, one: _Remaining) -> int:
 _BYTES = {
     "throws": (5e3, 20e3),
     "iterations": (1.5e6, 0.0),
+    "pilots": (800e3, 0.0),
     "generations": (10e3, 0.0),
     "designs": (15e3, 500.0),
     "analyses": (2e6, 0.0),

@@ -80,7 +80,11 @@ def _iteration(settings: Settings) -> float:
 
 def _generation(settings: Settings, chain: Chain[Any]) -> float:
     """Return the time of one generation of a trial [s]."""
-    return settings.evolution.afpo.population_size * _rollout(settings, chain.spec.environment)
+    return _rollouts(settings, chain.spec.environment)
+
+
+def _rollouts(settings: Settings, environment: EnvironmentName) -> float:
+    return settings.evolution.afpo.population_size * _rollout(settings, environment)
 
 
 _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
@@ -88,6 +92,7 @@ _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
         (chain.spec.throws.n_steps or _STEPS_OF_DESIGNED_THROW) * _SECONDS_PER_THROW_STEP
     ),
     "train": lambda settings, chain: _iteration(settings),
+    "pilot": lambda settings, chain: chain.spec.n_generations * _rollouts(settings, "residual_slush"),
     "evolve": _generation,
     "transfer": _generation,
     "assess": lambda settings, chain: _rollout(settings, "true_slush") + _rollout(settings, "residual_slush"),

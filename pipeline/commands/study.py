@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 STAGE_SUMMARIES = {
     "collect": "Throw rectangles into slush and record what the base simulator gets wrong.",
     "train": "Train the ensemble of residual networks on the throws.",
+    "pilot": "Check whether the throws cover what robots do.",
     "evolve": "Evolve designs in every environment, at every depth.",
     "transfer": "Score champions in True Slush, zero-shot and with adapted controllers.",
     "assess": "Compare the networks' predictions of designs with their true displacement.",
