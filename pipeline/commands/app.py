@@ -29,6 +29,7 @@ from pipeline.commands.servo_commands import drive, servo
 from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
 from pipeline.commands.studies import studies
+from pipeline.commands.suggest_throws import suggest_throws
 from pipeline.commands.ui import ui
 from pipeline.commands.verify import verify
 
@@ -56,6 +57,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "compare": compare,
         "simulate": simulate,
         "score": score,
+        "suggest-throws": suggest_throws,
         "power": power,
         "export": export,
         "ui": ui,

@@ -22,10 +22,11 @@ from pipeline.store.store import Store
 from pipeline.store.tables import columns_of, rows_of
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Chain, Execution, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
-from tasks.analysis.coverage import EVERYTHING, CoverageRow, coverage, deviations, observed_states
+from tasks.analysis.coverage import EVERYTHING, CoverageRow, coverage, observed_states
 from tasks.arrays import Float32
 from tasks.design import Designs, Morphology, random_designs
 from tasks.evolution import EMPTY_POPULATION, Afpo, Trial, evolve
+from tasks.residual.support import deviations
 from tasks.seeding import generator, replicate_seed
 from tasks.world import DryLand, Environment, EnvironmentName, ResidualSlush
 
@@ -110,13 +111,13 @@ def _compute(job: Job[PilotSpec], inputs: Inputs) -> Files:
         "seen_in": np.repeat(list(rows), [len(part) for part in rows.values()]),
         **columns_of(CoverageRow, [row for part in rows.values() for row in part]),
     }
-    kept = {
+    compared = {
         "seen_in": np.repeat(list(pilots), [len(states) for states in pilots.values()]),
         "observation": np.concatenate(list(pilots.values())),
     }
     return {
         COVERAGE: encode_table(table, schema="coverage", version=1, producer=job.key),
-        STATES: encode_table(kept, schema="states", version=1, producer=job.key, units=_UNITS),
+        STATES: encode_table(compared, schema="states", version=1, producer=job.key, units=_UNITS),
     }
 
 

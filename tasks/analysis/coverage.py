@@ -10,16 +10,15 @@ the component that separates it most from its nearest neighbour, so that a hole 
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.random import Generator
 
-from tasks.arrays import Float32, Float64, Floats, Int64
+from tasks.arrays import Float32, Float64, Floats
 from tasks.design import Designs
 from tasks.residual import OBSERVATION, observe
+from tasks.residual.support import distances
 from tasks.simulation.rollout import Rollouts
 
 _MOST_STATES = 10_000  # states that are compared; shares are then known to half a percent
-_LEAST_DEVIATION = 1e-6  # of a component that does not vary
 _EVERY = 20  # steps between two states of a robot that are compared
 EVERYTHING = "all"
 
@@ -35,14 +34,6 @@ class CoverageRow:
     high: float  # 95th percentile
     median: float  # median distance of all states from the throws; the same for all components
     far: float  # 95th percentile of the distance
-
-
-@dataclass(frozen=True, eq=False)
-class Distances:
-    """Distance of each state from the throws, and the component that contributes most."""
-
-    distance: Float64  # (n_states,) in deviations of the robots' states
-    component: Int64  # (n_states,) index into OBSERVATION
 
 
 def observed_states(designs: Designs, rollouts: Rollouts, *, n_settle: int, rng: Generator) -> Float32:
@@ -71,40 +62,13 @@ def observed_states(designs: Designs, rollouts: Rollouts, *, n_settle: int, rng:
     return rows[np.sort(rng.permutation(len(rows))[:_MOST_STATES])]
 
 
-def deviations(robots: Floats) -> Float64:
-    """Return the deviation of each component over (n_states, 6) observations of robots' links: (6,)."""
-    scale: Float64 = np.maximum(robots.std(axis=0, dtype=np.float64), _LEAST_DEVIATION)
-    return scale
-
-
-def distances(robots: Floats, throws: Floats, scale: Float64) -> Distances:
-    """Measure how far the states of robots are from those of throws.
-
-    Args:
-        robots: (n_states, 6) finite observations of robots' links.
-        throws: (n_transitions, 6) finite observations of thrown links.
-        scale: (6,) unit of each component, from :func:`deviations`.
-
-    Returns:
-        Distance and component of each state.
-
-    Raises:
-        ValueError: there are no states of one of them.
-    """
-    if min(len(robots), len(throws)) == 0:
-        raise ValueError(f"{len(robots)} states of robots and {len(throws)} of throws, expected at least 1 of both")
-    points, thrown = robots / scale, throws / scale
-    distance, nearest = scipy.spatial.cKDTree(thrown).query(points)
-    return Distances(distance, np.abs(points - thrown[nearest]).argmax(axis=1))
-
-
 def coverage(robots: Floats, throws: Floats, scale: Float64) -> tuple[CoverageRow, ...]:
     """Tabulate how far the states of robots are from those of throws: a row for all components, and one for each.
 
     Args:
         robots: (n_states, 6) finite observations of robots' links.
         throws: (n_transitions, 6) finite observations of thrown links.
-        scale: (6,) unit of each component, from :func:`deviations`.
+        scale: (6,) unit of each component, from :func:`tasks.residual.support.deviations`.
 
     Returns:
         The row of all components, and one row for each in the order of OBSERVATION.

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from tasks.arrays import Float32
-from tasks.residual.observation import INPUTS, OBSERVATION, STATE, VELOCITIES, InputName, observe
+from tasks.residual.observation import INPUTS, OBSERVATION, STATE, VELOCITIES, Observed, observe
 from tasks.simulation.networks.inference import PackedNetworks
 from tasks.world import LinkStates, Physics, VelocityChange
 
@@ -38,7 +38,7 @@ class Ensemble:
 
     weights: tuple[Float32, ...]  # (n_members, n_in, n_out) for each layer, from observations to 3 velocity changes
     biases: tuple[Float32, ...]  # (n_members, n_out) for each layer
-    inputs: tuple[InputName, ...] = OBSERVATION
+    inputs: tuple[Observed, ...] = OBSERVATION
     device: str = "cpu"  # device of the networks: "cpu" selects the compiled kernel, any other name is torch's
 
     def __post_init__(self) -> None:
@@ -92,6 +92,17 @@ class Ensemble:
         change = self.predict(observation.reshape(self.n_members, -1, len(self.inputs)))
         vx, vy, omega = np.moveaxis(change.astype(links.y.dtype, copy=False), -1, 0)
         return VelocityChange(vx=vx.reshape(shape), vy=vy.reshape(shape), omega=omega.reshape(shape))
+
+    def observed(self, observation: Float32) -> Float32:
+        """Extend (n_rows, 6) observations of the paper to what each member observes, (n_members, n_rows, n_inputs).
+
+        The sign of sin θ is not known from them and is taken to be positive.
+        """
+        a, y, cos, vx, vy, omega = observation.T
+        sin = np.sqrt(np.maximum(1 - cos * cos, 0))
+        quantities = {"length_scale": a, "y": y, "cos": cos, "sin": sin, "vx": vx, "vy": vy, "omega": omega}
+        rows = observe(quantities, self.inputs)
+        return np.broadcast_to(rows, (self.n_members, *rows.shape))
 
     def predict(self, observation: Float32) -> Float32:
         """Map (n_members, n_rows, n_inputs) observations to (n_members, n_rows, 3) changes of vx, vy, ω in a step."""
@@ -149,7 +160,7 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
     return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in zip(weights, biases, strict=True)]
 
 
-def _inputs(member: Mapping[str, Float32], whose: str) -> tuple[InputName, ...]:
+def _inputs(member: Mapping[str, Float32], whose: str) -> tuple[Observed, ...]:
     """Return what a member observes: its array of numbers in the table of inputs, or the paper's six."""
     if "inputs" not in member:
         return OBSERVATION

@@ -8,7 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from tasks.parameters import Parameters
-from tasks.residual.observation import OBSERVATION, InputName
+from tasks.residual.observation import OBSERVATION, Observed
 
 
 class Architecture(Parameters):
@@ -20,7 +20,7 @@ class Architecture(Parameters):
     """Units in each hidden layer. [P]"""
     dropout: float = Field(default=0.001, ge=0.0, le=0.9)
     """Probability to drop a hidden unit from a sample of a minibatch. [P]"""
-    observation: tuple[InputName, ...] = Field(
+    observation: tuple[Observed, ...] = Field(
         default=OBSERVATION, min_length=1, exclude_if=lambda inputs: inputs == OBSERVATION
     )
     """Inputs: by default the six of the paper [P]. Magnitudes (speed, abs_omega, abs_sin_angle) make small networks

@@ -14,12 +14,12 @@ from tasks.arrays import Float32, Floats
 
 STATE = ("x", "y", "angle", "vx", "vy", "omega")  # of a link; also of a step's residual [m, m, rad, m/s, m/s, rad/s]
 
-InputName = Literal["a", "y", "cos_angle", "vx", "vy", "omega", "sin_angle", "speed", "abs_omega", "abs_sin_angle"]
+Observed = Literal["a", "y", "cos_angle", "vx", "vy", "omega", "sin_angle", "speed", "abs_omega", "abs_sin_angle"]
 
-OBSERVATION: tuple[InputName, ...] = ("a", "y", "cos_angle", "vx", "vy", "omega")
+OBSERVATION: tuple[Observed, ...] = ("a", "y", "cos_angle", "vx", "vy", "omega")
 """Components of a network's input in the paper [m, m, 1, m/s, m/s, rad/s]."""
 
-INPUTS: Mapping[InputName, tuple[bool, tuple[str, ...]]] = {
+INPUTS: Mapping[Observed, tuple[bool, tuple[str, ...]]] = {
     "a": (False, ("length_scale",)),
     "y": (False, ("y",)),
     "cos_angle": (False, ("cos",)),
@@ -37,7 +37,7 @@ because weights name their inputs by number."""
 VELOCITIES = slice(3, 6)  # components of a residual that are applied; positions follow by integration
 
 
-def observe(quantities: Mapping[str, Floats], inputs: Sequence[InputName] = OBSERVATION) -> Float32:
+def observe(quantities: Mapping[str, Floats], inputs: Sequence[Observed] = OBSERVATION) -> Float32:
     """Return (..., n_inputs) observations of link states.
 
     A state that is not finite, or too large for float32, gives an observation that is not finite and no error, because
@@ -51,7 +51,7 @@ def observe(quantities: Mapping[str, Floats], inputs: Sequence[InputName] = OBSE
         return np.stack([_input(quantities, name) for name in inputs], axis=-1)
 
 
-def _input(quantities: Mapping[str, Floats], name: InputName) -> Float32:
+def _input(quantities: Mapping[str, Floats], name: Observed) -> Float32:
     """Compute one input in float32, with the roundings of the kernel in tasks/simulation/networks/coupled.py."""
     is_magnitude, fields = INPUTS[name]
     of = [np.asarray(quantities[field]).astype(np.float32) for field in fields]

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.parameters import Parameters
-from tasks.residual.observation import OBSERVATION, STATE, InputName, observe
+from tasks.residual.observation import OBSERVATION, STATE, Observed, observe
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
@@ -108,7 +108,7 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.throw)
 
-    def observed(self, inputs: Sequence[InputName]) -> Float32:
+    def observed(self, inputs: Sequence[Observed]) -> Float32:
         """Return (n_transitions, n_inputs) observations."""
         if tuple(inputs) == OBSERVATION:
             return self.observation
@@ -139,17 +139,20 @@ def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | 
         n_throws starts.
     """
     if throws.design == "robots":
-        return _for_robots(throws.n_throws, physics or Physics(), rng)
+        return even_starts(throws.n_throws, physics or Physics(), rng)
     return _uniform(throws, rng)
 
 
-def _for_robots(n: int, physics: Physics, rng: np.random.Generator) -> Starts:
-    """Spread n starts evenly over length, height, angle, velocities and spin.
+def even_starts(n: int, physics: Physics, rng: np.random.Generator) -> Starts:
+    """Spread n starts evenly over the length, height, angle, velocities and spin of robots' links.
 
     Args:
         n: number of starts.
         physics: constants of the base simulator.
         rng: source of randomness, which scrambles the sequence.
+
+    Returns:
+        n starts.
     """
     from scipy.stats import qmc  # takes long to import, and settings files are read without it
 
@@ -159,7 +162,7 @@ def _for_robots(n: int, physics: Physics, rng: np.random.Generator) -> Starts:
         [ranges.length_scale, (-ranges.y_reach, ranges.y_reach), (0, turn), (-v, v), (-v, v), (-omega, omega)]
     )
     sequence = qmc.Sobol(len(low), scramble=True, rng=rng)
-    even = sequence.random_base2((n - 1).bit_length())[:n]  # whole powers of 2 are balanced
+    even = sequence.random_base2(max(n - 1, 0).bit_length())[:n]  # whole powers of 2 are balanced
     length_scale, *rest = (low + (high - low) * even).T
     return Starts(np.arange(n), length_scale, np.stack((np.zeros(n), *rest), axis=1).astype(np.float32))
 

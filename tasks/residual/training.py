@@ -19,7 +19,7 @@ from tasks.arrays import Float32, Float64
 from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import ResidualNetwork, Standardisation
-from tasks.residual.observation import INPUTS, OBSERVATION, STATE, InputName
+from tasks.residual.observation import INPUTS, OBSERVATION, STATE, Observed
 from tasks.residual.throws import Transitions
 from tasks.residual.validation import split_throws
 from tasks.seeding import generator
@@ -41,7 +41,7 @@ class TrainedMember:
 
     weights: dict[str, Float32]  # weight_i (n_in, n_out), bias_i (n_out,) of each layer i, for standardised quantities
     standardisation: Standardisation  # standardisation of the training set
-    inputs: tuple[InputName, ...]  # what the network observes
+    inputs: tuple[Observed, ...]  # what the network observes
     learning_curve: Float64  # (n_points, 3) iteration, mean training loss since the previous point, validation loss
     validation: tuple[ErrorRow, ...]  # errors on the held-out throws, in SI units
 

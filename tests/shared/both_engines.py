@@ -16,7 +16,7 @@ import numpy as np
 
 from tasks.design import Designs
 from tasks.residual.ensemble import Ensemble
-from tasks.residual.observation import OBSERVATION, InputName
+from tasks.residual.observation import OBSERVATION, Observed
 from tasks.simulation import batch, reference, simulate
 from tasks.simulation.box2d import Motion
 from tasks.world import Environment, LinkStates, Physics, Slush, TrueSlush, VelocityChange
@@ -53,7 +53,7 @@ class Slushes:
         return VelocityChange(**{name: np.stack([change[name] for change in each]) for name in each[0]})
 
 
-def networks(rng: np.random.Generator, inputs: tuple[InputName, ...] = OBSERVATION) -> Ensemble:
+def networks(rng: np.random.Generator, inputs: tuple[Observed, ...] = OBSERVATION) -> Ensemble:
     """Create three untrained networks with changes as large as the slush's."""
     sizes = (len(inputs), 40, 40, 3)
     weights = [(rng.normal(size=(3, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]

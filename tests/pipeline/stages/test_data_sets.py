@@ -78,8 +78,8 @@ def test_a_replicate_changes_no_identity_of_the_first():
     for chain in COLLECT.plan(alone):
         assert specs[chain.label] == chain.spec
     members = {chain.label: chain.spec for chain in TRAIN.plan(both)}
-    kept = [chain for chain in TRAIN.plan(alone) if chain.label in members]
-    assert len(kept) >= 4 and all(members[chain.label] == chain.spec for chain in kept)
+    same = [chain for chain in TRAIN.plan(alone) if chain.label in members]
+    assert len(same) >= 4 and all(members[chain.label] == chain.spec for chain in same)
 
 
 def test_data_sets_and_networks_all_differ(sets):

@@ -21,7 +21,11 @@ designed_throws: {n_throws: 16}
 network: {hidden_layers: 1, width: 4}
 training: {n_iterations: 10, batch_size: 16}
 ensemble: {n_members: 2}
-grid: {depths: [1.0], environments: [true_slush, residual_slush, designed_throws], single_member_depths: [], n_trials: 1}
+grid:
+  depths: [1.0]
+  environments: [true_slush, residual_slush, designed_throws]
+  single_member_depths: []
+  n_trials: 1
 rollout: {n_settle: 20, n_measure: 60}
 evolution: {n_generations: 3, afpo: {population_size: 4}}
 """

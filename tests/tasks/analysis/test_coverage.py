@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from tasks.analysis.coverage import EVERYTHING, coverage, deviations, distances, observed_states
+from tasks.analysis.coverage import EVERYTHING, coverage, observed_states
 from tasks.design import random_designs
 from tasks.residual import OBSERVATION, Throws, initial_states, simulate_throws
+from tasks.residual.support import deviations, distances
 from tasks.simulation import simulate
 from tasks.world import DryLand, Physics, Slush
 

@@ -46,7 +46,7 @@ def test_starts_fill_the_ranges_evenly():
     found = starts()
     columns = np.column_stack((found.length_scale, found.state[:, 1:]))
     unit = (columns - low) / np.subtract(high, low)
-    # Of a Sobol sequence's first 256 points, every 64th of each axis holds exactly 4.
+    # Every 64th of each axis holds exactly 4 of the first 256 points of a Sobol sequence.
     for column in unit[:256].T:
         assert np.histogram(column, 64, (0, 1))[0].tolist() == [4] * 64
     assert (found.state[:, 0] == 0).all() and len(found) == 300

@@ -1,0 +1,84 @@
+"""Which throws to make next: starts that would teach an ensemble most about the states of robots.
+
+Half of them fill holes: states that pilot robots pass through, far from every throw, and where members disagree. The
+other half covers the range of robots evenly. Throws at the states of robots alone would make things worse: members then
+agree where all are wrong.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tasks.arrays import Float32, Float64
+from tasks.residual.observation import OBSERVATION
+from tasks.residual.support import deviations, distances
+from tasks.residual.throws import Starts, even_starts
+from tasks.world import Physics
+
+if TYPE_CHECKING:
+    from tasks.residual.ensemble import Ensemble
+
+_A, _Y, _COS, _VX, _VY, _OMEGA = range(len(OBSERVATION))
+_SHARE_OF_HOLES = 0.5
+
+
+def suggest_throws(
+    n: int,
+    pilots: Float32,
+    thrown: Float32,
+    ensemble: "Ensemble",
+    rng: np.random.Generator,
+    *,
+    physics: Physics | None = None,
+) -> Starts:
+    """Return the starts of n throws, those that fill holes first.
+
+    Args:
+        n: number of throws.
+        pilots: (n_states, 6) observations of the links of pilot robots.
+        thrown: (n_transitions, 6) observations of the throws that the ensemble learned from.
+        ensemble: networks that observe no more than the paper's six components and their magnitudes.
+        rng: source of randomness.
+        physics: constants of the base simulator; the paper's by default.
+
+    Returns:
+        Starts, numbered from 0.
+
+    Raises:
+        ValueError: n is less than 1, or there are no pilots or throws.
+    """
+    if n < 1:
+        raise ValueError(f"n is {n}, expected at least 1 throw")
+    n_holes = min(round(_SHARE_OF_HOLES * n), len(pilots))
+    chosen = pilots[_holes(n_holes, pilots, thrown, ensemble)]
+    angle = np.arccos(np.clip(chosen[:, _COS], -1, 1)) * rng.choice((-1, 1), n_holes)  # cos θ leaves its sign open
+    columns = (np.zeros(n_holes), chosen[:, _Y], angle % (2 * np.pi), *chosen[:, [_VX, _VY, _OMEGA]].T)
+    even = even_starts(n - n_holes, physics or Physics(), rng)
+    return Starts(
+        np.arange(n),
+        np.concatenate([chosen[:, _A].astype(np.float64), even.length_scale]),
+        np.concatenate([np.stack(columns, axis=1).astype(np.float32), even.state]),
+    )
+
+
+def _holes(n: int, pilots: Float32, thrown: Float32, ensemble: "Ensemble") -> list[int]:
+    """Select n states of pilots one after another, each far from the throws and from those selected before."""
+    if n == 0:
+        return []
+    scale = deviations(pilots)
+    points = pilots / scale
+    distance = distances(pilots, thrown, scale).distance
+    doubt = _disagreement(pilots, ensemble)
+    chosen: list[int] = []
+    for _ in range(n):
+        best = int(np.argmax(distance * doubt))
+        chosen.append(best)
+        distance = np.minimum(distance, np.linalg.norm(points - points[best], axis=1))
+    return chosen
+
+
+def _disagreement(pilots: Float32, ensemble: "Ensemble") -> Float64:
+    """Return the deviation of the members' predictions over the deviation of the changes that they predict."""
+    predicted = ensemble.predict(ensemble.observed(pilots)).astype(np.float64)
+    spread = np.maximum(predicted.mean(axis=0).std(axis=0), 1e-12)
+    return np.asarray(np.linalg.norm(predicted.std(axis=0) / spread, axis=1))
