@@ -33,6 +33,7 @@ from tasks.world import DryLand, Environment, EnvironmentName, ResidualSlush
 COVERAGE, STATES = "coverage.parquet", "states.parquet"
 PILOTED = "piloted"  # role of the inputs of later stages that are the pilots of a data set
 _SEEN_IN: tuple[EnvironmentName, ...] = ("dry_land", "residual_slush")
+_WORDS = {"dry_land": "random robots", "residual_slush": "evolved robots"}
 _N_RANDOM = 64  # random designs in the base simulator
 _UNITS = {"observation": "a, y, cos θ, vx, vy, ω of a link [m, m, 1, m/s, m/s, rad/s]"}
 
@@ -156,13 +157,14 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         for seen_in, rows in read_coverage({COVERAGE: store.read(part, COVERAGE)}).items():
             whole = next(row for row in rows if row.component == EVERYTHING)
             worst = max((row for row in rows if row.component != EVERYTHING), key=lambda row: row.share_outside)
-            words = "random robots on dry land" if seen_in == "dry_land" else "robots evolved in the ensemble"
-            line = f"{of.label}: {whole.share_outside:.0%} of the states of {words} are outside the throws"
-            if whole.share_outside > settings.pilot.most_outside:
-                line += f", most of them by {worst.component} of {worst.low:z.1f} to {worst.high:z.1f}"
-                if seen_in == "residual_slush":
-                    line = f"warning: {line}. Predictions are extrapolated there"
-            lines.append(line)
+            warned = seen_in == "residual_slush" and whole.share_outside > settings.pilot.most_outside
+            prefix = "warning: " if warned else ""
+            lines.append(
+                f"{prefix}{of.label}: {whole.share_outside:.0%} of the states of {_WORDS[seen_in]} are outside"
+            )
+            lines.append(f"    the throws, most by {worst.component} of {worst.low:z.1f} to {worst.high:z.1f}")
+            if warned:
+                lines[-1] += ": predictions are extrapolated there"
             metrics[f"share_outside.{of.label.replace('/', '.')}.{seen_in}"] = whole.share_outside
     return Summary(lines=lines or ["no trial needs residual networks"], metrics=metrics)
 

@@ -87,7 +87,7 @@ def evolve_some_badly(job: Job, inputs: Inputs) -> Files:
                 time.sleep(1)
         case "dry_land", 4:
             crash()
-    return STAGES[2].compute(job, inputs)
+    return STAGES[3].compute(job, inputs)
 
 
 def crash() -> None:
@@ -194,7 +194,7 @@ def some_in_a_wild_medium(monkeypatch: pytest.MonkeyPatch) -> None:
         return dataclasses.replace(sound, **chosen)
 
     monkeypatch.setattr(environments, "roll_out", roll_out)
-    injected(monkeypatch, evolve=noted(STAGES[2]), transfer=noted(STAGES[3]))
+    injected(monkeypatch, evolve=noted(STAGES[3]), transfer=noted(STAGES[4]))
 
 
 MEASURED = ("displacement", "com_displacement", "status")

@@ -126,7 +126,7 @@ def test_forecast_as_json(study, settings, tmp_path, capsys):
     assert call("forecast", "--json", *chosen) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["study"] == "tiny" and found["seconds"]["8"] == 0 and len(found["stages"]) == len(STAGES)
-    assert found["stages"][2]["unit"] == "generations" and found["stages"][2]["core_seconds"] == 0
+    assert found["stages"][3]["unit"] == "generations" and found["stages"][3]["core_seconds"] == 0
 
 
 def test_kinds_tell_apart_what_costs_differ(settings):

@@ -6,7 +6,7 @@ from pipeline.stages import STAGES
 from pipeline.store.manifest import Manifest
 from pipeline.workflow.code_digest import PACKAGES, code_digest, imported, is_of_other_code, recorded_code, sources
 
-_, TRAIN, EVOLVE, *_ = STAGES
+_, TRAIN, _, EVOLVE, *_ = STAGES
 
 
 def digest_with(edited: dict[str, bytes], stage=EVOLVE) -> str:

@@ -28,8 +28,8 @@ evolution: {n_generations: 2, afpo: {population_size: 4}}
 transfer: {n_generations: 2}
 work: {generations_per_item: 2, engine: reference}
 """
-TO_EVOLVE = STAGES[:3]
-TO_TRANSFER = STAGES[:4]
+TO_EVOLVE = STAGES[:4]
+TO_TRANSFER = STAGES[:5]
 
 
 def run(

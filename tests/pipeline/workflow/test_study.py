@@ -78,7 +78,7 @@ def test_batches_of_designs_on_ray_give_the_same_bytes(serial_run, local_ray, tm
     store = Store.open(tmp_path / "store", create=False)
     for key in list(store.keys("evolve")):  # what is computed in batches has the same identity
         store.discard("evolve", key)
-    batched = run(settings, store, local_ray, STAGES[:3])
+    batched = run(settings, store, local_ray, STAGES[:4])
     assert digests(batched) == {k: v for k, v in digests(upstream).items() if k.split("/")[0] in batched}
 
 
@@ -117,7 +117,7 @@ def test_an_edited_setting_redoes_what_depends_on_it_and_nothing_else(serial_run
         "single_member/1m/trial-0",
     }
 
-    more = survey(tiny("evolution.n_generations=8"), STAGES[:3], store, say=silent)
+    more = survey(tiny("evolution.n_generations=8"), STAGES[:4], store, say=silent)
     assert all(n == 2 for n in more["evolve"].n_done.values())  # the first four generations stand
 
 
@@ -182,7 +182,7 @@ def test_an_item_that_fails_twice_stops_nothing_else(serial_run, tmp_path):
     """The report of such a study is seen in tests/torture/test_bad_science.py."""
     _, upstream = serial_run
     stages = list(STAGES[:-1])
-    stages[2] = dataclasses.replace(STAGES[2], compute=_failing(STAGES[2].compute, "dry_land"))
+    stages[3] = dataclasses.replace(STAGES[3], compute=_failing(STAGES[3].compute, "dry_land"))
     said: list[str] = []
     store = Store.open(tmp_path / "store", create=True)
     with serial_cluster() as cluster:
