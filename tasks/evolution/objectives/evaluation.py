@@ -23,8 +23,11 @@ class Objective:
     over_depths: bool = False  # whether it is the mean of the scores at several depths, which are a setting
 
     def in_words(self, depths: Sequence[float] = ()) -> str:
-        """Name it within a sentence, with the depths [m] that it is the mean over."""
-        return self.label.lower() + (f" ({', '.join(f'{depth:g}' for depth in depths)} m)" if depths else "")
+        """Name it within a sentence, with the depths [m] that it is the mean over: none, or at least two."""
+        if not depths:
+            return self.label.lower()
+        *others, last = (f"{depth:g}" for depth in depths)
+        return f"{self.label.lower()} over depths of {', '.join(others)} and {last} m"
 
 
 OBJECTIVES: dict[str, Objective] = {}  # objectives by name

@@ -9,6 +9,4 @@ def _displacement(rollouts: Rollouts) -> Float64:
     return rollouts.displacement
 
 
-register_objective(
-    Objective("mean_over_depths", "Mean displacement over several depths", "m", _displacement, over_depths=True)
-)
+register_objective(Objective("mean_over_depths", "Mean displacement", "m", _displacement, over_depths=True))

@@ -136,7 +136,7 @@ def test_a_generalist_is_selected_for_its_mean_over_depths(settings, tmp_path, d
     changes = ["evolution.objective=mean_over_depths", "evolution.objective_depths=[0,2,5]", "work.engine=reference"]
     changes.append(f"work.designs_per_batch={designs_per_batch}")
     settings = parse(Settings, settings.model_dump_json(), name="fast", overrides=changes)
-    assert settings.selected_for == "mean displacement over several depths (0, 2, 5 m)"
+    assert settings.selected_for == "mean displacement over depths of 0, 2 and 5 m"
     for history, simulation, environment in evolved(settings, tmp_path):
         moved = {
             depth: environments.roll_out(

@@ -106,7 +106,7 @@ def test_the_papers_objective_is_displacement() -> None:
     assert {one.name: (one.label, one.unit) for one in OBJECTIVES.values()} == {
         "displacement": ("Displacement", "m"),
         "displacement_per_energy": ("Displacement per mechanical energy", "m/kJ"),
-        "mean_over_depths": ("Mean displacement over several depths", "m"),
+        "mean_over_depths": ("Mean displacement", "m"),
         "second_half_speed": ("Speed in the second half", "m/s"),
     }
 
@@ -148,4 +148,4 @@ def test_rollouts_at_other_depths_belong_to_an_objective_over_depths(objective, 
 def test_an_objective_in_words() -> None:
     assert OBJECTIVES["displacement"].in_words() == "displacement"
     words = OBJECTIVES["mean_over_depths"].in_words((0.0, 0.5, 9.0))
-    assert words == "mean displacement over several depths (0, 0.5, 9 m)"
+    assert words == "mean displacement over depths of 0, 0.5 and 9 m"
