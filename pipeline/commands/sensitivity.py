@@ -54,7 +54,7 @@ def sensitivity(
     """Decide otherwise what the paper leaves open, one choice at a time, and show whether robots travel as far.
 
     Each variant is a study of the store, at the greatest depth of the settings; a run that is stopped resumes. First
-    the base runs with the settings' trials; from its deviation follows how many trials all studies get.
+    a pilot runs with the settings' trials; from its deviation follows how many trials all studies get.
     """
     from pipeline.report.sensitivity_page import SENSITIVITY, sensitivity_lines, sensitivity_page
 
@@ -97,6 +97,7 @@ def check_page_path(out: Path) -> None:
 class SensitivityPlan:
     """The studies to run."""
 
+    name: str  # of the study that variants depart from, which begins the names of theirs
     base: "Settings"
     choices: Sequence["OpenChoice"]
     names: Sequence[str]  # of the choices, if the user has named them
@@ -108,7 +109,7 @@ class SensitivityPlan:
         adapted = environment if quantity == "adapted" else ""
         return choice.applied(
             self.base,
-            f"name={self.base.name.removesuffix('-base')}-{choice.name}",
+            f"name={self.name}-{choice.name}",
             f"grid.environments=[{environment}]",
             f"grid.n_trials={n_trials}",
             f"transfer.adapted_environments=[{adapted}]",
@@ -159,7 +160,7 @@ def plan_of(settings: "Settings", names: Sequence[str]) -> SensitivityPlan:
         "grid.single_member_depths=[]",
         f"transfer.adapted_environments=[{', '.join(sorted(arm for arm, score in arms if score == 'adapted'))}]",
     )
-    plan = SensitivityPlan(base, chosen, names, left_out)
+    plan = SensitivityPlan(settings.name, base, chosen, names, left_out)
     for choice in chosen:
         plan.study(choice, settings.grid.n_trials)  # names that are too long are refused now
     return plan
@@ -186,9 +187,9 @@ def _run(
 
     n_pilot = plan.base.grid.n_trials
     with _studies(options, execution) as (run, say):
-        base = run(plan.base)
+        pilot = run(changed(plan.base, f"name={plan.name}-pilot"))
         arms = dict.fromkeys(choice.concerns for choice in plan.choices)
-        needed = [trials_to_show(_known(base, arm), n_variants=len(plan.choices), power=power) for arm in arms]
+        needed = [trials_to_show(_known(pilot, arm), n_variants=len(plan.choices), power=power) for arm in arms]
         n_to_show = None if None in needed else max(n for n in needed if n is not None)
         n_trials = max(n_pilot, min(n_to_show or max_trials, max_trials))
         say(f"{n_trials} trials of each study; {n_to_show or 'more than 100,000'} show what is just not negligible")

@@ -150,4 +150,4 @@ def test_champions_that_do_not_move_have_no_deviation_to_plan_with(folder, tmp_p
     where = ("--store", str(tmp_path / "store"), "--out", str(tmp_path / "s.md"))
     assert call(*arguments(folder, *still, *where)) == 2
     said = capsys.readouterr().err
-    assert "study tiny-base: expected champions of true_slush that travel" in said
+    assert "study tiny-pilot: expected champions of true_slush that travel" in said
