@@ -1,6 +1,7 @@
 """Figures of the data set and of the networks trained on it: paper, Fig. 2, and the errors of each member."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,14 @@ from pipeline.report.data import StudyReport
 from pipeline.report.drawing import FIGURE_WIDTH, INK, NothingToDraw, count, draw_interval, legend, sampled
 from pipeline.report.findings import ThrowPaths
 from tasks.analysis.member_error import MemberError
+from tasks.arrays import Float64, Int64
 from tasks.world import ENVIRONMENTS
 
 _COLORS = ("#dd7700", "#1c6fb8", "#7d4aa5")
 """Colours of the projectiles, from short to long."""
 _VIEW = 24.0  # distance shown to either side of the start of a throw [m]
 _POINTS_PER_PATH = 40
+_MOST_SIZES = 6  # panels of sizes
 _RESIDUAL = ENVIRONMENTS["residual_slush"].color
 _VELOCITIES = {"vx": "along x [m/s²]", "vy": "along y [m/s²]", "omega": "angular [rad/s²]"}
 """Components that are drawn, with the label of their acceleration. Residuals of positions are not applied to robots."""
@@ -28,14 +31,14 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
     throws = report.findings.throws
     if throws is None or len(throws.length_scale) == 0:
         raise NothingToDraw(report.findings.why("throws", "no link has been thrown yet, or the study needs no throws"))
-    sizes = np.unique(throws.length_scale)
-    figure = Figure(figsize=(FIGURE_WIDTH, 2.5 * len(sizes) + 0.5))
-    panels = figure.subplots(len(sizes), 1, sharex=True, sharey=True, squeeze=False).ravel()
-    for number, (panel, size) in enumerate(zip(panels, sizes, strict=True)):
-        of_size = throws.length_scale == size
+    titles, group = _sizes(throws.length_scale)
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.5 * len(titles) + 0.5))
+    panels = figure.subplots(len(titles), 1, sharex=True, sharey=True, squeeze=False).ravel()
+    for number, (panel, title) in enumerate(zip(panels, titles, strict=True)):
+        of_size = group == number
         _paths(panel, throws, of_size, _COLORS[number % len(_COLORS)])
         panel.axhline(0, color=ENVIRONMENTS["true_slush"].color, lw=1.2)
-        panel.set_title(f"{size:g} m × {1 / size:.2g} m, {of_size.sum()} throws")
+        panel.set_title(f"{title}, {of_size.sum():,} throws")
         panel.set(aspect="equal", xlim=(-_VIEW, _VIEW), ylim=(-8, 0.7 * _VIEW), ylabel="y [m]")
     panels[-1].set_xlabel("x [m]")
     return figure, (
@@ -44,6 +47,16 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
         f"link is drawn along its path. The view ends {_VIEW:g} m from the start; throws that miss the slush fly "
         "farther."
     )
+
+
+def _sizes(length_scale: Float64) -> tuple[list[str], Int64]:
+    """Group (n_throws,) links by size, or by thirds of the range where there are many; return titles and groups."""
+    sizes, group = np.unique(length_scale, return_inverse=True)
+    if len(sizes) <= _MOST_SIZES:
+        return [f"{size:g} m × {1 / size:.2g} m" for size in sizes], group
+    edges = np.linspace(sizes[0], sizes[-1], 4)
+    titles = [f"{low:.1f} to {high:.1f} m long" for low, high in pairwise(edges)]
+    return titles, np.searchsorted(edges[1:-1], length_scale)
 
 
 def _learned_from(throws: ThrowPaths) -> str:

@@ -5,7 +5,7 @@ from functools import partial
 
 from matplotlib.figure import Figure
 
-from pipeline.report import accuracy_figure, champion_figures, ensemble_figures, gap_figures
+from pipeline.report import accuracy_figure, champion_figures, coverage_figure, ensemble_figures, gap_figures
 from pipeline.report.data import StudyReport
 from pipeline.report.drawing import Drawing, Missing, finish
 from pipeline.report.lineage import family_tree
@@ -35,7 +35,7 @@ def applies(report: StudyReport, part: str) -> bool:
     return report.trains_networks or part not in _OF_NETWORKS
 
 
-_OF_NETWORKS = ("data_set", "residual_error", "member_error", "phantom_thrust", "exploiters")
+_OF_NETWORKS = ("data_set", "coverage", "residual_error", "member_error", "phantom_thrust", "exploiters")
 """Parts of the page about the networks, beside those about their accuracy."""
 
 
@@ -50,6 +50,7 @@ FIGURES: dict[str, tuple[str, Callable[[StudyReport], tuple[Figure, str]]]] = {
     "prediction_accuracy": ("Prediction accuracy", partial(accuracy_figure.prediction_accuracy, n_columns=2)),
     "prediction_accuracy_wide": ("Prediction accuracy", partial(accuracy_figure.prediction_accuracy, n_columns=5)),
     "aggregates": ("Accuracy of members and aggregates", accuracy_figure.aggregates),
+    "coverage": ("What the throws cover", coverage_figure.coverage),
     "residual_error": ("Error of the members on throws", ensemble_figures.residual_error),
     "member_error": ("Error of the members on champions", ensemble_figures.member_error),
     "phantom_thrust": ("Phantom thrust", ensemble_figures.phantom_thrust),

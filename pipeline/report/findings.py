@@ -7,6 +7,7 @@ from typing import Literal
 from tasks.analysis.against_paper import Row
 from tasks.analysis.attribution import Attribution, TransferMatrix
 from tasks.analysis.comparison import Contrast, EvolvedIn
+from tasks.analysis.coverage import CoverageRow
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import Histograms, Regression
@@ -14,6 +15,7 @@ from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.analysis.uncertainty import Estimate
 from tasks.arrays import Float64
 from tasks.evolution import PAPERS_OBJECTIVE, ObjectiveName
+from tasks.world import EnvironmentName
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,10 @@ class Findings:
     """All results of the analysis, or as many as there are."""
 
     throws: ThrowPaths | None = None
+    coverage: Mapping[str, Mapping[EnvironmentName, Sequence[CoverageRow]]] = field(default_factory=dict)
+    """How far pilots are from the throws: by data set in words, and by the environment where they were seen."""
     accuracy: Accuracy | None = None
+    other_regressions: Sequence[Regression] = ()  # of the ensembles that learned from other throws
     against_paper: Sequence[Row] = ()
     objective: ObjectiveName = PAPERS_OBJECTIVE  # what designs were selected for
     selected_for: str = "displacement"  # the objective, in words

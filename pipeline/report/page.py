@@ -12,6 +12,7 @@ from pipeline.report import data
 from pipeline.report.data import ALL_DIVERGED, Draws, StudyReport
 from pipeline.report.downloads import links
 from pipeline.report.drawing import FAINT, INK, PAPER_MARK, Drawing, Missing
+from pipeline.report.ensembles_table import ensembles_table
 from pipeline.report.figures import applies, draw_all
 from pipeline.report.first_screen import first_screen
 from pipeline.report.moving import document, gallery, resource, script, viewer
@@ -82,7 +83,7 @@ def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str
     tests = contrasts(found) if applies(report, "contrasts") else ""
     transfer = grid("transfer_at_depth", "transfer_across_depths", "attribution", "transfer_matrix")
     tree = alone(figures.get("family_tree", ""), lineage(found))
-    networks = grid("aggregates", "data_set", "residual_error", "member_error")
+    networks = grid("aggregates", "data_set", "coverage", "residual_error", "member_error") + ensembles_table(found)
     thrust = alone(figures.get("phantom_thrust", ""))
     exploited = exploiters(found, robots) if applies(report, "exploiters") else ""
     sections = [

@@ -22,6 +22,7 @@ from pipeline.stages.collect import throws_inputs
 from pipeline.stages.data_sets import DataSetId, NetworkId, ensemble_ids, main_data_set
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.part import PartId
+from pipeline.stages.pilot import pilots_inputs
 from pipeline.stages.proposed_design import ANALYSED, PROPOSED, proposal_files, proposed, tank_replays
 from pipeline.stages.report_findings import HISTORIES, findings
 from pipeline.stages.report_replays import EXPLOITERS, TOGETHER, replays_of, replays_of_page
@@ -85,7 +86,7 @@ class FilmsSpec:
 
 def _reads(settings: Settings) -> tuple[str, ...]:
     rest = ("evolve", "transfer", "assess", "analyse")
-    return ("collect", "train", *rest) if settings.needs_ensemble else rest
+    return ("collect", "train", "pilot", *rest) if settings.needs_ensemble else rest
 
 
 def _plan(settings: Settings) -> Sequence[Chain[Settings | FilmsSpec]]:
@@ -132,6 +133,7 @@ def _item(
         inputs[InputName(ASSESSED, trial)] = Input(share, (PREDICTIONS,))
     for of, (analysis,) in upstream["analyse"].done.items():
         inputs[InputName(ANALYSED, of)] = Input(analysis, tuple(analysis.files))
+    inputs |= pilots_inputs(upstream) if "pilot" in upstream else {}
     if settings.needs_ensemble:
         with suppress(MissingInputs):  # the figure of the data set then gives a reason
             inputs |= throws_inputs(upstream["collect"], main_data_set(settings))
@@ -368,7 +370,7 @@ def _films_of_trials(settings: Settings, results: Results, files: Files) -> dict
 
 REPORT = Stage(
     name="report",
-    version=13,
+    version=14,
     unit="pictures",
     reads=_reads,
     plan=_plan,

@@ -26,6 +26,7 @@ from pipeline.stages.analyses.champions import MatrixTestRow, matrices_of
 from pipeline.stages.analyses.instruments import ThrustRow
 from pipeline.stages.collect import read_transitions, throws_among
 from pipeline.stages.part import PartId
+from pipeline.stages.pilot import PILOTED, PilotId, read_coverage
 from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.encoding import decode_table
 from pipeline.workflow.identity import TrialId, deepest_first, trials_of
@@ -33,6 +34,7 @@ from pipeline.workflow.stage import Files, Inputs
 from tasks.analysis.against_paper import Row
 from tasks.analysis.attribution import Attribution
 from tasks.analysis.comparison import Contrast
+from tasks.analysis.coverage import CoverageRow
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import Histograms, Regression
 from tasks.arrays import Float64
@@ -40,6 +42,7 @@ from tasks.design import Designs
 from tasks.design.genes import GENES
 from tasks.evolution import OPERATORS
 from tasks.residual import split_throws
+from tasks.world import EnvironmentName
 
 HISTORIES = "history"  # role of the inputs that are segments of the trial whose champion's family is shown
 
@@ -77,7 +80,11 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
     thrusts = read_rows(analysed.get(PartId(specs.MEMBERS)), "phantom_thrust", ThrustRow)
     return Findings(
         throws=_throws(throws_among(inputs), settings),
-        accuracy=_accuracy(statistics, settings.assessed_depth),
+        coverage=_coverage(inputs),
+        accuracy=_accuracy(statistics, settings),
+        other_regressions=[
+            row for row in read_rows(statistics, "regressions", Regression) if not _is_main(row, settings)
+        ],
         against_paper=read_rows(statistics, "paper", Row),
         contrasts=read_rows(statistics, "contrasts", Contrast),
         attributions=read_rows(statistics, "attribution", Attribution),
@@ -125,8 +132,22 @@ def _throws(chunks: Sequence[Files], settings: Settings) -> ThrowPaths | None:
     return ThrowPaths(lengths, path, seconds=seconds, n_learned=int(learned.sum()))
 
 
-def _accuracy(files: Files, depth: float) -> Accuracy | None:
-    regressions = read_rows(files, "regressions", Regression)
+def _coverage(inputs: Inputs) -> dict[str, dict[EnvironmentName, list[CoverageRow]]]:
+    """Return the coverage of the first replicate of each data set."""
+    pilots = {of.chain: files for of, files in inputs.items() if of.role == PILOTED}
+    return {
+        of.data_set.words: read_coverage(files)
+        for of, files in pilots.items()
+        if isinstance(of, PilotId) and of.data_set.replicate == 0
+    }
+
+
+def _is_main(row: Regression, settings: Settings) -> bool:
+    return row.learned_from == settings.throw_groups[0]
+
+
+def _accuracy(files: Files, settings: Settings) -> Accuracy | None:
+    regressions = [row for row in read_rows(files, "regressions", Regression) if _is_main(row, settings)]
     if not regressions:
         return None
     table = read_table(files, "histograms")
@@ -135,7 +156,9 @@ def _accuracy(files: Files, depth: float) -> Accuracy | None:
         return None
     names, edges = tuple(table["name"][shown].tolist()), table["edges"][0]
     counts = table["counts"][shown].reshape(len(shown), len(edges) - 1, -1)
-    return Accuracy(depth, regressions, Histograms(names, edges, counts, table["n_outside"][shown], None))
+    return Accuracy(
+        settings.assessed_depth, regressions, Histograms(names, edges, counts, table["n_outside"][shown], None)
+    )
 
 
 def _family(inputs: Inputs, trial: TrialId) -> Family | None:

@@ -1,7 +1,8 @@
 """Which throws to make next: starts that would teach an ensemble most about the states of robots.
 
-Half of them fill holes: states that pilot robots pass through, far from every throw, and where members disagree. The
-other half covers the range of robots evenly. Throws at the states of robots alone would make things worse: members then
+Half of them fill holes: states that pilot robots pass through, far from every throw, and where members disagree. States
+beyond the range of robots are left out, because an ensemble that is wrong may throw its pilots there. The other half of
+the starts covers that range evenly. Throws at the states of robots alone would make things worse: members then
 agree where all are wrong.
 """
 
@@ -9,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tasks.arrays import Float32, Float64
+from tasks.arrays import Bools, Float32, Float64
 from tasks.residual.observation import OBSERVATION
+from tasks.residual.robot_ranges import robot_ranges
 from tasks.residual.support import deviations, distances
 from tasks.residual.throws import Starts, even_starts
 from tasks.world import Physics
@@ -45,20 +47,28 @@ def suggest_throws(
         Starts, numbered from 0.
 
     Raises:
-        ValueError: n is less than 1, or there are no pilots or throws.
+        ValueError: n is less than 1, or there are no throws.
     """
     if n < 1:
         raise ValueError(f"n is {n}, expected at least 1 throw")
+    physics = physics or Physics()
+    pilots = pilots[_within_range(pilots, physics)]
     n_holes = min(round(_SHARE_OF_HOLES * n), len(pilots))
     chosen = pilots[_holes(n_holes, pilots, thrown, ensemble)]
     angle = np.arccos(np.clip(chosen[:, _COS], -1, 1)) * rng.choice((-1, 1), n_holes)  # cos θ leaves its sign open
     columns = (np.zeros(n_holes), chosen[:, _Y], angle % (2 * np.pi), *chosen[:, [_VX, _VY, _OMEGA]].T)
-    even = even_starts(n - n_holes, physics or Physics(), rng)
+    even = even_starts(n - n_holes, physics, rng)
     return Starts(
         np.arange(n),
         np.concatenate([chosen[:, _A].astype(np.float64), even.length_scale]),
         np.concatenate([np.stack(columns, axis=1).astype(np.float32), even.state]),
     )
+
+
+def _within_range(pilots: Float32, physics: Physics) -> Bools:
+    ranges = robot_ranges(physics)
+    limits = (np.inf, ranges.y_reach, np.inf, ranges.max_velocity, ranges.max_velocity, ranges.max_omega)
+    return np.asarray((np.abs(pilots) <= limits).all(axis=1))
 
 
 def _holes(n: int, pilots: Float32, thrown: Float32, ensemble: "Ensemble") -> list[int]:

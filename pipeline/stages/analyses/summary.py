@@ -61,7 +61,8 @@ def _statistics(files: Files) -> Highlights:
         arm = Arm(gap.evolved_in, gap.depth).label.replace("/", ".")
         metrics[f"ratio_to_true_slush.zero_shot.{arm}"] = gap.recovered_zero_shot.value
         metrics[f"ratio_to_true_slush.adapted.{arm}"] = gap.recovered_adapted.value
-    for fit in read_rows(files, "regressions", Regression):
+    fits = read_rows(files, "regressions", Regression)
+    for fit in (fit for fit in fits if fit.learned_from == fits[0].learned_from):  # those of the main ensemble
         if fit.name in _AGGREGATE_METRICS or fit.name.startswith("member"):
             name = _AGGREGATE_METRICS.get(fit.name, fit.name.replace(" ", "-"))
             metrics |= {f"accuracy.r.{name}": fit.r.value, f"accuracy.slope.{name}": fit.slope.value}

@@ -15,12 +15,14 @@ from pipeline.report.replay import Replay, replay_of
 from tasks.analysis.against_paper import against_paper
 from tasks.analysis.attribution import attribute, transfer_matrix
 from tasks.analysis.comparison import Scores, sweep
+from tasks.analysis.coverage import EVERYTHING, CoverageRow
 from tasks.analysis.hallucination import rank_exploiters
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import accuracy, aggregates, histograms, members, members_ranges
 from tasks.analysis.uncertainty import Estimate, mean
 from tasks.design import random_designs
+from tasks.residual import OBSERVATION
 from tasks.simulation import simulate
 from tasks.world import DryLand, TrueSlush
 
@@ -91,6 +93,12 @@ def trial(environment: str, depth: float, number: int, predicted: float, zero_sh
 ARMS = ("true_slush", "dry_land", "residual_slush", "single_member")
 
 
+def _covered(share: float) -> list[CoverageRow]:
+    """Shares of 1 to 6 times the given one for the components, which make 21 times in all."""
+    rows = [CoverageRow(name, 1000, (k + 1) * share, -1.0, 1.0, 0.6, 1.2) for k, name in enumerate(OBSERVATION)]
+    return [CoverageRow(EVERYTHING, 1000, 21 * share, np.nan, np.nan, 0.6, 1.2), *rows]
+
+
 @pytest.fixture(scope="session")
 def findings() -> Findings:
     """The analysis of random numbers: 4 members over 300 designs, and 4 arms of 5 trials at 1 and 9 m."""
@@ -114,6 +122,11 @@ def findings() -> Findings:
     paths = np.stack((speed * (1 - np.exp(-time)), start - time, 5 * time + start), axis=-1)
     return Findings(
         throws=ThrowPaths(np.repeat([1.0, 2.0, 3.0], 3), paths, 3.3, n_learned=8),
+        coverage={
+            group: {seen_in: _covered(share) for seen_in in ("dry_land", "residual_slush")}
+            for group, share in (("throws", 0.01), ("designed_throws", 0.002))
+        },
+        other_regressions=[replace(fit, learned_from="designed_throws") for fit in fits],
         accuracy=Accuracy(9.0, fits, histograms(shown, true, n_bins=24)),
         against_paper=against_paper(scores, fits, ranges, rng=rng),
         contrasts=sweep(scores, rng=rng),

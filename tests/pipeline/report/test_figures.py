@@ -47,8 +47,8 @@ def test_the_same_bytes_each_time_whatever_style_is_set(study, drawn):
 
 
 def test_the_arms_have_their_colours_and_names(study):
-    randomised = replace(study.trials[0], environment="randomised_slush")
-    drawing = draw("transfer_at_depth", replace(study, trials=[*study.trials, randomised]))
+    others = [replace(study.trials[0], environment=name) for name in ENVIRONMENTS]
+    drawing = draw("transfer_at_depth", replace(study, trials=[*study.trials, *others]))
     svg = drawing.svg.decode()
     for style in ENVIRONMENTS.values():
         assert style.color in svg
@@ -74,12 +74,25 @@ def test_only_velocities_in_the_residuals_error(drawn):
     assert "x [m]" not in labels
 
 
+def test_many_sizes_of_links_are_grouped(study):
+    many = replace(study.findings.throws, length_scale=np.linspace(1.0, 3.0, 9))
+    drawing = draw("data_set", replace(study, findings=replace(study.findings, throws=many)))
+    assert {"1.0 to 1.7 m long, 3 throws", "2.3 to 3.0 m long, 3 throws"} <= set(texts(drawing))
+
+
+def test_coverage_has_a_bar_for_each_component(drawn):
+    labels = texts(drawn["coverage"])
+    assert {"length", "height", "angle", "spin", "the paper’s throws", "throws designed for robots"} <= set(labels)
+    assert any("robots evolved in the ensemble: 21 %" in label for label in labels)
+
+
 def test_an_empty_study_says_why_for_each(study):
     empty = draw_all(replace(study, trials=[], residual_errors=[], findings=Findings()))
     assert {name: missing.reason for name, missing in empty.items() if isinstance(missing, Missing)} == {
         "attribution": "no champion’s controller has been adapted yet",
         "transfer_matrix": "no champion has been tested at another depth than its own yet",
         "data_set": "no link has been thrown yet, or the study needs no throws",
+        "coverage": "no robots have been compared with the throws yet",
         "prediction_accuracy": "no design has been simulated under every member yet",
         "prediction_accuracy_wide": "no design has been simulated under every member yet",
         "aggregates": "no design has been simulated under every member yet",
