@@ -26,6 +26,9 @@ def suggested_throws(study: Study, n: int, throws: str | None = None) -> Starts:
         n: number of throws, at least 1.
         throws: settings group of the throws that were made; by default the study's main one.
 
+    Returns:
+        n starts.
+
     Raises:
         PuddleError: n is out of range, or the study has no such ensemble, no pilots or no throws.
     """

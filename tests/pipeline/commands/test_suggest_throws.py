@@ -32,7 +32,7 @@ def test_it_lists_and_writes_starts(recorded, tmp_path, capsys):
     [
         (("--n", 0), "--n: expected 1 to 10,000 throws, got 0"),
         (("--throws", "designed_throws"), "no ensemble of replicate 0 of designed_throws: expected one of throws"),
-        (("--study", "nobody"), "nobody"),
+        (("--study", "missing"), "missing"),
         (("--out", "/nowhere/throws.csv"), "writing throws"),
     ],
 )
