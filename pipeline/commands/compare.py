@@ -23,8 +23,9 @@ _WIDTH = 80
 _START_OF_A_PAGE = b"<!doctype html"
 _LEGEND = (
     "Mean ± SD over trials [m]; difference with the 95 % interval of Welch's test; Hedges' g; p of Welch's test after "
-    "Holm's correction over all rows. ✓ negligible: the interval lies within ± 20 % of what B's designs evolved in "
-    "True Slush travel; ≠ not negligible: it lies outside; ? cannot tell, and how many trials each study would need."
+    "Holm's correction over all rows; where a study has replicates, interval and p include the variance between these. "
+    "✓ negligible: the interval lies within ± 20 % of what B's designs evolved in True Slush travel; ≠ not negligible: "
+    "it lies outside; ? cannot tell, and how many trials each study would need."
 )
 
 
@@ -93,7 +94,7 @@ def comparison_lines(pair: "StudyPair") -> Iterator[str]:
     for row in pair.differences:
         if _arm(row) != arm:
             arm = _arm(row)
-            yield f"{arm}, n = {row.a.n} and {row.b.n}"
+            yield f"{arm}, n = {row.a.n} and {row.b.n}{_replicates(row)}"
         yield _row(row)
     yield ""
     yield from textwrap.wrap(f"{headline(pair)}.", _WIDTH)
@@ -111,6 +112,11 @@ def _arm(row: "StudyDifference") -> str:
     return f"{ENVIRONMENTS[row.evolved_in].label}, {row.depth:g} m"
 
 
+def _replicates(row: "StudyDifference") -> str:
+    n_a, n_b = row.a.n_replicates, row.b.n_replicates
+    return f" in {n_a} and {n_b} replicates" if max(n_a, n_b) > 1 else ""
+
+
 def _row(row: "StudyDifference") -> str:
     from pipeline.report.page_tables import VERDICT_MARKS
     from pipeline.report.pair_page import QUANTITY_WORDS
@@ -118,7 +124,7 @@ def _row(row: "StudyDifference") -> str:
     from tasks.analysis.equivalence import MOST_TRIALS
 
     g = "-" if row.hedges_g.value is None else _short(row.hedges_g.value, 2)
-    p = "-" if row.welch_holm is None else p_value(row.welch_holm).replace(" ", "")
+    p = "-" if row.clustered_holm is None else p_value(row.clustered_holm).replace(" ", "")
     mark = VERDICT_MARKS[row.judgement.verdict]
     if (n := row.judgement.n_needed) is not None:
         mark += " >1k" if n > MOST_TRIALS else f" {n:g}"

@@ -11,6 +11,7 @@ from pipeline.store.tables import Columns, columns_of, csv_of, text
 from pipeline.text import escape
 from tasks.analysis.against_paper import Row
 from tasks.analysis.comparison import Contrast
+from tasks.analysis.variance_split import VarianceRow
 
 _Row = TypeVar("_Row")
 
@@ -22,6 +23,7 @@ def tables_of(report: StudyReport) -> dict[str, bytes]:
         "transfer": _scores(report),
         "paper": columns_of(Row, found.against_paper),
         "contrasts": columns_of(Contrast, found.contrasts),
+        "variance": columns_of(VarianceRow, found.replicated),
         "exploiters": columns_of(ExploiterRow, found.exploiters),
         "luck": _by_arm(ChampionRow, found.champions),
         "tank": _by_arm(TankRow, found.tank_tests),

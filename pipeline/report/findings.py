@@ -13,6 +13,7 @@ from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import Histograms, Regression
 from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.analysis.uncertainty import Estimate
+from tasks.analysis.variance_split import VarianceRow
 from tasks.arrays import Float64
 from tasks.evolution import PAPERS_OBJECTIVE, ObjectiveName
 from tasks.world import EnvironmentName
@@ -131,6 +132,7 @@ class Findings:
     selected_for: str = "displacement"  # the objective, in words
     contrasts: Sequence[Contrast] = ()
     attributions: Sequence[Attribution] = ()
+    variances: Sequence[VarianceRow] = ()
     transfer_matrices: Mapping[EvolvedIn, TransferMatrix] = field(default_factory=dict)  # by where champions evolved
     exploiters: Sequence[ExploiterRow] = ()  # ordered by rank
     champions: Mapping[str, Sequence[ChampionRow]] = field(default_factory=dict)  # by arm, in words
@@ -140,6 +142,11 @@ class Findings:
     tank: Tank | None = None
     tank_tests: Mapping[str, Sequence[TankRow]] = field(default_factory=dict)  # by arm, in words
     missing: Mapping[str, str] = field(default_factory=dict)  # reason by field of this class, where a stage gives one
+
+    @property
+    def replicated(self) -> Sequence[VarianceRow]:
+        """The variances of arms with several replicates."""
+        return [row for row in self.variances if row.n_replicates > 1]
 
     def why(self, name: str, otherwise: str) -> str:
         """Return the reason why a field is empty."""

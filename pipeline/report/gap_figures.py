@@ -1,5 +1,6 @@
 """Figures of the transfer gap: its attribution to body and controller, and transfer between depths."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ def attribution(report: StudyReport) -> tuple[Figure, str]:
         panel.set_title(ENVIRONMENTS[arm].label)
         panel.grid(axis="y")
         panel.set_ylabel("gap [m]")
+    is_cut = _limit_by_bars(panels[0], rows)
     show_at_least(panels[0])
     panels[-1].set_xticks(range(len(listed)), [f"{depth:g}" for depth in listed])
     panels[-1].set_xlim(-0.6, len(listed) - 0.4)
@@ -48,7 +50,20 @@ def attribution(report: StudyReport) -> tuple[Figure, str]:
         "How far zero-shot champions fall short, in True Slush, of champions that evolved there (diamonds with 95 % "
         "intervals), and why. The controller’s part (hatched) is recovered when the controller adapts; the body’s part "
         "(plain) remains. A part below 0 compensates for some of the other."
+        + (" Intervals that leave their panel go on beyond it." if is_cut else "")
     )
+
+
+def _limit_by_bars(panel: Any, rows: Sequence[Attribution]) -> bool:
+    """Keep intervals from making the bars too small to read; return whether some of them are cut.
+
+    Two replicates leave a single degree of freedom, and intervals ten times as long as the gap.
+    """
+    parts = (part.value for row in rows for part in (row.gap, row.lost_to_body, row.lost_to_controller))
+    most = 2 * max(0.05, *(abs(part) for part in parts if part is not None))
+    low, high = panel.get_ylim()
+    panel.set_ylim(max(low, -most), min(high, most))
+    return bool(low < -most or high > most)
 
 
 def _stack(panel: Any, place: int, row: Attribution) -> None:

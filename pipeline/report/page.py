@@ -18,7 +18,7 @@ from pipeline.report.first_screen import first_screen
 from pipeline.report.moving import document, gallery, resource, script, viewer
 from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, robots_on, tank_tests
 from pipeline.report.replay import Replay
-from pipeline.report.transfer_table import transfer_table
+from pipeline.report.transfer_table import transfer_table, variance_table
 from pipeline.report.wording import absent, folded, percent
 from pipeline.text import escape
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
@@ -89,7 +89,7 @@ def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str
     sections = [
         ("evolved", "What evolved", _GALLERY + gallery(report.replays, reason=reason)),
         ("watch", "Watch them move", viewer(report.replays, study=report.name, reason=reason)),
-        ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials, found)),
+        ("transfer", "Transfer to True Slush", transfer + transfer_table(report.trials, found) + variance_table(found)),
         ("tank", "The robot to build", tank_tests(found, robots)),
         ("paper", "Comparison with the paper", against_paper(found)),
         ("tests", "t tests", tests),

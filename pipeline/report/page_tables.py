@@ -58,12 +58,19 @@ def against_paper(findings: Findings) -> str:
     return (
         f'<div id="against_paper"><h3>{count_verdicts(row.verdict for row in shown)}</h3>{content if shown else ""}'
         '<p class="small">Below each number of this run is its 95 % interval: Student’s t for means, the bootstrap '
-        "over whole trials for ratios and regressions, and the intervals of both ends for a range over members. A "
+        "over whole trials for ratios and regressions, and the intervals of both ends for a range over members."
+        f"{_REPLICATES if findings.replicated else ''} A "
         "number agrees if the 95 % interval of its difference from the paper’s lies within the bounds given under "
         "“Why”, and differs if it lies outside; that interval includes the uncertainty of the paper’s own trials. A "
         "range over members agrees if it contains the interval of this run’s median member, and the ratio of "
         f"deviations if its whole interval is above 1.{left_out}</p></div>"
     )
+
+
+_REPLICATES = (
+    " Means and ratios of arms with several replicates have intervals that include the variance between these, and so "
+    "does the variance of the paper’s own numbers, which come from a single replicate."
+)
 
 
 def _is_test(row: Row) -> bool:
@@ -124,6 +131,7 @@ def contrasts(findings: Findings) -> str:
     cells = [[*_contrast_cells(row), _statement_cell(statement)] for row, statement in judged]
     n_columns = len(columns) if beside_paper else len(columns) - 1
     content = table(columns[:n_columns], (row[:n_columns] for row in cells), title, kind="tests")
+    replicated = any(side.n_replicates > 1 for row in ranked for side in (row.comparison.a, row.comparison.b))
     stated = [statement for _, statement in judged if statement]
     verdicts = f": {count_verdicts(row.verdict for row in stated)}" if stated else ""
     rule = (
@@ -136,8 +144,17 @@ def contrasts(findings: Findings) -> str:
         '<p class="small">Two-sided p-values, and below them the p-value after Holm’s correction over all of these '
         "tests. The paper uses Student’s t test. Welch’s test does not assume equal variances, and "
         "Mann–Whitney’s (M–W) does not assume normality either. Ratios of means have 95 % bootstrap intervals. Hedges’ "
-        f"g is the difference in standard deviations.{rule if stated else ''}</p></div>"
+        f"g is the difference in standard deviations.{_CLUSTERED if replicated else ''}{rule if stated else ''}</p>"
+        "</div>"
     )
+
+
+_CLUSTERED = (
+    " These three tests treat trials as independent, as the paper does, but trials of one replicate share their throws "
+    "and networks. The clustered test is Welch’s with errors that include the variance between replicates; so do the "
+    "intervals of the ratios of such arms (delta method). Arms that share networks count as independent, which makes "
+    "the test cautious."
+)
 
 
 def _by_p(row: Contrast) -> tuple[float, float]:
@@ -162,13 +179,17 @@ def _contrast_cells(row: Contrast) -> list[str]:
         number(side.mean.value) + ("" if side.sd is None else f" ± {number(side.sd)}") for side in sides
     )
     means += f"<small>n\u00a0=\u00a0{made.a.n}, {made.b.n}</small>"
+    replicated = max(side.n_replicates for side in sides) > 1
+    if replicated:
+        means += f"<small>in {made.a.n_replicates}, {made.b.n_replicates} replicates</small>"
     other = "".join(
         f"<small>{name} {escape(p_value(test.p))}, Holm {escape(p_value(holm))}</small>"
         for name, test, holm in (
             ("Welch", made.welch, row.welch_holm),
             ("M–W", made.mann_whitney, row.mann_whitney_holm),
+            ("Clustered", made.clustered, row.clustered_holm),
         )
-        if test.p is not None
+        if test.p is not None and (replicated or name != "Clustered")
     )
     return [
         f"{escape(name_of(row.a))} against {escape(name_of(row.b))}<small>{row.depth:g}\u00a0m</small>",

@@ -69,7 +69,8 @@ class StudyPair:
 
 NOTE = (
     "A − B is the difference of the means; a positive one means that A’s robots go farther. Its 95 % interval and the "
-    "p-values are those of Welch’s test, two-sided, which does not assume equal variances. Below a p-value is the one "
+    "p-values are those of Welch’s test, two-sided, which does not assume equal variances. If a study has several "
+    "replicates of its throws and networks, they include the variance between these. Below a p-value is the one "
     "after Holm’s correction over all tests of this page. Hedges’ g is the difference in pooled standard deviations, "
     "with its 95 % interval. A difference is negligible (“agrees”) if its whole 95 % interval lies within ± 20 % of "
     "the displacement of B’s designs evolved in True Slush at that depth, or of B’s mean of the same arm if there are "
@@ -82,8 +83,8 @@ NOTE = (
 INDEPENDENCE = (
     "The two groups count as independent. With the same seed, trials of the same number start from the same random "
     "numbers and part only where a setting matters; that makes the groups more alike, and the tests cautious. A group "
-    "of trials that are the same in both studies is not tested. All trials of a study in Residual Slush share its data "
-    "set and its ensemble, so there n measures the spread of evolution only."
+    "of trials that are the same in both studies is not tested. All trials in Residual Slush share the data set and "
+    "the ensemble of their replicate. In a study with one replicate, n there measures the spread of evolution only."
 )
 """What the tests assume."""
 
@@ -256,14 +257,16 @@ def _tests(pair: StudyPair) -> str:
 
 def _test_cells(row: StudyDifference) -> list[str]:
     sides = "<br>".join(_plus_minus(side.mean.value, side.sd) for side in (row.a, row.b))
-    holm = "" if row.welch_holm is None else f"<small>Holm {escape(p_value(row.welch_holm))}</small>"
+    holm = "" if row.clustered_holm is None else f"<small>Holm {escape(p_value(row.clustered_holm))}</small>"
+    replicated = max(row.a.n_replicates, row.b.n_replicates) > 1
+    n_replicates = f"<small>in {row.a.n_replicates}, {row.b.n_replicates} replicates</small>" if replicated else ""
     arm_name = f"{_swatch(row.evolved_in)}, {QUANTITY_WORDS[row.quantity]}"
     return [
         f"{arm_name}<small>{row.depth:g}\u00a0m</small>",
-        f"{sides}<small>n\u00a0=\u00a0{row.a.n}, {row.b.n}</small>",
+        f"{sides}<small>n\u00a0=\u00a0{row.a.n}, {row.b.n}</small>{n_replicates}",
         interval(replace(row.difference, reason=None)),  # the verdict's cell gives it
         interval(replace(row.hedges_g, reason=None), "{:.2f}"),
-        escape(p_value(row.welch.p)) + holm,
+        escape(p_value(row.clustered.p)) + holm,
         f"{verdict_mark(row.judgement.verdict)}<small>{typeset(_why(row))}</small>",
     ]
 

@@ -1,13 +1,14 @@
-"""The table of transfer: every arm at every depth, beside the paper's numbers where it gives them."""
+"""The tables of transfer: every arm at every depth beside the paper's numbers, and the variance between replicates."""
 
 from collections.abc import Sequence
 
-from pipeline.report.data import Measure, TrialMean, TrialResult, arm, depths, paper_mean, ratio, trial_mean
+from pipeline.report.data import Measure, TrialMean, TrialResult, arm, arm_words, depths, paper_mean, ratio, trial_mean
 from pipeline.report.downloads import links
 from pipeline.report.findings import Findings
-from pipeline.report.wording import NONE, absent, number, percent, scrolling
+from pipeline.report.wording import NONE, absent, number, percent, scrolling, table
 from pipeline.text import escape
 from tasks.analysis import paper
+from tasks.analysis.variance_split import VarianceRow
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
@@ -112,3 +113,41 @@ def _spread(found: TrialMean | None) -> str:
     if found is None:
         return NONE
     return number(found.mean) + (f" ± {number(found.sd)}" if found.sd is not None else "")
+
+
+def variance_table(findings: Findings) -> str:
+    """Tabulate the deviations between and within replicates; nothing where no arm has several."""
+    by_arm: dict[tuple[EnvironmentName, float], dict[str, VarianceRow]] = {}
+    for row in findings.replicated:
+        by_arm.setdefault((row.evolved_in, row.depth), {})[row.quantity] = row
+    if not by_arm:
+        return ""
+    columns = ("Evolved in", "Predicted [m]", "Zero-shot [m]", "Adapted [m]")
+    rows = []
+    for arm_of, of_quantity in sorted(by_arm.items(), key=lambda entry: -entry[0][1]):
+        largest = max(of_quantity.values(), key=lambda row: row.n)
+        head = f"{escape(arm_words(*arm_of))}<small>n = {largest.n} in {largest.n_replicates} replicates</small>"
+        cells = (_deviations(of_quantity.get(name)) for name in ("predicted", "zero_shot", "adapted"))
+        rows.append([head, *cells])
+    title = "Variance between and within replicates"
+    note = (
+        "Standard deviation between and within replicates, and the share of the variance that lies between them, with "
+        "its 95 % interval (F test). Replicates differ in their throws and in the training of their networks; both "
+        "change together, so this study can’t tell one from the other. Trials of one replicate differ in their "
+        "evolution, and single members in the training of their networks too. Robots of True Slush and Dry Land "
+        "depend on no replicate. With few replicates the share is hardly known."
+    )
+    content = table(columns, rows, title, kind="named") + links("variance.csv")
+    return f'<div id="variance"><h3>{title}</h3>{content}<p class="small">{note}</p></div>'
+
+
+def _deviations(row: VarianceRow | None) -> str:
+    if row is None:
+        return NONE
+    share = row.share_between
+    if row.sd_between is None or row.sd_within is None:
+        return f"{NONE}<small>{escape(share.reason or '')}</small>"
+    deviations = f"{number(row.sd_between)} between, {number(row.sd_within)} within"
+    if share.value is None or share.low is None or share.high is None:
+        return f"{deviations}<small>{escape(share.reason or '')}</small>"
+    return f"{deviations}<small>{percent(share.value)} between ({percent(share.low)} to {percent(share.high)})</small>"

@@ -60,6 +60,7 @@ CATALOGUE: Mapping[str, TableSource] = {
     "contrasts": _analysed(specs.STATISTICS, "contrasts"),
     "attribution": _analysed(specs.STATISTICS, "attribution"),
     "paper": _analysed(specs.STATISTICS, "paper"),
+    "variance": _analysed(specs.STATISTICS, "variance"),
     "phantom_thrust": _analysed(specs.MEMBERS, "phantom_thrust"),
     "member_errors": _analysed(specs.MEMBERS, "member_errors"),
     "transfer_tests": _analysed(specs.MATRIX, "tests"),

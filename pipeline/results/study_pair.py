@@ -9,7 +9,9 @@ from pipeline.errors import PuddleError
 from pipeline.report.data import TrialResult
 from pipeline.report.pair_page import ComparedStudy, StudyPair
 from pipeline.results.recorded_study import Study
+from pipeline.stages.data_sets import replicate_of
 from pipeline.store.provenance import environment as provenance
+from pipeline.workflow.identity import TrialId
 from pipeline.workflow.record import setting_changes
 from tasks.analysis.comparison import Scores
 from tasks.analysis.study_differences import compare_studies
@@ -33,7 +35,7 @@ def pair_of(a: Study, b: Study) -> StudyPair:
                 f"study {study.name} has no champions: no trial has been transferred to True Slush yet, or every "
                 f"design diverged"
             )
-    differences = compare_studies(*map(_scores, trials))
+    differences = compare_studies(*(_scores(study, of) for study, of in zip((a, b), trials, strict=True)))
     if not differences:
         raise PuddleError(
             f"studies {a.name} and {b.name} have no champions of the same environment at the same depth yet: expected "
@@ -113,7 +115,9 @@ def _trials(study: Study) -> list[TrialResult]:
     ]
 
 
-def _scores(trials: Sequence[TrialResult]) -> Scores:
+def _scores(study: Study, trials: Sequence[TrialResult]) -> Scores:
+    n_replicates = study.settings.replicates
+    identities = [TrialId("transfer", of.environment, of.depth, of.trial, n_replicates) for of in trials]
     predicted, zero_shot, adapted = (
         np.array([getattr(trial, name) for trial in trials], dtype=np.float64)  # None becomes NaN
         for name in ("predicted", "zero_shot", "adapted")
@@ -125,4 +129,5 @@ def _scores(trials: Sequence[TrialResult]) -> Scores:
         predicted,
         zero_shot,
         adapted,
+        np.array([replicate_of(trial) for trial in identities]),
     )

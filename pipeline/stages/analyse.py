@@ -7,8 +7,9 @@ four columns: X, X_low, X_high (95 %) and X_reason (why X or its interval is mis
 stated otherwise.
 
 ``statistics``, from scores and predictions alone:
-    scores.parquet       a row per trial: environment, depth, trial; where it evolved: fitness, predicted (displacement,
-                         the mean over members), predicted_sd (σ over members); zero_shot, zero_shot_com,
+    scores.parquet       a row per trial: environment, depth, trial, replicate (of the throws and networks that it
+                         depends on; 0 for all trials without networks); where it evolved: fitness, predicted
+                         (displacement, the mean over members), predicted_sd (σ over members); zero_shot, zero_shot_com,
                          zero_shot_reach (root minus centre of mass), adapted, adapted_com, adapted_reach, status ("ok"
                          or the reason why there are no scores)
     regressions.parquet  a row per predictor ("member 0", "mean", "mean - 1 sd", "min", ...): name, n, n_left_out,
@@ -16,8 +17,10 @@ stated otherwise.
     histograms.parquet   a row per member, mean and mean - 1 sd: name, n_outside, edges (n_bins + 1 numbers, for both
                          axes), counts (n_bins² numbers: reshape to predicted by true)
     contrasts.parquet    a row per contrast and depth: a, b ("dry_land/adapted"), depth; for each side X = a, b: X_n,
-                         X_n_left_out, the estimate X_mean, X_sd; for each test T = student, welch, mann_whitney:
-                         T_statistic, T_p, T_reason; the estimates hedges_g and ratio; T_holm (p over all rows)
+                         X_n_left_out, X_n_replicates, the estimate X_mean, X_sd; for each test T = student, welch,
+                         mann_whitney, clustered: T_statistic, T_p, T_reason; the estimates hedges_g and ratio; T_holm
+                         (p over all rows). Of trials that share throws and networks, only the test clustered and the
+                         intervals of X_mean and ratio take account
     attribution.parquet  a row per arm and depth: evolved_in, depth, n, n_best, and the estimates predicted, zero_shot,
                          adapted, best, best_adapted, hallucinated, gap, lost_to_controller, lost_to_body,
                          lost_to_body_equally_searched, controller_share, body_share, recovered_zero_shot,
@@ -26,7 +29,12 @@ stated otherwise.
     paper.parquet        a row per number of the paper: what, paper, source, this_run, verdict ("agrees", "differs",
                          "cannot tell", "not comparable"), why, value, interval (in words: 95 %, for a range those of
                          its ends), low, high (ends of the 95 % interval of value), p; value is the median for a range,
-                         and the difference of the means for a t test
+                         and the difference of the means for a t test; p is Student's, as the paper's
+    variance.parquet     a row per arm, depth and quantity ("predicted", "zero_shot", "adapted"): evolved_in, depth,
+                         quantity, n, n_replicates; variances between (replicates: throws and training, which change
+                         together) and within (evolution) [m²], and as deviations sd_between, sd_within; the estimate
+                         share_between (between over the sum of both); NaN where there is one replicate, or one trial
+                         in each
 ``members``, from networks and throws:
     phantom_thrust.parquet  a row per member: member, the estimate thrust [m/s²] (does not need True Slush)
     member_errors.parquet   on held-out throws, a row per member, component, band and immersion: member, component,

@@ -79,6 +79,11 @@ def data_set_of(trial: TrialId, group: str) -> DataSetId:
     return DataSetId(group if kind.networks == "none" else kind.learns_from, trial.replicate)
 
 
+def replicate_of(trial: TrialId) -> int:
+    """Return the replicate that a trial depends on; 0 for all trials of an environment without networks."""
+    return 0 if ENVIRONMENTS[trial.environment].networks == "none" else trial.replicate
+
+
 def own_network(trial: TrialId) -> int:
     """Return the number of the network that a single-member trial has for itself in its data set."""
     return trial.index // trial.n_replicates

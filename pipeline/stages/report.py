@@ -370,7 +370,7 @@ def _films_of_trials(settings: Settings, results: Results, files: Files) -> dict
 
 REPORT = Stage(
     name="report",
-    version=14,
+    version=15,
     unit="pictures",
     reads=_reads,
     plan=_plan,

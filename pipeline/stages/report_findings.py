@@ -37,6 +37,7 @@ from tasks.analysis.comparison import Contrast
 from tasks.analysis.coverage import CoverageRow
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import Histograms, Regression
+from tasks.analysis.variance_split import VarianceRow
 from tasks.arrays import Float64
 from tasks.design import Designs
 from tasks.design.genes import GENES
@@ -88,6 +89,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         against_paper=read_rows(statistics, "paper", Row),
         contrasts=read_rows(statistics, "contrasts", Contrast),
         attributions=read_rows(statistics, "attribution", Attribution),
+        variances=read_rows(statistics, "variance", VarianceRow),
         transfer_matrices=matrices_of(tests),
         exploiters=read_rows(analysed.get(PartId(specs.EXPLOITERS)), "exploiters", ExploiterRow),
         champions={words: read_rows(files, "champions", ChampionRow) for words, files in instruments.items()},

@@ -4,11 +4,16 @@ Every row is judged by :mod:`tasks.analysis.equivalence`, with bounds that :mod:
 
 - A number agrees if the difference from the paper's is shown to be negligible. The interval of the difference is this
   run's 95 % interval widened by √(1 + n / n_paper), because the paper's number comes from a sample too: variances add
-  and are proportional to 1/n, where n counts what was resampled, such as trials.
+  and are proportional to 1/n, where n counts what was resampled, such as trials. The paper has one data set and one
+  ensemble. Where this run has several, its variance between them counts in full for the paper, and n_paper is smaller.
 - A range over members agrees if it contains the interval of this run's median member.
-- The statement that single members vary more agrees if the whole interval of the ratio is above 1.
+- The statement that single members vary more agrees if the whole interval of the ratio is above 1. Deviations are from
+  the replicate's mean, because the paper has one replicate.
 - "No difference" agrees if the difference of the means is shown to be negligible, a fifth of the displacement of the
   designs evolved in True Slush. "Less" and "greater" agree if the whole interval of the difference has that direction.
+
+Intervals include the variance between replicates (:mod:`tasks.analysis.replicates`), and numbers of trials that would
+tell are of as many more replicates. The p-values are of Student's t test, which treats trials as independent.
 
 Anything that this run did not measure, or that has too few values for an interval, is not comparable.
 """
@@ -21,7 +26,7 @@ from functools import partial
 import numpy as np
 from numpy.random import Generator
 
-from tasks.analysis.comparison import BEST, ScoredArm, Scores, difference, ratio, student
+from tasks.analysis.comparison import BEST, ScoredArm, Scores, nested_difference, nested_ratio, student, terms_of_ratio
 from tasks.analysis.equivalence import Judgement, Verdict, judge_direction, judge_equivalence
 from tasks.analysis.paper import (
     AGGREGATES,
@@ -42,7 +47,16 @@ from tasks.analysis.paper import (
     name_of,
 )
 from tasks.analysis.prediction import Figure, MembersRange, Regression
-from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
+from tasks.analysis.replicates import (
+    NestedSample,
+    components,
+    error_of,
+    from_replicates_means,
+    linearised,
+    mean_of,
+    nested,
+)
+from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_constant
 from tasks.arrays import Float64
 
 _METRES = "{:z.1f} m"
@@ -91,17 +105,32 @@ def against_paper(
 
 
 def _mean_row(scores: Scores, arm: ScoredArm, stated: float, source: str) -> Row:
-    values = finite(scores.values(*arm, DEPTH))
+    sample = scores.sample(*arm, DEPTH)
     what = f"{name_of(arm)} at {DEPTH:g} m [m]"
-    bound = NEGLIGIBLE * MEANS[BEST][0]
-    return _number_row(what, stated, "{:z.1f}", source, mean(values), bound, len(values), N_TRIALS)
+    bound, n = NEGLIGIBLE * MEANS[BEST][0], len(sample.values)
+    return _number_row(what, stated, "{:z.1f}", source, mean_of(sample), bound, n, _papers_trials(n, sample))
 
 
 def _ratio_row(scores: Scores, arm: ScoredArm, stated: float, source: str, rng: Generator) -> Row:
-    part, whole = finite(scores.values(*arm, DEPTH)), finite(scores.values(*BEST, DEPTH))
+    part, whole = scores.sample(*arm, DEPTH), scores.sample(*BEST, DEPTH)
     what = f"{name_of(arm)} / {name_of(BEST)} at {DEPTH:g} m"
-    n = min(len(part), len(whole))
-    return _number_row(what, stated, "{:z.0%}", source, ratio(part, whole, rng=rng), NEGLIGIBLE_RATIO, n, N_TRIALS)
+    found, n, n_paper = nested_ratio(part, whole, rng=rng), min(len(part.values), len(whole.values)), float(N_TRIALS)
+    if found.low is not None:
+        n_paper = _papers_trials(n, *linearised(*terms_of_ratio(part, whole)))
+    return _number_row(what, stated, "{:z.0%}", source, found, NEGLIGIBLE_RATIO, n, n_paper)
+
+
+def _papers_trials(n: int, *samples: NestedSample) -> float:
+    """Return the number of trials for which the paper's variance is this run's times n / n_paper.
+
+    Args:
+        n: this run's trials.
+        *samples: their values; this run's estimate is the sum of the means.
+    """
+    if not nested(*samples):
+        return N_TRIALS
+    of_paper = sum(components(sample).of_one_replicate(N_TRIALS) for sample in samples)
+    return n * error_of(*samples).variance / of_paper
 
 
 def _aggregate_row(accuracy: Sequence[Regression], predictor: str, figure: Figure, stated: float, source: str) -> Row:
@@ -117,7 +146,7 @@ _FIGURE = {"r": "Pearson's R", "slope": "slope"}
 
 
 def _number_row(
-    what: str, stated: float, form: str, source: str, found: Estimate, bound: float, n: int, n_paper: int
+    what: str, stated: float, form: str, source: str, found: Estimate, bound: float, n: int, n_paper: float
 ) -> Row:
     """Judge the difference between this run's number and the paper's."""
     paper = form.format(stated)
@@ -171,16 +200,20 @@ def _variation_row(scores: Scores, rng: Generator) -> Row:
     """Compare the deviation over trials of single members with that of the ensemble."""
     what = f"deviation over trials, single member / ensemble, zero-shot at {DEPTH:g} m"
     paper, source = "above 1", '"very high variation in fitness across independent trials", Evolution'
-    single, ensemble = (finite(scores.values(arm, "zero_shot", DEPTH)) for arm in ("single_member", "residual_slush"))
-    if min(len(single), len(ensemble)) < 2 or is_constant(ensemble, resolution=RESOLUTION):
-        why = f"{len(single)} and {len(ensemble)} trials, expected at least 2 of both, not all equal"
+    single, ensemble = (scores.sample(arm, "zero_shot", DEPTH) for arm in ("single_member", "residual_slush"))
+    trials = f"{len(single.values)} and {len(ensemble.values)} trials"
+    departures = [from_replicates_means(sample) for sample in (single, ensemble)]
+    n_free = [len(sample.values) - len(np.unique(sample.replicate)) for sample in (single, ensemble)]
+    if min(n_free) < 1 or is_constant(departures[1], resolution=RESOLUTION):
+        why = f"{trials}, expected at least 2 of both in a replicate, not all equal"
         return Row(what, paper, source, "-", "not comparable", why)
     # A deviation is a function of the means of x and x², once x is centred so that no digits are lost.
-    moments = [np.stack((x - x.mean(), (x - x.mean()) ** 2), axis=1) for x in (single, ensemble)]
+    moments = [np.stack((x, x**2), axis=1) for x in departures]
+    corrections = len(departures[0]) / n_free[0], len(departures[1]) / n_free[1]
     spread = "the ensemble's champions all go equally far"
-    found = bootstrap(partial(_deviations_ratio, len(single), len(ensemble)), *moments, rng=rng, undefined=spread)[0]
+    found = bootstrap(partial(_deviations_ratio, corrections), *moments, rng=rng, undefined=spread)[0]
     assert found.value is not None
-    trials, this_run = f"{len(single)} and {len(ensemble)} trials", f"{found.value:z.2f}"
+    this_run = f"{found.value:z.2f}"
     if found.low is None or found.high is None:
         return Row(what, paper, source, this_run, "not comparable", f"{trials}: {found.reason}", found.value)
     judged = _above_one(found.low, found.high)
@@ -196,20 +229,29 @@ def _above_one(low: float, high: float) -> Judgement:
     return Judgement("cannot tell", "the interval contains 1")
 
 
-def _deviations_ratio(n: int, m: int, single: Float64, ensemble: Float64) -> Float64:
-    """Return the ratio of the sample deviations of n and m values, from (..., 2) means of x and x²: (..., 1)."""
-    variances = [
-        size / (size - 1) * (means[..., 1] - means[..., 0] ** 2) for size, means in ((n, single), (m, ensemble))
-    ]
-    return np.sqrt(variances[0] / np.where(variances[1] > 0, variances[1], np.nan))[..., None]
+def _deviations_ratio(corrections: tuple[float, float], single: Float64, ensemble: Float64) -> Float64:
+    """Return the ratio of two sample deviations, (..., 1).
+
+    Args:
+        corrections: number of values over degrees of freedom, of both samples.
+        single: (..., 2) means of x and x².
+        ensemble: (..., 2) likewise.
+    """
+    x, y = (
+        correction * (means[..., 1] - means[..., 0] ** 2)
+        for correction, means in zip(corrections, (single, ensemble), strict=True)
+    )
+    return np.sqrt(x / np.where(y > 0, y, np.nan))[..., None]
 
 
 def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:
     what = f"Student's t at {depth:g} m: {name_of(statement.a)} against {name_of(statement.b)}"
     threshold = f"p > {INSIGNIFICANT:g}" if statement.claim == "no difference" else f"p < {SIGNIFICANT:g}"
     paper = f"{statement.claim} ({threshold})"
-    a, b, best = (finite(scores.values(*arm, depth)) for arm in (statement.a, statement.b, BEST))
-    test, gap = student(a, b), difference(a, b)
+    samples = [scores.sample(*arm, depth) for arm in (statement.a, statement.b)]
+    gap = nested_difference(*samples)
+    a, b, best = (sample.values for sample in (*samples, scores.sample(*BEST, depth)))
+    test = student(a, b)
     if test.p is None or gap.low is None:
         return Row(what, paper, statement.source, "-", "not comparable", test.reason or gap.reason or "")
     bound = NEGLIGIBLE * abs(float((best if len(best) else b).mean()))

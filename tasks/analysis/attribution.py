@@ -12,16 +12,21 @@ another. So the paper's share, adapted / best, favours them. Against designs of 
 
 A part can be negative: adaptation from scratch may find a worse controller than the design's own, and the body's part
 is then too large by the same amount. Shares exist only where there is a gap.
+
+Of means and differences, intervals are Student's and of shares and ratios the bootstrap's. Where trials are of several
+replicates, all of them include the variance between these (:mod:`tasks.analysis.replicates`), and those of shares and
+ratios are by the delta method.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.analysis.comparison import EvolvedIn, Scores, difference, ratio
-from tasks.analysis.uncertainty import Estimate, bootstrap, finite, mean
+from tasks.analysis.comparison import EvolvedIn, Scores, nested_difference, nested_ratio
+from tasks.analysis.replicates import NestedSample, mean_of, nested, nested_sample, ratio_of_sums, sum_of_means
+from tasks.analysis.uncertainty import Estimate, bootstrap, finite
 from tasks.arrays import Float64, Floats, Int64
 from tasks.world import ENVIRONMENTS
 
@@ -70,65 +75,79 @@ def _attribution(scores: Scores, arm: EvolvedIn, depth: float, rng: Generator) -
     predicted, zero_shot, adapted = (
         scores.values(arm, quantity, depth) for quantity in ("predicted", "zero_shot", "adapted")
     )
-    best = finite(scores.values("true_slush", "zero_shot", depth))
-    best_adapted = finite(scores.values("true_slush", "adapted", depth))
-    dry_land = finite(scores.values("dry_land", "zero_shot", depth))
+    replicate = scores.replicate[scores.rows(arm, depth)]
+    best, best_adapted = (scores.sample("true_slush", quantity, depth) for quantity in ("zero_shot", "adapted"))
     both = np.isfinite(zero_shot) & np.isfinite(adapted)
-    hallucinated = mean(predicted - zero_shot)
-    gap, controller, body, controller_share, body_share = _split(zero_shot[both], adapted[both], best, rng)
+    Z, A = (NestedSample(values[both], replicate[both]) for values in (zero_shot, adapted))
+    gap, controller, body, controller_share, body_share = _split(Z, A, best, rng)
+    of_zero_shot, of_adapted = (nested_sample(values, replicate) for values in (zero_shot, adapted))
     return Attribution(
         evolved_in=arm,
         depth=depth,
         n=int(both.sum()),
-        n_best=len(best),
-        predicted=mean(predicted),
-        zero_shot=mean(zero_shot),
-        adapted=mean(adapted),
-        best=mean(best),
-        best_adapted=mean(best_adapted),
-        hallucinated=hallucinated,
+        n_best=len(best.values),
+        predicted=mean_of(nested_sample(predicted, replicate)),
+        zero_shot=mean_of(of_zero_shot),
+        adapted=mean_of(of_adapted),
+        best=mean_of(best),
+        best_adapted=mean_of(best_adapted),
+        hallucinated=mean_of(nested_sample(predicted - zero_shot, replicate)),
         gap=gap,
         lost_to_controller=controller,
         lost_to_body=body,
-        lost_to_body_equally_searched=difference(best_adapted, finite(adapted)),
+        lost_to_body_equally_searched=nested_difference(best_adapted, of_adapted),
         controller_share=controller_share,
         body_share=body_share,
-        recovered_zero_shot=ratio(zero_shot, best, rng=rng),
-        recovered_adapted=ratio(adapted, best, rng=rng),
-        recovered_zero_shot_of_adapted=ratio(zero_shot, best_adapted, rng=rng),
-        recovered_adapted_equally_searched=ratio(adapted, best_adapted, rng=rng),
-        recovered_of_dry_land=_undone(arm, finite(zero_shot), best, dry_land, rng),
+        recovered_zero_shot=nested_ratio(of_zero_shot, best, rng=rng),
+        recovered_adapted=nested_ratio(of_adapted, best, rng=rng),
+        recovered_zero_shot_of_adapted=nested_ratio(of_zero_shot, best_adapted, rng=rng),
+        recovered_adapted_equally_searched=nested_ratio(of_adapted, best_adapted, rng=rng),
+        recovered_of_dry_land=_undone(arm, of_zero_shot, best, scores.sample("dry_land", "zero_shot", depth), rng),
     )
 
 
-def _split(zero_shot: Float64, adapted: Float64, best: Float64, rng: Generator) -> tuple[Estimate, ...]:
-    """Estimate the gap, its two parts and their shares; resampling draws a trial's two scores together."""
-    if len(zero_shot) == 0 or len(best) == 0:
-        reason = (
-            f"{len(zero_shot)} trials scored zero-shot and adapted and {len(best)} in True Slush, expected 1 or more"
-        )
+def _split(Z: NestedSample, A: NestedSample, B: NestedSample, rng: Generator) -> tuple[Estimate, ...]:
+    """Estimate the gap, its two parts and their shares, from zero-shot, adapted (of the same trials) and best."""
+    n, n_best = len(Z.values), len(B.values)
+    if n == 0 or n_best == 0:
+        reason = f"{n} trials scored zero-shot and adapted and {n_best} in True Slush, expected 1 or more"
         return (Estimate.missing(reason),) * 5
+    if nested(Z, B):
+        controller = replace(Z, values=A.values - Z.values)
+        gap, body = (B, Z.scaled(-1)), (B, A.scaled(-1))
+        shares = (
+            ratio_of_sums(*zip(part, gap, strict=True), undefined=_NO_GAP) for part in ((B.scaled(0), controller), body)
+        )
+        return (sum_of_means(*gap), sum_of_means(controller), sum_of_means(*body), *shares)
+    pairs = np.stack((Z.values, A.values), axis=-1)  # resampling draws a trial's two scores together
+    return bootstrap(_gap_and_parts, pairs, B.values[:, None], rng=rng, undefined=_NO_GAP)
 
-    def split(arm: Float64, E: Float64) -> Float64:
-        Z, A, B = np.broadcast_arrays(arm[..., 0], arm[..., 1], E[..., 0])
-        gap = np.where(B > Z, B - Z, np.nan)
-        return np.stack((B - Z, A - Z, B - A, (A - Z) / gap, (B - A) / gap), axis=-1)
 
-    return bootstrap(split, np.stack((zero_shot, adapted), axis=-1), best[:, None], rng=rng, undefined=_NO_GAP)
+def _gap_and_parts(arm: Float64, E: Float64) -> Float64:
+    Z, A, B = np.broadcast_arrays(arm[..., 0], arm[..., 1], E[..., 0])
+    gap = np.where(B > Z, B - Z, np.nan)
+    return np.stack((B - Z, A - Z, B - A, (A - Z) / gap, (B - A) / gap), axis=-1)
 
 
-def _undone(arm: EvolvedIn, zero_shot: Float64, best: Float64, dry_land: Float64, rng: Generator) -> Estimate:
+def _undone(
+    arm: EvolvedIn, zero_shot: NestedSample, best: NestedSample, dry_land: NestedSample, rng: Generator
+) -> Estimate:
+    """Estimate the share of Dry Land's gap that an arm closes, from three independent groups."""
     if arm == "dry_land":
         return Estimate.missing("it is the reference")
-    n = {"zero-shot": len(zero_shot), "True Slush": len(best), "Dry Land zero-shot": len(dry_land)}
-    if min(n.values()) == 0:
-        return Estimate.missing("no finite score of: " + ", ".join(name for name, count in n.items() if count == 0))
+    groups = {"zero-shot": zero_shot, "True Slush": best, "Dry Land zero-shot": dry_land}
+    lacking = [name for name, of in groups.items() if len(of.values) == 0]
+    if lacking:
+        return Estimate.missing("no finite score of: " + ", ".join(lacking))
+    if nested(*groups.values()):
+        none, less = best.scaled(0), dry_land.scaled(-1)
+        return ratio_of_sums((zero_shot, zero_shot.scaled(0)), (none, best), (less, less), undefined=_NO_GAP)
+    columns = (of.values[:, None] for of in groups.values())
+    return bootstrap(_share_of_gap, *columns, rng=rng, undefined=_NO_GAP)[0]
 
-    def share(arm: Float64, E: Float64, dry: Float64) -> Float64:
-        return np.where(dry < E, (arm - dry) / np.where(dry < E, E - dry, 1), np.nan)
 
-    columns = (values[:, None] for values in (zero_shot, best, dry_land))
-    return bootstrap(share, *columns, rng=rng, undefined=_NO_GAP)[0]
+def _share_of_gap(arm: Float64, E: Float64, dry: Float64) -> Float64:
+    return np.where(dry < E, (arm - dry) / np.where(dry < E, E - dry, 1), np.nan)
 
 
 @dataclass(frozen=True, eq=False)

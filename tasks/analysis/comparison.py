@@ -4,6 +4,9 @@ Student's t assumes equal variances, which champions of different environments d
 Mann-Whitney's does not assume normality either. Hedges' g and the ratio of the means give the size of an effect. Among
 many tests, the smallest p-value is small by chance; Holm's correction allows for that. Its family is all contrasts of a
 study, at every depth. All tests are two-sided.
+
+These tests treat trials as independent, as the paper does. Where trials share throws and networks, the clustered test
+and the intervals of estimates include the variance between replicates (:mod:`tasks.analysis.replicates`).
 """
 
 import math
@@ -17,7 +20,16 @@ import numpy.typing as npt
 import scipy
 from numpy.random import Generator
 
-from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, finite, is_constant, mean
+from tasks.analysis.replicates import (
+    NestedSample,
+    error_of,
+    mean_of,
+    nested,
+    nested_sample,
+    ratio_of_sums,
+    sum_of_means,
+)
+from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, finite, is_constant
 from tasks.arrays import Float64, Floats, Int64
 from tasks.world.registry import EnvironmentName
 
@@ -38,8 +50,12 @@ class Scores:
     predicted: Float64  # (n_trials,) displacement where the champion evolved [m]; NaN where unknown, as in the next two
     zero_shot: Float64  # (n_trials,) displacement in True Slush [m]
     adapted: Float64  # (n_trials,) displacement in True Slush with an adapted controller [m]
+    replicate: Int64 = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(n_trials,) data set and ensemble that the trial depends on; if left out, the same for all."""
 
     def __post_init__(self) -> None:
+        if len(self.replicate) == 0:
+            object.__setattr__(self, "replicate", np.zeros(np.shape(self.trial), np.int64))
         shapes = {name: np.shape(array) for name, array in vars(self).items()}
         if len(set(shapes.values())) != 1 or len(shapes["depth"]) != 1:
             raise ValueError(f"scores have columns of shapes {shapes}, expected (n_trials,) for all")
@@ -59,6 +75,17 @@ class Scores:
         """
         column: Float64 = getattr(self, quantity)
         return column[self.rows(evolved_in, depth)]
+
+    def sample(self, evolved_in: EvolvedIn, quantity: Quantity, depth: float) -> NestedSample:
+        """Return the finite values of one quantity of an arm and depth by trial number, with their replicates.
+
+        Args:
+            evolved_in: the arm.
+            quantity: the column.
+            depth: depth where the champions evolved [m].
+        """
+        values = self.values(evolved_in, quantity, depth)
+        return nested_sample(values, self.replicate[self.rows(evolved_in, depth)])
 
     def depths(self) -> list[float]:
         """Return the depths in ascending order [m]."""
@@ -80,7 +107,8 @@ class Group:
 
     n: int
     n_left_out: int
-    mean: Estimate  # mean with Student's t interval [m]
+    n_replicates: int
+    mean: Estimate  # [m]
     sd: float | None  # sample deviation [m]; None for fewer than two values
 
 
@@ -93,35 +121,46 @@ class Comparison:
     student: SignificanceTest
     welch: SignificanceTest
     mann_whitney: SignificanceTest
+    clustered: SignificanceTest  # the only one that knows of replicates
     hedges_g: Estimate  # (mean a - mean b) / pooled deviation, corrected for small samples
     ratio: Estimate  # mean a / mean b
 
 
-def group(values: Floats) -> Group:
-    """Return the number, mean and deviation of the finite values of a group (n_values,)."""
-    known = finite(values)
-    sd = float(known.std(ddof=1)) if len(known) > 1 else None
-    return Group(len(known), len(values) - len(known), mean(known), sd)
+def group(values: Floats, replicate: Int64 | None = None) -> Group:
+    """Return the number, mean and deviation of the finite values of a group.
+
+    Args:
+        values: (n_values,)
+        replicate: (n_values,) of each value; if left out, all are of one.
+    """
+    sample = nested_sample(values, np.zeros(len(values), np.int64) if replicate is None else replicate)
+    n = len(sample.values)
+    sd = float(sample.values.std(ddof=1)) if n > 1 else None
+    return Group(n, len(values) - n, len(np.unique(sample.replicate)), mean_of(sample), sd)
 
 
-def compare(a: Floats, b: Floats, *, rng: Generator) -> Comparison:
-    """Return all tests and effect sizes for two groups of independent values.
+def compare(a: Floats, b: Floats, *, replicates: tuple[Int64, Int64] | None = None, rng: Generator) -> Comparison:
+    """Return all tests and effect sizes for two groups of values that are independent of each other.
 
     Args:
         a: (n_a,) values; values that are not finite are left out and counted.
         b: (n_b,) values of the reference.
+        replicates: (n_a,) and (n_b,) replicate of each value; if left out, all values are independent.
         rng: source of randomness for the ratio's interval.
     """
-    x, y = finite(a), finite(b)
+    of_a, of_b = replicates or (np.zeros(len(a), np.int64), np.zeros(len(b), np.int64))
+    samples = nested_sample(a, of_a), nested_sample(b, of_b)
+    x, y = (sample.values for sample in samples)
     tied = "all values of both groups are equal" if _is_constant(np.concatenate((x, y))) else None
     return Comparison(
-        a=group(a),
-        b=group(b),
+        a=group(a, of_a),
+        b=group(b, of_b),
         student=student(x, y),
         welch=welch(x, y),
         mann_whitney=_test(_too_few(x, y) or tied, lambda: scipy.stats.mannwhitneyu(x, y, method=_method(x, y))),
+        clustered=clustered(*samples),
         hedges_g=hedges_g(x, y),
-        ratio=ratio(x, y, rng=rng),
+        ratio=nested_ratio(*samples, rng=rng),
     )
 
 
@@ -162,6 +201,31 @@ def difference(x: Float64, y: Float64, *, equal_variances: bool = True) -> Estim
         error = math.sqrt(sum(parts))
     half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, freedom)) * error
     return Estimate(value, value - half, value + half)
+
+
+def clustered(x: NestedSample, y: NestedSample) -> SignificanceTest:
+    """Run Welch's test with errors that include the variance between replicates; with one replicate it is Welch's."""
+    if not nested(x, y):
+        return welch(x.values, y.values)
+    reason = _no_spread(x.values, y.values)
+    if reason is not None:
+        return SignificanceTest(None, None, reason)
+    error = error_of(x, y)
+    t = float(x.values.mean() - y.values.mean()) / math.sqrt(error.variance)
+    return SignificanceTest(t, float(2 * scipy.stats.t.sf(abs(t), error.freedom)))
+
+
+def nested_difference(x: NestedSample, y: NestedSample, *, equal_variances: bool = True) -> Estimate:
+    """Estimate the difference of two means, with the interval of the clustered test.
+
+    Args:
+        x: a group.
+        y: the group that is subtracted.
+        equal_variances: whether the interval is Student's if no group has several replicates; otherwise Welch's.
+    """
+    if nested(x, y):
+        return sum_of_means(x, y.scaled(-1))
+    return difference(x.values, y.values, equal_variances=equal_variances)
 
 
 def _pooled_deviation(x: Float64, y: Float64) -> float:
@@ -232,11 +296,32 @@ def ratio(part: Floats, whole: Floats, *, rng: Generator) -> Estimate:
     x, y = finite(part), finite(whole)
     if len(x) == 0 or len(y) == 0:
         return Estimate.missing(f"{len(x)} and {len(y)} finite values, expected 1 or more in both groups")
-    return bootstrap(_ratio, x[:, None], y[:, None], rng=rng, undefined="the reference goes nowhere, or backwards")[0]
+    return bootstrap(_ratio, x[:, None], y[:, None], rng=rng, undefined=_BACKWARDS)[0]
 
 
 def _ratio(part: Float64, whole: Float64) -> Float64:
     return np.where(whole > RESOLUTION, part / whole, np.nan)
+
+
+_BACKWARDS = "the reference goes nowhere, or backwards"
+
+
+def nested_ratio(part: NestedSample, whole: NestedSample, *, rng: Generator) -> Estimate:
+    """Return the ratio of two means, whose interval includes the variance between replicates.
+
+    Args:
+        part: a group.
+        whole: the reference, independent of the part.
+        rng: source of randomness for the interval if no group has several replicates.
+    """
+    if nested(part, whole):
+        return ratio_of_sums(*terms_of_ratio(part, whole), undefined=_BACKWARDS)
+    return ratio(part.values, whole.values, rng=rng)
+
+
+def terms_of_ratio(part: NestedSample, whole: NestedSample) -> tuple[tuple[NestedSample, NestedSample], ...]:
+    """Return what each group adds above and below the line of part / whole."""
+    return (part, part.scaled(0)), (whole.scaled(0), whole)
 
 
 def holm(p: Sequence[float | None]) -> list[float | None]:
@@ -285,6 +370,9 @@ CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
 """All pairs: those, and those of arms that a study may have beside the paper's."""
 
 
+TESTS = ("student", "welch", "mann_whitney", "clustered")  # of a Comparison
+
+
 @dataclass(frozen=True)
 class Contrast:
     """One comparison of a sweep."""
@@ -296,17 +384,22 @@ class Contrast:
     student_holm: float | None  # p of Student's t, corrected over all contrasts and depths; the next two likewise
     welch_holm: float | None
     mann_whitney_holm: float | None
+    clustered_holm: float | None
 
 
 def sweep(scores: Scores, *, rng: Generator) -> tuple[Contrast, ...]:
     """Make every contrast at every depth where both arms have trials; Holm's family is all of them."""
     made = [
-        (a, b, depth, compare(scores.values(*a, depth), scores.values(*b, depth), rng=rng))
+        (a, b, depth, _compare_arms(scores, a, b, depth, rng))
         for a, b in CONTRASTS
         for depth in scores.depths()
         if all(np.isfinite(scores.values(*arm, depth)).any() for arm in (a, b))
     ]
-    corrected = [
-        holm([getattr(comparison, test).p for *_, comparison in made]) for test in ("student", "welch", "mann_whitney")
-    ]
+    corrected = [holm([getattr(comparison, test).p for *_, comparison in made]) for test in TESTS]
     return tuple(Contrast(*row, *p) for row, *p in zip(made, *corrected, strict=True))
+
+
+def _compare_arms(scores: Scores, a: ScoredArm, b: ScoredArm, depth: float, rng: Generator) -> Comparison:
+    x, y = (scores.values(*arm, depth) for arm in (a, b))
+    of_x, of_y = (scores.replicate[scores.rows(evolved_in, depth)] for evolved_in, _ in (a, b))
+    return compare(x, y, replicates=(of_x, of_y), rng=rng)

@@ -92,7 +92,7 @@ def _n_needed(half: float, room: float, n: float, n_other: float) -> float:
 
 def _needs(n_needed: float, n_other: float) -> str:
     if math.isinf(n_needed) and math.isfinite(n_other):
-        return f"no number of trials is enough beside the paper's {n_other:g}"
+        return "no number of trials is enough: the paper's own are too few"
     if n_needed > MOST_TRIALS:
         return f"needs more than {MOST_TRIALS:,} trials"
     return f"needs about {n_needed:g} trials"

@@ -1,8 +1,10 @@
 """Differences between two studies: each arm of one against the same arm of the other, at every common depth.
 
 The settings of two studies differ, and with them the variances of their champions, so the intervals and p-values are
-Welch's. Holm's correction has all tests of the comparison as its family. A difference is negligible within ± 20 % of
-the displacement of the designs that evolved in True Slush in the reference, study B.
+Welch's. Where a study has several replicates, they include the variance between these
+(:mod:`tasks.analysis.replicates`), and numbers of trials that would tell are of as many more replicates. Holm's
+correction has all tests of the comparison as its family. A difference is negligible within ± 20 % of the displacement
+of the designs that evolved in True Slush in the reference, study B.
 
 Trials of two studies count as independent. If they share their seed, they may be alike, which makes the tests cautious.
 Trials that no setting tells apart are the very same, with the same values to the last bit. Where that is so of a whole
@@ -21,11 +23,11 @@ from tasks.analysis.comparison import (
     ScoredArm,
     Scores,
     SignificanceTest,
-    difference,
+    clustered,
     group,
     hedges_g,
     holm,
-    welch,
+    nested_difference,
 )
 from tasks.analysis.equivalence import Judgement, judge_equivalence
 from tasks.analysis.paper import NEGLIGIBLE
@@ -45,10 +47,10 @@ class StudyDifference:
     quantity: Quantity
     a: Group
     b: Group
-    difference: Estimate  # mean of A minus mean of B, with Welch's interval [m]
+    difference: Estimate  # mean of A minus mean of B, with the clustered test's interval [m]
     hedges_g: Estimate
-    welch: SignificanceTest
-    welch_holm: float | None  # p corrected over all tests of the comparison
+    clustered: SignificanceTest  # Welch's if both studies have one replicate
+    clustered_holm: float | None  # p corrected over all tests of the comparison
     bound: float  # largest negligible difference [m]
     judgement: Judgement  # whether the difference is negligible
 
@@ -61,8 +63,8 @@ def compare_studies(a: Scores, b: Scores) -> tuple[StudyDifference, ...]:
         b: champions of study B, the reference.
     """
     made = tuple(_differences(a, b))
-    corrected = holm([row.welch.p for row in made])
-    return tuple(replace(row, welch_holm=p) for row, p in zip(made, corrected, strict=True))
+    corrected = holm([row.clustered.p for row in made])
+    return tuple(replace(row, clustered_holm=p) for row, p in zip(made, corrected, strict=True))
 
 
 def _differences(a: Scores, b: Scores) -> Iterator[StudyDifference]:
@@ -77,9 +79,9 @@ def _differences(a: Scores, b: Scores) -> Iterator[StudyDifference]:
 
 
 def _difference(a: Scores, b: Scores, evolved_in: EvolvedIn, quantity: Quantity, depth: float) -> StudyDifference:
-    values = [of.values(evolved_in, quantity, depth) for of in (a, b)]
-    x, y = map(finite, values)
-    gap, g, test = difference(x, y, equal_variances=False), hedges_g(x, y), welch(x, y)
+    samples = [of.sample(evolved_in, quantity, depth) for of in (a, b)]
+    x, y = (sample.values for sample in samples)
+    gap, g, test = nested_difference(*samples, equal_variances=False), hedges_g(x, y), clustered(*samples)
     if _n_same(a, b, evolved_in, quantity, depth) == (n_least := min(len(x), len(y))):
         reason = f"{n_least} of the trials are the same in both studies, to the last bit"
         gap, g = Estimate(gap.value, reason=reason), Estimate.missing(reason)
@@ -88,9 +90,10 @@ def _difference(a: Scores, b: Scores, evolved_in: EvolvedIn, quantity: Quantity,
     bound = NEGLIGIBLE * abs(float((best if len(best) else y).mean()))
     n = 2 / (1 / len(x) + 1 / len(y))
     judged = judge_equivalence(gap, bound, n=n, form=_METRES)
-    return StudyDifference(
-        evolved_in, depth, quantity, group(values[0]), group(values[1]), gap, g, test, None, bound, judged
+    of_a, of_b = (
+        group(of.values(evolved_in, quantity, depth), of.replicate[of.rows(evolved_in, depth)]) for of in (a, b)
     )
+    return StudyDifference(evolved_in, depth, quantity, of_a, of_b, gap, g, test, None, bound, judged)
 
 
 def _n_same(a: Scores, b: Scores, evolved_in: EvolvedIn, quantity: Quantity, depth: float) -> int:

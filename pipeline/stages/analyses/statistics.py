@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.specs import StatisticsSpec
 from pipeline.stages.assess import assessed_among, read_predictions
+from pipeline.stages.data_sets import replicate_of
 from pipeline.stages.transfer import SCORE, SCORED
 from pipeline.store.encoding import decode_json
 from pipeline.store.tables import Columns, columns_of, text
@@ -29,6 +30,7 @@ from tasks.analysis.prediction import (
     members,
     members_ranges,
 )
+from tasks.analysis.variance_split import VarianceRow, variances
 from tasks.arrays import Float64
 from tasks.evolution import Deviation
 from tasks.seeding import generator
@@ -41,6 +43,7 @@ class ScoreRow:
     environment: str
     depth: float
     trial: int
+    replicate: int  # of the throws and networks that it depends on; 0 where it evolved without networks
     fitness: float  # where it evolved: μ - kσ for an ensemble
     predicted: float  # displacement of the root where it evolved: the mean over members for an ensemble, μ
     predicted_sd: float  # its standard deviation over members, σ; NaN without an ensemble
@@ -67,6 +70,7 @@ def _score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, 
                 environment=trial.environment,
                 depth=trial.depth,
                 trial=trial.index,
+                replicate=replicate_of(trial),
                 status=scores["status"],
                 **known,
                 **reach,
@@ -80,7 +84,8 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     spec = job.spec
     rng = generator(spec.seed, "analyse", "statistics")
     table = columns_of(ScoreRow, _score_rows(spec.trials, inputs, job.spec.failed))
-    scores = Scores(table["environment"], *(table[n] for n in ("depth", "trial", "predicted", "zero_shot", "adapted")))
+    columns = ("environment", "depth", "trial", "predicted", "zero_shot", "adapted", "replicate")
+    scores = Scores(*(table[name] for name in columns))
     shares = assessed_among(inputs, spec.throw_groups[0]) if spec.throw_groups else []
     predicted, true, trial = _predictions(shares)
     regressions = accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
@@ -108,6 +113,7 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
         "histograms": _drawn(predicted, true, spec.deviation),
         "contrasts": columns_of(Contrast, contrasts),
         "attribution": columns_of(Attribution, attributions),
+        "variance": columns_of(VarianceRow, variances(scores)),
         "paper": columns_of(Row, against_paper(scores, *assessed, rng=rng)),
     }, reasons
 

@@ -22,6 +22,8 @@ from tasks.analysis.attribution import Attribution
 from tasks.analysis.equivalence import VERDICTS
 from tasks.analysis.prediction import Regression, mean_less_deviations
 from tasks.analysis.tank import Crossing, Tank, TankTrials
+from tasks.analysis.variance_split import VarianceRow
+from tasks.world import ENVIRONMENTS
 
 Highlights = tuple[list[str], dict[str, float]]  # lines for the terminal, and metrics
 
@@ -54,6 +56,7 @@ def _statistics(files: Files) -> Highlights:
     tests = [row.verdict for row in rows if row.what.startswith("Student")]
     counts = ", ".join(f"{verdict} {tests.count(verdict)}" for verdict in VERDICTS)
     lines.append(f"verdicts on the paper's {len(tests)} t tests: {counts}")
+    lines += _variances(read_rows(files, "variance", VarianceRow))
     metrics: dict[str, float | None] = {
         f"paper.n_{verdict}": float(sum(row.verdict == verdict for row in rows)) for verdict in ("agrees", "differs")
     }
@@ -67,6 +70,23 @@ def _statistics(files: Files) -> Highlights:
             name = _AGGREGATE_METRICS.get(fit.name, fit.name.replace(" ", "-"))
             metrics |= {f"accuracy.r.{name}": fit.r.value, f"accuracy.slope.{name}": fit.slope.value}
     return lines, _known(metrics)
+
+
+def _variances(rows: Sequence[VarianceRow]) -> list[str]:
+    """Split the deviation of the zero-shot displacement at the greatest depth, in a line; none without replicates."""
+    known = [row for row in rows if row.n_replicates > 1 and row.quantity == "zero_shot"]
+    deepest = [row for row in known if row.depth == max(row.depth for row in known)]
+    parts = [
+        f"{ENVIRONMENTS[row.evolved_in].label} {row.sd_between:.1f} and {row.sd_within:.1f} m"
+        for row in deepest
+        if row.sd_between is not None and row.sd_within is not None
+    ]
+    if not parts:
+        return []
+    return [
+        f"SD of zero-shot at {deepest[0].depth:g} m between replicates (throws and training, which change together) "
+        f"and within: {', '.join(parts)}"
+    ]
 
 
 def _table(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -68,10 +68,29 @@ def test_the_numbers_are_those_of_the_champions(root):
         x, y = (
             np.array(study.table("champions", environment=row.evolved_in, depth=1.0)[row.quantity]) for study in (a, b)
         )
-        assert row.difference == difference(x, y, equal_variances=False) and row.welch == welch(x, y)
+        assert row.difference == difference(x, y, equal_variances=False) and row.clustered == welch(x, y)
     curve = a.table("fitness_curves", environment="dry_land", depth=1.0, trial=1)["best_fitness"]
     (shown,) = (t for t in pair.a.trials if (t.environment, t.trial) == ("dry_land", 1))
     np.testing.assert_array_equal(shown.curve, curve)
+
+
+def test_trials_of_networks_have_the_replicates_of_their_study(settings, root, tmp_path, capsys):
+    own = changed(settings, "name=replicated", "replicates=2")
+    store = Store.open(root, create=False)
+    with serial_cluster() as cluster:
+        results = run(own, store, cluster, STAGES[:BEFORE_ASSESSMENT])
+    DrivenStudy(own, store, silent).update(results, finished=True)
+    pair = pair_of(*(open_study(name, root) for name in ("replicated", "other")))
+    learned = ("residual_slush", "single_member")
+    assert {(row.evolved_in in learned, row.a.n_replicates, row.b.n_replicates) for row in pair.differences} == {
+        (True, 2, 1),
+        (False, 1, 1),
+    }
+    out = tmp_path / "compare.html"
+    assert call("compare", "replicated", "other", "--store", str(root), "--out", str(out)) == 0
+    said = capsys.readouterr().out
+    assert said.count("n = 2 and 2 in 2 and 1 replicates\n") == len(learned)
+    assert "in 2, 1 replicates" in out.read_text()
 
 
 def test_the_page_holds_settings_curves_transfer_and_tests(page, root):

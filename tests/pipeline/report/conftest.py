@@ -21,6 +21,7 @@ from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import accuracy, aggregates, histograms, members, members_ranges
 from tasks.analysis.uncertainty import Estimate, mean
+from tasks.analysis.variance_split import variances
 from tasks.design import random_designs
 from tasks.residual import OBSERVATION
 from tasks.simulation import simulate
@@ -174,6 +175,24 @@ def findings() -> Findings:
                 Ancestor(21, 4, 4, "crossover", (9, 5), 4.0, 12),
             ],
         ),
+    )
+
+
+@pytest.fixture(scope="session")
+def replicated(findings) -> Findings:
+    """The analysis of six trials of two arms at 9 m; those of the ensemble are of two replicates that differ by 4 m."""
+    rng, trial = np.random.default_rng(8), np.tile(np.arange(6), 2)
+    learned = np.repeat([False, True], 6)
+    evolved_in = np.where(learned, "residual_slush", "true_slush")
+    replicate = np.where(learned, trial % 2, 0)
+    zero_shot = np.where(learned, 7.0, 13.0) + 4.0 * replicate + rng.normal(0.0, 0.5, 12)
+    scores = Scores(evolved_in, np.full(12, 9.0), trial, zero_shot + 1, zero_shot, np.full(12, np.nan), replicate)
+    return replace(
+        findings,
+        against_paper=against_paper(scores, (), {}, rng=rng),
+        contrasts=sweep(scores, rng=rng),
+        attributions=attribute(scores, rng=rng),
+        variances=variances(scores),
     )
 
 

@@ -17,6 +17,7 @@ from pipeline.report.data import TrialResult
 from pipeline.report.drawing import _STYLE, PAPER_MARK, Drawing, Missing, finish
 from pipeline.report.figures import FIGURES, draw_all
 from pipeline.report.findings import Findings
+from tasks.analysis.uncertainty import Estimate
 from tasks.world import ENVIRONMENTS
 
 
@@ -84,6 +85,14 @@ def test_coverage_has_a_bar_for_each_component(drawn):
     labels = texts(drawn["coverage"])
     assert {"length", "height", "angle", "spin", "the paper’s throws", "throws designed for robots"} <= set(labels)
     assert any("robots evolved in the ensemble: 21 %" in label for label in labels)
+
+
+def test_intervals_of_two_replicates_do_not_hide_the_bars(study, drawn, replicated):
+    gap, parts = Estimate(3.0, -30.0, 36.0), {"lost_to_body": Estimate(2.0), "lost_to_controller": Estimate(1.0)}
+    row = replace(replicated.attributions[0], gap=gap, **parts)
+    cut = draw("attribution", replace(study, findings=replace(replicated, attributions=[row])))
+    assert {"−4", "0", "4"} <= set(texts(cut)) and not {"20", "−20"} & set(texts(cut))  # twice the gap, ± 6 m
+    assert "go on beyond" in cut.description and "go on beyond" not in drawn["attribution"].description
 
 
 def test_an_empty_study_says_why_for_each(study):

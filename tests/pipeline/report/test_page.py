@@ -289,6 +289,14 @@ def test_tables_can_be_downloaded(study):
     assert len(tables["contrasts.csv"]) == len(study.findings.contrasts) + 1
 
 
+def test_the_variance_between_replicates_stands_below_the_transfer_table(study, replicated, html):
+    assert "variance" not in Page(html).ids and "variance.csv" not in tables_of(study)
+    page = render_page(replace(study, findings=replicated))
+    assert page.index('class="transfer"') < page.index('id="variance"') < page.index('<section id="paper"')
+    rows = tables_of(replace(study, findings=replicated))["variance.csv"].decode().splitlines()
+    assert len(rows) == 1 + len(replicated.replicated) == 3
+
+
 def test_commands_of_the_page_are_commands(html, capsys, tmp_path):
     """Each runs as far as its store or its design file, which is not there."""
     commands = re.findall(r'data-command="(.*?)"', html)

@@ -9,6 +9,7 @@ import pytest
 from pipeline.report.findings import Findings, TankRow
 from pipeline.report.lineage import main_line
 from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, tank_tests
+from pipeline.report.transfer_table import variance_table
 from pipeline.report.wording import interval, p_value
 from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.analysis.uncertainty import Estimate
@@ -16,6 +17,27 @@ from tasks.analysis.uncertainty import Estimate
 
 def words(html: str) -> str:
     return " ".join(re.sub(r"<[^>]+>", " ", html).split())
+
+
+def test_the_variance_between_replicates_has_a_table_where_there_are_several(findings, replicated):
+    assert variance_table(findings) == ""
+    text = words(variance_table(replicated))
+    (row,) = (row for row in replicated.replicated if row.quantity == "zero_shot")
+    share = row.share_between
+    assert f"{row.sd_between:.1f} between, {row.sd_within:.1f} within" in text
+    assert f"{100 * share.value:.0f} % between ({100 * share.low:.0f} % to {100 * share.high:.0f} %)" in text
+    assert "Residual Slush, 9 m n = 6 in 2 replicates" in text and "True Slush, 9 m" not in text
+    assert "can’t tell one from the other" in text
+
+
+def test_the_clustered_test_is_shown_where_there_are_replicates(findings, replicated):
+    assert "Clustered" not in contrasts(findings) and "clustered" not in contrasts(findings)
+    (row,) = replicated.contrasts
+    text = words(contrasts(replicated))
+    assert f"Clustered {p_value(row.comparison.clustered.p)}, Holm {p_value(row.clustered_holm)}" in text
+    assert "n = 6, 6 in 2, 1 replicates" in text and "The clustered test is Welch’s" in text
+    assert "single replicate" in words(against_paper(replicated))
+    assert "replicate" not in words(against_paper(findings))
 
 
 @pytest.mark.parametrize(

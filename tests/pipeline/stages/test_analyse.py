@@ -277,4 +277,5 @@ def test_summary_gives_every_table_to_read_and_the_metrics_by_which_studies_are_
     assert set(metrics) <= set(summary.metrics)
     assert any("True Slush at 9 m" in line and "not comparable" in line for line in summary.lines)
     assert max(map(len, summary.lines)) <= 78  # the terminal indents them by two
+    assert not any("between replicates" in line for line in summary.lines)  # there is one
     assert any(line.startswith(" " * 30) and "paper         this run (95 %)" in line for line in summary.lines)

@@ -1,5 +1,7 @@
 """Several data sets in one study: throws for robots beside the paper's, and independent replicates of both."""
 
+import re
+
 import numpy as np
 import pytest
 from small_study import labelled, run
@@ -8,6 +10,7 @@ from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.results import catalogue
+from pipeline.stages.analyse import ANALYSE
 from pipeline.stages.analyses.analysis_tables import read_table
 from pipeline.stages.assess import PREDICTIONS, read_predictions
 from pipeline.stages.collect import COLLECT, TRANSITIONS
@@ -140,6 +143,37 @@ def test_the_arms_are_contrasted_and_attributed(sets):
     pairs = set(zip(contrasts["a"].tolist(), contrasts["b"].tolist(), strict=True))
     assert ("designed_throws/zero_shot", "residual_slush/zero_shot") in pairs
     assert "designed_throws" in _statistics(store, upstream, "attribution")["evolved_in"]
+
+
+def test_the_variance_is_split_where_trials_depend_on_replicates(sets):
+    """Of three trials, 0 and 2 are of the first replicate; those of True Slush depend on none."""
+    store, upstream = sets
+    scores, split = (_statistics(store, upstream, name) for name in ("scores", "variance"))
+    learned = scores["environment"] != "true_slush"
+    assert (scores["replicate"] == np.where(learned, scores["trial"] % 2, 0)).all()
+    rows = {
+        (arm, quantity): at
+        for at, (arm, quantity) in enumerate(zip(split["evolved_in"], split["quantity"], strict=True))
+    }
+    for arm, n_replicates in (("true_slush", 1), ("residual_slush", 2), ("designed_single_member", 2)):
+        at = rows[arm, "zero_shot"]
+        assert (split["n"][at], split["n_replicates"][at]) == (3, n_replicates)
+        assert np.isfinite(split["between"][at]) == np.isfinite(split["share_between_low"][at]) == (n_replicates == 2)
+    values = scores["zero_shot"][scores["environment"] == "residual_slush"]
+    within = (values[0] - values[2]) ** 2 / 2
+    between = (values[[0, 2]].mean() - values[1]) ** 2 * 2 / 3
+    at = rows["residual_slush", "zero_shot"]
+    pooled = between <= within
+    assert split["within"][at] == pytest.approx(values.var(ddof=1) if pooled else within)
+    assert split["between"][at] == pytest.approx(0 if pooled else (between - within) / (4 / 3))
+
+
+def test_the_terminal_has_a_line_on_the_split(sets):
+    store, upstream = sets
+    text = " ".join(" ".join(ANALYSE.summarise(settings_with(), upstream["analyse"], store).lines).split())
+    assert "SD of zero-shot at 1 m between replicates (throws and training, which change together) and within:" in text
+    for label in ("Residual Slush", "Single member", "Designed throws"):
+        assert re.search(rf"{label} \d+\.\d and \d+\.\d m", text)
 
 
 def test_tables_name_the_data_set(sets):

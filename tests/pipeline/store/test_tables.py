@@ -97,7 +97,7 @@ def test_without_rows_columns_keep_their_names_and_types():
 
 def test_a_contrast_has_the_columns_of_its_comparison_without_a_prefix():
     columns = set(columns_of(Contrast, ()))
-    assert {"a", "a_n", "a_mean_low", "b_sd", "welch_p", "welch_holm", "ratio_high", "hedges_g"} <= columns
+    assert {"a", "a_n", "a_mean_low", "b_sd", "welch_p", "clustered_holm", "ratio_high", "hedges_g"} <= columns
     assert set(columns_of(Comparison, ())) < columns
 
 

@@ -1,13 +1,15 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from tasks.analysis.against_paper import against_paper
-from tasks.analysis.comparison import Scores
+from tasks.analysis.comparison import Scores, nested_difference, nested_ratio
 from tasks.analysis.paper import AGGREGATES, MEANS, PHYSICAL, RANGES, RATIOS, STATEMENTS
 from tasks.analysis.prediction import MembersRange, Regression
+from tasks.analysis.replicates import NestedSample, components
 from tasks.analysis.uncertainty import Estimate
 
 NAN = float("nan")
@@ -115,6 +117,59 @@ def test_a_number_agrees_if_its_difference_from_the_papers_is_shown_to_be_neglig
 def test_a_ratio_far_from_the_paper_s_differs():
     row = rows_of(like_the_paper(best=30.0))["Residual Slush zero-shot / True Slush at 9 m"]
     assert (row.verdict, row.paper, row.this_run) == ("differs", "67%", "30%")
+
+
+def replicated(scores, n_replicates=2):
+    """The same scores; those of networks are of trials that take turns over the replicates, which differ by 2 m."""
+    networks = np.isin(scores.evolved_in, ["residual_slush", "single_member"])
+    replicate = np.where(networks, scores.trial % n_replicates, 0)
+    shift = np.where(networks, 2.0 * replicate, 0)
+    return replace(scores, zero_shot=scores.zero_shot + shift, adapted=scores.adapted + shift, replicate=replicate)
+
+
+def test_intervals_include_the_variance_between_replicates():
+    scores = replicated(like_the_paper())
+    found, plain = rows_of(scores), rows_of(replace(scores, replicate=np.zeros(len(scores.trial), int)))
+    samples = [scores.sample(*arm, 9.0) for arm in (("residual_slush", "zero_shot"), ("true_slush", "zero_shot"))]
+    expected = {
+        "Residual Slush zero-shot / True Slush at 9 m": nested_ratio(*samples, rng=rng()),
+        "Student's t at 3 m: Residual Slush adapted against True Slush": nested_difference(
+            scores.sample("residual_slush", "adapted", 3.0), scores.sample("true_slush", "zero_shot", 3.0)
+        ),
+    }
+    for what, estimate in expected.items():
+        row = found[what]
+        assert (row.value, row.low, row.high) == (estimate.value, estimate.low, estimate.high)
+        assert row.high - row.low > 2 * (plain[what].high - plain[what].low) and row.p == plain[what].p
+    for what in ("True Slush at 9 m [m]", "Dry Land adapted at 9 m [m]", STATED["less"]):
+        assert found[what] == plain[what]  # neither depends on a replicate
+
+
+def test_the_papers_own_number_has_the_variance_of_one_replicate():
+    """The interval of the difference is wider by √(1 + (σ_a² + σ_e² / 10) / var), which the reason gives."""
+    scores = replicated(like_the_paper(), 5)
+    part, whole = (scores.sample(arm, "zero_shot", 9.0) for arm in ("residual_slush", "true_slush"))
+    of, row = components(part), rows_of(scores)["Residual Slush zero-shot / True Slush at 9 m"]
+    mean_of_whole, r = whole.values.mean(), part.values.mean() / whole.values.mean()
+    own = of.error.variance + r**2 / 10  # deviations of True Slush are 1 m
+    papers = of.between + of.within / 10 + r**2 / 10
+    wider = math.sqrt(1 + papers / own)
+    assert wider > math.sqrt(2)
+    half = wider * (row.high - row.low) / 2
+    low, high = (100 * (r - 0.67 + side * half) for side in (-1, 1))
+    assert f"({low:z.0f}% to {high:z.0f}%)" in row.why and mean_of_whole == pytest.approx(13.6)
+
+
+def test_the_deviation_over_trials_is_that_within_replicates():
+    what = "deviation over trials, single member / ensemble, zero-shot at 9 m"
+    draw = rng(1)
+    values = draw.normal(0, [[4.0], [1.0]], (2, 12)) + 50.0 * (np.arange(12) % 3)
+    arms = np.repeat(["single_member", "residual_slush"], 12)
+    scores = Scores(arms, np.full(24, 9.0), np.tile(np.arange(12), 2), *np.tile(values.ravel(), (3, 1)))
+    row = rows_of(replace(scores, replicate=scores.trial % 3))[what]
+    within = [math.sqrt(components(NestedSample(of, np.arange(12) % 3)).within) for of in values]
+    assert row.value == pytest.approx(within[0] / within[1]) and row.value > 2
+    assert rows_of(scores)[what].value == pytest.approx(1, abs=0.1)  # 50 m between replicates drown it
 
 
 def test_too_few_trials_are_not_comparable():

@@ -1,10 +1,24 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis.comparison import CONTRASTS, Scores, compare, difference, hedges_g, holm, ratio, student, sweep
+from tasks.analysis.comparison import (
+    CONTRASTS,
+    Scores,
+    clustered,
+    compare,
+    difference,
+    hedges_g,
+    holm,
+    nested_ratio,
+    ratio,
+    student,
+    sweep,
+)
+from tasks.analysis.replicates import mean_of, nested
 
 
 def rng(seed=0):
@@ -172,6 +186,29 @@ def test_the_family_of_a_correction_is_every_contrast_at_every_depth():
     assert [c.mann_whitney_holm for c in found] == holm([c.comparison.mann_whitney.p for c in found])
 
 
+def test_a_sweep_knows_of_replicates_in_the_clustered_test_and_in_intervals_alone():
+    table = scores(n=6)
+    networks = np.isin(table.evolved_in, ["residual_slush", "single_member"])
+    replicated = replace(table, replicate=np.where(networks, table.trial % 2, 0))
+    for plain, found in zip(sweep(table, rng=rng()), sweep(replicated, rng=rng()), strict=True):
+        of_plain, of_found = plain.comparison, found.comparison
+        assert (of_plain.student, of_plain.hedges_g) == (of_found.student, of_found.hedges_g)
+        assert of_plain.clustered == of_plain.welch == of_found.welch
+        arms = [found.a[0], found.b[0]]
+        assert [of_found.a.n_replicates, of_found.b.n_replicates] == [
+            2 if arm in ("residual_slush", "single_member") else 1 for arm in arms
+        ]
+        samples = [replicated.sample(*arm, found.depth) for arm in (found.a, found.b)]
+        assert of_found.clustered == clustered(*samples) and of_found.a.mean == mean_of(samples[0])
+        if not nested(*samples):
+            assert replace(of_found, ratio=of_plain.ratio) == of_plain  # other resamples
+        else:
+            assert of_found.ratio == nested_ratio(*samples, rng=rng())
+    assert [c.clustered_holm for c in sweep(replicated, rng=rng())] == holm(
+        [c.comparison.clustered.p for c in sweep(replicated, rng=rng())]
+    )
+
+
 def test_a_sweep_with_one_trial_says_why():
     for contrast in sweep(scores(n=1), rng=rng()):
         assert contrast.student_holm is None and "1 and 1 values" in contrast.comparison.student.reason
@@ -191,3 +228,13 @@ def test_trials_come_in_the_order_of_their_numbers():
     trial, zeros = np.array([2, 0, 1]), np.zeros(3)
     table = Scores(np.array(["dry_land"] * 3), np.full(3, 9.0), trial, zeros, trial.astype(float), zeros)
     assert table.values("dry_land", "zero_shot", 9.0).tolist() == [0.0, 1.0, 2.0]
+    assert table.replicate.tolist() == [0, 0, 0]
+
+
+def test_a_sample_has_the_replicates_of_its_finite_values():
+    trial, zeros = np.array([2, 0, 1]), np.zeros(3)
+    table = Scores(
+        np.array(["residual_slush"] * 3), np.full(3, 9.0), trial, zeros, np.array([2, 0, np.nan]), zeros, trial % 2 + 5
+    )
+    found = table.sample("residual_slush", "zero_shot", 9.0)
+    assert (found.values.tolist(), found.replicate.tolist()) == ([0.0, 2.0], [5, 5])

@@ -60,7 +60,7 @@ def test_a_sample_that_can_not_grow_limits_what_more_trials_show():
     close = judge_equivalence(effect(0.0, 1.4), 1.0, n=10, n_other=10, form=METRES)
     assert close.verdict == "cannot tell" and "(needs about 491 trials)" in close.why  # 1 / ((1 / 1.4)² 0.2 - 0.1)
     never = judge_equivalence(effect(0.0, 1.5), 1.0, n=10, n_other=10, form=METRES)
-    assert "no number of trials is enough beside the paper's 10" in never.why
+    assert "no number of trials is enough: the paper's own are too few" in never.why
 
 
 def test_what_has_no_interval_is_not_comparable():

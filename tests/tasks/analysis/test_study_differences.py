@@ -1,10 +1,12 @@
 """Two studies compared: the numbers of each row, the family of tests, and trials that are in both."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis.comparison import Scores, difference, group, hedges_g, holm, welch
+from tasks.analysis.comparison import Scores, clustered, difference, group, hedges_g, holm, nested_difference, welch
 from tasks.analysis.equivalence import judge_equivalence
 from tasks.analysis.paper import NEGLIGIBLE
 from tasks.analysis.study_differences import compare_studies
@@ -39,10 +41,23 @@ def test_each_row_holds_the_numbers_of_the_analysis(pair):
         x, y = x[np.isfinite(x)], y[np.isfinite(y)]
         assert (row.a, row.b) == (group(x), group(y))
         assert row.difference == difference(x, y, equal_variances=False)
-        assert row.hedges_g == hedges_g(x, y) and row.welch == welch(x, y) and row.bound == pytest.approx(bound)
+        assert row.hedges_g == hedges_g(x, y) and row.clustered == welch(x, y) and row.bound == pytest.approx(bound)
         n = 2 * len(x) * len(y) / (len(x) + len(y))
         assert row.judgement == judge_equivalence(row.difference, row.bound, n=n, form="{:z.2f} m")
-    assert [row.welch_holm for row in rows] == holm([row.welch.p for row in rows])
+    assert [row.clustered_holm for row in rows] == holm([row.clustered.p for row in rows])
+
+
+def test_replicates_widen_the_intervals_of_their_own_study(pair):
+    a, b = pair
+    replicated = replace(a, replicate=np.where(a.evolved_in == "dry_land", a.trial % 2, 0))
+    rows = compare_studies(replicated, b)
+    for row, plain in zip(rows, compare_studies(a, b), strict=True):
+        samples = [of.sample(row.evolved_in, row.quantity, 9.0) for of in (replicated, b)]
+        assert row.difference == nested_difference(*samples, equal_variances=False)
+        assert row.clustered == clustered(*samples) and row.b.n_replicates == 1
+        assert row.a.n_replicates == (2 if row.evolved_in == "dry_land" else 1)
+        assert (row.evolved_in == "dry_land") or replace(row, clustered_holm=plain.clustered_holm) == plain
+    assert [row.clustered_holm for row in rows] == holm([row.clustered.p for row in rows])
 
 
 def test_the_interval_is_that_of_welchs_test():
@@ -71,16 +86,16 @@ def test_trials_that_are_in_both_studies_are_not_tested(pair):
     for rows in (compare_studies(a, subset), compare_studies(a, a)):
         for row in rows:
             assert row.difference.value == row.a.mean.value - row.b.mean.value and row.difference.low is None
-            assert row.welch.p is row.welch_holm is row.hedges_g.value is None
+            assert row.clustered.p is row.clustered_holm is row.hedges_g.value is None
             assert row.judgement.verdict == "not comparable" and "same in both studies" in row.judgement.why
 
 
 def test_a_trial_that_is_in_both_by_chance_leaves_the_test(pair):
     a, b = pair
     b.zero_shot[b.rows("dry_land", 9.0)[0]] = a.zero_shot[a.rows("dry_land", 9.0)[0]]
-    assert all(row.welch.p is not None for row in compare_studies(a, b))
+    assert all(row.clustered.p is not None for row in compare_studies(a, b))
     still = [Scores(of.evolved_in, of.depth, of.trial, *np.zeros((3, len(of.depth)))) for of in pair]
-    assert {row.welch.reason for row in compare_studies(*still)} == {
+    assert {row.clustered.reason for row in compare_studies(*still)} == {
         "both groups are constant"
     }  # robots that lie still
 
