@@ -26,7 +26,7 @@ from functools import partial
 import numpy as np
 from numpy.random import Generator
 
-from tasks.analysis.comparison import BEST, ScoredArm, Scores, nested_difference, nested_ratio, student, terms_of_ratio
+from tasks.analysis.comparison import BEST, ScoredArm, Scores, nested_difference, nested_ratio, student
 from tasks.analysis.equivalence import Judgement, Verdict, judge_direction, judge_equivalence
 from tasks.analysis.paper import (
     AGGREGATES,
@@ -55,6 +55,7 @@ from tasks.analysis.replicates import (
     linearised,
     mean_of,
     nested,
+    terms_of_ratio,
 )
 from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_constant
 from tasks.arrays import Float64

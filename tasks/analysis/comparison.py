@@ -28,6 +28,7 @@ from tasks.analysis.replicates import (
     nested_sample,
     ratio_of_sums,
     sum_of_means,
+    terms_of_ratio,
 )
 from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, finite, is_constant
 from tasks.arrays import Float64, Floats, Int64
@@ -127,12 +128,7 @@ class Comparison:
 
 
 def group(values: Floats, replicate: Int64 | None = None) -> Group:
-    """Return the number, mean and deviation of the finite values of a group.
-
-    Args:
-        values: (n_values,)
-        replicate: (n_values,) of each value; if left out, all are of one.
-    """
+    """Return the number, mean and deviation of the finite ones of (n_values,) values; by default of one replicate."""
     sample = nested_sample(values, np.zeros(len(values), np.int64) if replicate is None else replicate)
     n = len(sample.values)
     sd = float(sample.values.std(ddof=1)) if n > 1 else None
@@ -222,6 +218,9 @@ def nested_difference(x: NestedSample, y: NestedSample, *, equal_variances: bool
         x: a group.
         y: the group that is subtracted.
         equal_variances: whether the interval is Student's if no group has several replicates; otherwise Welch's.
+
+    Returns:
+        Mean of x minus mean of y.
     """
     if nested(x, y):
         return sum_of_means(x, y.scaled(-1))
@@ -319,11 +318,6 @@ def nested_ratio(part: NestedSample, whole: NestedSample, *, rng: Generator) -> 
     return ratio(part.values, whole.values, rng=rng)
 
 
-def terms_of_ratio(part: NestedSample, whole: NestedSample) -> tuple[tuple[NestedSample, NestedSample], ...]:
-    """Return what each group adds above and below the line of part / whole."""
-    return (part, part.scaled(0)), (whole.scaled(0), whole)
-
-
 def holm(p: Sequence[float | None]) -> list[float | None]:
     """Correct p-values for multiple comparisons (Holm 1979); None stays None and does not count."""
     known = [i for i, value in enumerate(p) if value is not None]
@@ -370,9 +364,6 @@ CONTRASTS: tuple[tuple[ScoredArm, ScoredArm], ...] = (
 """All pairs: those, and those of arms that a study may have beside the paper's."""
 
 
-TESTS = ("student", "welch", "mann_whitney", "clustered")  # of a Comparison
-
-
 @dataclass(frozen=True)
 class Contrast:
     """One comparison of a sweep."""
@@ -381,7 +372,7 @@ class Contrast:
     b: ScoredArm
     depth: float  # [m]
     comparison: Comparison = field(metadata={"prefix": False})
-    student_holm: float | None  # p of Student's t, corrected over all contrasts and depths; the next two likewise
+    student_holm: float | None  # p of Student's t, corrected over all contrasts and depths; the next likewise
     welch_holm: float | None
     mann_whitney_holm: float | None
     clustered_holm: float | None
@@ -395,7 +386,8 @@ def sweep(scores: Scores, *, rng: Generator) -> tuple[Contrast, ...]:
         for depth in scores.depths()
         if all(np.isfinite(scores.values(*arm, depth)).any() for arm in (a, b))
     ]
-    corrected = [holm([getattr(comparison, test).p for *_, comparison in made]) for test in TESTS]
+    tests = ("student", "welch", "mann_whitney", "clustered")
+    corrected = [holm([getattr(comparison, test).p for *_, comparison in made]) for test in tests]
     return tuple(Contrast(*row, *p) for row, *p in zip(made, *corrected, strict=True))
 
 

@@ -146,7 +146,7 @@ def test_the_arms_are_contrasted_and_attributed(sets):
 
 
 def test_the_variance_is_split_where_trials_depend_on_replicates(sets):
-    """Of three trials, 0 and 2 are of the first replicate; those of True Slush depend on none."""
+    """Trials 0 and 2 of the three are of the first replicate; those of True Slush depend on none."""
     store, upstream = sets
     scores, split = (_statistics(store, upstream, name) for name in ("scores", "variance"))
     learned = scores["environment"] != "true_slush"

@@ -8,15 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from tasks.analysis.comparison import (
-    clustered,
-    difference,
-    nested_difference,
-    nested_ratio,
-    ratio,
-    terms_of_ratio,
-    welch,
-)
+from tasks.analysis.comparison import clustered, difference, nested_difference, nested_ratio, ratio, welch
 from tasks.analysis.replicates import (
     NestedSample,
     components,
@@ -28,6 +20,7 @@ from tasks.analysis.replicates import (
     nested_sample,
     ratio_of_sums,
     sum_of_means,
+    terms_of_ratio,
 )
 from tasks.analysis.uncertainty import Estimate, mean
 
