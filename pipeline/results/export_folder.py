@@ -10,12 +10,14 @@
     figures/NAME.svg, .png, .pdf    as wide as a column of a two-column paper, or at most as its page
     figures/captions.txt            what each figure shows
     transfer.tex                    the transfer results
+    results.json                    means and deviations of every arm, champions, accuracy, times and digests
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -33,6 +35,7 @@ from pipeline.report.column_figures import draw_for_print
 from pipeline.report.drawing import Missing
 from pipeline.report.transfer_latex import transfer_latex
 from pipeline.results.recorded_study import Study
+from pipeline.results.results_file import results_of
 from pipeline.stages.report import REPORT, read_report
 from pipeline.stages.transfer import ADAPTED, CHAMPION
 from pipeline.store import disk
@@ -72,6 +75,7 @@ def export_study(study: Study, out: Path, kind: Literal["parquet", "csv"], *, sa
     manifest: dict[str, Json] = {"study": study.name, "settings": settings, "progress": progress}
     with study.store.lock_to_read(), EXPORT.replace(place, {**manifest, "made_with": provenance()}) as folder:
         folder.write("settings.yaml", yaml.safe_dump(settings, sort_keys=False).encode())
+        folder.write("results.json", json.dumps(results_of(study), indent=1, ensure_ascii=False).encode() + b"\n")
         n_champions = _write_champions(study, folder)
         say(f"writing {len(study.tables)} tables")
         n_rows = _write_tables(study, folder, kind)

@@ -15,6 +15,7 @@ import typer
 import yaml
 from typer.testing import CliRunner
 
+from benchmarks import published
 from benchmarks.readme import PAGE, RESULTS, with_section
 from pipeline.commands.app import app
 from pipeline.commands.options import StudyOptions
@@ -236,6 +237,24 @@ def test_the_tree_shows_exactly_the_folders_that_exist():
 def test_performance_is_that_of_a_benchmark():
     text = PAGE.read_text()
     assert with_section(text, json.loads(RESULTS.read_text())) == text
+
+
+@pytest.mark.parametrize("page", published.PAGES, ids=lambda page: page.name)
+def test_results_are_those_of_the_results_files(page):
+    text = page.read_text(encoding="utf-8")
+    assert published.with_sections(text) == text
+
+
+def test_every_table_of_displacements_is_from_a_results_file():
+    """A table with means and deviations of the paper's arms stands between markers."""
+    for page in published.PAGES:
+        left = published.SECTION.sub("", page.read_text(encoding="utf-8"))
+        assert not re.findall(r"^\|.*(?:Residual Slush|Dry Land|True Slush).*±.*\|$", left, re.M), page.name
+
+
+def test_a_page_that_differs_from_its_results_file_is_noticed():
+    text = published.PAGES[0].read_text(encoding="utf-8")
+    assert "12.9 ± 1.6" in text and published.with_sections(text.replace("12.9 ± 1.6", "13.9 ± 1.6")) == text
 
 
 def promised_names() -> Iterator[str]:

@@ -1,0 +1,145 @@
+"""Write the tables of results in README.md and docs from docs/results/*.json: `python -m benchmarks.published`.
+
+A results file is the ``results.json`` of `puddle export`. `python -m benchmarks.published EXPORT/results.json` records
+one first, under the name of its study.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tasks.analysis import paper
+from tasks.world import ENVIRONMENTS
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "docs" / "results"
+PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
+SECTION = re.compile(
+    r"<!-- from docs/results/([\w-]+)\.json, (\S+): python -m benchmarks\.published -->\n.*?<!-- end -->", re.S
+)
+_HEADINGS = ("evolved in", "predicted", "zero-shot", "adapted", "share of *E*", "of *E* adapted")
+
+
+def with_sections(page: str) -> str:
+    """Replace what stands between a page's markers by the tables of the results files that they name."""
+
+    def section(found: re.Match[str]) -> str:
+        study, what = found.groups()
+        results = json.loads((RESULTS / f"{study}.json").read_text(encoding="utf-8"))
+        marker = found.group(0).split("\n", 1)[0]
+        table = accuracy(results) if what == "accuracy" else transfer(results, what)
+        return f"{marker}\n{table}\n<!-- end -->"
+
+    return SECTION.sub(section, page)
+
+
+def transfer(results: Mapping[str, Any], what: str) -> str:
+    """Tabulate the champions of a study: at one depth, such as "9m", or at all of them, "all"."""
+    depths = dict.fromkeys(arm["depth"] for arm in results["arms"])
+    chosen = list(depths) if what == "all" else [float(what.removesuffix("m"))]
+    with_paper, several = chosen == [paper.DEPTH], len(chosen) > 1
+    predicted = f"predicted ({results['predicted_is']})" if "predicted_is" in results else "predicted"
+    headings = ["depth [m]"] * several + [_HEADINGS[0], predicted, *_HEADINGS[2:]] + ["paper"] * with_paper
+    left = 2 if several else 1
+    lines = [f"| {' | '.join(headings)} |", f"|{'---|' * left}{'--:|' * (len(headings) - left)}"]
+    for depth in chosen:
+        arms = {arm["environment"]: arm for arm in results["arms"] if arm["depth"] == depth}
+        for name in [name for name in ENVIRONMENTS if name in arms]:
+            cells = [f"{depth:g}"] * several + _cells(name, arms) + [_papers(name)] * with_paper
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def accuracy(results: Mapping[str, Any]) -> str:
+    """Tabulate how well ensembles predict, beside the paper's figures."""
+    ensembles = {kind.learns_from: kind.label for kind in ENVIRONMENTS.values() if kind.networks == "all"}
+    several = len({row.get("learned_from") for row in results["accuracy"]}) > 1
+    headings = ["ensemble"] * several + ["predicted by", "Pearson's R", "slope", "paper: R, slope"]
+    left = 2 if several else 1
+    lines = [f"| {' | '.join(headings)} |", f"|{'---|' * left}{'--:|' * (len(headings) - left)}"]
+    for row in results["accuracy"]:
+        name = _PREDICTORS.get(row["name"], row["name"])
+        figures = (_figure(row[figure]) for figure in ("r", "slope"))
+        cells = [ensembles.get(row.get("learned_from"), "")] * several + [name, *figures, _papers_figures(row["name"])]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+_PREDICTORS = {"mean": "mean μ over members", "mean - 1 sd": "μ − σ"}
+
+
+def _figure(value: float | list[float]) -> str:
+    return " to ".join(_signed(f"{number:.2f}") for number in (value if isinstance(value, list) else [value]))
+
+
+def _papers_figures(name: str) -> str:
+    figures = ("r", "slope")
+    if name == "single members":
+        return ", ".join(_figure(list(paper.RANGES[figure][:2])) for figure in figures)
+    return ", ".join(_figure(paper.AGGREGATES[name, figure][0]) for figure in figures)
+
+
+def _cells(name: str, arms: Mapping[str, Any]) -> list[str]:
+    kind, arm = ENVIRONMENTS[name], arms[name]
+    cells = [f"{kind.label}, *{kind.symbol}*"]
+    cells += [
+        _mean(arm.get(quantity)) if (name, quantity) != ("true_slush", "predicted") else "" for quantity in _MEASURED
+    ]
+    best = arms.get("true_slush", {})
+    for reference in ("zero_shot", "adapted"):
+        shares = [_share(arm.get(quantity), best.get(reference)) for quantity in ("zero_shot", "adapted")]
+        cells.append("" if name == "true_slush" else ", ".join(share for share in shares if share))
+    return cells
+
+
+_MEASURED = ("predicted", "zero_shot", "adapted")
+
+
+def _mean(of: Mapping[str, float] | None) -> str:
+    return "" if of is None else _signed(f"{of['mean']:z.1f}") + (f" ± {of['sd']:.1f}" if of["sd"] is not None else "")
+
+
+def _share(of: Mapping[str, float] | None, best: Mapping[str, float] | None) -> str:
+    return (
+        ""
+        if of is None or best is None or best["mean"] <= 0
+        else _signed(f"{of['mean'] / best['mean']:z.0%}").replace("%", " %")
+    )
+
+
+def _papers(name: str) -> str:
+    """Return the paper's mean for True Slush, and its shares of it for other environments."""
+    best = paper.MEANS[("true_slush", "zero_shot")][0]
+    if name == "true_slush":
+        return f"{best:g} m"
+    shares = [_papers_share((name, quantity), best) for quantity in ("zero_shot", "adapted")]
+    return ", ".join(_signed(f"{share:.0%}").replace("%", " %") for share in shares if share is not None)
+
+
+def _papers_share(arm: Any, best: float) -> float | None:
+    if arm in paper.RATIOS:
+        return paper.RATIOS[arm][0]
+    return paper.MEANS[arm][0] / best if arm in paper.MEANS else None
+
+
+def _signed(text: str) -> str:
+    return text.replace("-", "−")
+
+
+def main() -> None:
+    """Record a study's results, if a file is given, and write the tables."""
+    for given in sys.argv[1:]:
+        study = json.loads(Path(given).read_text(encoding="utf-8"))["study"]
+        shutil.copyfile(given, RESULTS / f"{study}.json")
+    for page in PAGES:
+        page.write_text(with_sections(page.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""The results of a study in one small file, which documents and other programs can quote: ``results.json``."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pipeline.results.recorded_study import CHAMPIONS, Study
+from pipeline.stages import STAGES
+from pipeline.store.encoding import Json
+from pipeline.store.provenance import environment as provenance
+from pipeline.workflow.identity import arms_of, trials_of
+from tasks.analysis.prediction import mean_less_deviations
+
+SCHEMA = "puddle.results"
+VERSION = 1
+_QUANTITIES = ("predicted", "zero_shot", "adapted")
+_DIGITS = 4  # decimals of a displacement [m]
+
+
+def results_of(study: Study) -> dict[str, Json]:
+    """Return a study's results: its champions, each arm's means and deviations, accuracy, times and digests.
+
+    Displacements are in metres, of the root; times in core-seconds. A stage's digest is the SHA-256 of the digests of
+    its items, ordered by label.
+    """
+    upstream = study.upstream
+    seconds: dict[str, Json] = {stage.name: round(upstream[stage.name].seconds) for stage in STAGES}
+    digests: dict[str, Json] = {stage.name: _digest(study, stage.name) for stage in STAGES}
+    champions = study.table(CHAMPIONS).to_pylist() if CHAMPIONS in study.tables else []
+    known = [
+        {name: _rounded(row.get(name)) for name in ("environment", "depth", "trial", *_QUANTITIES)} for row in champions
+    ]
+    return {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "study": study.name,
+        "source": study.record.source,
+        "made_with": dict(provenance()),
+        "core_seconds": seconds,
+        "digests": digests,
+        "arms": [
+            {
+                "environment": arm.environment,
+                "depth": arm.depth,
+                **_moments([r for r in known if _is_of(r, arm.environment, arm.depth)]),
+            }
+            for arm in arms_of(trials_of(study.settings, "transfer"))
+        ],
+        "accuracy": _accuracy(study),
+        "champions": list(known),
+    }
+
+
+def _is_of(row: Mapping[str, Json], environment: str, depth: float) -> bool:
+    return row["environment"] == environment and row["depth"] == depth
+
+
+def _moments(rows: Sequence[Mapping[str, Json]]) -> dict[str, Json]:
+    """Return n, mean and sample deviation of each quantity; those that are missing are left out."""
+    found: dict[str, Json] = {}
+    for name in _QUANTITIES:
+        values = np.array([row[name] for row in rows if row[name] is not None], dtype=np.float64)
+        if len(values):
+            sd = _rounded(float(values.std(ddof=1))) if len(values) > 1 else None
+            found[name] = {"n": len(values), "mean": _rounded(float(values.mean())), "sd": sd}
+    return found
+
+
+def _accuracy(study: Study) -> list[Json]:
+    """Return R and slope of the mean over members and of the mean less a deviation, for every ensemble."""
+    if "regressions" not in study.tables:
+        return []
+    shown = (mean_less_deviations(0), mean_less_deviations(1))
+    return [
+        {name: _rounded(row[name]) for name in ("learned_from", "name", "n", "r", "slope")}
+        for row in study.table("regressions").to_pylist()
+        if row["name"] in shown
+    ]
+
+
+def _rounded(value: Json) -> Json:
+    if not isinstance(value, float):
+        return value
+    return round(value, _DIGITS) if np.isfinite(value) else None
+
+
+def _digest(study: Study, stage: str) -> str:
+    done = study.upstream[stage].done
+    digests = [part.digest for of in sorted(done, key=lambda of: of.label) for part in done[of]]
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
