@@ -19,7 +19,7 @@ from tasks.world import ENVIRONMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md")
+PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md", ROOT / "docs" / "throws.md")
 SECTION = re.compile(
     r"<!-- from docs/results/([\w-]+)\.json, (\S+): python -m benchmarks\.published -->\n.*?<!-- end -->", re.S
 )
@@ -33,7 +33,7 @@ def with_sections(page: str) -> str:
         study, what = found.groups()
         results = json.loads((RESULTS / f"{study}.json").read_text(encoding="utf-8"))
         marker = found.group(0).split("\n", 1)[0]
-        table = accuracy(results) if what == "accuracy" else transfer(results, what)
+        table = _TABLES[what](results) if what in _TABLES else transfer(results, what)
         return f"{marker}\n{table}\n<!-- end -->"
 
     return SECTION.sub(section, page)
@@ -71,6 +71,20 @@ def accuracy(results: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def errors(results: Mapping[str, Any]) -> str:
+    """Tabulate the errors of networks along the paths of robots, by the throws that they learned from."""
+    depths = list(results["errors"][0]["error"])
+    headings = ["throws", "× steps", "networks", "inputs", "training [s]", *(f"at {depth} m" for depth in depths)]
+    lines = [f"| {' | '.join(headings)} |", "|---|--:|---|" + "--:|" * (len(headings) - 3)]
+    for row in results["errors"]:
+        size = f"{row['n_throws']:,} × {row['n_steps']}"
+        cells = [row["throws"], size, row["network"], str(row["inputs"]), f"{row['seconds']:.0f}"]
+        cells += [" ".join(f"{error:.2f}" for error in row["error"][depth]) for depth in depths]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+_TABLES = {"accuracy": accuracy, "errors": errors}
 _PREDICTORS = {"mean": "mean μ over members", "mean - 1 sd": "μ − σ"}
 
 

@@ -19,6 +19,7 @@ from pipeline.stages.analyses.analysis_tables import ANALYSIS_VERSION
 from pipeline.stages.assess import AssessmentId
 from pipeline.stages.data_sets import ChunkId, NetworkId
 from pipeline.stages.part import PartId
+from pipeline.stages.pilot import PilotId
 from pipeline.store.encoding import Array, decode_table, units_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
@@ -54,6 +55,8 @@ CATALOGUE: Mapping[str, TableSource] = {
     "transitions": TableSource("collect", "transitions"),
     "learning_curves": TableSource("train", "learning"),
     "validation_errors": TableSource("train", "errors"),
+    "coverage": TableSource("pilot", "coverage"),
+    "pilot_states": TableSource("pilot", "states"),
     "scores": _analysed(specs.STATISTICS, "scores"),
     "regressions": _analysed(specs.STATISTICS, "regressions"),
     "histograms": _analysed(specs.STATISTICS, "histograms"),
@@ -131,7 +134,7 @@ def keys_of(chain: ChainId) -> dict[str, Any]:
         return {**keys_of(chain.trial), "data_set": chain.data_set.words}
     if isinstance(chain, NetworkId):
         return {"member": chain.index, "data_set": chain.data_set.words}
-    return {"data_set": chain.data_set.words} if isinstance(chain, ChunkId) else {}
+    return {"data_set": chain.data_set.words} if isinstance(chain, ChunkId | PilotId) else {}
 
 
 _UNITS = {"environment": "", "depth": "m", "trial": "", "operator": ""}

@@ -1,0 +1,135 @@
+"""Measure what networks get wrong along the paths of robots, by throws and networks: `python -m benchmarks.throws`.
+
+Writes docs/results/throws.json, which docs/throws.md shows. It takes a quarter of an hour on one core.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.published import RESULTS
+from pipeline.store.provenance import environment as provenance
+from tasks.arrays import Float32, Float64
+from tasks.design.genes import concatenate
+from tasks.evolution import EMPTY_POPULATION, PAPERS_OBJECTIVE, Afpo, Trial, evaluate, evolve
+from tasks.residual import OBSERVATION, Architecture, Throws, Training, initial_states, simulate_throws
+from tasks.residual.ensemble import Ensemble
+from tasks.residual.training import train_member
+from tasks.seeding import generator
+from tasks.simulation import simulate
+from tasks.simulation.free_links import FreeLinks
+from tasks.world import LinkStates, Physics, Slush, TrueSlush
+
+DEPTHS = (1.0, 2.0, 4.0, 9.0)
+_N_TRIALS, _N_GENERATIONS, _EVERY, _N_NETWORKS = 3, 400, 7, 2
+_MAGNITUDES = (*OBSERVATION, "speed", "abs_omega", "abs_sin_angle")
+_TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
+
+THROWS = {
+    "paper": [(500, 200)],
+    "robots": [(2500, 40), (5000, 20), (1250, 80), (500, 200), (500, 40), (100, 40), (100, 200), (3400, 29)],
+}
+NETWORKS = [
+    (2, 32, OBSERVATION),
+    (2, 32, _MAGNITUDES),
+    (2, 48, _MAGNITUDES),
+    (3, 32, _MAGNITUDES),
+    (3, 64, OBSERVATION),
+]
+
+
+def robots(depth: float) -> tuple[LinkStates, Float64]:
+    """Return the states of links of robots that evolved in True Slush, and the true (n_states, 3) velocity changes."""
+    trials = [Trial(partial(generator, 7, "robots", k), EMPTY_POPULATION) for k in range(_N_TRIALS)]
+    environment = TrueSlush(depth=depth)
+    found = evolve(
+        trials,
+        lambda designs: evaluate(simulate(designs, environment), disagreement_penalty=0.0, objective=PAPERS_OBJECTIVE),
+        first_generation=0,
+        n_generations=_N_GENERATIONS,
+        afpo=Afpo.model_validate({"population_size": 16, "mutation": {"step": 0.2}}),
+    )
+    designs = concatenate([population.designs[population.champion()] for population, _ in found])
+    trace = simulate(designs, environment, trace=True).trace
+    assert trace is not None
+    state = trace[:, ::_EVERY]
+    length_scale = np.broadcast_to(designs.length_scale[:, None, :], state.shape[:-1]).reshape(-1)
+    state = state.reshape(-1, state.shape[-1])
+    links = FreeLinks(length_scale, Physics())
+    change = links.step(state, Slush()) - links.step(state, None)
+    return _links(length_scale, state), change[:, 3:].astype(np.float64)
+
+
+def _links(length_scale: Float64, state: Float32) -> LinkStates:
+    _, y, angle, vx, vy, omega = state.T
+    one = np.ones_like(y)
+    return LinkStates(length_scale.astype(np.float32), one, one, y, np.cos(angle), np.sin(angle), vx, vy, omega)
+
+
+def errors(ensemble: Ensemble, links: LinkStates, true: Float64) -> Sequence[float]:
+    """Return the error of vx, vy and ω as shares of the deviation of the true changes; the mean over networks."""
+    several = LinkStates(**{name: np.stack([of] * ensemble.n_members) for name, of in vars(links).items()})
+    change = ensemble.velocity_change(several, Physics())
+    predicted = np.stack([change.vx, change.vy, change.omega], axis=-1)
+    rmse = np.sqrt(np.square(predicted - true).mean(axis=1)).mean(axis=0)
+    return [round(float(share), 3) for share in rmse / true.std(axis=0)]
+
+
+def row(
+    design: str, n_throws: int, n_steps: int, network: tuple[int, int, Any], at: dict[float, Any]
+) -> dict[str, Any]:
+    """Train two networks on throws and measure them.
+
+    Args:
+        design: of the throws.
+        n_throws: number of throws.
+        n_steps: steps of each.
+        network: number of hidden layers, width and inputs.
+        at: states and changes of robots by depth [m].
+
+    Returns:
+        A row of the results file.
+    """
+    layers, width, inputs = network
+    throws = Throws.model_validate({"design": design, "n_throws": n_throws, "n_steps": n_steps})
+    transitions = simulate_throws(initial_states(throws, generator(1, "throws")), n_steps, Slush(), Physics())
+    architecture = Architecture(hidden_layers=layers, width=width, dropout=0.0, observation=inputs)
+    start = time.process_time()
+    members = [
+        train_member(transitions, architecture, _TRAINING, seed=1, member=k).arrays() for k in range(_N_NETWORKS)
+    ]
+    seconds = (time.process_time() - start) / _N_NETWORKS
+    ensemble = Ensemble.from_members(members)
+    return {
+        "throws": design,
+        "n_throws": n_throws,
+        "n_steps": n_steps,
+        "network": f"{layers} × {width}",
+        "inputs": len(inputs),
+        "seconds": round(seconds, 1),
+        "error": {f"{depth:g}": errors(ensemble, *found) for depth, found in at.items()},
+    }
+
+
+def main() -> None:
+    """Measure every row and write the file."""
+    at = {depth: robots(depth) for depth in DEPTHS}
+    cases = [(design, *size, NETWORKS[0]) for design, sizes in THROWS.items() for size in sizes]
+    cases += [("paper", 500, 200, NETWORKS[1]), *(("robots", 3400, 29, network) for network in NETWORKS[1:])]
+    rows = []
+    for case in cases:
+        rows.append(row(*case, at))
+        print(rows[-1], flush=True)
+    document = {"schema": "puddle.throws", "version": 1, "made_with": dict(provenance()), "errors": rows}
+    text = json.dumps(document, indent=1, ensure_ascii=False)
+    (RESULTS / "throws.json").write_text(f"{text}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
