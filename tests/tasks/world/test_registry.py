@@ -18,14 +18,15 @@ class FlatEnsemble(Slush):
 
 
 def test_environments_are_listed_in_the_papers_order() -> None:
-    assert list(ENVIRONMENTS) == ["true_slush", "dry_land", "residual_slush", "single_member", "randomised_slush"]
+    papers = ["true_slush", "dry_land", "residual_slush", "single_member"]
+    assert list(ENVIRONMENTS) == [*papers, "designed_throws", "designed_single_member", "randomised_slush"]
 
 
 def test_settings_accept_registered_names_only() -> None:
     names = TypeAdapter(EnvironmentName)
     assert [names.validate_python(name) for name in ENVIRONMENTS] == list(ENVIRONMENTS)
     assert names.json_schema() == {"enum": list(ENVIRONMENTS), "type": "string"}
-    expected = "should be 'true_slush', 'dry_land', 'residual_slush', 'single_member' or 'randomised_slush'"
+    expected = f"should be {', '.join(map(repr, list(ENVIRONMENTS)[:-1]))} or 'randomised_slush'"
     with pytest.raises(ValidationError, match=expected):
         names.validate_python("tar_pit")
 
