@@ -31,7 +31,7 @@ assess: {n_designs: 12}
 work: {throws_per_item: 2, generations_per_item: 2, engine: reference}
 """
 
-N_STAGES = 5
+N_STAGES = 6
 """The stages with many work items; the analyses and the page read these and are one work item each."""
 
 
@@ -124,7 +124,7 @@ def test_the_same_bytes_from_the_fast_engine_in_batches(torture, local_ray, tmp_
     with serial_cluster() as serial:
         for cluster, overrides in ((serial, ()), (Shuffled(local_ray, 2, rng), (cut,))):
             settings = parse(Settings, PAPER, name="paper", overrides=overrides)
-            upstream = small_study.run(settings, store, cluster, STAGES[:3], say=print)
+            upstream = small_study.run(settings, store, cluster, STAGES[:4], say=print)
             assert not any(results.failed for results in upstream.values())
             found.append(small_study.digests(upstream))
             shutil.rmtree(store.root / "items" / "evolve")  # the networks remain

@@ -57,9 +57,11 @@ def test_every_module_of_the_science_is_among_what_some_stage_imports():
     of_commands = {
         "pipeline.report.column_figures",
         "pipeline.report.pair_page",
+        "pipeline.report.sensitivity_page",
         "pipeline.report.transfer_latex",
         "tasks.analysis.statistical_power",
         "tasks.analysis.study_differences",
+        "tasks.analysis.variant_effects",
     }
     assert missed == {*PACKAGES, *of_commands}
 
