@@ -68,7 +68,7 @@ def sensitivity(
     for line in sensitivity_lines(found):
         to_stdout(line)
     try:
-        out.with_suffix(".json").write_bytes(SENSITIVITY.dump_json(found, indent=1) + b"\n")
+        out.with_suffix(".json").write_bytes(SENSITIVITY.dump_json(found) + b"\n")
         out.write_text(sensitivity_page(found))
     except OSError as error:
         raise PuddleError(f"--out: can't write {out}: {error.strerror}. Choose another file.") from None
@@ -183,7 +183,7 @@ def _run(
     from pipeline.config.open_choices import changed
     from pipeline.report.sensitivity_page import Sensitivity, SensitivityRow
     from pipeline.store.provenance import environment
-    from tasks.analysis.variant_effects import effects, trials_to_show
+    from tasks.analysis.variant_effects import trials_to_show
 
     n_pilot = plan.base.grid.n_trials
     with _studies(options, execution) as (run, say):
@@ -195,12 +195,6 @@ def _run(
         say(f"{n_trials} trials of each study; {n_to_show or 'more than 100,000'} show what is just not negligible")
         base = run(changed(plan.base, f"grid.n_trials={n_trials}"))
         of_variants = [run(plan.study(choice, n_trials)) for choice in plan.choices]
-    found = effects(
-        [
-            (of.scores(choice.concerns), base.scores(choice.concerns))
-            for choice, of in zip(plan.choices, of_variants, strict=True)
-        ]
-    )
     afpo, settings = plan.base.evolution.afpo, plan.base
     return Sensitivity(
         command=shlex.join(
@@ -229,21 +223,24 @@ def _run(
                 choice.instead,
                 choice.setting,
                 *choice.concerns,
-                effect,
                 of.settings.name,
                 of.digest(),
+                of.displacement(choice.concerns),
+                base.displacement(choice.concerns),
             )
-            for choice, effect, of in zip(plan.choices, found, of_variants, strict=True)
+            for choice, of in zip(plan.choices, of_variants, strict=True)
         ),
     )
 
 
 def _known(base: "_FinishedStudy", arm: "ScoredArm") -> "Float64":
     """Return the displacements of the base's champions that have one; refuse too few, or champions that do not move."""
+    import numpy as np
+
     from tasks.analysis.uncertainty import RESOLUTION, finite
     from tasks.analysis.variant_effects import negligible
 
-    known = finite(base.scores(arm))
+    known = finite(np.array(base.displacement(arm), dtype=np.float64))  # None becomes NaN
     if len(known) < 2 or negligible(known) < RESOLUTION:
         environment, quantity = arm
         raise PuddleError(
@@ -306,13 +303,10 @@ class _FinishedStudy:
     upstream: "Upstream"
     rows: Sequence[dict[str, Any]]  # scores of each trial
 
-    def scores(self, arm: "ScoredArm") -> "Float64":
-        """(n_trials,) displacements of an arm's champions [m], NaN where there is none."""
-        import numpy as np
-
+    def displacement(self, arm: "ScoredArm") -> tuple[float | None, ...]:
+        """Displacement of each trial's champion of an arm [m], None where there is none."""
         environment, quantity = arm
-        of_arm = [row.get(quantity) for row in self.rows if row["environment"] == environment]
-        return np.array(of_arm, dtype=np.float64)  # None becomes NaN
+        return tuple(row.get(quantity) for row in self.rows if row["environment"] == environment)
 
     def digest(self) -> str:
         """SHA-256 of the digests of the study's items, of evolution and transfer."""

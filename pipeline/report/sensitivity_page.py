@@ -3,20 +3,24 @@
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
+import numpy as np
 from pydantic import TypeAdapter
 
 from pipeline.report.wording import NONE, p_value, signed
 from tasks.analysis.comparison import Group
-from tasks.analysis.equivalence import MOST_TRIALS, Judgement, Verdict
-from tasks.analysis.variant_effects import Effect
+from tasks.analysis.equivalence import MOST_TRIALS, Verdict
+from tasks.analysis.uncertainty import LEVEL
+from tasks.analysis.variant_effects import Effect, effects
 
 FIRST_LINE = "<!-- written by puddle sensitivity; the result is in the .json file beside it -->"
 WIDTH = 128
 
-VERDICT_WORDS: Mapping[Verdict, str] = {
+_VERDICTS: Mapping[str, str] = {
     "agrees": "negligible",
     "differs": "matters",
+    "some": "a difference",
     "cannot tell": "cannot tell",
     "not comparable": "not comparable",
 }
@@ -25,7 +29,7 @@ _SCORES = {"zero_shot": "zero-shot", "adapted": "adapted"}
 
 @dataclass(frozen=True)
 class SensitivityRow:
-    """A variant and its effect."""
+    """A variant, and what it is compared with."""
 
     name: str
     decided: str
@@ -33,9 +37,10 @@ class SensitivityRow:
     setting: str
     environment: str
     score: str  # zero_shot or adapted
-    effect: Effect
     study: str
     digest: str
+    displacement: tuple[float | None, ...]  # of each trial's champion [m]
+    base: tuple[float | None, ...]  # the same in the base
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,13 @@ class Sensitivity:
     left_out: tuple[str, ...]  # variants that do not apply, with the reasons
     rows: tuple[SensitivityRow, ...]
 
+    def effects(self) -> list[tuple[SensitivityRow, Effect]]:
+        """Return the effect of each variant."""
+        pairs = [
+            (np.array(row.displacement, dtype=np.float64), np.array(row.base, dtype=np.float64)) for row in self.rows
+        ]
+        return list(zip(self.rows, effects(pairs), strict=True))
+
 
 SENSITIVITY: TypeAdapter[Sensitivity] = TypeAdapter(Sensitivity)
 """The result as JSON."""
@@ -64,12 +76,11 @@ SENSITIVITY: TypeAdapter[Sensitivity] = TypeAdapter(Sensitivity)
 def sensitivity_lines(found: Sensitivity) -> Iterator[str]:
     """Describe a result in lines of 80 columns: the base, and a row for each variant."""
     yield f"{'[m]':<21} {'n':>3} {'variant':>12} {'base':>12} {'difference':>20} {'p':>7}"
-    for row in found.rows:
-        effect = row.effect
+    for row, effect in found.effects():
         p = p_value(effect.student_holm).replace(" ", "")
         means = f"{effect.variant.n:>3} {_spread(effect.variant):>12} {_spread(effect.base):>12}"
         yield f"{row.name:<21} {means} {_interval(effect):>20} {p:>7}"
-        yield f"    {verdict_words(effect.judgement)}"
+        yield f"    {verdict_words(effect)}"
     yield ""
     yield from textwrap.wrap(_definitions(found), 80)
 
@@ -79,16 +90,17 @@ def sensitivity_page(found: Sensitivity) -> str:
     return "\n".join(_page(found)) + "\n"
 
 
-def verdict_words(judgement: Judgement) -> str:
+def verdict_words(effect: Effect) -> str:
     """Write a verdict, with the number of trials that would tell where these do not."""
-    words = VERDICT_WORDS[judgement.verdict]
-    if judgement.n_needed is None:
-        return words
-    return (
-        f"{words} (more than {MOST_TRIALS:,} trials)"
-        if judgement.n_needed > MOST_TRIALS
-        else (f"{words} ({judgement.n_needed:g} trials)")
-    )
+    n = effect.judgement.n_needed
+    needs = "" if n is None else f" (more than {MOST_TRIALS:,} trials)" if n > MOST_TRIALS else f" ({n:g} trials)"
+    return f"{_VERDICTS[_verdict(effect)]}{needs}"
+
+
+def _verdict(effect: Effect) -> Verdict | Literal["some"]:
+    """Return the verdict, or "some" where there is a difference and these trials cannot tell whether it matters."""
+    p, verdict = effect.student_holm, effect.judgement.verdict
+    return "some" if verdict == "cannot tell" and p is not None and p < 1 - LEVEL else verdict
 
 
 def _page(found: Sensitivity) -> Iterator[str]:
@@ -139,8 +151,7 @@ def _page(found: Sensitivity) -> Iterator[str]:
 def _table(found: Sensitivity) -> Iterator[str]:
     yield "| variant | decided | instead | score | n | base | variant | difference (95 %) | p (Holm) | verdict |"
     yield "|---|---|---|---|--:|--:|--:|--:|--:|---|"
-    for row in found.rows:
-        effect = row.effect
+    for row, effect in found.effects():
         home = "" if row.environment == "true_slush" else f", from {row.environment}"
         cells = (
             row.name,
@@ -152,7 +163,7 @@ def _table(found: Sensitivity) -> Iterator[str]:
             _spread(effect.variant),
             _interval(effect),
             p_value(effect.student_holm),
-            verdict_words(effect.judgement),
+            verdict_words(effect),
         )
         yield f"| {' | '.join(cells)} |"
 
@@ -160,21 +171,23 @@ def _table(found: Sensitivity) -> Iterator[str]:
 def _conclusions(found: Sensitivity) -> Iterator[str]:
     for verdict, opening in (
         ("differs", "Shown to matter"),
+        ("some", "Shown to make a difference, which may be negligible"),
         ("agrees", "Shown to be negligible"),
-        ("cannot tell", "Not told apart by these trials"),
+        ("cannot tell", "Not shown to make a difference, nor that it is negligible"),
     ):
-        names = [row.name for row in found.rows if row.effect.judgement.verdict == verdict]
+        names = [row.name for row, effect in found.effects() if _verdict(effect) == verdict]
         if names:
             yield from _wrapped(f"- {opening}: {', '.join(names)}.", "  ")
 
 
 def _definitions(found: Sensitivity) -> str:
-    bounds = {f"{_SCORES[row.score]} ± {row.effect.bound:.1f} m" for row in found.rows}
+    bounds = {f"{_SCORES[row.score]} ± {effect.bound:.1f} m" for row, effect in found.effects()}
     return (
         f"Differences are variant minus base, with the 95 % interval of Student's t test; p is that test's after "
         f"Holm's correction over the {len(found.rows)} variants. A variant is negligible if the interval lies within "
         f"± 20 % of the base's mean ({', '.join(sorted(bounds))}), and matters if it lies outside. Otherwise these "
-        f"trials cannot tell; in brackets, how many trials of each study would."
+        f"trials cannot tell, except that there is a difference where p is below 0.05; in brackets, how many trials of "
+        f"each study would."
     )
 
 

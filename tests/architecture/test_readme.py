@@ -20,6 +20,7 @@ from benchmarks.readme import PAGE, RESULTS, with_section
 from pipeline.commands.app import app
 from pipeline.commands.options import StudyOptions
 from pipeline.config.loading import parse
+from pipeline.report.sensitivity_page import SENSITIVITY, sensitivity_page
 from tasks.fabrication.kit_settings import FabricationSettings
 
 ROOT = Path(__file__).parents[2]
@@ -255,6 +256,11 @@ def test_every_table_of_displacements_is_from_a_results_file():
 def test_a_page_that_differs_from_its_results_file_is_noticed():
     text = published.PAGES[0].read_text(encoding="utf-8")
     assert "12.9 ± 1.6" in text and published.with_sections(text.replace("12.9 ± 1.6", "13.9 ± 1.6")) == text
+
+
+def test_sensitivity_is_that_of_its_result():
+    page = ROOT / "docs" / "sensitivity.md"
+    assert sensitivity_page(SENSITIVITY.validate_json(page.with_suffix(".json").read_bytes())) == page.read_text()
 
 
 def promised_names() -> Iterator[str]:

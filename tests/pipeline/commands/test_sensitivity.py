@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import call, refused
+from scipy.stats import norm
 
 from pipeline.commands.sensitivity import plan_of
 from pipeline.config.loading import load, preset_path
 from pipeline.config.open_choices import OPEN_CHOICES
 from pipeline.config.settings import Settings
-from pipeline.report.sensitivity_page import FIRST_LINE, SENSITIVITY, sensitivity_page
+from pipeline.report.sensitivity_page import FIRST_LINE, SENSITIVITY, sensitivity_page, verdict_words
 from pipeline.results.recorded_study import open_study
 from tasks.analysis.comparison import difference, student
+from tasks.analysis.variant_effects import effects
 
 SETTINGS = """name: tiny
 grid: {depths: [1.0, 9.0], environments: [true_slush], single_member_depths: [], n_trials: 2}
@@ -59,9 +61,10 @@ def test_the_numbers_are_those_of_the_champions(page, folder):
     found = SENSITIVITY.validate_json(page.with_suffix(".json").read_bytes())
     assert (found.n_pilot, found.n_trials, found.base_study) == (2, 3, "tiny-base")
     base = open_study("tiny-base", folder / "store").champions()
-    for row in found.rows:
+    for row, effect in found.effects():
         x, y = (np.array(table[row.score]) for table in (open_study(row.study, folder / "store").champions(), base))
-        assert row.effect.difference == difference(x, y) and row.effect.student == student(x, y)
+        assert row.displacement == tuple(x.tolist()) and row.base == tuple(y.tolist())
+        assert effect.difference == difference(x, y) and effect.student == student(x, y)
     assert len({found.base_digest, *(row.digest for row in found.rows)}) == 3
 
 
@@ -151,3 +154,20 @@ def test_champions_that_do_not_move_have_no_deviation_to_plan_with(folder, tmp_p
     assert call(*arguments(folder, *still, *where)) == 2
     said = capsys.readouterr().err
     assert "study tiny-pilot: expected champions of true_slush that travel" in said
+
+
+@pytest.mark.parametrize(
+    ("shift", "words"),
+    [
+        (0.0, "negligible"),
+        (8.0, "matters"),
+        (2.0, "a difference (more than 1,000 trials)"),
+        (-1.5, "a difference (34 trials)"),
+    ],
+)
+def test_a_planted_effect_has_its_verdict(shift, words):
+    """The base travels 10 m with a deviation of 1 m over 16 trials, so ± 2 m is negligible."""
+    normal = norm.ppf((np.arange(16) + 0.5) / 16)
+    base = 10 + normal / normal.std(ddof=1)
+    (effect,) = effects([(base + shift, base)])
+    assert verdict_words(effect) == words
