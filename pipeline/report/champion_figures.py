@@ -29,6 +29,8 @@ from tasks.world import ENVIRONMENTS, EnvironmentName
 
 CURVE_POINTS = 120  # generations drawn per fitness curve, so that a page of a hundred curves stays small
 
+_MOST_LARGE_LABELS = 5  # arms whose names fit side by side in the usual size
+
 _TRANSFERS: tuple[Measure, Measure] = ("zero_shot", "adapted")
 _NO_TRIALS = "no trial has finished yet"
 
@@ -63,7 +65,7 @@ def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
             ticks[ENVIRONMENTS[environment].label.replace(" ", "\n")] = float(np.mean(centers))
             center += 0.45
     axes.axhline(0, color=INK, lw=0.8)
-    axes.set_xticks(list(ticks.values()), list(ticks))
+    axes.set_xticks(list(ticks.values()), list(ticks), fontsize=None if len(ticks) <= _MOST_LARGE_LABELS else "small")
     axes.tick_params(axis="x", length=0)
     axes.set_xlim(-0.7, center - 0.65)
     axes.set_ylabel("displacement in True Slush [m]")
