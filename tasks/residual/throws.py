@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float32, Float64, Int64
+from tasks.design import GENES
 from tasks.parameters import Parameters
 from tasks.residual.observation import OBSERVATION, STATE, Observed, observe
 from tasks.residual.robot_ranges import robot_ranges
@@ -48,6 +49,16 @@ class Throws(Parameters):
     """Initial ω lies within ± this [rad/s]. [P] Box2D limits rotation to π/2 per step."""
     throw_speed: Literal["uniform", "log_uniform"] = "uniform"
     """Initial velocities: uniform [P], or all three of a throw times 10^U(-2, 0), for more low speeds."""
+
+    @model_validator(mode="after")
+    def _some_are_like_robots(self) -> Self:
+        gene = next(gene for gene in GENES if gene.name == "length_scale")
+        if not any(gene.low <= length <= gene.high for length in self.length_scales):
+            raise ValueError(
+                f"length_scales are {list(self.length_scales)}, and no robot has such a link: expected at least one from "
+                f"{gene.low:g} to {gene.high:g} m"
+            )
+        return self
 
     @model_validator(mode="after")
     def _ranges_are_used(self) -> Self:

@@ -64,6 +64,12 @@ def test_ranges_that_the_design_ignores_are_refused(changed):
         Throws(design="robots", **changed)
 
 
+def test_throws_without_a_link_of_a_robot_are_refused():
+    assert Throws(length_scales=(0.5, 2.0)).length_scales == (0.5, 2.0)
+    with pytest.raises(ValidationError, match=r"length_scales are \[5.0\], and no robot has such a link"):
+        Throws(length_scales=(5.0,))
+
+
 def test_the_papers_design_needs_a_number_of_steps():
     with pytest.raises(ValidationError, match="n_steps is null, which only the design robots decides"):
         Throws(n_steps=None)
