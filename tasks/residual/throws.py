@@ -55,8 +55,8 @@ class Throws(Parameters):
         gene = next(gene for gene in GENES if gene.name == "length_scale")
         if not any(gene.low <= length <= gene.high for length in self.length_scales):
             raise ValueError(
-                f"length_scales are {list(self.length_scales)}, and no robot has such a link: expected at least one from "
-                f"{gene.low:g} to {gene.high:g} m"
+                f"length_scales are {list(self.length_scales)}, and no robot has such a link: expected at least one "
+                f"from {gene.low:g} to {gene.high:g} m"
             )
         return self
 
