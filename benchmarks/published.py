@@ -84,7 +84,13 @@ def errors(results: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-_TABLES = {"accuracy": accuracy, "errors": errors}
+def digests(results: Mapping[str, Any]) -> str:
+    """Tabulate the digests of a study's results."""
+    rows = [f"| {name} | `{digest}` |" for name, digest in results["digests"].items()]
+    return "\n".join(["| result | digest |", "|---|---|", *rows])
+
+
+_TABLES = {"accuracy": accuracy, "errors": errors, "digests": digests}
 _PREDICTORS = {"mean": "mean μ over members", "mean - 1 sd": "μ − σ"}
 
 
