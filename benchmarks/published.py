@@ -107,7 +107,8 @@ def _papers_figures(name: str) -> str:
 
 def _cells(name: str, arms: Mapping[str, Any]) -> list[str]:
     kind, arm = ENVIRONMENTS[name], arms[name]
-    cells = [f"{kind.label}, *{kind.symbol}*"]
+    symbol = kind.symbol.replace("*", r"\*")
+    cells = [f"{kind.label}, *{symbol}*"]
     cells += [
         _mean(arm.get(quantity)) if (name, quantity) != ("true_slush", "predicted") else "" for quantity in _MEASURED
     ]
