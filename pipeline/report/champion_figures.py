@@ -29,6 +29,7 @@ from tasks.world import ENVIRONMENTS, EnvironmentName
 
 CURVE_POINTS = 120  # generations drawn per fitness curve, so that a page of a hundred curves stays small
 
+_MOST_IN_THREE_COLUMNS = 6  # entries of a legend; with more arms, some have long names
 _MOST_LARGE_LABELS = 5  # arms whose names fit side by side in the usual size
 
 _TRANSFERS: tuple[Measure, Measure] = ("zero_shot", "adapted")
@@ -131,7 +132,7 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
     axes.set_xlabel("depth [m]")
     axes.set_ylabel("displacement in True Slush [m]")
     axes.grid()
-    legend(figure, list(handles.values()))
+    legend(figure, list(handles.values()), n_columns=3 if len(handles) <= _MOST_IN_THREE_COLUMNS else 2)
     return figure, (
         "Displacement in True Slush by depth, for the champions of each environment: zero-shot (solid lines), and with "
         "their controllers adapted to True Slush (dashed lines, hollow marks). Lines are means over trials, bands "

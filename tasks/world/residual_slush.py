@@ -85,7 +85,7 @@ register(
         build=ResidualSlush,
         networks="one",
         learns_from="designed_throws",
-        label="Designed, single member",
+        label="Designed, single",
         symbol="Ê*₁",
         evolved="with a single member learned from designed throws",
         marker="d",
