@@ -23,7 +23,7 @@ class Parameters(BaseModel):
 def later_choice(default: Any) -> Any:
     """Declare a field that results were computed without.
 
-    JSON omits it where it has its default, which is how those results came about: so their keys stay as they are.
+    JSON omits it where it has its default, so the keys of those results stay as they are.
     """
     return Field(default=default, exclude_if=lambda value: value == default)
 

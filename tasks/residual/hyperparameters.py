@@ -3,11 +3,11 @@
 [P] marks values of the paper; the others are our decisions.
 """
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from tasks.parameters import Parameters
+from tasks.parameters import Parameters, later_choice
 from tasks.residual.observation import OBSERVATION, Observed
 
 
@@ -20,9 +20,7 @@ class Architecture(Parameters):
     """Units in each hidden layer. [P]"""
     dropout: float = Field(default=0.001, ge=0.0, le=0.9)
     """Probability to drop a hidden unit from a sample of a minibatch. [P]"""
-    observation: tuple[Observed, ...] = Field(
-        default=OBSERVATION, min_length=1, exclude_if=lambda inputs: inputs == OBSERVATION
-    )
+    observation: Annotated[tuple[Observed, ...], Field(min_length=1)] = later_choice(OBSERVATION)
     """Inputs: by default the six of the paper [P]. Magnitudes (speed, abs_omega, abs_sin_angle) make small networks
     more accurate, because drag grows with |v| v and |ω| ω. sin_angle is for media that push a tilted plate sideways."""
 

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.design import GENES
-from tasks.parameters import Parameters
+from tasks.parameters import Parameters, later_choice
 from tasks.residual.observation import OBSERVATION, STATE, Observed, observe
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.simulation.free_links import FreeLinks
@@ -33,7 +33,7 @@ class Throws(Parameters):
     n_steps: int | None = Field(default=200, ge=1, le=100_000)
     """Steps of each throw; the default is 3.3 s [P]. null: in throws for robots, as many as gravity takes to accelerate
     a link beyond the range of their speeds, about half a second."""
-    design: Literal["paper", "robots"] = Field(default="paper", exclude_if=lambda design: design == "paper")
+    design: Literal["paper", "robots"] = later_choice("paper")
     """Starts: "paper" draws them uniformly within the ranges below [P]. "robots" spreads them evenly, as a scrambled
     Sobol sequence, over the states that links of random designs pass through in the base simulator, and ignores the
     ranges below."""

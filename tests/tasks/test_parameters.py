@@ -1,4 +1,4 @@
-"""Choices that were added to settings: what came before them keeps its JSON, and so its key."""
+"""Choices that were added to settings: older results keep their JSON, and so their keys."""
 
 from tasks.design import Mutation
 from tasks.evolution import Afpo
