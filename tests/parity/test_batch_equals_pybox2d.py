@@ -14,7 +14,9 @@ from tasks.simulation.box2d import Column
 from tasks.simulation.simd import rotation
 from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees import packing
-from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world import DryLand, Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush
+from tasks.world.anisotropic_slush import AnisotropicPool, AnisotropicSlush
+from tasks.world.flowing_slush import FlowingPool, FlowingSlush
 
 DEPTHS = (0.0, 0.3, 1.0, 2.5, 9.0)
 
@@ -68,6 +70,15 @@ def test_every_tree(same_libm: None, seed: int) -> None:
     assert_equal(designs, TrueSlush(0.5), Physics(), n_settle=10, n_measure=150)
 
 
+@pytest.mark.parametrize(
+    "environment", [AnisotropicPool(0.3), AnisotropicPool(2.5), FlowingPool(0.3), FlowingPool(2.5)]
+)
+def test_other_fluids(environment: Environment, same_libm: None, seed: int) -> None:
+    designs = random_designs(21, np.random.default_rng(seed))
+    motion = assert_equal(designs, environment, Physics(), n_settle=50, n_measure=350)
+    assert np.isfinite(motion.final).all()
+
+
 @pytest.mark.parametrize("depth", [0.3, 2.5])
 def test_residual_slush(depth: float, same_libm: None, seed: int) -> None:
     designs = random_designs(21, np.random.default_rng(seed))
@@ -87,8 +98,10 @@ def test_residual_slush_of_networks(trace: bool, same_libm: None, seed: int) -> 
 
 
 @pytest.mark.parametrize("speed", [20.0, 200.0])
-@pytest.mark.parametrize("medium", [None, Slush()], ids=["dry", "slush"])
-def test_throws(speed: float, medium: Slush | None, same_libm: None, seed: int) -> None:
+@pytest.mark.parametrize(
+    "medium", [None, Slush(), AnisotropicSlush(), FlowingSlush()], ids=["dry", "slush", "anisotropic", "flowing"]
+)
+def test_throws(speed: float, medium: Medium | None, same_libm: None, seed: int) -> None:
     rng = np.random.default_rng(seed)
     n = 203
     length_scale = rng.choice([1.0, 2.0, 3.0, 1.7], n)

@@ -6,6 +6,8 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from tasks.world import ENVIRONMENTS, DryLand, EnvironmentName, RandomisedSlushes, ResidualSlush, Slush, TrueSlush
+from tasks.world.anisotropic_slush import AnisotropicSlush
+from tasks.world.flowing_slush import FlowingSlush
 from tasks.world.registry import register, settings_groups
 
 
@@ -19,20 +21,26 @@ class FlatEnsemble(Slush):
 
 def test_environments_are_listed_in_the_papers_order() -> None:
     papers = ["true_slush", "dry_land", "residual_slush", "single_member"]
-    assert list(ENVIRONMENTS) == [*papers, "designed_throws", "designed_single_member", "randomised_slush"]
+    ours = ["designed_throws", "designed_single_member", "randomised_slush", "anisotropic_slush", "flowing_slush"]
+    assert list(ENVIRONMENTS) == [*papers, *ours]
 
 
 def test_settings_accept_registered_names_only() -> None:
     names = TypeAdapter(EnvironmentName)
     assert [names.validate_python(name) for name in ENVIRONMENTS] == list(ENVIRONMENTS)
     assert names.json_schema() == {"enum": list(ENVIRONMENTS), "type": "string"}
-    expected = f"should be {', '.join(map(repr, list(ENVIRONMENTS)[:-1]))} or 'randomised_slush'"
+    expected = f"should be {', '.join(map(repr, list(ENVIRONMENTS)[:-1]))} or 'flowing_slush'"
     with pytest.raises(ValidationError, match=expected):
         names.validate_python("tar_pit")
 
 
 def test_an_environment_is_built_from_its_settings_group() -> None:
-    assert settings_groups() == {"slush": Slush, "randomised_slush": RandomisedSlushes}
+    assert settings_groups() == {
+        "slush": Slush,
+        "anisotropic_slush": AnisotropicSlush,
+        "flowing_slush": FlowingSlush,
+        "randomised_slush": RandomisedSlushes,
+    }
     for group in (Slush(density=2.0), {"density": 2.0}):
         built = ENVIRONMENTS["true_slush"].environment(3.0, {"slush": group})
         assert built == TrueSlush(3.0, Slush(density=2.0))

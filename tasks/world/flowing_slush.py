@@ -1,0 +1,55 @@
+"""Flowing slush: the slush with a steady current along x, so that drag acts on the velocity relative to the flow.
+
+A fluid to test the learner with, which knows nothing of currents. It carries along what does not swim.
+"""
+
+from dataclasses import dataclass, field, replace
+
+from pydantic import Field
+
+from tasks.world.environment import Environment
+from tasks.world.medium import LinkStates, Medium, VelocityChange
+from tasks.world.physics import Physics
+from tasks.world.registry import EnvironmentKind, register
+from tasks.world.slush import Slush
+
+
+class FlowingSlush(Slush):
+    """The slush in a current."""
+
+    current: float = Field(default=0.5, ge=-10.0, le=10.0)
+    """Velocity of the flow along x [m/s]."""
+
+    def velocity_change(self, links: LinkStates, physics: Physics) -> VelocityChange:
+        """Return the slush's change for velocities relative to the flow; adding the flow back changes none."""
+        return super().velocity_change(replace(links, vx=links.vx - self.current), physics)
+
+
+@dataclass(frozen=True)
+class FlowingPool(Environment):
+    """Dry Land filled with flowing slush below y = 0."""
+
+    slush: FlowingSlush = field(default_factory=FlowingSlush)
+
+    @property
+    def medium(self) -> Medium:
+        """Flowing slush."""
+        return self.slush
+
+
+register(
+    EnvironmentKind(
+        name="flowing_slush",
+        build=FlowingPool,
+        settings_group="flowing_slush",
+        settings=FlowingSlush,
+        label="Flowing Slush",
+        symbol="E→",
+        evolved="in Flowing Slush",
+        marker="h",
+        color="#8a5a2b",
+        adapted_color="#dcc5ad",
+        dark_color="#c08f5d",
+        dark_adapted_color="#5f4023",
+    )
+)
