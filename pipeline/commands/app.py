@@ -30,6 +30,7 @@ from pipeline.commands.simulate import simulate
 from pipeline.commands.status import status
 from pipeline.commands.studies import studies
 from pipeline.commands.suggest_throws import suggest_throws
+from pipeline.commands.track import track
 from pipeline.commands.ui import ui
 from pipeline.commands.verify import verify
 
@@ -62,7 +63,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "export": export,
         "ui": ui,
     },
-    "Build": {"fabricate": fabricate},
+    "Build": {"fabricate": fabricate, "track": track},
     "Maintain": {"doctor": doctor, "verify": verify, "gc": gc},
 }
 _SUMMARIES = {"study": "Run every stage that is not done yet, and show the results.", **study.STAGE_SUMMARIES}

@@ -1,13 +1,13 @@
 """Settings of ``puddle fabricate``. [P] marks values from the paper; lengths are in mm."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, field_validator
 
 from tasks.fabrication.scaling import Scaling
 from tasks.fabrication.servos import MEASURES, HornKind
 from tasks.fabrication.timeline import Playback
-from tasks.parameters import Parameters
+from tasks.parameters import Parameters, later_choice
 
 
 class KitSettings(Parameters):
@@ -77,6 +77,21 @@ class KitSettings(Parameters):
         return 2 * self.thickness_mm + self.layer_gap_mm
 
 
+class ThrowingKit(Parameters):
+    """Settings of a kit of bars to throw, with the tank that they are thrown into."""
+
+    lengths: tuple[Annotated[float, Field(ge=0.1, le=10.0)], ...] = Field(default=(1.0, 1.5, 2.0, 3.0), min_length=3)
+    """Long axes of the simulated links [m]; robots have 1 to 3 m."""
+    density_ratio: float = Field(default=0.8, gt=0.0, le=10.0)
+    """Density of a bar over that of the fluid; a link of 1 kg/m² floats in slush of 1.25."""
+    tank_length: float = Field(default=1.17, gt=0.0, le=100.0)
+    """From tag to tag along the front of the tank, between centres [m]; the paper's tank. [P]"""
+    tank_height: float = Field(default=0.27, gt=0.0, le=100.0)
+    """From tag to tag upward, between centres [m]. [P]"""
+    waterline: float = Field(default=0.15, ge=-100.0, le=100.0)
+    """Height of the water over the centres of the lower tags [m]. [P]"""
+
+
 class FabricationSettings(Parameters):
     """Settings of a kit and its run on the bench, separate from a study's."""
 
@@ -86,3 +101,5 @@ class FabricationSettings(Parameters):
     """Scaling from simulation to bench."""
     playback: Playback = Playback()
     """The run on the bench."""
+    throwing: ThrowingKit = later_choice(ThrowingKit())
+    """Bars to throw, for `puddle fabricate --throwing-kit`."""

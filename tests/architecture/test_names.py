@@ -12,6 +12,7 @@ from source import ROOT, SOURCES, syntax
 
 SAME_ROLE = {
     "fabrication": {"tasks", "pipeline"},
+    "vision": {"tasks", "pipeline"},
     "controller": {"tasks/simulation", "pipeline/servo"},
     "layout": {"tasks/simulation/trees", "tasks/simulation/rigid_bodies"},
     "packing": {"tasks/simulation/trees", "tasks/simulation/rigid_bodies"},

@@ -1,0 +1,45 @@
+"""puddle track: videos of thrown bars become a tracks file."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.commands.options import with_options
+from pipeline.commands.output import to_stdout
+
+
+@with_options
+def track(
+    videos: Annotated[list[Path], typer.Argument(metavar="VIDEO...", help="Videos of the tank.")],
+    markers: Annotated[Path, typer.Option("--markers", help="Which tag is where: markers.yaml of a throwing kit.")],
+    out: Annotated[Path, typer.Option("--out", help="The tracks file (.csv).")] = Path("tracks.csv"),
+    lens: Annotated[
+        Path | None, typer.Option("--lens", help="A video of the printed board, which calibrates the lens.")
+    ] = None,
+    slowdown: Annotated[
+        float,
+        typer.Option("--slowdown", min=0.01, help="How many times slower than life the videos play: 8 for 240/s."),
+    ] = 1.0,
+    robot: Annotated[
+        bool, typer.Option("--robot", help="Track the links of a built robot, through the whole video.")
+    ] = False,
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Change one value of the markers file: dictionary=apriltag_36h11.")
+    ] = None,
+) -> None:
+    """Track tagged bars in videos: positions and angles, with their uncertainty.
+
+    The tracks file is what `puddle collect --tracks` reads. Beside it come the bars' sizes and a film of each video
+    with what was found. A throw begins where all tags of a bar are seen inside the rectangle of the tank's corner tags.
+    It ends when the bar leaves the rectangle, is not seen for 0.1 s, or rests.
+    """
+    from pipeline.config.loading import load
+    from pipeline.vision import require_vision
+    from pipeline.vision.markers_file import Markers
+    from pipeline.vision.track_video import TrackOptions, track_videos
+
+    require_vision()
+    found = load(Markers, markers, overrides or ())
+    for line in track_videos(videos, found, out, TrackOptions(lens, slowdown, robot)):
+        to_stdout(line)

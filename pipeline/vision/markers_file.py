@@ -1,0 +1,132 @@
+"""markers.yaml: which tag is where on the tank, on the bars and on a robot. A throwing kit holds one."""
+
+from collections.abc import Iterator
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from tasks.design.genes import N_LINKS
+from tasks.parameters import Parameters
+
+Dictionary = Literal[
+    "4x4_50", "4x4_100", "4x4_250", "5x5_50", "5x5_100", "5x5_250", "6x6_250",
+    "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
+]  # fmt: skip
+
+
+class TankTag(Parameters):
+    """A tag on the front of the tank."""
+
+    number: int = Field(ge=0)
+    """Number of the tag in its dictionary."""
+    x: float = Field(ge=-100.0, le=100.0)
+    """Centre of the tag, to the right [m]."""
+    y: float = Field(ge=-100.0, le=100.0)
+    """Centre of the tag, upward from the same origin [m]."""
+
+
+class TankTags(Parameters):
+    """The tank: a rectangle whose corners carry tags."""
+
+    tag_size: float = Field(default=0.04, gt=0.001, le=1.0)
+    """Edge of the black square of each tag [m]."""
+    corners: tuple[TankTag, ...] = Field(min_length=4)
+    """Tags at the corners of the zone in which bars are thrown, upright; further ones improve the calibration."""
+    waterline: float | None = Field(default=None, ge=-100.0, le=100.0)
+    """Height of the water over the origin of the corners [m]; null where two tags show it."""
+    waterline_tags: tuple[int, int] | None = None
+    """Numbers of two tags, the left one first, whose centres are at the waterline, of the same size."""
+
+    @model_validator(mode="after")
+    def _one_waterline(self) -> Self:
+        if (self.waterline is None) == (self.waterline_tags is None):
+            raise ValueError("expected either waterline or waterline_tags")
+        return self
+
+
+class BarTag(Parameters):
+    """A tag on a bar. Its upper edge points along the long axis, toward the bar's end that counts as up."""
+
+    number: int = Field(ge=0)
+    """Number of the tag in its dictionary."""
+    size: float = Field(gt=0.001, le=1.0)
+    """Edge of its black square [m]."""
+    along: float = Field(default=0.0, ge=-10.0, le=10.0)
+    """Centre of the tag from the bar's centre, along the long axis [m]."""
+    across: float = Field(default=0.0, ge=-10.0, le=10.0)
+    """Centre of the tag from the bar's centre, along the short axis, to the right where the long axis is up [m]."""
+
+
+class TaggedBar(Parameters):
+    """A bar to throw."""
+
+    length: float = Field(gt=0.001, le=100.0)
+    """Long axis [m]."""
+    width: float = Field(gt=0.001, le=100.0)
+    """Short axis [m]."""
+    mass: float = Field(gt=0.0, le=1e6)
+    """[kg]"""
+    tags: tuple[BarTag, ...] = Field(min_length=1)
+    """Its tags; two far apart give the better angle."""
+
+
+class RobotTags(Parameters):
+    """Tags of a built robot: at the centre of each link, upright along its long axis."""
+
+    first: int = Field(default=20, ge=0)
+    """Number of the tag of link 0; link 1 has the next one, and so on."""
+    tag_size: float = Field(default=0.0174, gt=0.001, le=1.0)
+    """Edge of the black square of each tag [m]."""
+
+    def bars(self) -> tuple[TaggedBar, ...]:
+        """Return the links as bars whose size does not matter, in their order."""
+        tags = [BarTag(number=self.first + link, size=self.tag_size) for link in range(N_LINKS)]
+        return tuple(TaggedBar(length=1.0, width=1.0, mass=1.0, tags=(tag,)) for tag in tags)
+
+
+class BoardOfMarkers(Parameters):
+    """The printed board that calibrates the lens (ChArUco)."""
+
+    columns: int = Field(default=7, ge=3, le=50)
+    """Squares along the long side."""
+    rows: int = Field(default=5, ge=3, le=50)
+    """Squares along the short side."""
+    square: float = Field(default=0.036, gt=0.001, le=1.0)
+    """Edge of a square [m]."""
+    marker: float = Field(default=0.027, gt=0.001, le=1.0)
+    """Edge of a tag in a square [m]."""
+    first: int = Field(default=30, ge=0)
+    """Number of its first tag."""
+
+    @property
+    def n_tags(self) -> int:
+        """Number of its tags, one in every white square."""
+        return self.columns * self.rows // 2
+
+
+class Markers(Parameters):
+    """The whole file."""
+
+    dictionary: Dictionary = "4x4_50"
+    """Family of the tags, of ArUco or AprilTag."""
+    tank: TankTags
+    """The tank."""
+    bars: tuple[TaggedBar, ...] = ()
+    """Bars to throw, in any order."""
+    robot: RobotTags = RobotTags()
+    """A built robot."""
+    board: BoardOfMarkers = BoardOfMarkers()
+    """The board."""
+
+    def numbers(self) -> Iterator[int]:
+        """Yield the number of every tag on tank, bars and robot."""
+        yield from (tag.number for tag in self.tank.corners)
+        yield from self.tank.waterline_tags or ()
+        yield from (tag.number for bar in (*self.bars, *self.robot.bars()) for tag in bar.tags)
+
+    @model_validator(mode="after")
+    def _numbers_are_distinct(self) -> Self:
+        numbers = list(self.numbers())
+        if twice := sorted({number for number in numbers if numbers.count(number) > 1}):
+            raise ValueError(f"tag {twice[0]} is on two things: expected a number of its own for each")
+        return self

@@ -1,0 +1,322 @@
+"""``puddle track``: videos of a tank become a tracks file, with a film that shows what was found."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.errors import PuddleError
+from pipeline.store import disk
+from pipeline.store.tables import Columns, csv_of
+from pipeline.vision import require_vision
+from pipeline.vision.check_film import write_check_film
+from pipeline.vision.markers_file import Markers, TaggedBar, TankTag
+from pipeline.vision.tags import Detector, lens_of_board
+from pipeline.vision.video import frames
+from tasks.arrays import Float64, Ints
+from tasks.vision.bar_pose import BarPose, corner_noise, fit_bar, tag_corners
+from tasks.vision.plane import CalibrationError, Lens, SeenPlane, assumed_lens, fit_plane
+from tasks.vision.throw_spans import THROW_RULE, ThrowRule, throw_spans
+
+_MOST_MISFIT_PX = 2.0  # of the tank's corners; paper bends, but not by more
+_MOST_SHIFT_PX = 1.5  # of a tank tag between the halves of a video
+
+
+@dataclass(frozen=True)
+class TrackOptions:
+    """What a user may choose of the tracking."""
+
+    lens_video: Path | None = None
+    """Video of the printed board; None assumes a lens and fits its k1 to the tank's tags."""
+    slowdown: float = 1.0
+    """How many times slower than life the videos play: 8 for 240 frames per second stored at 30."""
+    robot: bool = False
+    """Whether the tags of a robot's links are tracked, through the whole video, instead of thrown bars."""
+    rule: ThrowRule = THROW_RULE
+    """When a throw begins and ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One throw of one bar, or one link of a robot, in one video."""
+
+    throw: int  # number of the throw, or of the link
+    bar: TaggedBar
+    frame: Ints  # (n,) indices of the frames in which it is seen
+    time: Float64  # (n,) [s]
+    pose: Float64  # (n, 3) x, y over the waterline [m] and angle [rad], unwrapped
+    deviation: Float64  # (n, 3) standard deviations of the pose
+    noise_px: Float64  # (n,) deviation of the corners [px]
+    n_lost: int  # frames between its first and its last in which it is not seen
+
+
+@dataclass(frozen=True, eq=False)
+class VideoTracks:
+    """What one video holds."""
+
+    path: Path
+    size: tuple[int, int]  # width and height of its pictures [px]
+    plane: SeenPlane  # in metres from the waterline
+    tracks: tuple[Track, ...]
+    rate: float  # frames per second
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Sightings:
+    """The tags in every frame of a video."""
+
+    path: Path
+    size: tuple[int, int]  # width and height of the pictures [px]
+    time: Float64  # (n_frames,) [s]
+    tags: list[dict[int, Float64]]
+
+
+def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: TrackOptions) -> list[str]:
+    """Track the bars in videos; write the tracks file, the bars file and a film of each video.
+
+    Args:
+        videos: the videos; throws are numbered on from one to the next.
+        markers: which tag is where.
+        out: the tracks file, NAME.csv; beside it NAME-bars.csv, and NAME-check.mp4 for each video.
+        options: lens, slow motion, and what is tracked.
+
+    Returns:
+        Lines for the terminal.
+
+    Raises:
+        PuddleError: a video can't be read or calibrated, or holds no throw. Nothing was written.
+    """
+    require_vision()
+    if out.suffix != ".csv" or not out.parent.is_dir() or out.is_dir():
+        raise PuddleError(f"--out: expected a file name that ends in .csv, in an existing folder, got {out}")
+    if options.robot and len(videos) > 1:
+        raise PuddleError(f"--robot: expected one video of one run, got {len(videos)}")
+    lines: list[str] = []
+    lens, lens_size = None, None
+    if options.lens_video is not None:
+        lens, lens_size, line = lens_of_board(options.lens_video, markers)
+        lines.append(line)
+    tracked: list[VideoTracks] = []
+    for path in videos:
+        sightings = _sightings(path, markers, options.slowdown)
+        if lens_size is not None and lens_size != sightings.size:
+            film, board = ("{} × {}".format(*size) for size in (sightings.size, lens_size))
+            raise PuddleError(
+                f"{path}: its pictures have {film} px, those of {options.lens_video} {board}: film the board with the "
+                f"same camera, zoom and size as the throws"
+            )
+        first = sum(len(of.tracks) for of in tracked)
+        tracked.append(_tracked(sightings, markers, lens, options, first))
+        lines += tracked[-1].lines
+    if not any(of.tracks for of in tracked):
+        what = "link of a robot" if options.robot else "throw"
+        advice = (
+            f"Its tags have the numbers from {markers.robot.first} on, see `robot` in the markers file."
+            if options.robot
+            else "A throw begins where all tags of a bar are seen inside the rectangle of the tank's corner tags, and "
+            f"lasts at least {options.rule.min_frames} frames."
+        )
+        raise PuddleError(f"{', '.join(map(str, videos))}: expected at least one {what}, found none. {advice}")
+    films = [out.with_name(f"{out.stem}-check{f'-{i + 1}' * (len(videos) > 1)}.mp4") for i in range(len(videos))]
+    with disk.explained("writing tracks", out, advice="choose another file"), contextlib.ExitStack() as unwanted:
+        temporary = [path.with_name(f".{path.name}.new.mp4") for path in films]
+        for path in temporary:
+            unwanted.callback(path.unlink, missing_ok=True)
+        for of, path in zip(tracked, temporary, strict=True):
+            write_check_film(path, of)
+        for path, final in zip(temporary, films, strict=True):
+            path.replace(final)
+        every = [track for of in tracked for track in of.tracks]
+        disk.place(out, csv_of(tracks_table(every)))
+        written = [out, *films]
+        if not options.robot:
+            bars = out.with_name(f"{out.stem}-bars.csv")
+            disk.place(bars, csv_of(_bars_table(every)))
+            written.insert(1, bars)
+    return [*lines, f"written: {', '.join(map(str, written))}"]
+
+
+def tracks_table(tracks: Sequence[Track]) -> Columns:
+    """Lay out tracks as the columns of a tracks file."""
+    pose, deviation = (np.concatenate([getattr(of, name) for of in tracks]) for name in ("pose", "deviation"))
+    columns: Columns = {
+        "throw": np.concatenate([np.full(len(of.time), of.throw) for of in tracks]),
+        "time": np.concatenate([of.time for of in tracks]).round(7),
+    }
+    columns |= {name: pose[:, i].round(8) for i, name in enumerate(("x", "y", "angle"))}
+    return columns | {f"{name}_sd": deviation[:, i].round(8) for i, name in enumerate(("x", "y", "angle"))}
+
+
+def _bars_table(tracks: Sequence[Track]) -> Columns:
+    columns: Columns = {"throw": np.array([of.throw for of in tracks])}
+    return columns | {name: np.array([getattr(of.bar, name) for of in tracks]) for name in ("length", "width", "mass")}
+
+
+def _sightings(path: Path, markers: Markers, slowdown: float) -> _Sightings:
+    """Find the tags of a video."""
+    detector, time, tags, size = Detector(markers), [], [], (0, 0)
+    for frame in frames(path):
+        tags.append(detector.find(frame.picture, f"{path}: frame {frame.index}"))
+        time.append(frame.time / slowdown)
+        size = (frame.picture.shape[1], frame.picture.shape[0])
+    if not any(tags):
+        raise PuddleError(
+            f"{path}: expected tags of the markers file, found none in {len(tags)} frames. Check `dictionary` "
+            f"({markers.dictionary}); tags need white paper around them, light, and 4 px for each of their squares. A "
+            f"mirrored video shows none."
+        )
+    return _Sightings(path, size, np.array(time), tags)
+
+
+def _tracked(
+    sightings: _Sightings, markers: Markers, lens: Lens | None, options: TrackOptions, first: int
+) -> VideoTracks:
+    """Calibrate a video and fit the poses of its bars."""
+    plane, misfit = _plane(sightings, markers, lens)
+    plane, zone = _over_water(plane, sightings, markers)
+    time, n_frames = sightings.time, len(sightings.time)
+    interval = float(np.median(np.diff(time))) if n_frames > 1 else 1.0
+    n_dropped = int(np.maximum(np.round(np.diff(time) / interval) - 1, 0).sum())
+    bars = markers.robot.bars() if options.robot else markers.bars
+    fits = [_fits(sightings, plane, bar) for bar in bars]
+    found = [fit for of in fits for fit in of if fit is not None]
+    typical, noise = 0.0, np.zeros(0)
+    if found:
+        typical, noise = corner_noise(np.array([fit.chi2 for fit in found]), np.array([fit.freedom for fit in found]))
+    noises = iter(noise.tolist())
+    tracks: list[Track] = []
+    for number, (bar, of_bar) in enumerate(zip(bars, fits, strict=True)):
+        px = np.array([0.0 if fit is None else next(noises) for fit in of_bar])
+        pose = np.array([np.zeros(3) if fit is None else fit.pose for fit in of_bar])
+        n_seen = np.array([sum(tag.number in frame for tag in bar.tags) for frame in sightings.tags])
+        if options.robot:
+            spans: list[Ints] = [np.flatnonzero(n_seen)] if n_seen.any() else []
+        else:
+            in_zone = ((pose[:, :2] >= zone[0]) & (pose[:, :2] <= zone[1])).all(axis=1)
+            spans = throw_spans(time, n_seen, pose, in_zone, n_tags=len(bar.tags), rule=options.rule)
+        for span in spans:
+            variance = np.array([np.diag(fit.covariance) for i in span if (fit := of_bar[i]) is not None])
+            unwrapped = np.column_stack((pose[span, :2], np.unwrap(pose[span, 2])))
+            deviation = px[span, None] * np.sqrt(variance)
+            n_lost = int(span[-1] - span[0] + 1 - len(span))
+            tracks.append(Track(number, bar, span, time[span], unwrapped, deviation, px[span], n_lost))
+    if not options.robot:
+        tracks.sort(key=lambda track: track.time[0])
+        tracks = [Track(**{**vars(track), "throw": first + i}) for i, track in enumerate(tracks)]
+    return VideoTracks(
+        sightings.path,
+        sightings.size,
+        plane,
+        tuple(tracks),
+        1 / interval,
+        tuple(_lines(sightings, tracks, misfit, typical, n_dropped, interval, options.robot)),
+    )
+
+
+def _lines(
+    sightings: _Sightings,
+    tracks: Sequence[Track],
+    misfit: float,
+    noise: float,
+    n_dropped: int,
+    interval: float,
+    robot: bool,
+) -> list[str]:
+    name = sightings.path.name
+    seen, lost = sum(len(of.time) for of in tracks), sum(of.n_lost for of in tracks)
+    lines = [
+        f"{name}: {len(sightings.time)} frames, {1 / interval:.1f} per second, {n_dropped} dropped by the camera; the "
+        f"tank's tags fit to {misfit:.2f} px"
+    ]
+    if tracks:
+        x, _, angle = np.median(np.concatenate([of.deviation for of in tracks]), axis=0)
+        what = f"{len(tracks)} links" if robot else f"{len(tracks)} throws"
+        lines.append(
+            f"{name}: {what}, lost in {lost} of {seen + lost} frames ({lost / (seen + lost):.1%}); corners to "
+            f"{noise:.2f} px, which is {1000 * x:.2f} mm and {np.degrees(angle):.2f}°"
+        )
+    return lines
+
+
+def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> list[BarPose | None]:
+    """Fit a bar in every frame that shows one of its tags."""
+    own = {tag.number: tag_corners(tag.size, tag.across, tag.along) for tag in bar.tags}
+    fits: list[BarPose | None] = []
+    for tags in sightings.tags:
+        shown = [number for number in own if number in tags]
+        if not shown:
+            fits.append(None)
+            continue
+        pixels = np.concatenate([tags[number] for number in shown])
+        corners = np.concatenate([own[number] for number in shown])
+        fits.append(fit_bar(corners, plane.metres(pixels), plane.jacobian(pixels)))
+    return fits
+
+
+def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[SeenPlane, float]:
+    """Fit the plane of the tank's tags; returns the distances left, too [px]."""
+    path, tank = sightings.path, markers.tank
+    seen = [_still(sightings, tag) for tag in tank.corners]
+    metres = np.concatenate([tag_corners(tank.tag_size, tag.x, tag.y) for tag in tank.corners])
+    try:
+        if lens is not None:
+            plane, misfit = fit_plane(metres, np.concatenate(seen), lens)
+        else:
+            plane, misfit = fit_plane(metres, np.concatenate(seen), assumed_lens(*sightings.size), radial=True)
+    except (CalibrationError, np.linalg.LinAlgError) as error:
+        raise PuddleError(f"{path}: the tank's tags: {error}. Check `tank` in the markers file.") from None
+    if not misfit <= _MOST_MISFIT_PX:
+        off = np.linalg.norm(plane.pixels(metres) - np.concatenate(seen), axis=1).reshape(-1, 4).max(axis=1)
+        worst = tank.corners[int(off.argmax())].number
+        raise PuddleError(
+            f"{path}: frames 0 to {len(sightings.time) - 1}: the tank's tags do not lie where the markers file says: "
+            f"{misfit:.1f} px are left, expected at most {_MOST_MISFIT_PX:g}; tag {worst} is {off.max():.1f} px away. "
+            f"Measure the centres of the tags and tag_size again, and lay the tags flat."
+        )
+    return plane, misfit
+
+
+def _still(sightings: _Sightings, tag: TankTag) -> Float64:
+    """Return the (4, 2) median corners of a tag that does not move [px]."""
+    path, number = sightings.path, tag.number
+    where = [i for i, tags in enumerate(sightings.tags) if number in tags]
+    if not where:
+        others = ", ".join(str(one) for one in sorted({one for tags in sightings.tags for one in tags}))
+        raise PuddleError(
+            f"{path}: tag {number} of the tank is seen in no frame of 0 to {len(sightings.tags) - 1}; seen are "
+            f"{others}. All corner tags must be in the picture, upright, flat and lit."
+        )
+    corners = np.array([sightings.tags[i][number] for i in where])
+    halves = np.array_split(corners, 2) if len(where) > 1 else [corners, corners]
+    shift = np.linalg.norm(np.median(halves[1], axis=0) - np.median(halves[0], axis=0), axis=1).max()
+    if shift > _MOST_SHIFT_PX:
+        raise PuddleError(
+            f"{path}: tag {number} of the tank moved by {shift:.1f} px between frames {where[0]} and {where[-1]}: "
+            f"expected at most {_MOST_SHIFT_PX:g}. Fix camera and tank, switch off the stabiliser, or cut the video in "
+            f"two where it was knocked."
+        )
+    return np.asarray(np.median(corners, axis=0))
+
+
+def _over_water(plane: SeenPlane, sightings: _Sightings, markers: Markers) -> tuple[SeenPlane, Float64]:
+    """Return the plane in metres from the waterline, and the (2, 2) lowest and highest corner of the zone in it [m]."""
+    tank, to_water = markers.tank, np.eye(3)
+    if tank.waterline_tags is None:
+        to_water[1, 2] = -float(tank.waterline or 0.0)
+    else:
+        pixels = [_still(sightings, TankTag(number=n, x=0, y=0)) for n in tank.waterline_tags]
+        left, right = (plane.metres(of).mean(axis=0) for of in pixels)
+        if right[0] <= left[0]:
+            raise PuddleError(
+                f"{sightings.path}: waterline_tags: expected the left tag first, got {tank.waterline_tags}"
+            )
+        c, s = (right - left) / np.linalg.norm(right - left)
+        to_water = np.array([[c, s, 0.0], [-s, c, s * left[0] - c * left[1]], [0.0, 0.0, 1.0]])
+    corners = np.array([(tag.x, tag.y, 1.0) for tag in tank.corners]) @ to_water.T
+    zone = np.array([corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)])
+    return SeenPlane(plane.lens, plane.to_rays @ np.linalg.inv(to_water)), zone

@@ -1,0 +1,174 @@
+"""puddle track, on videos of a synthetic camera whose throws are known."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+import yaml
+from command_line import call as called
+
+from pipeline.vision.video import film, frames
+
+
+def call(*words):
+    return called(*map(str, words))
+
+
+def table(path):
+    return np.genfromtxt(path, delimiter=",", names=True)
+
+
+def errors(tank, tracks):
+    """Return the errors of x, y [m] and angle [rad] over all tracked frames."""
+    row = np.abs(tracks["time"][:, None] - tank.truth[:, 1]).argmin(axis=1)
+    assert np.abs(tracks["time"] - tank.truth[row, 1]).max() < 1e-3
+    found = np.stack([tracks[name] for name in ("x", "y", "angle")], axis=1) - tank.truth[row, 2:5]
+    found[:, 2] = (found[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    return found
+
+
+def track(tank, out, *options):
+    return call("track", tank.folder / "throws.mp4", "--markers", tank.folder / "markers.yaml", "--out", out, *options)
+
+
+@pytest.mark.parametrize("lens", [True, False])
+def test_throws_are_where_they_were(tank, tmp_path, lens, capsys):
+    """A pixel is 0.8 mm. The bars are 3 mm behind the tags at 700 mm, which shifts them by up to 0.4 % of 0.2 m."""
+    out = tmp_path / "tracks.csv"
+    assert track(tank, out, *(("--lens", tank.folder / "board.mp4") if lens else ())) == 0
+    said = capsys.readouterr().out
+    tracks = table(out)
+    assert np.unique(tracks["throw"]).tolist() == [0, 1, 2] and len(tracks) >= 0.95 * len(tank.truth)
+    bias = np.abs(errors(tank, tracks)).max(axis=0)
+    assert bias[0] < 1.5e-3 and bias[1] < 1.5e-3
+    assert np.sqrt(np.square(errors(tank, tracks)[:, 2]).mean()) < 0.01
+    assert 0.1 < np.median(tracks["x_sd"]) * 1e4 < 5 and 5e-4 < np.median(tracks["angle_sd"]) < 0.02
+    bars = table(tmp_path / "tracks-bars.csv")
+    assert bars["throw"].tolist() == [0, 1, 2] and bars["length"].tolist() == pytest.approx([0.07, 0.105, 0.07])
+    assert bars["mass"] == pytest.approx(0.8 * 1000 * 0.05 * 0.07**2, abs=1e-6)
+    n_frames = len(list(frames(tmp_path / "tracks-check.mp4")))
+    assert f"{n_frames} frames" in said and "dropped by the camera" in said and "3 throws, lost in" in said
+    assert ("views of the board" in said) == lens
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["tracks-bars.csv", "tracks-check.mp4", "tracks.csv"]
+
+
+def test_slow_motion_is_made_real_time(tank, tmp_path):
+    assert track(tank, tmp_path / "tracks.csv", "--slowdown", "4", "--set", "bars=[]", "--robot") == 2  # no robot in it
+    assert track(tank, tmp_path / "tracks.csv", "--slowdown", "2") == 0
+    assert np.diff(table(tmp_path / "tracks.csv")["time"]).min() == pytest.approx(1 / 120, abs=1e-4)
+
+
+def edited(tank, tmp_path, change):
+    document = yaml.safe_load((tank.folder / "markers.yaml").read_text())
+    change(document)
+    path = tmp_path / "changed.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def other_number(document):
+    document["tank"]["corners"][2]["number"] = 49
+
+
+def wrong_place(document):
+    document["tank"]["corners"][2]["x"] += 0.05
+
+
+def shared_number(document):
+    document["bars"][0]["tags"][0]["number"] = 0
+
+
+def two_waterlines(document):
+    document["tank"]["waterline_tags"] = [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (other_number, "tag 49 of the tank is seen in no frame of 0 to"),
+        (wrong_place, "the tank's tags do not lie where the markers file says"),
+        (shared_number, "tag 0 is on two things"),
+        (two_waterlines, "expected either waterline or waterline_tags"),
+        (
+            lambda document: document.update(dictionary="apriltag_36h11"),
+            "expected tags of the markers file, found none",
+        ),
+        (lambda document: document.update(bars=[]), "expected at least one throw, found none"),
+    ],
+)
+def test_a_markers_file_that_does_not_fit(tank, tmp_path, change, message, capsys):
+    markers = edited(tank, tmp_path, change)
+    assert call("track", tank.folder / "throws.mp4", "--markers", markers, "--out", tmp_path / "tracks.csv") == 2
+    said = capsys.readouterr().err
+    assert message in said and len(said.strip().splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["changed.yaml"]
+
+
+def written(path, pictures):
+    with film(path, width=pictures[0].shape[1], height=pictures[0].shape[0], rate=30, quality=18) as add:
+        for picture in pictures:
+            add(picture)
+    return path
+
+
+def test_two_tags_of_one_number_are_named_with_file_frame_and_place(tank, tmp_path, capsys):
+    pictures = [frame.picture for frame in frames(tank.folder / "throws.mp4")][:3]
+    twice = pictures[1].copy()
+    twice[60:150, 250:350] = twice[268:358, 15:115]  # the tag at the lower left
+    video, markers = written(tmp_path / "twice.mp4", [pictures[0], twice]), tank.folder / "markers.yaml"
+    assert call("track", video, "--markers", markers, "--out", tmp_path / "tracks.csv") == 2
+    said = capsys.readouterr().err
+    assert "twice.mp4: frame 1: tag" in said and "is seen twice, at (" in said
+    assert not (tmp_path / "tracks.csv").exists()
+
+
+def test_a_camera_that_was_knocked(tank, tmp_path, capsys):
+    pictures = [frame.picture for frame in frames(tank.folder / "throws.mp4")][:8]
+    pictures[4:] = [np.roll(picture, 5, axis=1) for picture in pictures[4:]]
+    video = written(tmp_path / "knocked.mp4", pictures)
+    assert call("track", video, "--markers", tank.folder / "markers.yaml", "--out", tmp_path / "tracks.csv") == 2
+    assert "moved by 5." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("missing.mp4", None, "Is there such a file?"),
+        ("words.mp4", b"no video at all", "can't be read as a video"),
+        ("cut.mp4", "half", "can't be read as a video"),
+    ],
+)
+def test_a_file_that_is_no_video(tank, tmp_path, name, content, message, capsys):
+    path = tmp_path / name
+    if content == "half":
+        whole = (tank.folder / "throws.mp4").read_bytes()
+        content = whole[: len(whole) // 2]
+    if content is not None:
+        path.write_bytes(content)
+    assert call("track", path, "--markers", tank.folder / "markers.yaml", "--out", tmp_path / "tracks.csv") == 2
+    said = capsys.readouterr().err
+    assert name in said and message in said and not (tmp_path / "tracks.csv").exists()
+
+
+def test_a_board_of_another_size_or_none_at_all(tank, tmp_path, capsys):
+    small = written(tmp_path / "small.mp4", [frame.picture[:240, :320] for frame in frames(tank.folder / "board.mp4")])
+    assert track(tank, tmp_path / "tracks.csv", "--lens", small) == 2
+    assert "expected the board with at least 8 corners in at least 6 frames" in capsys.readouterr().err
+    large = [np.pad(frame.picture, ((0, 32), (0, 0))) for frame in frames(tank.folder / "board.mp4")]
+    assert track(tank, tmp_path / "tracks.csv", "--lens", written(tmp_path / "large.mp4", large)) == 2
+    assert "640 × 368 px" in (said := capsys.readouterr().err) and "640 × 400" in said
+
+
+def test_without_opencv_it_says_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("pipeline.vision.find_spec", lambda name: None)
+    assert call("track", tmp_path / "a.mp4", "--markers", tmp_path / "markers.yaml") == 2
+    assert "make setup EXTRAS=vision" in capsys.readouterr().err
+
+
+def test_the_output_must_be_a_csv_file_in_a_folder(tank, tmp_path, capsys):
+    for out in (tmp_path / "tracks.txt", tmp_path / "none" / "tracks.csv"):
+        assert track(tank, out) == 2
+        assert "--out: expected a file name that ends in .csv" in capsys.readouterr().err
+    shutil.rmtree(tmp_path, ignore_errors=True)
