@@ -1,9 +1,10 @@
-"""The figure of coverage: how much of what robots do lies outside the throws, by component of the state."""
+"""Figures of coverage: how much of what robots do lies outside the throws, before evolution and after it."""
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from pipeline.report.data import StudyReport
-from pipeline.report.drawing import FIGURE_WIDTH, NothingToDraw
+from pipeline.report.drawing import FIGURE_WIDTH, INK, NothingToDraw, legend, show_at_least
 from tasks.analysis.coverage import EVERYTHING
 from tasks.residual import OBSERVATION
 from tasks.world import ENVIRONMENTS
@@ -36,4 +37,38 @@ def coverage(report: StudyReport) -> tuple[Figure, str]:
         "States of robots’ links before evolution that are outside the throws: farther from the nearest thrown state "
         "than robots’ states are from their mean. There the networks extrapolate, and their members may agree and be "
         "wrong. Each state is counted for the component that separates it most, so a long bar names a hole in the data."
+    )
+
+
+def champion_coverage(report: StudyReport) -> tuple[Figure, str]:
+    """Draw a point for each champion: how much of what it does is outside the throws, and what it fails to keep."""
+    found = report.findings.champion_coverage
+    if not found:
+        reason = "no champion that evolved with networks has been compared with the throws yet"
+        raise NothingToDraw(report.findings.why("champion_coverage", reason))
+    figure = Figure(figsize=(FIGURE_WIDTH, 3.6))
+    axes = figure.add_subplot()
+    trials = {(of.environment, of.depth, of.trial): of for of in report.trials}
+    for environment in dict.fromkeys(environment for environment, _ in found):
+        style = ENVIRONMENTS[environment]
+        points = [
+            (100 * row.coverage.share_outside, trial.predicted - trial.zero_shot)
+            for (evolved_in, depth), rows in found.items()
+            for row in rows
+            if evolved_in == environment and row.coverage.component == EVERYTHING
+            if (trial := trials.get((environment, depth, row.trial))) is not None and trial.zero_shot is not None
+        ]
+        outside, excess = np.array(points).reshape(-1, 2).T
+        look = {"marker": style.marker, "color": style.color, "ms": 4, "mew": 0, "ls": "none", "alpha": 0.6}
+        axes.plot(outside, excess, label=style.label, **look)
+    axes.axhline(0, color=INK, lw=0.8)
+    axes.set_xlabel("share of a champion’s states outside the throws [%]")
+    axes.set_ylabel("predicted − true displacement [m]")
+    show_at_least(axes)
+    axes.grid()
+    legend(figure, axes.get_legend_handles_labels()[0], n_columns=2)
+    return figure, (
+        "Champions of all depths where they evolved: how much of what they do lies outside the throws, and how far "
+        "their displacement in True Slush falls short of the predicted one. The share is known without True Slush: it "
+        "shows where to distrust a prediction."
     )

@@ -35,7 +35,15 @@ def applies(report: StudyReport, part: str) -> bool:
     return report.trains_networks or part not in _OF_NETWORKS
 
 
-_OF_NETWORKS = ("data_set", "coverage", "residual_error", "member_error", "phantom_thrust", "exploiters")
+_OF_NETWORKS = (
+    "data_set",
+    "coverage",
+    "residual_error",
+    "member_error",
+    "champion_coverage",
+    "phantom_thrust",
+    "exploiters",
+)
 """Parts of the page about the networks, beside those about their accuracy."""
 
 
@@ -53,6 +61,7 @@ FIGURES: dict[str, tuple[str, Callable[[StudyReport], tuple[Figure, str]]]] = {
     "coverage": ("What the throws cover", coverage_figure.coverage),
     "residual_error": ("Error of the members on throws", ensemble_figures.residual_error),
     "member_error": ("Error of the members on champions", ensemble_figures.member_error),
+    "champion_coverage": ("Champions outside the throws", coverage_figure.champion_coverage),
     "phantom_thrust": ("Phantom thrust", ensemble_figures.phantom_thrust),
     "fitness_curves": ("Fitness by generation", partial(champion_figures.fitness_curves, n_columns=2)),
     "fitness_curves_wide": ("Fitness by generation", partial(champion_figures.fitness_curves, n_columns=5)),

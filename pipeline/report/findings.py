@@ -60,6 +60,14 @@ class ChampionRow:
 
 
 @dataclass(frozen=True)
+class ChampionCoverageRow:
+    """How far the states of one champion are from the throws, in all or because of one component."""
+
+    trial: int
+    coverage: CoverageRow = field(metadata={"prefix": False})
+
+
+@dataclass(frozen=True)
 class TankRow:
     """A champion in the virtual tank; displacements in m, None where it diverged."""
 
@@ -136,6 +144,9 @@ class Findings:
     transfer_matrices: Mapping[EvolvedIn, TransferMatrix] = field(default_factory=dict)  # by where champions evolved
     exploiters: Sequence[ExploiterRow] = ()  # ordered by rank
     champions: Mapping[str, Sequence[ChampionRow]] = field(default_factory=dict)  # by arm, in words
+    champion_coverage: Mapping[tuple[EnvironmentName, float], Sequence[ChampionCoverageRow]] = field(
+        default_factory=dict
+    )  # how far champions are from the throws where they evolved, by environment and depth [m]
     phantom_thrust: Sequence[Estimate] = ()  # one per member [m/s²]
     member_errors: Sequence[MemberError] = ()
     family: Family | None = None

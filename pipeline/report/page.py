@@ -84,7 +84,7 @@ def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str
     transfer = grid("transfer_at_depth", "transfer_across_depths", "attribution", "transfer_matrix")
     tree = alone(figures.get("family_tree", ""), lineage(found))
     networks = grid("aggregates", "data_set", "coverage", "residual_error", "member_error") + ensembles_table(found)
-    thrust = alone(figures.get("phantom_thrust", ""))
+    doubts = grid("champion_coverage", "phantom_thrust")
     exploited = exploiters(found, robots) if applies(report, "exploiters") else ""
     sections = [
         ("evolved", "What evolved", _GALLERY + gallery(report.replays, reason=reason)),
@@ -95,7 +95,7 @@ def _sections(report: StudyReport, figures: Mapping[str, str]) -> list[tuple[str
         ("tests", "t tests", tests),
         ("evolution", "Evolution", figures.get("fitness_curves", "") + _draws(report.draws) + tree),
         ("networks", "What the networks learned", figures.get("prediction_accuracy", "") + networks),
-        ("exploitation", "Model exploitation", thrust + exploited),
+        ("exploitation", "Model exploitation", doubts + exploited),
         ("luck", "Luck and reach", retried(found, robots)),
         ("made", "How this study was made", _made(report)),
     ]

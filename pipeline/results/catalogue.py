@@ -70,6 +70,7 @@ CATALOGUE: Mapping[str, TableSource] = {
     "transfer_matrix": _analysed(specs.MATRIX, "matrix"),
     "exploiters": _analysed(specs.EXPLOITERS, "exploiters"),
     "instruments": _analysed(specs.INSTRUMENTS, "champions"),
+    "champion_coverage": _analysed(specs.INSTRUMENTS, "champion_coverage"),
     "filmed_links": _analysed(specs.INSTRUMENTS, "links"),
     "films": _analysed(specs.INSTRUMENTS, "films"),
     "member_errors_of_champions": _analysed(specs.INSTRUMENTS, "member_errors"),

@@ -52,6 +52,11 @@ the page does; if none survives True Slush, the best champion where it evolved:
                          (mean over members); slush_displacement, slush_com, slush_reach; winner's luck: claimed
                          (fitness where it evolved), again (mean of its repeats), the estimate loss, share_below,
                          n_diverged, n_tries
+    champion_coverage.parquet  for champions that evolved with networks, where they evolved: a row per champion and
+                         component of the state, and one for "all": trial, component, n (states), share_outside (share
+                         of them outside the throws, chiefly because of the component), low, high (5th and 95th
+                         percentile of the component there), median, far (median and 95th percentile of the distance
+                         of all states from the throws [deviations of the arm's states]; the same for all components)
     links.parquet        a row per film, step and link, in that order: seen_in ("true_slush"; then the environment where
                          it evolved, if that is another one), step, link, disagreement [m/s²], novelty (1 is typical),
                          distance [standard deviations], component (of SPACE; "" if unknown), departure and thrust

@@ -12,6 +12,7 @@ from pipeline.report.data import arm_words
 from pipeline.report.findings import (
     Accuracy,
     Ancestor,
+    ChampionCoverageRow,
     ChampionRow,
     ExploiterRow,
     Family,
@@ -93,6 +94,11 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         transfer_matrices=matrices_of(tests),
         exploiters=read_rows(analysed.get(PartId(specs.EXPLOITERS)), "exploiters", ExploiterRow),
         champions={words: read_rows(files, "champions", ChampionRow) for words, files in instruments.items()},
+        champion_coverage={
+            (arms[words].environment, arms[words].depth): rows
+            for words, files in instruments.items()
+            if (rows := read_rows(files, "champion_coverage", ChampionCoverageRow))
+        },
         phantom_thrust=[row.thrust for row in thrusts],
         member_errors=read_rows(ensemble, "member_errors", MemberError),
         family=traced,

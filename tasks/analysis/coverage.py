@@ -18,7 +18,7 @@ from tasks.residual import OBSERVATION, observe
 from tasks.residual.support import distances
 from tasks.simulation.rollout import Rollouts
 
-_MOST_STATES = 10_000  # states that are compared; shares are then known to half a percent
+MOST_STATES = 10_000  # states that are compared; shares are then known to half a percent
 _EVERY = 20  # steps between two states of a robot that are compared
 EVERYTHING = "all"
 
@@ -36,14 +36,17 @@ class CoverageRow:
     far: float  # 95th percentile of the distance
 
 
-def observed_states(designs: Designs, rollouts: Rollouts, *, n_settle: int, rng: Generator) -> Float32:
-    """Return (n_states, 6) observations of links along rollouts that settled, at most _MOST_STATES of them.
+def observed_states(
+    designs: Designs, rollouts: Rollouts, *, n_settle: int, rng: Generator, n_most: int = MOST_STATES
+) -> Float32:
+    """Return (n_states, 6) observations of links along rollouts that settled, at most n_most of them.
 
     Args:
         designs: n_designs designs.
         rollouts: with traces, of all members of an ensemble or of none.
         n_settle: steps of settling, which are left out.
         rng: source of randomness, which selects the states.
+        n_most: greatest number of states.
 
     Returns:
         Observations in the order of OBSERVATION.
@@ -59,7 +62,7 @@ def observed_states(designs: Designs, rollouts: Rollouts, *, n_settle: int, rng:
     rows = observe({"length_scale": length_scale, "y": y, "cos": np.cos(angle), "vx": vx, "vy": vy, "omega": omega})
     rows = rows.reshape(-1, len(OBSERVATION))
     rows = rows[np.isfinite(rows).all(axis=1)]
-    return rows[np.sort(rng.permutation(len(rows))[:_MOST_STATES])]
+    return rows[np.sort(rng.permutation(len(rows))[:n_most])]
 
 
 def coverage(robots: Floats, throws: Floats, scale: Float64) -> tuple[CoverageRow, ...]:

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.config.settings import RESIDUAL_ENVIRONMENTS
-from pipeline.report.findings import ChampionRow, Moved
+from pipeline.report.findings import ChampionCoverageRow, ChampionRow, Moved
 from pipeline.stages import environments
 from pipeline.stages.analyses.analysis_tables import Reasons, Tables
+from pipeline.stages.analyses.champion_coverage import champion_coverage
 from pipeline.stages.analyses.champions import Champion, champions
 from pipeline.stages.analyses.filmed_rollouts import Filmed, best_of, film_arm, home_of
 from pipeline.stages.analyses.specs import InstrumentsSpec, MembersSpec
@@ -98,7 +99,7 @@ def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reas
     spec, simulation = job.spec, job.spec.simulation
     arm = champions(spec.trials, inputs)
     if not arm:
-        tables = _arm_tables([], [], [], 1)
+        tables = _arm_tables([], [], [], [], 1)
         return tables, dict.fromkeys(tables, "no trial of this arm has a champion")
     designs = concatenate([of.design for of in arm])
     true_slush = environments.true_slush(simulation.media, spec.arm.depth)
@@ -108,7 +109,8 @@ def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reas
     moved = _moved(in_slush.displacement, in_slush.com_displacement)
     rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
     if why := job.spec.no_networks:
-        return _arm_tables(rows, [], [], 1), dict.fromkeys(("links", "films", "member_errors"), why)
+        lacking = dict.fromkeys(("champion_coverage", "links", "films", "member_errors"), why)
+        return _arm_tables(rows, [], [], [], 1), lacking
     data_set, physics = environments.data_set_among(inputs, arm[best].trial), simulation.physics
     ensemble = environments.ensemble_of(environments.ensemble_among(inputs, data_set))
     links = link_states(designs, in_slush.trace, physics)
@@ -118,16 +120,22 @@ def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reas
     films = film_arm(simulation, job.execution, arm, networks_among(inputs))
     seen = [_measure(film, ensemble, index, physics) for film in films]
     lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
-    lacking = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
-    reasons = dict.fromkeys(("links", "films"), "; ".join(lacking)) if lacking else {}
-    return _arm_tables(rows, errors, seen, ensemble.n_members), reasons
+    remarks = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
+    reasons = dict.fromkeys(("links", "films"), "; ".join(remarks)) if remarks else {}
+    covered = champion_coverage(job, inputs, arm)
+    return _arm_tables(rows, covered, errors, seen, ensemble.n_members), reasons
 
 
 def _arm_tables(
-    rows: Sequence[ChampionRow], errors: Sequence[MemberError], seen: Sequence[MeasuredFilm], n_members: int
+    rows: Sequence[ChampionRow],
+    covered: Sequence[ChampionCoverageRow],
+    errors: Sequence[MemberError],
+    seen: Sequence[MeasuredFilm],
+    n_members: int,
 ) -> Tables:
     return {
         "champions": columns_of(ChampionRow, rows),
+        "champion_coverage": columns_of(ChampionCoverageRow, covered),
         "member_errors": columns_of(MemberError, errors),
         **_link_tables(seen, n_members),
     }

@@ -10,7 +10,17 @@ import pytest
 from pipeline.report.data import StudyReport, TrialResult
 from pipeline.report.drawing import Drawing, Missing
 from pipeline.report.figures import draw_all
-from pipeline.report.findings import Accuracy, Ancestor, ChampionRow, ExploiterRow, Family, Findings, Moved, ThrowPaths
+from pipeline.report.findings import (
+    Accuracy,
+    Ancestor,
+    ChampionCoverageRow,
+    ChampionRow,
+    ExploiterRow,
+    Family,
+    Findings,
+    Moved,
+    ThrowPaths,
+)
 from pipeline.report.replay import Replay, replay_of
 from tasks.analysis.against_paper import against_paper
 from tasks.analysis.attribution import attribute, transfer_matrix
@@ -127,6 +137,7 @@ def findings() -> Findings:
             group: {seen_in: _covered(share) for seen_in in ("dry_land", "residual_slush")}
             for group, share in (("throws", 0.01), ("designed_throws", 0.002))
         },
+        champion_coverage={("residual_slush", 9.0): [ChampionCoverageRow(n, _covered(0.02 * n)[0]) for n in range(5)]},
         other_regressions=[replace(fit, learned_from="designed_throws") for fit in fits],
         accuracy=Accuracy(9.0, fits, histograms(shown, true, n_bins=24)),
         against_paper=against_paper(scores, fits, ranges, rng=rng),

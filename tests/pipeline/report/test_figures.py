@@ -87,6 +87,11 @@ def test_coverage_has_a_bar_for_each_component(drawn):
     assert any("robots evolved in the ensemble: 21 %" in label for label in labels)
 
 
+def test_champions_are_points_by_coverage_and_excess(drawn):
+    labels = texts(drawn["champion_coverage"])
+    assert {"Residual Slush", "share of a champion’s states outside the throws [%]"} <= set(labels)
+
+
 def test_intervals_of_two_replicates_do_not_hide_the_bars(study, drawn, replicated):
     gap, parts = Estimate(3.0, -30.0, 36.0), {"lost_to_body": Estimate(2.0), "lost_to_controller": Estimate(1.0)}
     row = replace(replicated.attributions[0], gap=gap, **parts)
@@ -106,6 +111,7 @@ def test_an_empty_study_says_why_for_each(study):
         "prediction_accuracy_wide": "no design has been simulated under every member yet",
         "aggregates": "no design has been simulated under every member yet",
         "member_error": "no member has been compared with True Slush yet",
+        "champion_coverage": "no champion that evolved with networks has been compared with the throws yet",
         "phantom_thrust": "no member has been tested at low speed yet",
         "family_tree": "no champion’s ancestors have been traced yet",
         "transfer_at_depth": "no trial has finished yet",

@@ -188,7 +188,7 @@ def test_a_study_without_networks_gets_what_needs_none(settings, study):
                 has_rows = len(next(iter(table.values()))) > 0
                 assert has_rows or reasons[name.removesuffix(".parquet")].startswith(why)
         if chain.label.startswith("instruments"):
-            assert set(reasons) == {"links", "films", "member_errors"}
+            assert set(reasons) == {"champion_coverage", "links", "films", "member_errors"}
             assert np.isfinite(read_table(files, "champions")["loss"]).all()
         if chain.label == "statistics":
             assert set(reasons) == {"regressions", "histograms", "contrasts"}

@@ -118,6 +118,25 @@ def test_champions_repeat_their_predictions_in_their_own_networks(sets):
         assert read_table(files, "champions")["home_displacement"].tolist() == pytest.approx(expected, abs=1e-6)
 
 
+def test_champions_are_compared_with_the_throws_that_their_own_networks_learned_from(sets):
+    store, upstream = sets
+    for environment in ("residual_slush", "designed_throws", "single_member", "designed_single_member"):
+        (done,) = labelled(upstream["analyse"].done)[f"instruments/{environment}/1m"]
+        table = read_table({name: store.read(done, name) for name in done.files}, "champion_coverage")
+        assert table["trial"].tolist() == [k for k in range(3) for _ in range(7)]
+        whole = table["component"] == "all"
+        of_components = table["share_outside"][~whole].reshape(3, 6).sum(axis=1)
+        assert table["share_outside"][whole] == pytest.approx(of_components)
+        assert (table["n"] > 0).all()
+
+
+def test_champions_that_evolved_without_networks_have_no_coverage(sets):
+    store, upstream = sets
+    (done,) = labelled(upstream["analyse"].done)["instruments/true_slush/1m"]
+    table = read_table({name: store.read(done, name) for name in done.files}, "champion_coverage")
+    assert len(table["trial"]) == 0
+
+
 def test_only_the_arms_that_adapt_are_adapted(sets):
     _, upstream = sets
     n_items = {of.environment: len(parts) for of, parts in upstream["transfer"].done.items()}
