@@ -1,5 +1,7 @@
 """Figures of coverage: how much of what robots do lies outside the throws, before evolution and after it."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -59,7 +61,7 @@ def champion_coverage(report: StudyReport) -> tuple[Figure, str]:
             if (trial := trials.get((environment, depth, row.trial))) is not None and trial.zero_shot is not None
         ]
         outside, excess = np.array(points).reshape(-1, 2).T
-        look = {"marker": style.marker, "color": style.color, "ms": 4, "mew": 0, "ls": "none", "alpha": 0.6}
+        look: dict[str, Any] = {"marker": style.marker, "color": style.color, "ms": 4, "mew": 0, "ls": "none", "alpha": 0.6}
         axes.plot(outside, excess, label=style.label, **look)
     axes.axhline(0, color=INK, lw=0.8)
     axes.set_xlabel("share of a champion’s states outside the throws [%]")

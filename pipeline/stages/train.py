@@ -7,14 +7,14 @@ import numpy as np
 
 from pipeline.config.settings import Settings
 from pipeline.stages.collect import read_transitions, throws_among, throws_inputs
-from pipeline.stages.data_sets import NetworkId, ensemble_ids, main_data_set, network_ids
+from pipeline.stages.data_sets import DataSetId, NetworkId, data_set_of, data_sets, ensemble_ids, network_ids
 from pipeline.stages.environments import MEMBER_SCHEMA, MEMBER_VERSION, WEIGHTS
 from pipeline.store.encoding import canonical_json, decode_table, digest, encode_arrays, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.store.tables import Columns
 from pipeline.tracking.run import CurvePoints, Model
-from pipeline.workflow.identity import ChainId
+from pipeline.workflow.identity import ChainId, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -30,6 +30,7 @@ from pipeline.workflow.stage import (
 )
 from tasks.residual import Architecture, ErrorRow, Training
 from tasks.seeding import replicate_seed
+from tasks.world import ENVIRONMENTS
 
 MEMBER_ERRORS = "errors.parquet"  # file of a member's errors on the throws held out
 _LEARNING = "learning.parquet"
@@ -118,7 +119,7 @@ def _summarise_member(store: Store, chain: ChainId, parts: Sequence[Manifest]) -
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
-    """Report the error of each member, and the ensemble as a model."""
+    """Report the error of each member, and the ensemble of each data set as a model."""
     trials = [_summarise_member(store, chain, done) for chain, done in results.done.items()]
     lines = [
         f"{trial.chain.label}: relative error of vx {trial.metrics['relative_error.vx.all']:.3f}, "
@@ -126,14 +127,30 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         f"(bias {trial.metrics['bias.vx.low_speed']:+.4f} m/s)"
         for trial in trials
     ]
-    members = ensemble_ids(settings, main_data_set(settings)) if settings.needs_ensemble else []
-    complete = bool(trials) and all(member in results.done for member in members)
-    model = _ensemble(settings, [of for of in trials if of.chain in members], results, store) if complete else None
-    return Summary(lines=lines or ["no trial needs residual networks"], trials=trials, model=model)
+    members = {data_set: ensemble_ids(settings, data_set) for data_set in data_sets(settings)}
+    models = {
+        data_set: _ensemble(settings, data_set, [of for of in trials if of.chain in own], results, store)
+        for data_set, own in members.items()
+        if all(member in results.done for member in own)
+    }
+    model_of = {
+        trial: models[data_set].digest
+        for trial in trials_of(settings, "evolve")
+        if (kind := ENVIRONMENTS[trial.environment]).networks != "none"
+        and (data_set := data_set_of(trial, kind.learns_from)) in models
+    }
+    return Summary(
+        lines=lines or ["no trial needs residual networks"],
+        trials=trials,
+        models=list(models.values()),
+        model_of=model_of,
+    )
 
 
-def _ensemble(settings: Settings, trials: Sequence[TrialSummary], results: Results, store: Store) -> Model:
-    """Describe the ensemble: its members' weights, what they are, and their mean errors."""
+def _ensemble(
+    settings: Settings, data_set: DataSetId, trials: Sequence[TrialSummary], results: Results, store: Store
+) -> Model:
+    """Describe the ensemble of a data set: its members' weights, what they are, and their mean errors."""
     weights = {
         f"{trial.chain.label}.safetensors": store.read(results.done[trial.chain][0], WEIGHTS) for trial in trials
     }
@@ -143,7 +160,7 @@ def _ensemble(settings: Settings, trials: Sequence[TrialSummary], results: Resul
     }
     listed = {name: digest(content) for name, content in weights.items()}
     return Model(
-        f"{settings.name}-ensemble",
+        "-".join((settings.name, *data_set.prefix.split("/")[:-1], "ensemble")),
         digest(canonical_json(listed)),
         params={"n_members": len(weights), **params},
         metrics={name: float(np.mean([of.metrics[name] for of in trials])) for name in trials[0].metrics},

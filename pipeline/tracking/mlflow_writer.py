@@ -114,8 +114,7 @@ class Experiment:
             files["lineage.json"] = json.dumps(lineage, indent=2, sort_keys=True).encode()
         self._send_values(run, wanted, tags | self._send_files(run, files, _FILES))
         self._send_inputs(run, wanted)
-        if wanted.model is not None:
-            self._send_model(run, wanted.model)
+        self._send_models(run, wanted.models)
         ended = run.ended if wanted.ended is None else _milliseconds(wanted.ended)
         if wanted.status is not None and (run.status, run.ended) != (wanted.status, ended or run.ended):
             self.client.set_terminated(run.id, wanted.status, end_time=ended)
@@ -172,11 +171,12 @@ class Experiment:
         if inputs:
             self.client.log_inputs(run.id, inputs)
             run.data_sets |= set(cut)
-        read = wanted.model_read
-        if read is not None and run.tags.get(_MODEL_READ) != read:
-            if read not in self._model_ids:
-                self._model_ids[read] = [one.model_id for one in self._models(read)]
-            self.client.log_inputs(run.id, models=[LoggedModelInput(model) for model in self._model_ids[read]])
+        read = ",".join(wanted.models_read)
+        if read and run.tags.get(_MODEL_READ) != read:
+            for digest in wanted.models_read:
+                if digest not in self._model_ids:
+                    self._model_ids[digest] = [one.model_id for one in self._models(digest)]
+                self.client.log_inputs(run.id, models=[LoggedModelInput(model) for model in self._model_ids[digest]])
             self._set_tag(run, _MODEL_READ, read)
 
     def _send_files(self, run: _Sent, files: Mapping[str, bytes], tag: str) -> dict[str, str]:
@@ -197,12 +197,18 @@ class Experiment:
         found: Sequence[Any] = self.client.search_logged_models([self.id], f"tags.`puddle.digest` = '{digest}'")
         return found
 
+    def _send_models(self, run: _Sent, models: Sequence[Model]) -> None:
+        """Log models, unless a tag says that they have been."""
+        made = ",".join(model.digest for model in models)
+        if made and run.tags.get(_MODEL) != made:
+            for model in models:
+                self._send_model(run, model)
+            self._set_tag(run, _MODEL, made)
+
     def _send_model(self, run: _Sent, model: Model) -> None:
-        """Log a model with its files and metrics, unless a tag says that it has been."""
+        """Log a model with its files and metrics."""
         from mlflow.entities import LoggedModelOutput, Metric
 
-        if run.tags.get(_MODEL) == model.digest:
-            return
         known = next((one for one in self._models(model.digest) if one.source_run_id == run.id), None)
         if known is None:
             params = {name: str(value) for name, value in _flat(model.params)}
@@ -221,7 +227,6 @@ class Experiment:
         self.client.log_batch(run.id, metrics=metrics)
         self.client.log_outputs(run.id, [LoggedModelOutput(known.model_id, step=0)])
         self.client.finalize_logged_model(known.model_id, "READY")
-        self._set_tag(run, _MODEL, model.digest)
 
 
 def _sent(run: Any) -> _Sent:

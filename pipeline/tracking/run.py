@@ -52,8 +52,8 @@ class Run:
     attachments: Mapping[tuple[str, str], Mapping[str, bytes]] = field(default_factory=dict)
     """Files of other runs of the study, by kind and key of the run (``"trial", "stage key/trial key"``) and by path.
     Runs that MLflow does not have are left out."""
-    model: Model | None = None  # that the run made
-    model_read: str | None = None  # digest of the model that the run used
+    models: Sequence[Model] = ()  # that the run made
+    models_read: Sequence[str] = ()  # digests of the models that the run used
     started: float | None = None  # [s since 1970]; None for the time at which MLflow first hears of the run
     ended: float | None = None  # likewise
     status: Literal["FINISHED", "FAILED"] | None = None

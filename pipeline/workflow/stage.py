@@ -162,7 +162,8 @@ class Summary:
     trials: Sequence[TrialSummary] = ()
     artifacts: Mapping[str, bytes] = field(default_factory=dict)  # files that a person may want to open, by path
     films: Mapping[TrialId, Mapping[str, bytes]] = field(default_factory=dict)  # of trials of other stages, by path
-    model: Model | None = None  # that the stage made
+    models: Sequence[Model] = ()  # that the stage made
+    model_of: Mapping[TrialId, str] = field(default_factory=dict)  # digest of the model that a trial evolves in
     of_study: bool = False  # whether the study as a whole shows these metrics and artifacts too, to compare studies
 
 

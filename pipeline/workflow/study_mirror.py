@@ -20,7 +20,6 @@ from pipeline.workflow.background import Background
 from pipeline.workflow.graph import ChainProgress
 from pipeline.workflow.identity import ChainId, TrialId
 from pipeline.workflow.stage import AnyStage, Results, Summary, TrialSummary, Upstream
-from tasks.world import ENVIRONMENTS
 
 SECONDS_BETWEEN_UPDATES = 15.0  # so that a segment is in MLflow within 30 s of its commit
 _POINTS_OF_A_CURVE = 100  # a point costs a fifth of a millisecond, and a page of MLflow shows 320 of them at most
@@ -84,7 +83,7 @@ class StudyMirror:
         preset = source.removeprefix("preset ") if source.startswith("preset ") else Path(source).stem
         self._tags = {"preset": preset} if preset else {}
         self._points: dict[str, Mapping[ChainId, int]] = {}
-        self._ensemble: str | None = None  # digest of the model that a stage has made
+        self._ensembles: dict[str, str] = {}  # digest of the model that a trial evolves in, by its label
 
     @contextlib.contextmanager
     def live(self, stage: AnyStage, chains: Sequence[ChainProgress]) -> Iterator[None]:
@@ -135,8 +134,8 @@ class StudyMirror:
         }
         if summary.of_study:
             attachments["study", self._key], artifacts = artifacts, {}
-        model = summary.model and replace(summary.model, data=next(iter(inputs.items()), None))
-        self._ensemble = model.digest if model else self._ensemble
+        models = [replace(model, data=next(iter(inputs.items()), None)) for model in summary.models]
+        self._ensembles |= {trial.label: digest for trial, digest in summary.model_of.items()}
         started, ended = self._times(manifests)
         run = Run(
             stage.name,
@@ -148,8 +147,8 @@ class StudyMirror:
             tags=_commit(manifests),
             artifacts=artifacts,
             attachments=attachments,
-            model=model,
-            model_read=self._ensemble if "train" in inputs else None,
+            models=models,
+            models_read=list(dict.fromkeys(self._ensembles.values())) if "train" in inputs else (),
             started=started,
             ended=ended,
             status="FAILED" if results.failed else "FINISHED",
@@ -213,17 +212,17 @@ class StudyMirror:
             tags={name: f"{value:g}" if name == "depth" else str(value) for name, value in params.items()}
             | _commit(parts),
             outputs={chain.label: parts[-1].digest} if summary else {},
-            model_read=self._ensemble if self._is_learned(stage, chain) else None,
+            models_read=self._read_by(stage, chain),
             artifacts=summary.artifacts if summary else {},
             started=started,
             ended=ended if summary else None,
             status="FINISHED" if summary else None,
         )
 
-    def _is_learned(self, stage: AnyStage, chain: ChainId) -> bool:
-        """Return whether a chain uses the networks."""
-        reads = "train" in stage.reads(self._settings)
-        return reads and isinstance(chain, TrialId) and ENVIRONMENTS[chain.environment].networks != "none"
+    def _read_by(self, stage: AnyStage, chain: ChainId) -> Sequence[str]:
+        """Return the digests of the models that a chain uses."""
+        reads = "train" in stage.reads(self._settings) and isinstance(chain, TrialId)
+        return [self._ensembles[chain.label]] if reads and chain.label in self._ensembles else ()
 
     def _n_points(self, stage: AnyStage) -> Mapping[ChainId, int]:
         """Return how many points an item of each chain may add to a curve."""

@@ -324,11 +324,11 @@ def test_a_model_is_logged_once_and_linked_to_its_metrics_and_readers(store, sai
         data=("collect", "c" * 64),
         artifacts={"member-00.safetensors": b"weights"},
     )
-    train = Run("train", "train", model=model, status="FINISHED")
+    train = Run("train", "train", models=[model], status="FINISHED")
     for _ in range(2):
         tracker = Tracker(store, say=said.append)
         tracker.mirror(STUDY, train)
-        tracker.mirror(STUDY, STAGE, [replace(TRIALS[0], model_read=model.digest)])
+        tracker.mirror(STUDY, STAGE, [replace(TRIALS[0], models_read=[model.digest])])
     assert said == []
     mlflow = client(store)
     (logged,) = mlflow.search_logged_models([mlflow.get_experiment_by_name(EXPERIMENT).experiment_id])

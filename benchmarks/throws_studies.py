@@ -1,0 +1,98 @@
+"""What the number of throws, the penalty and the number of members change: `python -m benchmarks.throws_studies STORE`.
+
+Each variant is a study of the store at 9 m and laptop scale, with three data sets and ensembles and two trials in each.
+Writes docs/results/throws-studies.json, which docs/throws.md shows. A run that is stopped resumes. It takes an hour and
+a half on two cores.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.published import RESULTS
+from pipeline.results.recorded_study import open_study
+from pipeline.results.results_file import results_of
+from pipeline.store.provenance import environment as provenance
+
+N_REPLICATES = 3
+_BASE = {
+    "grid.depths": "[9]",
+    "grid.environments": "[true_slush,residual_slush,designed_throws]",
+    "grid.single_member_depths": "[]",
+    "grid.n_trials": "6",
+    "replicates": str(N_REPLICATES),
+    "assess.n_designs": "600",
+}
+_MAGNITUDES = "[a,y,cos_angle,vx,vy,omega,speed,abs_omega,abs_sin_angle]"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A study of a series, and the settings in which it differs from the others."""
+
+    series: str
+    name: str  # of the study
+    label: str
+    settings: Mapping[str, str]
+
+
+def variants() -> Iterator[Variant]:
+    """Yield all studies, series by series."""
+    for n in (25, 50, 100, 250, 500):
+        size = {"throws.n_throws": str(n), "designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
+        yield Variant("few throws", f"few-{n}", f"{n} × 200", size)
+    for n in (25, 100, 500):
+        size = {"designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
+        observed = {"network.observation": _MAGNITUDES, "grid.environments": "[true_slush,designed_throws]"}
+        yield Variant("few throws, magnitudes", f"few-{n}-magnitudes", f"{n} × 200", size | observed)
+    for k in (0, 0.5, 1, 2, 3):
+        yield Variant(
+            "penalty", f"penalty-{k:g}".replace(".", "_"), f"{k:g}", {"ensemble.disagreement_penalty": str(k)}
+        )
+    for n in (2, 8):
+        yield Variant("members", f"members-{n}", str(n), {"ensemble.n_members": str(n)})
+    alone = {"grid.environments": "[true_slush,single_member,designed_single_member]"}
+    yield Variant("members", "members-1", "1", alone | {"ensemble.n_members": "2"})
+
+
+def run(variant: Variant, store: Path) -> None:
+    """Compute a study up to its analysis, or resume it."""
+    given = {**_BASE, **variant.settings, "name": variant.name}
+    options = [part for name, value in given.items() for part in ("--set", f"{name}={value}")]
+    command = [sys.executable, "-m", "pipeline", "analyse", "--preset", "laptop", "--store", str(store), *options]
+    subprocess.run(command, check=True)
+
+
+def row(variant: Variant, store: Path) -> dict[str, Any]:
+    """Return a study's results as a row of the results file."""
+    found = results_of(open_study(variant.name, store))
+    return {
+        "series": variant.series,
+        "variant": variant.label,
+        "study": variant.name,
+        "arms": found["arms"],
+        "accuracy": found["accuracy"],
+        "champions": found["champions"],
+        "digests": found["digests"],
+    }
+
+
+def main() -> None:
+    """Run every study and write the file after each, so that a stopped run keeps what it has."""
+    store, rows = Path(sys.argv[1]), []
+    for variant in variants():
+        run(variant, store)
+        rows.append(row(variant, store))
+        document = {"schema": "puddle.throws_studies", "version": 1, "made_with": dict(provenance()), "studies": rows}
+        text = json.dumps(document, indent=1, ensure_ascii=False)
+        (RESULTS / "throws-studies.json").write_text(f"{text}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
