@@ -1,17 +1,19 @@
 """Write the tables of results in README.md and docs from docs/results/*.json: `python -m benchmarks.published`.
 
 A results file is the ``results.json`` of `puddle export`. `python -m benchmarks.published EXPORT/results.json` records
-one first, under the name of its study.
+one first, under the name of its study. `--add-to STUDY EXPORT/results.json` adds its depths to those recorded for a
+study that is run one depth at a time.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import shutil
-import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from tasks.analysis import paper
@@ -85,12 +87,84 @@ def errors(results: Mapping[str, Any]) -> str:
 
 
 def digests(results: Mapping[str, Any]) -> str:
-    """Tabulate the digests of a study's results."""
-    rows = [f"| {name} | `{digest}` |" for name, digest in results["digests"].items()]
+    """Tabulate the digests of a study's results, part by part if it was run one depth at a time."""
+    parts = results.get("parts", {"": results})
+    rows = [
+        f"| {f'{part}: ' if part else ''}{name} | `{digest}` |"
+        for part, of in parts.items()
+        for name, digest in of["digests"].items()
+    ]
     return "\n".join(["| result | digest |", "|---|---|", *rows])
 
 
-_TABLES = {"accuracy": accuracy, "errors": errors, "digests": digests}
+def few_throws(results: Mapping[str, Any]) -> str:
+    """Tabulate how far robots get with few throws, by the throws and the inputs of the networks."""
+    lines = [
+        "| throws × steps | of | inputs | predicted | zero-shot | adapted | share of *E*, of each data set | adapted |",
+        "|--:|---|--:|--:|--:|--:|--:|--:|",
+    ]
+    for study in _series(results, "few throws", "few throws, magnitudes"):
+        inputs = "9" if "magnitudes" in study["series"] else "6"
+        for environment, of in (("residual_slush", "paper"), ("designed_throws", "robots")):
+            if cells := _of_arm(study, environment):
+                lines.append(f"| {' | '.join([study['variant'], of, inputs, *cells])} |")
+    return "\n".join(lines)
+
+
+def penalty(results: Mapping[str, Any]) -> str:
+    """Tabulate how far robots get by the weight of the members' disagreement."""
+    return _by_variant(results, "penalty", "k", ("residual_slush", "designed_throws"))
+
+
+def members(results: Mapping[str, Any]) -> str:
+    """Tabulate how far robots get by the number of members."""
+    arms = ("residual_slush", "designed_throws", "single_member", "designed_single_member")
+    return _by_variant(results, "members", "members", arms)
+
+
+def _by_variant(results: Mapping[str, Any], series: str, heading: str, arms: Sequence[str]) -> str:
+    lines = [
+        f"| {heading} | evolved in | predicted | zero-shot | adapted | share of *E*, of each data set | adapted "
+        "| R | slope |",
+        "|--:|---|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for study in _series(results, series):
+        fits = {row["learned_from"]: row for row in study["accuracy"] if row["name"] == "mean"}
+        for environment in arms:
+            if cells := _of_arm(study, environment):
+                fit = fits.get(ENVIRONMENTS[environment].learns_from, {})
+                shown = [_figure(fit[name]) if name in fit else "" for name in ("r", "slope")]
+                label = ENVIRONMENTS[environment].label
+                lines.append(f"| {' | '.join([study['variant'], label, *cells, *shown])} |")
+    return "\n".join(lines)
+
+
+def _series(results: Mapping[str, Any], *names: str) -> list[Mapping[str, Any]]:
+    return [study for study in results["studies"] if study["series"] in names]
+
+
+def _of_arm(study: Mapping[str, Any], environment: str) -> list[str]:
+    """Return an arm's displacements, its share of *E* zero-shot with each data set, and adapted with all."""
+    arms = {arm["environment"]: arm for arm in study["arms"]}
+    if environment not in arms:
+        return []
+    arm, best = arms[environment], arms["true_slush"]["zero_shot"]
+    by_data_set: dict[int, list[float]] = {}
+    for champion in study["champions"]:
+        if champion["environment"] == environment and champion["zero_shot"] is not None:
+            by_data_set.setdefault(champion["trial"] % study["n_replicates"], []).append(champion["zero_shot"])
+    shares = [_share({"mean": fmean(values)}, best) for _, values in sorted(by_data_set.items())]
+    return [*(_mean(arm.get(name)) for name in _MEASURED), ", ".join(shares), _share(arm.get("adapted"), best)]
+
+
+_TABLES = {
+    "accuracy": accuracy,
+    "errors": errors,
+    "digests": digests,
+    "few": few_throws,
+    "penalty": penalty,
+    "members": members,
+}
 _PREDICTORS = {"mean": "mean μ over members", "mean - 1 sd": "μ − σ"}
 
 
@@ -153,11 +227,58 @@ def _signed(text: str) -> str:
     return text.replace("-", "−")
 
 
+def with_part(results: Mapping[str, Any], part: Mapping[str, Any], study: str) -> dict[str, Any]:
+    """Add the results of some depths to those of a study that is run one depth at a time.
+
+    Args:
+        results: of the study so far; empty if there are none.
+        part: results of a run with the same settings at other depths, or at some of the same.
+        study: name of the study.
+
+    Returns:
+        The results of the study, with the part's where both have some.
+    """
+    depths = {arm["depth"] for arm in part["arms"]}
+    joined = {
+        name: sorted(
+            [*(row for row in results.get(name, ()) if row["depth"] not in depths), *part[name]],
+            key=lambda row: row["depth"],
+        )
+        for name in ("arms", "champions")
+    }
+    about = {name: part[name] for name in ("source", "made_with", "core_seconds", "digests")}
+    assessed = paper.DEPTH in depths or not results.get("accuracy")
+    return {
+        "schema": part["schema"],
+        "version": part["version"],
+        "study": study,
+        "parts": {**results.get("parts", {}), part["study"]: about},
+        "arms": joined["arms"],
+        "accuracy": part["accuracy"] if assessed else results["accuracy"],
+        "champions": joined["champions"],
+    }
+
+
+def record(given: Path, study: str | None) -> None:
+    """Record an export under the name of its study, or add its depths to a study of another name."""
+    if study is None:
+        name = json.loads(given.read_text(encoding="utf-8"))["study"]
+        shutil.copyfile(given, RESULTS / f"{name}.json")
+        return
+    file = RESULTS / f"{study}.json"
+    so_far = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    document = with_part(so_far, json.loads(given.read_text(encoding="utf-8")), study)
+    file.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
+
+
 def main() -> None:
     """Record a study's results, if a file is given, and write the tables."""
-    for given in sys.argv[1:]:
-        study = json.loads(Path(given).read_text(encoding="utf-8"))["study"]
-        shutil.copyfile(given, RESULTS / f"{study}.json")
+    options = argparse.ArgumentParser(description=main.__doc__)
+    options.add_argument("results", nargs="*", type=Path, help="results.json of an export")
+    options.add_argument("--add-to", metavar="STUDY", help="study that these are depths of")
+    given = options.parse_args()
+    for path in given.results:
+        record(path, given.add_to)
     for page in PAGES:
         page.write_text(with_sections(page.read_text(encoding="utf-8")), encoding="utf-8")
 

@@ -76,6 +76,7 @@ def row(variant: Variant, store: Path) -> dict[str, Any]:
         "series": variant.series,
         "variant": variant.label,
         "study": variant.name,
+        "n_replicates": N_REPLICATES,
         "arms": found["arms"],
         "accuracy": found["accuracy"],
         "champions": found["champions"],

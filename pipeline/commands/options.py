@@ -82,7 +82,7 @@ class StudyOptions:
         typer.Option(
             "--preset",
             autocompletion=_names_of_presets,
-            help="Settings in configs/: smoke, laptop (the default), row-small, row, paper or pontoon.",
+            help="Settings in configs/: smoke, laptop (the default), row-small, row, desk, paper or pontoon.",
         ),
     ] = None
     settings_file: Annotated[Path | None, typer.Option("--settings", help="A settings file, not a preset.")] = None

@@ -61,8 +61,8 @@ def champion_coverage(report: StudyReport) -> tuple[Figure, str]:
             if (trial := trials.get((environment, depth, row.trial))) is not None and trial.zero_shot is not None
         ]
         outside, excess = np.array(points).reshape(-1, 2).T
-        look: dict[str, Any] = {"marker": style.marker, "color": style.color, "ms": 4, "mew": 0, "ls": "none", "alpha": 0.6}
-        axes.plot(outside, excess, label=style.label, **look)
+        look: dict[str, Any] = {"marker": style.marker, "color": style.color, "label": style.label}
+        axes.plot(outside, excess, ms=4, mew=0, ls="none", alpha=0.6, **look)
     axes.axhline(0, color=INK, lw=0.8)
     axes.set_xlabel("share of a champion’s states outside the throws [%]")
     axes.set_ylabel("predicted − true displacement [m]")

@@ -1,0 +1,52 @@
+"""Published results: files that grow depth by depth, and tables that are written from them."""
+
+import pytest
+
+from benchmarks.published import few_throws, members, with_part
+
+
+def export(name, depth, zero_shot, accuracy=()):
+    rows = {"environment": "true_slush", "depth": depth}
+    return {
+        "schema": "puddle.results",
+        "version": 1,
+        "study": name,
+        "source": "configs/desk.yaml",
+        "made_with": {"python": "3.11"},
+        "core_seconds": {"evolve": 1.0},
+        "digests": {"evolve": name},
+        "arms": [{**rows, "zero_shot": {"n": 1, "mean": zero_shot, "sd": None}}],
+        "accuracy": list(accuracy),
+        "champions": [{**rows, "trial": 0, "zero_shot": zero_shot}],
+    }
+
+
+def test_depths_are_added_in_order_and_replaced_where_they_were_run_again():
+    found = with_part({}, export("desk-9m", 9.0, 17.0, ["of 9 m"]), "desk")
+    found = with_part(found, export("desk-2m", 2.0, 25.0, ["of 2 m"]), "desk")
+    assert [arm["depth"] for arm in found["arms"]] == [2.0, 9.0] and found["accuracy"] == ["of 9 m"]
+    found = with_part(found, export("desk-2m", 2.0, 26.0), "desk")
+    assert [champion["zero_shot"] for champion in found["champions"]] == [26.0, 17.0]
+    assert list(found["parts"]) == ["desk-9m", "desk-2m"] and found["study"] == "desk"
+
+
+@pytest.fixture
+def studies():
+    def arm(environment, zero_shot):
+        moments = {name: {"n": 6, "mean": zero_shot, "sd": 1.0} for name in ("predicted", "zero_shot", "adapted")}
+        return {"environment": environment, "depth": 9.0, **moments}
+
+    champions = [{"environment": "designed_throws", "trial": k, "zero_shot": 5.0 + k % 3} for k in range(6)]
+    study = {"arms": [arm("true_slush", 10.0), arm("designed_throws", 6.0)], "champions": champions, "n_replicates": 3}
+    fit = {"learned_from": "designed_throws", "name": "mean", "r": 0.9, "slope": 1.1}
+    few = {**study, "series": "few throws", "variant": "25 × 200", "accuracy": []}
+    return {"studies": [few, {**study, "series": "members", "variant": "2", "accuracy": [fit]}]}
+
+
+def test_shares_are_of_each_data_set(studies):
+    row = few_throws(studies).splitlines()[2]
+    assert row == "| 25 × 200 | robots | 6 | 6.0 ± 1.0 | 6.0 ± 1.0 | 6.0 ± 1.0 | 50 %, 60 %, 70 % | 60 % |"
+
+
+def test_accuracy_stands_beside_the_arm_whose_ensemble_it_is_of(studies):
+    assert members(studies).splitlines()[2].endswith("| 50 %, 60 %, 70 % | 60 % | 0.90 | 1.10 |")
