@@ -34,6 +34,9 @@ def champion_coverage(
         job: the work item.
         inputs: files by name, with the networks and the throws.
         arm: champions of the arm.
+
+    Returns:
+        For each champion a row for all components, and one for each component.
     """
     if job.spec.arm.environment not in RESIDUAL_ENVIRONMENTS:
         return ()
