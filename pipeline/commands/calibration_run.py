@@ -115,6 +115,8 @@ def _small_study(settings: Settings) -> Settings:
         "grid.single_member_depths": (depth,) if single else (),
         "grid.n_trials": min(_N_TRIALS, settings.grid.n_trials),
         "replicates": 1,
+        "throws.source": "simulation",
+        "tracks": None,
         **{f"{group}.n_throws": _full_size("collect", settings) for group in groups},
         "work.throws_per_item": _full_size("collect", settings),
         "training.n_iterations": min(_N_FIRST_ITERATIONS, settings.training.n_iterations),

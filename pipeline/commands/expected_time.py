@@ -89,7 +89,7 @@ def _rollouts(settings: Settings, environment: EnvironmentName) -> float:
 
 _PER_UNIT: Mapping[str, Callable[[Settings, Chain[Any]], float]] = {
     "collect": lambda settings, chain: (
-        (chain.spec.throws.n_steps or _STEPS_OF_DESIGNED_THROW) * _SECONDS_PER_THROW_STEP
+        (getattr(chain.spec, "throws", settings.throws).n_steps or _STEPS_OF_DESIGNED_THROW) * _SECONDS_PER_THROW_STEP
     ),
     "train": lambda settings, chain: _iteration(settings),
     "pilot": lambda settings, chain: chain.spec.n_generations * _rollouts(settings, "residual_slush"),

@@ -89,6 +89,10 @@ class StudyOptions:
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting, for example evolution.n_generations=50.")
     ] = None
+    tracks: Annotated[
+        Path | None,
+        typer.Option("--tracks", help="Learn from these tracked throws (.csv or .parquet), not from simulated ones."),
+    ] = None
     store: StorePath = DEFAULT_STORE
 
     def __post_init__(self) -> None:
@@ -98,7 +102,15 @@ class StudyOptions:
             raise PuddleError(f"expected only one of --study, --preset and --settings, got {got}")
 
     def settings(self) -> Settings:
-        """Load the settings: those on record for a study that is named, else those of a file or a preset."""
+        """Load the settings: those on record for a study that is named, else those of a file or a preset.
+
+        Tracks that they name are read, so that the settings know their digests.
+        """
+        from pipeline.stages.tracked import with_tracks
+
+        return with_tracks(self._loaded(), self.tracks)
+
+    def _loaded(self) -> Settings:
         from pipeline.config.loading import load, parse, preset_path
         from pipeline.config.settings import Settings
         from pipeline.workflow.record import settings_of
@@ -141,6 +153,7 @@ class StudyOptions:
             words += given if given != ["--preset", _DEFAULT_PRESET] else []
         for override in self.overrides or ():
             words += ["--set", override]
+        words += ["--tracks", str(self.tracks)] if self.tracks else []
         if self.store != Path(os.environ.get(_STORE_VARIABLE) or DEFAULT_STORE):
             words += ["--store", str(self.store)]
         return shlex.join(words)

@@ -146,8 +146,10 @@ def _discard(settings: "Settings", names: Collection[str], store: "Store") -> No
 
 
 def _check_inputs(options: StudyOptions, settings: "Settings", first: "AnyStage") -> None:
-    """Refuse a stage whose inputs are missing before anything is written: no store, no record."""
+    """Refuse a stage whose inputs are missing or bad before anything is written: no store, no record."""
     from pipeline.stages import STAGES
+    from pipeline.stages.collect import COLLECT
+    from pipeline.stages.tracked import check_tracks
     from pipeline.workflow.graph import ChainProgress, require, results_of, survey
 
     earlier = STAGES[: STAGES.index(first)]
@@ -158,3 +160,15 @@ def _check_inputs(options: StudyOptions, settings: "Settings", first: "AnyStage"
         with store.lock_to_read():
             upstream = survey(settings, earlier, store, say=lambda line: None)  # the driver names damage
     require(settings, first, STAGES, upstream, how_to_run=options.command)
+    if first is COLLECT and not _is_done(options, settings, COLLECT):
+        check_tracks(settings)
+
+
+def _is_done(options: StudyOptions, settings: "Settings", stage: "AnyStage") -> bool:
+    from pipeline.workflow.graph import survey
+
+    if settings.tracks is None or (store := options.find_store()) is None:
+        return False
+    with store.lock_to_read():
+        found = survey(settings, [stage], store, say=lambda line: None)[stage.name]
+    return not found.unfinished

@@ -14,6 +14,7 @@ from tasks.design import Morphology
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Afpo, Deviation, ObjectiveName
 from tasks.parameters import Parameters, later_choice
 from tasks.residual import Architecture, DesignedThrows, Throws, Training
+from tasks.tracks.conventions import Tracks
 from tasks.world import ENVIRONMENTS, EnvironmentName, Physics, Slush
 from tasks.world.registry import settings_groups
 
@@ -212,6 +213,8 @@ class Settings(Parameters):
     """The data set that networks of residual_slush and single_member learn from."""
     designed_throws: DesignedThrows = DesignedThrows()
     """The data set that networks of designed_throws and designed_single_member learn from."""
+    tracks: Tracks | None = later_choice(None)
+    """Tracked throws of real bars, where throws.source is tracks; null for none."""
     network: Architecture = Architecture()
     """One residual network."""
     training: Training = Training()
@@ -249,12 +252,29 @@ class Settings(Parameters):
                 f"have no trial: expected at least as many trials as replicates"
             )
         self._check_objective()
+        self._check_tracks()
         if self.tank is not None and self.rollout.n_settle < 1:
             raise ValueError(
                 "rollout.n_settle is 0, but a robot in the tank is measured from where it settles: "
                 "expected at least 1, or tank to be null"
             )
         return self
+
+    def _check_tracks(self) -> None:
+        """Refuse tracks without a file, a file that is not used, and more data sets than there are."""
+        from_tracks = self.throws.source == "tracks"
+        if from_tracks != (self.tracks is not None):
+            raise ValueError(
+                f"throws.source is {self.throws.source} and tracks {'is null' if from_tracks else 'names a file'}: "
+                f"expected both, `puddle collect --tracks FILE` sets them, or neither"
+            )
+        if self.designed_throws.source == "tracks":
+            raise ValueError("designed_throws.source is tracks, but only throws can be tracked: expected simulation")
+        if from_tracks and self.replicates > 1:
+            raise ValueError(
+                f"replicates is {self.replicates} and throws.source is tracks, but there is one set of tracked throws: "
+                f"expected 1"
+            )
 
     def _check_objective(self) -> None:
         """Refuse an objective without its data."""

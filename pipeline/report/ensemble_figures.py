@@ -79,8 +79,8 @@ def _paths(panel: Any, throws: ThrowPaths, chosen: Any, color: str) -> None:
     x, y = np.concatenate((xy, gap), axis=1).reshape(-1, 2).T
     panel.plot(x, y, color=color, lw=0.6, alpha=0.5)
     # The throw drawn with its poses is the longest path among those that stay in view.
-    path_length = np.linalg.norm(np.diff(paths[:, :, :2], axis=1), axis=2).sum(axis=1)
-    path_length[np.abs(paths[:, :, :2]).max(axis=(1, 2)) > 0.7 * _VIEW] *= 1e-3
+    path_length = np.nansum(np.linalg.norm(np.diff(paths[:, :, :2], axis=1), axis=2), axis=1)
+    path_length[(np.abs(paths[:, :, :2]) > 0.7 * _VIEW).any(axis=(1, 2))] *= 1e-3
     length = float(throws.length_scale[chosen][0])
     poses = paths[int(np.argmax(path_length)), :: max(1, paths.shape[1] // 10)]
     corners = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]) * (1 / length, length)

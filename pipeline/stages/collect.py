@@ -1,7 +1,8 @@
-"""collect: the data sets of throws, in chunks. Paper, "Dataset Collection"."""
+"""collect: the data sets of throws, simulated in chunks, or tracked. Paper, "Dataset Collection"."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -9,13 +10,24 @@ from pipeline.config.settings import Settings
 from pipeline.stages import environments
 from pipeline.stages.data_sets import ChunkId, DataSetId, data_sets
 from pipeline.stages.environments import Media
+from pipeline.stages.tracked import TRACK_REPORT, encode_report, outside_files, read_tracks, report_lines, unnamed
 from pipeline.store.encoding import decode_json, decode_table, encode_json, encode_table
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Chain, Files, Input, Inputs, Item, Job, Results, Stage, Summary, Upstream
-from tasks.residual import OBSERVATION, STATE, Throws, Transitions, initial_states, robot_ranges, simulate_throws
+from tasks.residual import (
+    OBSERVATION,
+    STATE,
+    MeasuredTransitions,
+    Throws,
+    Transitions,
+    initial_states,
+    robot_ranges,
+    simulate_throws,
+)
 from tasks.seeding import generator, replicate_seed
+from tasks.tracks import Tracks, residual_transitions
 from tasks.world import Physics
 
 THROWN = "throws"  # role of the inputs that are chunks of the data set
@@ -31,6 +43,7 @@ _UNITS = {
     "next_on_dry_land": _STATE_UNITS,
     "observation": f"{', '.join(OBSERVATION)} [m, m, 1, m/s, m/s, rad/s]",
     "residual": f"{', '.join(STATE)}, in slush minus on dry land [m, m, rad, m/s, m/s, rad/s]",
+    "residual_sd": f"deviations of {_STATE_UNITS}",
 }
 
 
@@ -46,12 +59,24 @@ class ChunkSpec:
     media: Media
 
 
-def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec]]:
+@dataclass(frozen=True)
+class TracksSpec:
+    """All tracked throws: the noise is estimated from all together. The files' digests are among the item's inputs."""
+
+    tracks: Tracks  # without the files' names
+    physics: Physics
+
+
+def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec | TracksSpec]]:
     """Divide the throws of every data set into chunks; there are none if no trial needs networks."""
     media = environments.media_of(settings, "true_slush")
-    chains = []
+    chains = list[Chain[ChunkSpec | TracksSpec]]()
     for data_set in data_sets(settings):
         throws, size = settings.throws_of(data_set.group), settings.work.throws_per_item
+        if throws.source == "tracks" and settings.tracks is not None:
+            of_tracks = TracksSpec(unnamed(settings.tracks), settings.physics)
+            chains.append(Chain(ChunkId(data_set, 0), (throws.n_throws,), of_tracks))
+            continue
         seed = replicate_seed(settings.seed, data_set.replicate)
         for first in range(0, throws.n_throws, size):
             n = min(size, throws.n_throws - first)
@@ -61,22 +86,33 @@ def _plan(settings: Settings) -> Sequence[Chain[ChunkSpec]]:
 
 
 def _item(
-    settings: Settings, chain: Chain[ChunkSpec], index: int, previous: Manifest | None, upstream: Upstream
-) -> Item[ChunkSpec]:
-    return Item(COLLECT.name, COLLECT.version, chain.label, chain.spec, inputs={})
+    settings: Settings, chain: Chain[ChunkSpec | TracksSpec], index: int, previous: Manifest | None, upstream: Upstream
+) -> Item[ChunkSpec | TracksSpec]:
+    tracks = settings.tracks if isinstance(chain.spec, TracksSpec) else None
+    outside = {} if tracks is None else outside_files(tracks)
+    return Item(COLLECT.name, COLLECT.version, chain.label, chain.spec, inputs={}, outside=outside)
 
 
-def _compute(job: Job[ChunkSpec], inputs: Inputs) -> Files:
+def _compute(job: Job[ChunkSpec | TracksSpec], inputs: Inputs) -> Files:
     spec = job.spec
+    if isinstance(spec, TracksSpec):
+        read = read_tracks(inputs)
+        tracked, report = residual_transitions(read.table, read.bars, spec.tracks, spec.physics)
+        return {TRANSITIONS: _encoded(tracked, job.key), TRACK_REPORT: encode_report(report)}
     starts = initial_states(spec.throws, generator(spec.seed, "collect"), spec.physics)
     starts = starts[spec.first : spec.first + spec.n]
     medium = environments.true_medium(spec.media)
     transitions = simulate_throws(starts, spec.throws.n_steps_of(spec.physics), medium, spec.physics)
-    columns = {field.name: getattr(transitions, field.name) for field in fields(Transitions)}
-    files = {TRANSITIONS: encode_table(columns, schema="transitions", version=1, producer=job.key, units=_UNITS)}
+    files = {TRANSITIONS: _encoded(transitions, job.key)}
     if spec.throws.design == "robots":
         files[_RANGES] = encode_json(asdict(robot_ranges(spec.physics)))
     return files
+
+
+def _encoded(transitions: Transitions, producer: str) -> bytes:
+    columns: dict[str, Any] = transitions.columns()
+    units = {name: _UNITS[name] for name in columns}
+    return encode_table(columns, schema="transitions", version=1, producer=producer, units=units)
 
 
 def throws_inputs(collected: Results, data_set: DataSetId) -> dict[InputName, Input]:
@@ -102,11 +138,9 @@ def throws_among(inputs: Inputs, data_set: DataSetId | None = None) -> list[File
 
 def read_transitions(chunks: Sequence[Files]) -> Transitions:
     """Decode and join the chunks of a data set."""
+    tables = [decode_table(chunk[TRANSITIONS], schema="transitions", version=1, source=TRANSITIONS) for chunk in chunks]
     return Transitions.concatenate(
-        [
-            Transitions(**decode_table(chunk[TRANSITIONS], schema="transitions", version=1, source=TRANSITIONS))
-            for chunk in chunks
-        ]
+        [MeasuredTransitions(**table) if "residual_sd" in table else Transitions(**table) for table in tables]
     )
 
 
@@ -120,6 +154,11 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         if not done:
             continue
         transitions = read_transitions([{TRANSITIONS: store.read(part, TRANSITIONS)} for part in done.values()])
+        if tracked := [part for part in done.values() if TRACK_REPORT in part.files]:
+            found = decode_json(store.read(tracked[0], TRACK_REPORT), TRACK_REPORT)
+            lines += report_lines(found, settings, len(transitions))
+            metrics |= {"n_throws": float(found["n_throws"]), "n_transitions": float(len(transitions))}
+            continue
         speed = np.hypot(transitions.state[:, 3], transitions.state[:, 4])
         wet = np.abs(transitions.residual).max(axis=1) > 0
         slow_and_wet = float(np.mean(wet & (speed < 0.5)))

@@ -127,14 +127,14 @@ def _reason(files: Files | None, table: str) -> str | None:
 
 
 def _throws(chunks: Sequence[Files], settings: Settings) -> ThrowPaths | None:
-    """Arrange the transitions of throws as paths."""
+    """Arrange the transitions of throws as paths; steps that tracked throws lack are NaN."""
     if not chunks:
         return None
     table = read_transitions(chunks)
-    order = np.lexsort((table.step, table.throw))
-    throws, first = np.unique(table.throw[order], return_index=True)
-    path = table.state[order].reshape(len(throws), -1, table.state.shape[1])[:, :, :3].astype(np.float64)
-    lengths = table.length_scale[order][first].astype(np.float64)
+    throws, first, number = np.unique(table.throw, return_index=True, return_inverse=True)
+    path = np.full((len(throws), int(table.step.max()) + 1, 3), np.nan)
+    path[number, table.step] = table.state[:, :3]
+    lengths = table.length_scale[first].astype(np.float64)
     learned, _ = split_throws(throws, settings.training.held_out, seed=settings.seed)
     seconds = path.shape[1] * settings.physics.time_step
     return ThrowPaths(lengths, path, seconds=seconds, n_learned=int(learned.sum()))

@@ -135,7 +135,10 @@ class _Dispatcher:
 
     def _submit(self, chains: Sequence[ChainProgress]) -> None:
         items = [self._run.next_item(progress) for progress in chains]
-        contents = [self._contents(source) for item in items for source in item.inputs.values()]
+        contents: list[Handle | Files] = []
+        for item in items:
+            contents += [self._contents(source) for source in item.inputs.values()]
+            contents += [file.read() for file in item.outside.values()]
         item = items[0]
         if item.execution.n_gpus and not self._cluster.n_gpus:  # Ray would wait for one forever
             raise PuddleError(
@@ -148,7 +151,7 @@ class _Dispatcher:
             self._stage.compute,
             self._stage.compute_batch,
             [item.job for item in items],
-            [tuple(item.inputs) for item in items],
+            [(*item.inputs, *item.outside) for item in items],
             *contents,
             n_cores=0.0 if is_split(item) else 1.0,
             n_gpus=float(item.execution.n_gpus),

@@ -11,11 +11,13 @@ trial. An :class:`Item` is done if and only if the store holds its key, the SHA-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.store.encoding import Json, key_of
+from pipeline.store import disk
+from pipeline.store.encoding import Json, digest, key_of
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints, Model
@@ -75,6 +77,30 @@ class Input:
 
 
 @dataclass(frozen=True)
+class OutsideFile:
+    """A user's file, from outside the store. The driver reads it when it submits the item."""
+
+    path: str
+    sha256: str  # of its content, which alone enters the item's key
+
+    def read(self) -> Files:
+        """Return the content by the file's path.
+
+        Raises:
+            PuddleError: it can't be read, or has changed.
+        """
+        path = Path(self.path)
+        with disk.explained("reading", path):
+            content = path.read_bytes()
+        if (found := digest(content)) != self.sha256:
+            raise PuddleError(
+                f"{path}: expected the file with the SHA-256 {self.sha256[:12]}…, got {found[:12]}…: it has changed "
+                f"since the study was recorded. Name it again (`puddle collect --tracks`) to learn from it as it is"
+            )
+        return {self.path: content}
+
+
+@dataclass(frozen=True)
 class Job(Generic[ItemSpecT]):
     """What a worker receives of an item, besides its inputs."""
 
@@ -93,11 +119,13 @@ class Item(Generic[ItemSpecT]):
     spec: ItemSpecT  # everything that changes the result, besides inputs: settings, seed, trial
     inputs: Mapping[InputName, Input]
     execution: Execution = Execution()
+    outside: Mapping[InputName, OutsideFile] = field(default_factory=dict)  # read like inputs
 
     @cached_property
     def identity(self) -> Mapping[str, Json]:
         """What the key is the hash of."""
         inputs = {name.label: source.manifest.digest for name, source in self.inputs.items()}
+        inputs |= {name.label: file.sha256 for name, file in self.outside.items()}
         return {"stage": self.stage, "version": self.version, "spec": to_json(self.spec), "inputs": inputs}
 
     @cached_property

@@ -9,5 +9,12 @@ from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.observation import OBSERVATION, STATE, observe
 from tasks.residual.robot_ranges import robot_ranges
 from tasks.residual.suggestion import suggest_throws
-from tasks.residual.throws import DesignedThrows, Throws, Transitions, initial_states, simulate_throws
+from tasks.residual.throws import (
+    DesignedThrows,
+    MeasuredTransitions,
+    Throws,
+    Transitions,
+    initial_states,
+    simulate_throws,
+)
 from tasks.residual.validation import split_throws

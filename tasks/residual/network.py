@@ -76,6 +76,7 @@ class ResidualNetwork(nn.Module):
         super().__init__()
         sizes = [len(architecture.observation), *[architecture.width] * architecture.hidden_layers, len(STATE)]
         self.layers = nn.ModuleList(nn.Linear(n_in, n_out) for n_in, n_out in pairwise(sizes))
+        self.n_inputs = len(architecture.observation)
         self.dropout = architecture.dropout
 
     def forward(self, observation: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -28,6 +28,9 @@ from tasks.world import Medium, Physics
 class Throws(Parameters):
     """Settings of the throws."""
 
+    source: Literal["simulation", "tracks"] = later_choice("simulation")
+    """Where throws come from: simulated in the true medium, or tracked, of real bars, as the settings group tracks
+    says. With tracks, nothing else of this group is used, and n_throws is that of the file."""
     n_throws: int = Field(default=500, ge=2, le=1_000_000)
     """Number of throws. [P]"""
     n_steps: int | None = Field(default=200, ge=1, le=100_000)
@@ -116,6 +119,10 @@ class Transitions:
     observation: Float32  # (n_transitions, 6) a network's input, in the order of OBSERVATION
     residual: Float32  # (n_transitions, 6) residual e = E(x) - E'(x), in the order of STATE
 
+    def columns(self) -> dict[str, Any]:
+        """Return the arrays by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
     def __len__(self) -> int:
         return len(self.throw)
 
@@ -127,14 +134,22 @@ class Transitions:
         quantities = {"length_scale": self.length_scale, "y": y, "cos": np.cos(angle), "sin": np.sin(angle)}
         return observe({**quantities, "vx": vx, "vy": vy, "omega": omega}, inputs)
 
-    def __getitem__(self, rows: Bools) -> Transitions:
+    def __getitem__(self, rows: Bools) -> Self:
         """Select transitions by a mask."""
-        return Transitions(*(getattr(self, f.name)[rows] for f in fields(Transitions)))
+        return type(self)(**{name: of[rows] for name, of in self.columns().items()})
 
     @staticmethod
     def concatenate(chunks: Sequence[Transitions]) -> Transitions:
         """Concatenate chunks in the given order."""
-        return Transitions(*(np.concatenate([getattr(c, f.name) for c in chunks]) for f in fields(Transitions)))
+        columns = [chunk.columns() for chunk in chunks]
+        return type(chunks[0])(**{name: np.concatenate([of[name] for of in columns]) for name in columns[0]})
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTransitions(Transitions):
+    """Transitions of real throws, whose residuals are uncertain."""
+
+    residual_sd: Float32  # (n_transitions, 6) deviation of the residual
 
 
 def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | None = None) -> Starts:

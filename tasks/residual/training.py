@@ -20,11 +20,12 @@ from tasks.residual.error_report import ErrorRow, error_rows
 from tasks.residual.hyperparameters import Architecture, Training
 from tasks.residual.network import ResidualNetwork, Standardisation
 from tasks.residual.observation import INPUTS, OBSERVATION, STATE, Observed
-from tasks.residual.throws import Transitions
+from tasks.residual.throws import MeasuredTransitions, Transitions
 from tasks.residual.validation import split_throws
 from tasks.seeding import generator
 
 _N_CURVE_POINTS = 100  # approximate number of points of a learning curve
+_FLOOR = 0.1  # share of the residuals' deviation below which their uncertainty does not matter
 
 
 class TrainingDiverged(ArithmeticError):  # noqa: N818 (what happened, as in a rollout's status)
@@ -62,7 +63,21 @@ def learning_rate(training: Training, iteration: int) -> float:
     return training.learning_rate * math.pow(training.min_learning_rate / training.learning_rate, decayed)
 
 
-def mean_loss(training: Training, predicted: Tensor, true: Tensor) -> Tensor:
+def precision_weights(residual: Float32, residual_sd: Float32) -> Float32:
+    """Return the weights of uncertain residuals: inverse variances, 1 at most.
+
+    The weight is f² / (f² + sd²). The floor f is a tenth of the residuals' deviation, far below what networks of a
+    study get wrong: that a residual is known better than so earns it no more weight.
+
+    Args:
+        residual, residual_sd: (n_rows, 6) residuals and their deviations.
+    """
+    floor = np.maximum(_FLOOR * residual.std(axis=0, dtype=np.float64), np.finfo(np.float32).tiny)
+    weights: Float32 = (1 / (1 + np.square(residual_sd / floor))).astype(np.float32)
+    return weights
+
+
+def mean_loss(training: Training, predicted: Tensor, true: Tensor, weight: Tensor | None = None) -> Tensor:
     """Return the mean loss over rows.
 
     L_mse = ‖φ(o) - e‖² / 6, and the focal loss is α (1 - exp(-s L_mse))^γ L_mse.
@@ -71,8 +86,10 @@ def mean_loss(training: Training, predicted: Tensor, true: Tensor) -> Tensor:
         training: the loss and its parameters.
         predicted: (n_rows, 6) predicted residuals φ(o).
         true: (n_rows, 6) residuals e.
+        weight: (n_rows, 6) weights of squared errors, where residuals are uncertain.
     """
-    L_mse = (predicted - true).square().mean(dim=1)
+    squared = (predicted - true).square()
+    L_mse = (squared if weight is None else weight * squared).mean(dim=1)
     if training.loss == "mse":
         return L_mse.mean()
     weight = (-torch.expm1(-training.focal_s * L_mse)) ** training.focal_gamma
@@ -117,10 +134,15 @@ def train_member(
         observed[to_learn], transitions.residual[to_learn], standardise_targets=training.standardise_targets
     )
 
+    weights = None
+    if isinstance(transitions, MeasuredTransitions):
+        weights = precision_weights(transitions.residual, transitions.residual_sd)
+
     def standardised(rows: npt.NDArray[np.intp]) -> Tensor:
         observation = standardisation.standard_observation(observed[rows])
         residual = standardisation.standard_residual(transitions.residual[rows])
-        return torch.from_numpy(np.concatenate((observation, residual), axis=1)).to(training.device)
+        weight = [] if weights is None else [weights[rows]]
+        return torch.from_numpy(np.concatenate((observation, residual, *weight), axis=1)).to(training.device)
 
     torch_seed = int(generator(seed, "member", member).integers(2**63))
     with _deterministic(torch_seed, torch.device(training.device)):
@@ -147,9 +169,9 @@ def _fit(
     member: int,
     on_progress: Callable[[int, float], None] | None,
 ) -> Float64:
-    """Train in place on (n_rows, n_inputs + 6) observations and residuals; return the learning curve."""
+    """Train in place on (n_rows, n_inputs + 6) observations and residuals, and 6 weights; return the learning curve."""
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=training.weight_decay, fused=True)
-    n_rows, n_observed = len(training_set), training_set.shape[1] - len(STATE)
+    n_rows, n_observed = len(training_set), network.n_inputs
     curve = []
     losses = []
     for iteration in range(training.n_iterations):
@@ -157,7 +179,7 @@ def _fit(
             group["lr"] = learning_rate(training, iteration)
         drawn = torch.randint(n_rows, (training.batch_size,), device=training_set.device)
         batch = training_set.index_select(0, drawn)
-        loss = mean_loss(training, network(batch[:, :n_observed]), batch[:, n_observed:])
+        loss = mean_loss(training, network(batch[:, :n_observed]), *_targets(batch, n_observed))
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
@@ -168,10 +190,16 @@ def _fit(
             on_progress(done, losses[-1])
         if done % max(training.n_iterations // _N_CURVE_POINTS, 1) == 0 or done == training.n_iterations:
             predicted = _predict(network, validation_set[:, :n_observed])
-            validation_loss = mean_loss(training, predicted, validation_set[:, n_observed:])
+            validation_loss = mean_loss(training, predicted, *_targets(validation_set, n_observed))
             curve.append((done, float(np.mean(losses)), _finite(validation_loss, "validation", member, done)))
             losses.clear()
     return np.array(curve)
+
+
+def _targets(rows: Tensor, n_observed: int) -> tuple[Tensor, ...]:
+    """Return the (n_rows, 6) residuals and, if there are any, their weights."""
+    residual, weight = rows[:, n_observed : n_observed + len(STATE)], rows[:, n_observed + len(STATE) :]
+    return (residual, weight) if weight.shape[1] else (residual,)
 
 
 def _finite(loss: Tensor, name: str, member: int, iteration: int) -> float:

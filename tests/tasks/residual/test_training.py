@@ -5,9 +5,26 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from tasks.residual import Architecture, Throws, Training, Transitions, initial_states, simulate_throws, split_throws
+from tasks.residual import (
+    Architecture,
+    MeasuredTransitions,
+    Throws,
+    Training,
+    Transitions,
+    initial_states,
+    simulate_throws,
+    split_throws,
+)
 from tasks.residual.error_report import LOW_SPEED
-from tasks.residual.training import NoDevice, TrainingDiverged, learning_rate, mean_loss, n_cuda_devices, train_member
+from tasks.residual.training import (
+    NoDevice,
+    TrainingDiverged,
+    learning_rate,
+    mean_loss,
+    n_cuda_devices,
+    precision_weights,
+    train_member,
+)
 from tasks.world import Physics, Slush
 
 SMALL = Architecture(hidden_layers=2, width=16)
@@ -232,3 +249,26 @@ def test_a_gpu_gives_the_same_bytes_twice(thrown):
     once, again = (train_member(thrown, SMALL, on_gpu, seed=0, member=0).arrays() for _ in range(2))
     for name, array in once.items():
         assert np.isfinite(array).all() and array.tobytes() == again[name].tobytes()
+
+
+def test_uncertain_residuals_weigh_less():
+    residual = np.random.default_rng(1).normal(size=(1000, 6)).astype(np.float32)
+    sd = np.zeros_like(residual)
+    sd[1], sd[2] = 0.1, 1.0
+    weights = precision_weights(residual, sd * residual.std(axis=0))
+    np.testing.assert_allclose(weights[:3, 0], [1.0, 1 / 2, 1 / 101], rtol=1e-4)  # 1 / (1 + (sd / 0.1 deviations)²)
+
+
+def test_a_network_learns_around_rows_that_are_known_to_be_wrong():
+    plain = synthetic(20, 30, lambda state, rng: 0.1 * state)
+    wrong = np.arange(len(plain)) % 3 == 0
+    residual = plain.residual + 5 * wrong[:, None].astype(np.float32)
+    sd = np.where(wrong[:, None], np.float32(10), np.float32(0)) * np.ones_like(residual)
+    columns = plain.columns() | {"residual": residual}
+    training = Training(n_iterations=300, batch_size=128, learning_rate=1e-2, loss="mse", held_out=0.1)
+    architecture = Architecture(hidden_layers=1, width=16, dropout=0.0)
+    of_all, of_known = (
+        train_member(data, architecture, training, seed=1, member=0)
+        for data in (Transitions(**columns), MeasuredTransitions(**columns, residual_sd=sd))
+    )
+    assert of_known.learning_curve[-1, 2] < 0.05 * of_all.learning_curve[-1, 2]

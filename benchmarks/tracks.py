@@ -1,0 +1,205 @@
+"""Measure what tracked throws are worth: `python -m benchmarks.tracks [residuals] [studies] [fluids]`.
+
+Writes docs/results/tracks.json, which docs/your-own-tank.md shows; without arguments, all parts of it. A simulation
+with steps of 1/960 s stands in for the tank, and exact poses, with noise or without, for the camera. All of it takes
+half an hour on one core.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.published import RESULTS
+from pipeline.store.provenance import environment as provenance
+from tasks.arrays import Float64
+from tasks.design.genes import concatenate
+from tasks.evolution import EMPTY_POPULATION, PAPERS_OBJECTIVE, Afpo, Trial, evaluate, evolve
+from tasks.residual import Architecture, Throws, Training, Transitions, error_rows, initial_states, simulate_throws
+from tasks.residual.ensemble import Ensemble
+from tasks.residual.observation import OBSERVATION, Observed
+from tasks.residual.throws import Starts
+from tasks.residual.training import train_member
+from tasks.seeding import generator
+from tasks.simulation import simulate
+from tasks.simulation.free_links import FreeLinks
+from tasks.tracks import Bars, Tracks, TrackTable, residual_transitions
+from tasks.world import Environment, Medium, Physics, ResidualSlush, Slush, TrueSlush, froude_time
+from tasks.world.anisotropic_slush import AnisotropicPool
+from tasks.world.flowing_slush import FlowingPool
+
+LENGTH = 0.07  # bench metres per metre of simulation
+TIME = froude_time(LENGTH)
+SECONDS = 1.0  # each throw is followed for [s of simulation]
+_FINE = 960  # steps of the tank in a second of simulation
+_N_MEMBERS, _N_TRIALS, _N_GENERATIONS = 4, 3, 300
+_DEPTH, _FLUIDS_DEPTH = 9.0, 2.0  # [m]
+_TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
+_AFPO = Afpo.model_validate({"population_size": 16, "mutation": {"step": 0.2}})
+_PHYSICS = Physics()
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """What is seen of the throws."""
+
+    n_throws: int = 500
+    rate: float = 60.0  # frames a second of the bench
+    noise_mm: float = 0.0
+    noise_deg: float = 0.0
+
+
+def starts(n_throws: int) -> Starts:
+    """Return starts that are designed for robots."""
+    throws = Throws(design="robots", n_throws=n_throws, n_steps=None)
+    return initial_states(throws, generator(1, "throws"), _PHYSICS)
+
+
+@cache
+def paths(n_throws: int, medium: Medium) -> Float64:
+    """Return (n_throws, n_fine + 1, 3) poses of bars in the tank, in units of the simulation."""
+    thrown = starts(n_throws)
+    links = FreeLinks(thrown.length_scale, Physics(time_step=1 / _FINE))
+    now, poses = thrown.state, [thrown.state[:, :3]]
+    for _ in range(round(SECONDS * _FINE)):
+        now = links.step(now, medium)
+        poses.append(now[:, :3])
+    return np.stack(poses, axis=1).astype(np.float64)
+
+
+def tracked(camera: Camera, medium: Medium) -> tuple[TrackTable, Bars]:
+    """Film the throws; return the tracks in units of the bench."""
+    path = paths(camera.n_throws, medium)
+    time_seen = np.arange(int(SECONDS * TIME * camera.rate) + 1) / camera.rate
+    fine = time_seen / TIME * _FINE
+    before = np.minimum(fine.astype(int), path.shape[1] - 2)
+    after = (fine - before)[:, None]
+    seen = path[:, before] * (1 - after) + path[:, before + 1] * after
+    rng = generator(1, "camera", camera.rate, camera.noise_mm, camera.noise_deg)
+    scale = np.array([LENGTH, LENGTH, 1.0])
+    noise = np.array([camera.noise_mm / 1000, camera.noise_mm / 1000, np.radians(camera.noise_deg)])
+    pose = seen * scale + rng.normal(size=seen.shape) * noise
+    pose[..., 2] = np.remainder(pose[..., 2] + np.pi, 2 * np.pi) - np.pi
+    n, n_frames = pose.shape[:2]
+    length = starts(n).length_scale * LENGTH
+    table = TrackTable(np.repeat(np.arange(n), n_frames), np.tile(time_seen, n), *pose.reshape(-1, 3).T)
+    return table, Bars(np.arange(n), length, LENGTH**2 / length, np.full(n, 0.098))
+
+
+def learned(transitions: Transitions, inputs: tuple[Observed, ...] = OBSERVATION) -> Ensemble:
+    """Train an ensemble of the laptop's networks."""
+    architecture = Architecture(hidden_layers=2, width=32, observation=inputs)
+    members = [train_member(transitions, architecture, _TRAINING, seed=1, member=k) for k in range(_N_MEMBERS)]
+    return Ensemble.from_members([member.arrays() for member in members])
+
+
+def displacements(evolved_in: Environment, tested_in: Environment) -> list[float]:
+    """Evolve the trials of a small study; return where the champions get in another environment [m]."""
+    found = evolve(
+        [Trial(partial(generator, 7, "tracks", k), EMPTY_POPULATION) for k in range(_N_TRIALS)],
+        lambda designs: evaluate(simulate(designs, evolved_in), disagreement_penalty=1.0, objective=PAPERS_OBJECTIVE),
+        first_generation=0,
+        n_generations=_N_GENERATIONS,
+        afpo=_AFPO,
+    )
+    champions = concatenate([population.designs[population.champion()] for population, _ in found])
+    return [round(float(of), 2) for of in np.ravel(simulate(champions, tested_in).displacement)]
+
+
+def exact(n_throws: int, medium: Medium) -> Transitions:
+    """Return the same throws as a study simulates them."""
+    return simulate_throws(starts(n_throws), round(SECONDS * 60), medium, _PHYSICS)
+
+
+def residual_errors(transitions: Transitions, medium: Medium) -> dict[str, list[float]]:
+    """Compare residuals with those of the medium in the same states; as shares of their size, by speed."""
+    links = FreeLinks(transitions.length_scale, _PHYSICS)
+    true = links.step(transitions.state, medium) - transitions.next_on_dry_land
+    vx, vy = transitions.state[:, 3], transitions.state[:, 4]
+    rows = error_rows(transitions.residual, true, np.hypot(vx, vy))
+    bands = dict.fromkeys(row.band for row in rows if row.n_rows)
+    return {
+        band: [round(of.relative_error, 3) for of in rows if of.band == band and of.component in ("vx", "vy", "omega")]
+        for band in bands
+    }
+
+
+CAMERAS = (
+    Camera(),
+    Camera(rate=120.0),
+    Camera(noise_mm=0.1, noise_deg=0.2),
+    Camera(noise_mm=0.3, noise_deg=0.5),
+    Camera(noise_mm=1.0, noise_deg=1.0),
+    Camera(noise_mm=2.0, noise_deg=2.0),
+    Camera(rate=120.0, noise_mm=0.3, noise_deg=0.5),
+    Camera(n_throws=250, noise_mm=0.3, noise_deg=0.5),
+    Camera(n_throws=100, noise_mm=0.3, noise_deg=0.5),
+)
+
+
+def measured(camera: Camera, medium: Medium) -> Transitions:
+    """Return the transitions of filmed throws."""
+    return residual_transitions(*tracked(camera, medium), Tracks(file="tracks"), _PHYSICS)[0]
+
+
+def residuals() -> Iterator[dict[str, Any]]:
+    """Yield the errors of residuals for each camera, by speed of the bar."""
+    for camera in CAMERAS:
+        yield {**dataclasses.asdict(camera), "error": residual_errors(measured(camera, Slush()), Slush())}
+
+
+def studies() -> Iterator[dict[str, Any]]:
+    """Yield where champions of a small study get in True Slush, by what its networks learned from."""
+    true = TrueSlush(_DEPTH)
+    yield {"learned_from": "nothing: evolved in True Slush", "displacement": displacements(true, true)}
+    for n_throws in (500, 100):
+        ensemble = learned(exact(n_throws, Slush()))
+        found = displacements(ResidualSlush(_DEPTH, ensemble), true)
+        yield {"learned_from": "exact states", "n_throws": n_throws, "displacement": found}
+    for camera in CAMERAS:
+        ensemble = learned(measured(camera, Slush()))
+        found = displacements(ResidualSlush(_DEPTH, ensemble), true)
+        yield {"learned_from": "tracks", **dataclasses.asdict(camera), "displacement": found}
+
+
+def fluids() -> Iterator[dict[str, Any]]:
+    """Yield where champions get in fluids that the learner does not know, learned from tracks with sin θ."""
+    for name, true in (("anisotropic", AnisotropicPool(_FLUIDS_DEPTH)), ("flowing", FlowingPool(_FLUIDS_DEPTH))):
+        yield {"fluid": name, "learned_from": "nothing: evolved in it", "displacement": displacements(true, true)}
+        medium = true.medium
+        assert medium is not None
+        camera = Camera(noise_mm=0.1, noise_deg=0.2)
+        for words, transitions in (("exact states", exact(500, medium)), ("tracks", measured(camera, medium))):
+            ensemble = learned(transitions, (*OBSERVATION, "sin_angle"))
+            found = displacements(ResidualSlush(_FLUIDS_DEPTH, ensemble), true)
+            yield {"fluid": name, "learned_from": words, "displacement": found}
+
+
+PARTS: dict[str, Callable[[], Iterator[dict[str, Any]]]] = {
+    "residuals": residuals,
+    "studies": studies,
+    "fluids": fluids,
+}
+
+
+def main() -> None:
+    """Measure some parts, and write the file after each row."""
+    path = RESULTS / "tracks.json"
+    document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    document |= {"schema": "puddle.tracks", "version": 1, "made_with": dict(provenance())}
+    for part in sys.argv[1:] or PARTS:
+        document[part] = []
+        for row in PARTS[part]():
+            print(row, flush=True)
+            document[part].append(row)
+            path.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,209 @@
+"""Tracked throws in a study: their files, their check, and the item that makes a data set of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from pipeline.config.settings import Settings
+from pipeline.errors import PuddleError
+from pipeline.store import disk
+from pipeline.store.encoding import digest, encode_json
+from pipeline.store.track_file import TrackColumns, bars_of, has_bars, read_track_columns, track_table
+from pipeline.workflow.identity import InputName
+from pipeline.workflow.stage import Files, Inputs, OutsideFile
+from tasks.tracks import Bars, TrackError, Tracks, TrackTable
+from tasks.tracks.effects import Fall, Memory, falls_oddly
+from tasks.tracks.residuals import TrackReport, checked_paths
+from tasks.tracks.table import Paths, length_scale_of, time_scale_of
+
+TRACK_REPORT = "tracks.json"  # what the tracks are like
+TRACKED, BARS = InputName("tracks"), InputName("bars")
+
+
+def with_tracks(settings: Settings, file: Path | None) -> Settings:
+    """Return settings that name a file of tracks, if one is given, and the digests of what they name.
+
+    Args:
+        settings: the study's settings.
+        file: the file that ``--tracks`` names, if any; the other settings of tracks stay.
+
+    Returns:
+        Settings with whole paths, digests, and the number of throws.
+
+    Raises:
+        PuddleError: a file can't be read, has changed, or is no file of tracks.
+    """
+    tracks = settings.tracks
+    if file is not None:
+        tracks = tracks or Tracks(file=str(file))
+        bars = None if tracks.bars_sha256 else tracks.bars  # a recorded file of bars belongs to the recorded tracks
+        tracks = tracks.model_copy(update={"file": str(file), "bars": bars, "sha256": None, "bars_sha256": None})
+    if tracks is None or tracks.sha256 is not None:
+        return settings
+    path = Path(tracks.file).expanduser().resolve()
+    content = _content(path)
+    columns = read_track_columns(content, str(path))
+    numbers = set(track_table(columns, str(path)).throw.tolist())
+    bars_path = _bars_path(tracks, path, columns)
+    changes = {
+        "tracks": tracks.model_copy(
+            update={
+                "file": str(path),
+                "bars": None if bars_path is None else str(bars_path),
+                "sha256": digest(content),
+                "bars_sha256": None if bars_path is None else digest(_content(bars_path)),
+            }
+        ),
+        "throws": settings.throws.model_copy(update={"source": "tracks", "n_throws": max(len(numbers), 2)}),
+    }
+    try:
+        return Settings.model_validate(settings.model_copy(update=changes).model_dump())
+    except ValidationError as error:
+        raise PuddleError("; ".join(found["msg"].removeprefix("Value error, ") for found in error.errors())) from None
+
+
+def _bars_path(tracks: Tracks, path: Path, columns: TrackColumns) -> Path | None:
+    """Return the file of bars; None if the tracks have their columns."""
+    if tracks.bars is not None:
+        return Path(tracks.bars).expanduser().resolve()
+    if has_bars(columns):
+        return None
+    beside = path.with_name(f"{path.stem}-bars.csv")
+    if not beside.is_file():
+        raise PuddleError(
+            f"{path}: expected the columns length, width and mass of the bars, or a file {beside.name} beside it: give "
+            f"each throw's bar, or name the file (tracks.bars)"
+        )
+    return beside
+
+
+def _content(path: Path) -> bytes:
+    with disk.explained("reading tracks", path, advice="name the file that holds the tracks"):
+        return path.read_bytes()
+
+
+def outside_files(tracks: Tracks) -> dict[InputName, OutsideFile]:
+    """Return the files that an item reads.
+
+    Raises:
+        PuddleError: the settings lack the digests.
+    """
+    if tracks.sha256 is None:
+        raise PuddleError(f"tracks.sha256 is null for {tracks.file}: expected the SHA-256, which the command line adds")
+    files = {TRACKED: OutsideFile(tracks.file, tracks.sha256)}
+    if tracks.bars is not None and tracks.bars_sha256 is not None:
+        files[BARS] = OutsideFile(tracks.bars, tracks.bars_sha256)
+    return files
+
+
+@dataclass(frozen=True)
+class ReadTracks:
+    """Tracks as read, and what messages call them."""
+
+    name: str
+    table: TrackTable
+    bars: Bars
+
+
+def read_tracks(inputs: Inputs) -> ReadTracks:
+    """Return the tracks among an item's inputs.
+
+    Raises:
+        PuddleError: they are no tracks.
+    """
+    ((name, content),) = inputs[TRACKED].items()
+    columns = read_track_columns(content, name)
+    of_bars: Files = inputs.get(BARS, {})
+    bars = [bars_of(read_track_columns(data, of), of) for of, data in of_bars.items()]
+    return ReadTracks(name, track_table(columns, name), bars[0] if bars else bars_of(columns, name))
+
+
+def check_tracks(settings: Settings) -> Paths | None:
+    """Read and check the tracks of a study before anything is computed; return the throws, if it has any.
+
+    Raises:
+        PuddleError: the file and what is wrong with which throw and frame.
+    """
+    if settings.tracks is None:
+        return None
+    read = read_tracks({name: file.read() for name, file in outside_files(settings.tracks).items()})
+    try:
+        return checked_paths(read.table, read.bars, settings.tracks)[0]
+    except TrackError as error:
+        raise PuddleError(f"{settings.tracks.file}: {error}") from None
+
+
+def unnamed(tracks: Tracks) -> Tracks:
+    """Return the settings without files and digests, which are those of an item's inputs."""
+    return tracks.model_copy(update={"file": "tracks", "bars": None, "sha256": None, "bars_sha256": None})
+
+
+def encode_report(report: TrackReport) -> bytes:
+    """Return a report as a JSON document; a number that does not exist is null."""
+    return encode_json(_without_nan(asdict(report)))
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_nan(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(inner) for inner in value]
+    return None if value != value else value
+
+
+def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: int) -> list[str]:
+    """Say what tracks are like, in the units of the bench, and warn of effects that no network learns.
+
+    Args:
+        report: of the tracks, decoded.
+        settings: the study's settings.
+        n_transitions: number of transitions made of them.
+
+    Returns:
+        Lines for the terminal.
+    """
+    tracks = settings.tracks
+    assert tracks is not None
+    mm = 1000 * length_scale_of(tracks)
+    noise_x, noise_y, noise_angle = report["noise"]
+    of_noise = "stated" if report["sd_given"] else "estimated"
+    sd_vx, sd_vy, sd_omega = report["residual_sd"]
+    rate = 1 / (report["frame_interval"] * time_scale_of(tracks))
+    lines = [
+        f"{report['n_throws']:,} tracked throws, {report['n_frames']:,} frames at {rate:.0f} a second, "
+        f"{n_transitions:,} transitions",
+        f"    noise, {of_noise}: x {noise_x * mm:.2g} mm, y {noise_y * mm:.2g} mm, angle "
+        f"{math.degrees(noise_angle):.2g}°; a step's residual is known within (median) {sd_vx:.2g}, {sd_vy:.2g} m/s "
+        f"and {sd_omega:.2g} rad/s of simulation",
+    ]
+    if report["n_gaps"]:
+        lines.append(f"    {report['n_gaps']:,} gaps between frames; {report['n_rows_in_gaps']:,} transitions left out")
+    for what, n, at in zip(_CONTACTS, report["n_contacts"], report["contact_at"], strict=True):
+        if n:
+            lines.append(f"warning: {n:,} contacts with {what.format(f'{at * mm:.0f} mm')}; frames around are left out")
+    fall, gravity = Fall(**_with_nan(report["fall"])), settings.physics.gravity
+    if falls_oddly(fall, gravity):
+        lines.append(
+            f"warning: bars above the water fall at {-fall.acceleration:.2f} ± {fall.sd:.2f} m/s², expected "
+            f"{gravity:g}: check tracks.length_unit, the scale of the calibration, and the frame rate"
+        )
+    recalled = Memory(**_with_nan(report["memory"]))
+    if recalled.found:
+        lines.append(
+            f"warning: residuals depend on how bars accelerated before ({recalled.share:+.2f} ± "
+            f"{recalled.sd:.2f} of it), not on their state alone: added mass or wakes, which networks cannot learn"
+        )
+    return lines
+
+
+_CONTACTS = ("the left wall, near x = {}", "the right wall, near x = {}", "the floor, near y = {}")
+
+
+def _with_nan(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: math.nan if value is None else value for name, value in values.items()}

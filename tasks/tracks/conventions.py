@@ -1,0 +1,48 @@
+"""Conventions of a tracks file: which file, and what its numbers mean."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from tasks.parameters import Parameters
+
+
+class Tracks(Parameters):
+    """Tracked throws of bars, which networks learn from in place of simulated throws."""
+
+    file: str = Field(min_length=1)
+    """CSV or Parquet file with the columns throw, time [s], x, y, angle. A relative path is relative to the folder
+    where the command is run; the study's record has the whole path."""
+    bars: str | None = None
+    """File with the columns throw, length, width, mass [kg]; null if the tracks have them, or for NAME-bars.csv beside
+    them."""
+    sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$")
+    """SHA-256 of the tracks. The command line adds it, and refuses a file with another one."""
+    bars_sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$")
+    """SHA-256 of the file of bars, added likewise."""
+    scaling: Literal["froude", "none"] = "froude"
+    """"froude": lengths and times are those of a bench, smaller than the simulation's. "none": they are the
+    simulation's."""
+    metres_per_metre: float = Field(default=0.07, gt=0.0, le=10.0)
+    """Bench metres per metre of simulation, as in fabrication; unused where scaling is none. [P]"""
+    length_unit: Literal["m", "mm"] = "m"
+    """Unit of x, y, lengths and widths."""
+    angle_unit: Literal["rad", "deg"] = "rad"
+    """Unit of angles, which are 0 where the long axis is upright and grow anticlockwise."""
+    flip_x: bool = False
+    """Whether x grows to the left."""
+    flip_y: bool = False
+    """Whether y grows downward, as pixels do."""
+    flip_angle: bool = False
+    """Whether angles grow clockwise. A mirrored view flips x and the angle; an image whose y grows downward, y and the
+    angle."""
+
+    @model_validator(mode="after")
+    def _scale_is_used(self) -> Self:
+        default = type(self).model_fields["metres_per_metre"].default
+        if self.scaling == "none" and self.metres_per_metre != default:
+            raise ValueError(
+                f"scaling is none, but metres_per_metre is {self.metres_per_metre}: expected scaling froude, or "
+                f"metres_per_metre left as it is"
+            )
+        return self

@@ -1,0 +1,182 @@
+"""From tracked paths to the transitions that networks learn from, with their uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.arrays import Bools, Float64
+from tasks.residual import MeasuredTransitions, observe
+from tasks.simulation.free_links import FreeLinks
+from tasks.tracks.bars import Bars, length_scales
+from tasks.tracks.conventions import Tracks
+from tasks.tracks.effects import Fall, Memory, contacts, fall_in_air, memory, refuse_upward_falls
+from tasks.tracks.smoother import Measured, Smoothed, smooth
+from tasks.tracks.table import Paths, TrackError, TrackTable, paths_of
+from tasks.world import Physics
+
+_LONGEST_GAP = 4.0  # typical intervals between frames; steps in a longer gap are left out
+
+
+@dataclass(frozen=True)
+class TrackReport:
+    """What the tracks are like, in units of the simulation."""
+
+    n_throws: int
+    n_frames: int
+    frame_interval: float  # median [s]
+    n_gaps: int  # intervals longer than the steps inside them are worth
+    n_rows_in_gaps: int  # transitions left out
+    noise: tuple[float, float, float]  # deviations of measurements of x, y [m] and the angle [rad]
+    sd_given: bool  # whether the file states them; they are estimated otherwise
+    residual_sd: tuple[float, float, float]  # median uncertainty of the velocity change of a step [m/s, m/s, rad/s]
+    n_contacts: tuple[int, int, int]  # with the left wall, the right wall and the floor
+    contact_at: tuple[float, float, float]  # median x, x and y of bars there [m]; NaN where there is none
+    n_rows_at_contacts: int  # transitions left out
+    fall: Fall
+    memory: Memory
+
+
+def checked_paths(table: TrackTable, bars: Bars, tracks: Tracks) -> tuple[Paths, Float64]:
+    """Return the throws in the simulation's units, and the (n_throws,) long axes of their bars [m].
+
+    Args:
+        table: the tracks.
+        bars: the bar of each throw.
+        tracks: units, axes and scale.
+
+    Raises:
+        TrackError: something is wrong with a throw or a bar.
+    """
+    long_axes = length_scales(bars, tracks)
+    paths = paths_of(table, tracks)
+    missing = [int(throw) for throw in paths.throw if int(throw) not in long_axes]
+    if missing:
+        raise TrackError(f"throw {missing[0]} has no bar: give its length, width and mass")
+    return paths, np.array([long_axes[int(throw)] for throw in paths.throw])
+
+
+def residual_transitions(
+    table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics
+) -> tuple[MeasuredTransitions, TrackReport]:
+    """Smooth tracked throws, and compare each step of the simulator's clock with the base simulator's.
+
+    E(x) is the smoothed velocity one step later, E'(x) the base simulator's step from the smoothed state; positions
+    follow by integration, as in the simulation.
+
+    Args:
+        table: the tracks.
+        bars: the bar of each throw.
+        tracks: units, axes and scale.
+        physics: constants of the base simulator.
+
+    Returns:
+        MeasuredTransitions with their uncertainty, ordered by throw and step, and what the tracks are like.
+
+    Raises:
+        TrackError: something is wrong with a throw or a bar.
+    """
+    paths, long_axes = checked_paths(table, bars, tracks)
+    dt = physics.time_step
+    n_steps = np.floor(paths.time[:, -1] / dt + 1e-6).astype(int)
+    if (n_steps < 1).any():
+        throw = int(paths.throw[int(np.argmin(n_steps))])
+        raise TrackError(f"throw {throw} is shorter than a step, {dt:.3g} s of simulation: leave it out")
+    step = np.minimum(np.arange(n_steps.max() + 1), n_steps[:, None])
+    time = np.minimum(step * dt, paths.time[:, -1:])
+    smoothed = [_smooth(paths, axis, time) for axis in range(3)]
+    turned = contacts(paths, (smoothed[0].noise.measurement, smoothed[1].noise.measurement))
+
+    real = np.arange(n_steps.max()) < n_steps[:, None]
+    in_gap, n_gaps = _in_gaps(paths, time)
+    at_contact = _near_frames(paths, turned.around, time)
+    transitions = _transitions(paths, long_axes, smoothed, physics, real & ~in_gap & ~at_contact)
+    refuse_upward_falls(transitions, physics.gravity, dt)
+    typical = np.median(transitions.residual_sd[:, 3:], axis=0)
+    where = [_where(paths, *of) for of in ((turned.left, 0), (turned.right, 0), (turned.floor, 1))]
+    report = TrackReport(
+        n_throws=len(paths.throw),
+        n_frames=int(paths.seen.sum()),
+        frame_interval=_typical_interval(paths),
+        n_gaps=n_gaps,
+        n_rows_in_gaps=int((real & in_gap).sum()),
+        noise=(smoothed[0].noise.measurement, smoothed[1].noise.measurement, smoothed[2].noise.measurement),
+        sd_given=paths.sd is not None,
+        residual_sd=(float(typical[0]), float(typical[1]), float(typical[2])),
+        n_contacts=(int(turned.left.sum()), int(turned.right.sum()), int(turned.floor.sum())),
+        contact_at=(where[0], where[1], where[2]),
+        n_rows_at_contacts=int((real & at_contact & ~in_gap).sum()),
+        fall=fall_in_air(transitions, physics.gravity, dt),
+        memory=memory(transitions, dt, _typical_interval(paths)),
+    )
+    return transitions, report
+
+
+def _smooth(paths: Paths, axis: int, time: Float64) -> Smoothed:
+    sd = None if paths.sd is None else paths.sd[..., axis]
+    return smooth(Measured(paths.time, paths.pose[..., axis], paths.seen, sd), time)
+
+
+def _typical_interval(paths: Paths) -> float:
+    return float(np.median(np.diff(paths.time, axis=1)[paths.seen[:, 1:]]))
+
+
+def _in_gaps(paths: Paths, time: Float64) -> tuple[Bools, int]:
+    """Return which of the (n_throws, n_steps + 1) times begin a step inside a long gap, and the number of gaps."""
+    interval = np.diff(paths.time, axis=1)
+    gap = (interval > _LONGEST_GAP * _typical_interval(paths)) & paths.seen[:, 1:]
+    inside = np.zeros((len(time), time.shape[1] - 1), dtype=bool)
+    for throw, frame in np.argwhere(gap):
+        begin, end = paths.time[throw, frame], paths.time[throw, frame + 1]
+        inside[throw] |= (time[throw, 1:] > begin) & (time[throw, :-1] < end)
+    return inside, int(gap.sum())
+
+
+def _near_frames(paths: Paths, frames: Bools, time: Float64) -> Bools:
+    """Return which steps touch the intervals on both sides of some (n_throws, n_frames) frames."""
+    inside = np.zeros((len(time), time.shape[1] - 1), dtype=bool)
+    last = paths.time.shape[1] - 1
+    for throw, frame in np.argwhere(frames):
+        begin, end = paths.time[throw, max(frame - 1, 0)], paths.time[throw, min(frame + 1, last)]
+        inside[throw] |= (time[throw, 1:] > begin) & (time[throw, :-1] < end)
+    return inside
+
+
+def _where(paths: Paths, frames: Bools, axis: int) -> float:
+    return float(np.median(paths.pose[..., axis][frames])) if frames.any() else float("nan")
+
+
+def _transitions(
+    paths: Paths, long_axes: Float64, smoothed: list[Smoothed], physics: Physics, chosen: Bools
+) -> MeasuredTransitions:
+    """Return the chosen (n_throws, n_steps) steps, each with the state before it."""
+    mean = np.stack([of.mean for of in smoothed], axis=-2)  # (n_throws, n_times, 3 coordinates, 3 derivatives)
+    now, after = mean[:, :-1], mean[:, 1:]
+    throw, step = np.nonzero(chosen)
+    state = np.concatenate([now[..., 0], now[..., 1]], axis=-1)[chosen].astype(np.float32)
+    dry = FreeLinks(long_axes[throw], physics).step(state, None)
+    velocity = after[..., 1][chosen].astype(np.float32)
+    dt = np.float32(physics.time_step)
+    reached = np.concatenate([state[:, :3] + dt * velocity, velocity], axis=1)
+    variance = np.stack([_variance_of_change(of) for of in smoothed], axis=-1)[chosen]
+    sd = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
+    _, y, angle, vx, vy, omega = state.T
+    quantities = {"length_scale": long_axes[throw], "y": y, "cos": np.cos(angle), "vx": vx, "vy": vy, "omega": omega}
+    return MeasuredTransitions(
+        throw=paths.throw[throw],
+        step=step,
+        length_scale=long_axes[throw],
+        state=state,
+        next_in_slush=reached,
+        next_on_dry_land=dry,
+        observation=observe(quantities),
+        residual=reached - dry,
+        residual_sd=np.concatenate([dt * sd, sd], axis=1),
+    )
+
+
+def _variance_of_change(of: Smoothed) -> Float64:
+    """Return the (n_throws, n_steps) variance of the difference of two successive velocities."""
+    velocity = of.covariance[..., 1, 1]
+    return velocity[:, :-1] + velocity[:, 1:] - 2 * of.with_next[:, :-1, 1, 1]

@@ -1,0 +1,167 @@
+"""A table of tracks: checked, unwrapped and converted to the units and axes of the simulation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tasks.arrays import Bools, Float64, Int64
+from tasks.tracks.conventions import Tracks
+from tasks.world import froude_time
+
+MIN_FRAMES = 4  # of a throw: velocity and acceleration and one frame to judge them by
+_MAX_SPEED = 60.0  # between two frames [m/s of simulation]; the paper's throws begin at up to 28
+_MAX_TURN = 0.75 * np.pi  # between two frames; half a turn might have been either way [rad]
+_MIN_WAY, _MAX_WAY = 0.01, 500.0  # that throws cover [m of simulation]
+
+
+class TrackError(ValueError):
+    """Tracks that can't be learned from; the message names the throw, the frame and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackTable:
+    """Rows of a tracks file, in its units and order."""
+
+    throw: Int64  # (n_rows,)
+    time: Float64  # (n_rows,) [s]
+    x: Float64
+    y: Float64  # 0 at the waterline
+    angle: Float64  # 0 where the long axis is upright
+    x_sd: Float64 | None = None  # deviations of the measurements, if the file states them
+    y_sd: Float64 | None = None
+    angle_sd: Float64 | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Throws in units and axes of the simulation, padded to the longest; axis 0 is the throw, axis 1 the frame."""
+
+    throw: Int64  # (n_throws,) numbers in the file
+    time: Float64  # (n_throws, n_frames) since the throw's first frame [s]; padding repeats the last
+    pose: Float64  # (n_throws, n_frames, 3) x, y [m], angle, unwrapped [rad]; padding repeats the last
+    sd: Float64 | None  # (n_throws, n_frames, 3) deviations of the measurements
+    seen: Bools  # (n_throws, n_frames) False in padding
+
+
+def first(wrong: Bools) -> int | None:
+    """Return the index of the first True, or None."""
+    found = np.flatnonzero(wrong)
+    return int(found[0]) if len(found) else None
+
+
+def metres(tracks: Tracks) -> float:
+    """Return the file's unit of length [m]."""
+    return 1e-3 if tracks.length_unit == "mm" else 1.0
+
+
+def length_scale_of(tracks: Tracks) -> float:
+    """Return the file's metres per metre of simulation."""
+    return tracks.metres_per_metre if tracks.scaling == "froude" else 1.0
+
+
+def time_scale_of(tracks: Tracks) -> float:
+    """Return the file's seconds per second of simulation."""
+    return froude_time(length_scale_of(tracks))
+
+
+def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
+    """Check a table, unwrap its angles, and convert it to the simulation.
+
+    Throws may have gaps and uneven frames, and rows of different throws may alternate; within a throw, times increase.
+
+    Raises:
+        TrackError: numbers that are not finite, times that do not increase, a throw of too few frames, or jumps that no
+            bar makes.
+    """
+    _check_finite(table)
+    numbers = np.unique(table.throw)
+    if len(numbers) < 2:
+        raise TrackError(f"{len(numbers)} throws, expected at least 2: networks are tested on throws that are held out")
+    rows = [np.flatnonzero(table.throw == number) for number in numbers]
+    for number, of in zip(numbers, rows, strict=True):
+        _check_times(int(number), table.time[of])
+    n_frames = max(map(len, rows))
+    last = np.array([len(of) - 1 for of in rows])
+    frame = np.minimum(np.arange(n_frames), last[:, None])
+    at = np.stack([of[frame[k]] for k, of in enumerate(rows)])
+    unit, turn = metres(tracks) / length_scale_of(tracks), np.pi / 180 if tracks.angle_unit == "deg" else 1.0
+    scale = np.array([unit, unit, turn])
+    sign = 1 - 2 * np.array([tracks.flip_x, tracks.flip_y, tracks.flip_angle])
+    pose = np.stack([table.x, table.y, table.angle], axis=1)[at] * (scale * sign)
+    pose[..., 2] = np.unwrap(pose[..., 2], axis=1)
+    given = (table.x_sd, table.y_sd, table.angle_sd)
+    stated = [of for of in given if of is not None]
+    sd = np.stack(stated, axis=1)[at] * scale if len(stated) == len(given) else None
+    time = (table.time[at] - table.time[at[:, :1]]) / time_scale_of(tracks)
+    paths = Paths(numbers, time, pose, sd, np.arange(n_frames) <= last[:, None])
+    _check_ways(paths, tracks)
+    _check_jumps(paths, tracks)
+    return paths
+
+
+def _check_finite(table: TrackTable) -> None:
+    for name in ("time", "x", "y", "angle", "x_sd", "y_sd", "angle_sd"):
+        values = getattr(table, name)
+        if values is None:
+            continue
+        is_deviation = name.endswith("_sd")
+        wrong = ~np.isfinite(values) | ((values <= 0) if is_deviation else False)
+        if (row := first(wrong)) is not None:
+            throw = int(table.throw[row])
+            frame = int(np.count_nonzero(table.throw[:row] == throw))
+            expected = "a number above 0" if is_deviation else "a number"
+            raise TrackError(
+                f"throw {throw}, frame {frame}: {name} is {values[row]:g}, expected {expected}: leave out frames in "
+                f"which the bar was not seen"
+            )
+
+
+def _check_times(throw: int, time: Float64) -> None:
+    if len(time) < MIN_FRAMES:
+        raise TrackError(
+            f"throw {throw} has {len(time)} frame{'s' * (len(time) != 1)}, expected at least {MIN_FRAMES}: leave the "
+            f"throw out, or give all frames of a throw the same number"
+        )
+    if (k := first(np.diff(time) <= 0)) is not None:
+        raise TrackError(
+            f"throw {throw}, frame {k + 1}: the time is {time[k + 1]:.6g} s after {time[k]:.6g} s, expected a later "
+            f"one: sort the frames, and give each throw a number of its own"
+        )
+
+
+def _check_ways(paths: Paths, tracks: Tracks) -> None:
+    """Refuse units that can't be: a bar moves by some of its lengths."""
+    pose = paths.pose[..., :2]
+    way = float(np.median(np.ptp(pose, axis=1).max(axis=1)))
+    if not _MIN_WAY < way < _MAX_WAY:
+        unit = metres(tracks) / length_scale_of(tracks)
+        raise TrackError(
+            f"the throws move by {way / unit:.3g} {tracks.length_unit} (median), or {way:.3g} m of simulation: "
+            f"expected {_MIN_WAY:g} to {_MAX_WAY:g} m of simulation: check tracks.length_unit (m or mm) and "
+            f"tracks.scaling"
+        )
+
+
+def _check_jumps(paths: Paths, tracks: Tracks) -> None:
+    interval = np.diff(paths.time, axis=1)
+    step = np.diff(paths.pose, axis=1)
+    both = paths.seen[:, 1:]
+    speed = np.hypot(step[..., 0], step[..., 1]) / np.where(both, interval, 1.0)
+    if len(at := np.argwhere(both & (speed > _MAX_SPEED))):
+        k, frame = at[0]
+        to_bench = length_scale_of(tracks) / time_scale_of(tracks)
+        raise TrackError(
+            f"throw {paths.throw[k]}, frame {frame + 1}: the bar jumps at {speed[k, frame] * to_bench:.3g} m/s of the "
+            f"file, expected at most {_MAX_SPEED * to_bench:.3g} m/s: remove frames that were tracked wrongly, give "
+            f"each throw a number of its own, and check tracks.length_unit and the unit of time"
+        )
+    turn = np.abs(step[..., 2])
+    if len(at := np.argwhere(both & (turn > _MAX_TURN))):
+        k, frame = at[0]
+        raise TrackError(
+            f"throw {paths.throw[k]}, frame {frame + 1}: the bar turns by {turn[k, frame]:.3g} rad since the frame "
+            f"before, expected at most {_MAX_TURN:.3g}, or it might have turned the other way: film more frames a "
+            f"second, split the throw at a gap, and check tracks.angle_unit (rad or deg)"
+        )
