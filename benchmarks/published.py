@@ -97,6 +97,17 @@ def digests(results: Mapping[str, Any]) -> str:
     return "\n".join(["| result | digest |", "|---|---|", *rows])
 
 
+def coverage(results: Mapping[str, Any]) -> str:
+    """Tabulate what champions keep of their predictions, by how much of what they do lies outside the throws."""
+    lines = ["| states outside the throws | champions | predicted | zero-shot | kept |", "|--:|--:|--:|--:|--:|"]
+    for row in results["coverage"]:
+        low, high = row["share_outside"]
+        kept = row["zero_shot"] / row["predicted"]
+        cells = [f"{low:.0%} to {high:.0%}", str(row["n"]), f"{row['predicted']:.1f}", f"{row['zero_shot']:.1f}"]
+        lines.append(f"| {' | '.join([*cells, f'{kept:.0%}'])} |".replace("%", " %"))
+    return "\n".join(lines)
+
+
 def few_throws(results: Mapping[str, Any]) -> str:
     """Tabulate how far robots get with few throws, by the throws and the inputs of the networks."""
     lines = [
@@ -159,6 +170,7 @@ def _of_arm(study: Mapping[str, Any], environment: str) -> list[str]:
 
 _TABLES = {
     "accuracy": accuracy,
+    "coverage": coverage,
     "errors": errors,
     "digests": digests,
     "few": few_throws,

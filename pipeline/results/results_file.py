@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -10,16 +11,18 @@ from pipeline.stages import STAGES
 from pipeline.store.encoding import Json
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import arms_of, trials_of
+from tasks.analysis.coverage import EVERYTHING
 from tasks.analysis.prediction import mean_less_deviations
 
 SCHEMA = "puddle.results"
 VERSION = 1
 _QUANTITIES = ("predicted", "zero_shot", "adapted")
+_SHARES_OUTSIDE = (0.0, 0.1, 0.3, 0.6, 1.01)  # limits of groups of champions; the last includes 1
 _DIGITS = 4  # decimals of a displacement [m]
 
 
 def results_of(study: Study) -> dict[str, Json]:
-    """Return a study's results: its champions, each arm's means and deviations, accuracy, times and digests.
+    """Return a study's results: its champions, each arm's means and deviations, accuracy, coverage, times and digests.
 
     Displacements are in metres, of the root; times in core-seconds. A stage's digest is the SHA-256 of the digests of
     its items, ordered by label.
@@ -48,6 +51,7 @@ def results_of(study: Study) -> dict[str, Json]:
             for arm in arms_of(trials_of(study.settings, "transfer"))
         ],
         "accuracy": _accuracy(study),
+        "coverage": _coverage(study, champions),
         "champions": list(known),
     }
 
@@ -77,6 +81,33 @@ def _accuracy(study: Study) -> list[Json]:
         for row in study.table("regressions").to_pylist()
         if row["name"] in shown
     ]
+
+
+def _coverage(study: Study, champions: Sequence[Mapping[str, Json]]) -> list[Json]:
+    """Group champions by how much of what they do lies outside their throws: n, and mean displacements [m]."""
+    if "champion_coverage" not in study.tables:
+        return []
+    trial = ("environment", "depth", "trial")
+    outside = {
+        tuple(row[key] for key in trial): row["share_outside"]
+        for row in study.table("champion_coverage").to_pylist()
+        if row["component"] == EVERYTHING
+    }
+    found: list[Json] = []
+    for low, high in pairwise(_SHARES_OUTSIDE):
+        rows = [of for of in champions if low <= outside.get(tuple(of[key] for key in trial), np.nan) < high]
+        both = [(of["predicted"], of["zero_shot"]) for of in rows if None not in (of["predicted"], of["zero_shot"])]
+        if both:
+            predicted, zero_shot = np.array(both, dtype=np.float64).mean(axis=0).tolist()
+            found.append(
+                {
+                    "share_outside": [low, min(high, 1.0)],
+                    "n": len(both),
+                    "predicted": _rounded(predicted),
+                    "zero_shot": _rounded(zero_shot),
+                }
+            )
+    return found
 
 
 def _rounded(value: Json) -> Json:

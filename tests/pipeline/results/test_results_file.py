@@ -36,6 +36,15 @@ def test_it_says_what_made_it(results):
     assert len(set(results["digests"].values())) == len(names)
 
 
+def test_champions_of_networks_are_grouped_by_what_the_throws_cover(results, recorded):
+    covered = open_study("tiny", recorded).table("champion_coverage").to_pandas()
+    whole = covered[covered.component == "all"]
+    assert sum(row["n"] for row in results["coverage"]) == len(whole) > 0
+    for row in results["coverage"]:
+        low, high = row["share_outside"]
+        assert row["n"] == ((whole.share_outside >= low) & (whole.share_outside < (high if high < 1 else 2))).sum()
+
+
 def test_it_is_small_and_has_the_accuracy_of_the_ensemble(results):
     assert {row["name"] for row in results["accuracy"]} == {"mean", "mean - 1 sd"}
     assert len(json.dumps(results)) < 20_000
