@@ -31,7 +31,7 @@ from tasks.simulation.free_links import FreeLinks
 from tasks.vision.plane import Lens, SeenPlane
 from tasks.world import Physics, Slush, froude_time
 
-_SCALE = 0.07
+SCALE = 0.07  # bench metres per simulated metre
 _PER_MM = 6.0  # texels of a bar's picture per millimetre
 _N_INSTANTS = 8  # over which an exposure is averaged
 _BLANK = 0.15  # between two throws [s]
@@ -187,7 +187,7 @@ def states_of(starts: Starts, seconds: float) -> tuple[Float32, Float64]:
     Returns:
         (n_throws, n_steps + 1, 6) simulated states and (n_steps + 1,) times at bench scale [s].
     """
-    step = Physics().time_step * froude_time(_SCALE)
+    step = Physics().time_step * froude_time(SCALE)
     n_steps = int(np.ceil(seconds / step))
     links, states = FreeLinks(starts.length_scale, Physics()), [starts.state]
     for _ in range(n_steps):
@@ -206,13 +206,13 @@ def render(out: Path, scene: Scene, starts: Starts, bars: Sequence[int], seconds
         seconds: duration of each throw [s].
 
     Returns:
-        Rows of the truth: throw, time [s], x, y over the waterline [m], angle [rad], vx, vy [m/s], ω [rad/s], all at
-        bench scale, for every frame that the file holds.
+        Rows of the truth: throw, time [s], x, y over the waterline [m], angle [rad], vx, vy [m/s], ω [rad/s] and the
+        time since the throw began [s], all at bench scale, for every frame that the file holds.
     """
     camera, rows = scene.camera, []
     states, time = states_of(starts, seconds + camera.exposure)
     level = float(scene.markers.tank.waterline or 0.0)
-    x_middle, speed = float(scene.middle[0]), _SCALE / froude_time(_SCALE)
+    x_middle, speed = float(scene.middle[0]), SCALE / froude_time(SCALE)
     n_blank, n_frames = round(_BLANK * camera.rate), round(seconds * camera.rate)
     number = 0
     with film(out, width=camera.width, height=camera.height, rate=camera.rate, quality=camera.quality) as add:
@@ -225,7 +225,7 @@ def render(out: Path, scene: Scene, starts: Starts, bars: Sequence[int], seconds
                 opens = frame / camera.rate
                 instants = opens + camera.exposure * (np.arange(_N_INSTANTS) + 0.5) / _N_INSTANTS
                 path = states[throw].astype(np.float64)
-                poses = np.column_stack([np.interp(instants, time, path[:, i]) for i in range(3)]) * (_SCALE, _SCALE, 1)
+                poses = np.column_stack([np.interp(instants, time, path[:, i]) for i in range(3)]) * (SCALE, SCALE, 1)
                 there = poses + np.array((x_middle, level, 0.0))
                 shown = None if frame < 0 else scene.markers.bars[bar]
                 add(scene.shot(shown, there), (number - 1) / camera.rate)
@@ -233,10 +233,10 @@ def render(out: Path, scene: Scene, starts: Starts, bars: Sequence[int], seconds
                     velocity = path[int(np.searchsorted(time, instants.mean())), 3:] * (
                         speed,
                         speed,
-                        1 / froude_time(_SCALE),
+                        1 / froude_time(SCALE),
                     )
                     x, y, angle = poses.mean(axis=0)
-                    rows.append((throw, (number - 1) / camera.rate, x + x_middle, y, angle, *velocity))
+                    rows.append((throw, (number - 1) / camera.rate, x + x_middle, y, angle, *velocity, instants.mean()))
     return rows
 
 
@@ -274,7 +274,7 @@ def film_board(out: Path, camera: Camera, markers: Markers, n_views: int, rng: n
 def throws_for_bars(n: int, markers: Markers, rng: np.random.Generator) -> tuple[Starts, list[int]]:
     """Return n throws designed for robots with the kit's lengths, and the bar of each."""
     starts = even_starts(n, Physics(), rng)
-    lengths = np.array([bar.length for bar in markers.bars]) / _SCALE
+    lengths = np.array([bar.length for bar in markers.bars]) / SCALE
     bars = np.abs(lengths[:, None] - starts.length_scale).argmin(axis=0)
     return Starts(starts.throw, lengths[bars], starts.state), bars.tolist()
 
@@ -283,7 +283,7 @@ def write_truth(path: Path, rows: Sequence[tuple[float, ...]]) -> None:
     """Write the truth as CSV."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(("throw", "time", "x", "y", "angle", "vx", "vy", "omega"))
+        writer.writerow(("throw", "time", "x", "y", "angle", "vx", "vy", "omega", "since"))
         writer.writerows(rows)
 
 

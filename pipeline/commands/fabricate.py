@@ -23,6 +23,9 @@ def fabricate(
     preset: Annotated[
         str | None, typer.Option("--preset", help="Settings that simulate a design file; default pontoon.")
     ] = None,
+    throwing_kit: Annotated[
+        bool, typer.Option("--throwing-kit", help="Make bars to throw, their tags and a protocol instead of a robot.")
+    ] = False,
     store: StorePath = DEFAULT_STORE,
     tracking_uri: TrackingUri = None,
 ) -> None:
@@ -30,6 +33,9 @@ def fabricate(
 
     The robot is that of a design file, or the champion that a study proposes (--study). Exits with 1 where the kit
     names a reason not to build it.
+
+    With --throwing-kit it makes bars to throw into a tank, their tags, a calibration board and a page that says how to
+    film them. Their lengths and the tank are settings: --set throwing.lengths=[1,2,3].
     """
     from pipeline.config.loading import load, parse
     from pipeline.fabrication.make_kit import fabricate as make
@@ -37,15 +43,25 @@ def fabricate(
     from pipeline.tracking.mirror import Tracker
     from tasks.fabrication.kit_settings import FabricationSettings
 
+    def of_the_kit() -> FabricationSettings:
+        if settings is not None:
+            return load(FabricationSettings, settings, overrides or ())
+        return parse(FabricationSettings, "", name="the kit's settings", overrides=overrides or ())
+
+    if throwing_kit:
+        from pipeline.fabrication.throwing_kit import make_throwing_kit
+
+        if design is not None or study is not None or preset is not None:
+            raise PuddleError("--throwing-kit: expected no design, --study or --preset: bars are not of a robot")
+        for line in make_throwing_kit(of_the_kit(), out):
+            to_stdout(line)
+        return
     if (design is None) == (study is None):
         raise PuddleError("expected either a design file or --study NAME: `puddle fabricate design.json`")
     if study is not None and preset is not None:
         why = "whose champion is simulated with the study's own settings"
         raise PuddleError(f"--preset: expected with a design file, got with --study {study}, {why}")
-    if settings is not None:
-        of_kit = load(FabricationSettings, settings, overrides or ())
-    else:
-        of_kit = parse(FabricationSettings, "", name="the kit's settings", overrides=overrides or ())
+    of_kit = of_the_kit()
     options = StudyOptions(study=study, preset=preset or "pontoon" if study is None else None, store=store)
     of_study = options.settings()
     if design is not None:
