@@ -7,6 +7,7 @@ import typer
 
 from pipeline.commands.options import DEFAULT_STORE, StorePath, names_of_studies, with_options
 from pipeline.commands.output import to_stdout
+from pipeline.errors import PuddleError
 
 
 @with_options
@@ -20,21 +21,60 @@ def suggest_throws(
         typer.Option("--throws", help="Settings group of the throws made so far: throws or designed_throws."),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Write the starts (.csv).")] = None,
+    scale: Annotated[
+        float | None,
+        typer.Option("--scale", min=1.0, help="Bench mm per metre of simulation, such as 70: starts in bench units."),
+    ] = None,
+    max_speed: Annotated[
+        float | None, typer.Option("--max-speed", min=0.0, help="Fastest throw that you can make [m/s].")
+    ] = None,
+    max_spin: Annotated[
+        float | None, typer.Option("--max-spin", min=0.0, help="Fastest spin that you can give [turns/s].")
+    ] = None,
+    heights: Annotated[
+        tuple[float, float] | None, typer.Option("--heights", help="Lowest and highest start over the water [m].")
+    ] = None,
+    markers: Annotated[
+        Path | None, typer.Option("--markers", help="Bars that you have: markers.yaml of a throwing kit.")
+    ] = None,
+    sheet: Annotated[Path | None, typer.Option("--sheet", help="Write a page to print (.html).")] = None,
     store: StorePath = DEFAULT_STORE,
 ) -> None:
     """List the starts of throws that would teach a study's networks most.
 
     Half of them are states that robots pass through, where the members disagree far from every throw. The other half
-    covers the range of robots' states evenly.
+    covers the range of robots' states evenly. Limits and results are in the simulation's units, or with --scale in
+    those of a bench, by Froude's law.
     """
-    from pipeline.results.recorded_study import open_study
-    from pipeline.results.suggested_throws import as_csv, as_lines, suggested_throws
-    from pipeline.store import disk
+    import math
 
-    starts = suggested_throws(open_study(study, store), n, throws)
-    for line in as_lines(starts):
+    from pipeline.config.loading import load
+    from pipeline.results.recorded_study import open_study
+    from pipeline.results.suggested_throws import TankScale, as_csv, as_lines, as_sheet, suggested_throws
+    from pipeline.store import disk
+    from pipeline.vision.markers_file import Markers
+    from tasks.residual.suggestion import ThrowLimits
+
+    if scale is None and (sheet or markers):
+        raise PuddleError("--sheet and --markers are for a tank: expected its scale in mm per metre, --scale 70")
+    if heights is not None and heights[0] >= heights[1]:
+        raise PuddleError(f"--heights: expected the lowest first, got {heights[0]:g} {heights[1]:g}")
+    bench = TankScale(1.0 if scale is None else scale / 1000)
+    bars = () if markers is None else load(Markers, markers).bars
+    limits = ThrowLimits(
+        max_velocity=math.inf if max_speed is None else max_speed / bench.speed,
+        max_omega=math.inf if max_spin is None else 2 * math.pi * max_spin * bench.time,
+        heights=(-math.inf, math.inf) if heights is None else (heights[0] / bench.scale, heights[1] / bench.scale),
+        lengths=tuple(bar.length / bench.scale for bar in bars),
+    )
+    starts = suggested_throws(open_study(study, store), n, throws, limits)
+    for line in as_lines(starts, bench):
         to_stdout(line)
-    if out is not None:
-        with disk.explained("writing throws", out, advice="choose another file"):
-            out.write_text(as_csv(starts), encoding="utf-8")
-        to_stdout(f"starts in {out}")
+    for path, content in (
+        (out, as_csv(starts, bench)),
+        (sheet, "" if sheet is None else as_sheet(starts, bench, study)),
+    ):
+        if path is not None:
+            with disk.explained("writing throws", path, advice="choose another file"):
+                path.write_text(content, encoding="utf-8")
+            to_stdout(f"{'starts' if path == out else 'sheet'} in {path}")

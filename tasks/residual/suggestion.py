@@ -6,13 +6,14 @@ the starts covers that range evenly. Throws at the states of robots alone would 
 agree where all are wrong.
 """
 
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tasks.arrays import Bools, Float32, Float64
 from tasks.residual.observation import OBSERVATION
-from tasks.residual.robot_ranges import robot_ranges
+from tasks.residual.robot_ranges import RobotRanges, robot_ranges
 from tasks.residual.support import deviations, distances
 from tasks.residual.throws import Starts, even_starts
 from tasks.world import Physics
@@ -24,6 +25,16 @@ _A, _Y, _COS, _VX, _VY, _OMEGA = range(len(OBSERVATION))
 _SHARE_OF_HOLES = 0.5
 
 
+@dataclass(frozen=True)
+class ThrowLimits:
+    """What a hand or a small launcher can throw, in the simulation's units."""
+
+    max_velocity: float = np.inf  # [m/s]
+    max_omega: float = np.inf  # [rad/s]
+    heights: tuple[float, float] = (-np.inf, np.inf)  # of the bar's centre over the surface [m]
+    lengths: tuple[float, ...] = ()  # long axes of the bars [m]; none for any length
+
+
 def suggest_throws(
     n: int,
     pilots: Float32,
@@ -32,6 +43,7 @@ def suggest_throws(
     rng: np.random.Generator,
     *,
     physics: Physics | None = None,
+    limits: ThrowLimits | None = None,
 ) -> Starts:
     """Return the starts of n throws, those that fill holes first.
 
@@ -42,6 +54,7 @@ def suggest_throws(
         ensemble: networks that observe no more than the paper's six components and their magnitudes.
         rng: source of randomness.
         physics: constants of the base simulator; the paper's by default.
+        limits: what can be thrown; by default anything within the range of robots.
 
     Returns:
         Starts, numbered from 0.
@@ -52,21 +65,40 @@ def suggest_throws(
     if n < 1:
         raise ValueError(f"n is {n}, expected at least 1 throw")
     physics = physics or Physics()
-    pilots = pilots[_within_range(pilots, physics)]
+    limits = limits or ThrowLimits()
+    ranges = robot_ranges(physics)
+    least = (limits.max_velocity, limits.max_omega)
+    narrow = replace(ranges, max_velocity=min(ranges.max_velocity, least[0]), max_omega=min(ranges.max_omega, least[1]))
+    pilots = pilots[_within_range(pilots, narrow) & _possible(pilots, limits)]
     n_holes = min(round(_SHARE_OF_HOLES * n), len(pilots))
     chosen = pilots[_holes(n_holes, pilots, thrown, ensemble)]
     angle = np.arccos(np.clip(chosen[:, _COS], -1, 1)) * rng.choice((-1, 1), n_holes)  # cos θ leaves its sign open
     columns = (np.zeros(n_holes), chosen[:, _Y], angle % (2 * np.pi), *chosen[:, [_VX, _VY, _OMEGA]].T)
-    even = even_starts(n - n_holes, physics, rng)
-    return Starts(
-        np.arange(n),
-        np.concatenate([chosen[:, _A].astype(np.float64), even.length_scale]),
-        np.concatenate([np.stack(columns, axis=1).astype(np.float32), even.state]),
-    )
+    even = even_starts(n - n_holes, physics, rng, ranges=narrow)
+    length = np.concatenate([chosen[:, _A].astype(np.float64), even.length_scale])
+    state = np.concatenate([np.stack(columns, axis=1).astype(np.float32), even.state])
+    return Starts(np.arange(n), *_throwable(length, state, limits))
 
 
-def _within_range(pilots: Float32, physics: Physics) -> Bools:
-    ranges = robot_ranges(physics)
+def _possible(pilots: Float32, limits: ThrowLimits) -> Bools:
+    low, high = limits.heights
+    slow = np.hypot(pilots[:, _VX], pilots[:, _VY]) <= limits.max_velocity
+    return np.asarray(slow & (pilots[:, _Y] >= low) & (pilots[:, _Y] <= high))
+
+
+def _throwable(length: Float64, state: Float32, limits: ThrowLimits) -> tuple[Float64, Float32]:
+    """Bring starts within limits: slower in the same direction, at the nearest height, with the nearest bar."""
+    state = state.copy()
+    speed = np.hypot(state[:, 3], state[:, 4])
+    state[:, 3:5] *= np.minimum(1, limits.max_velocity / np.maximum(speed, 1e-9))[:, None].astype(np.float32)
+    state[:, 1] = np.clip(state[:, 1], *limits.heights)
+    if limits.lengths:
+        bars = np.array(limits.lengths)
+        length = bars[np.abs(bars[:, None] - length).argmin(axis=0)]
+    return length, state
+
+
+def _within_range(pilots: Float32, ranges: RobotRanges) -> Bools:
     limits = (np.inf, ranges.y_reach, np.inf, ranges.max_velocity, ranges.max_velocity, ranges.max_omega)
     return np.asarray((np.abs(pilots) <= limits).all(axis=1))
 

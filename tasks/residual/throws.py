@@ -20,7 +20,7 @@ from tasks.arrays import Bools, Float32, Float64, Int64
 from tasks.design import GENES
 from tasks.parameters import Parameters, later_choice
 from tasks.residual.observation import OBSERVATION, STATE, Observed, observe
-from tasks.residual.robot_ranges import robot_ranges
+from tasks.residual.robot_ranges import RobotRanges, robot_ranges
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Medium, Physics
 
@@ -169,20 +169,21 @@ def initial_states(throws: Throws, rng: np.random.Generator, physics: Physics | 
     return _uniform(throws, rng)
 
 
-def even_starts(n: int, physics: Physics, rng: np.random.Generator) -> Starts:
+def even_starts(n: int, physics: Physics, rng: np.random.Generator, *, ranges: RobotRanges | None = None) -> Starts:
     """Spread n starts evenly over the length, height, angle, velocities and spin of robots' links.
 
     Args:
         n: number of starts.
         physics: constants of the base simulator.
         rng: source of randomness, which scrambles the sequence.
+        ranges: narrower ones, where not every start can be thrown.
 
     Returns:
         n starts.
     """
     from scipy.stats import qmc  # takes long to import, and settings files are read without it
 
-    ranges = robot_ranges(physics)
+    ranges = ranges or robot_ranges(physics)
     v, omega, turn = ranges.max_velocity, ranges.max_omega, 2 * np.pi
     low, high = np.transpose(
         [ranges.length_scale, (-ranges.y_reach, ranges.y_reach), (0, turn), (-v, v), (-v, v), (-omega, omega)]

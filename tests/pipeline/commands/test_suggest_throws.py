@@ -27,12 +27,42 @@ def test_it_lists_and_writes_starts(recorded, tmp_path, capsys):
     )
 
 
+MARKERS = """
+tank:
+  waterline: 0.1
+  corners: [{number: 0, x: 0, y: 0}, {number: 1, x: 1, y: 0}, {number: 2, x: 1, y: 1}, {number: 3, x: 0, y: 1}]
+bars:
+  - {length: 0.07, width: 0.07, mass: 0.2, tags: [{number: 4, size: 0.02}]}
+  - {length: 0.21, width: 0.0233, mass: 0.2, tags: [{number: 5, size: 0.02}]}
+"""
+
+
+def test_at_a_tank_they_are_in_bench_units_and_within_what_can_be_thrown(recorded, tmp_path, capsys):
+    """0.07 m per metre and Froude's law: 1 m/s of the simulation is √0.07 m/s."""
+    (tmp_path / "markers.yaml").write_text(MARKERS)
+    out, sheet = tmp_path / "throws.csv", tmp_path / "throws.html"
+    limits = ("--max-speed", 0.4, "--max-spin", 0.5, "--heights", -0.1, 0.15, "--markers", tmp_path / "markers.yaml")
+    assert (
+        call("--study", "tiny", "--store", recorded, "--n", 12, "--scale", 70, *limits, "--out", out, "--sheet", sheet)
+        == 0
+    )
+    assert "bar [mm]" in capsys.readouterr().out
+    rows = np.array([[float(value) for value in row] for row in list(csv.reader(out.open()))[1:]])
+    assert set(rows[:, 0]) <= {0.07, 0.21}
+    assert rows[:, 1].min() >= -0.1 and rows[:, 1].max() <= 0.15
+    assert 0.25 < np.hypot(rows[:, 3], rows[:, 4]).max() <= 0.4001 and np.abs(rows[:, 5]).max() <= np.pi + 1e-3
+    page = sheet.read_text()
+    assert page.count("<tr>") == 13 and "12 throws to make" in page and "70 mm" in page
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("--n", 0), "--n: expected 1 to 10,000 throws, got 0"),
         (("--throws", "designed_throws"), "no ensemble of replicate 0 of designed_throws: expected one of throws"),
         (("--study", "missing"), "missing"),
+        (("--sheet", "throws.html"), "expected its scale in mm per metre, --scale 70"),
+        (("--heights", 1, -1), "--heights: expected the lowest first, got 1 -1"),
         (("--out", "/nowhere/throws.csv"), "writing throws"),
     ],
 )

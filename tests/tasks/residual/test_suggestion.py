@@ -5,6 +5,7 @@ import pytest
 
 from tasks.residual import OBSERVATION, robot_ranges, suggest_throws
 from tasks.residual.ensemble import Ensemble
+from tasks.residual.suggestion import ThrowLimits
 from tasks.residual.support import distances
 from tasks.world import Physics
 
@@ -64,6 +65,15 @@ def test_states_beyond_the_range_of_robots_are_not_suggested():
 
 def test_the_same_generator_gives_the_same_starts():
     assert (suggested().state == suggested().state).all() and (suggested().state != suggested(seed=6).state).any()
+
+
+def test_what_can_not_be_thrown_is_not_suggested():
+    limits = ThrowLimits(max_velocity=1.5, max_omega=0.8, heights=(-0.5, 1.0), lengths=(1.0, 1.5, 3.0))
+    starts = suggest_throws(40, states(2000, 1), states(500, 2), ensemble(), np.random.default_rng(5), limits=limits)
+    assert len(starts) == 40 and set(starts.length_scale) == {1.0, 1.5, 3.0}
+    assert np.hypot(*starts.state[:, 3:5].T).max() <= 1.5 + 1e-6 and np.abs(starts.state[:, 5]).max() <= 0.8
+    assert starts.state[:, 1].min() >= -0.5 and starts.state[:, 1].max() <= 1.0
+    assert np.hypot(*starts.state[20:, 3:5].T).max() > 1.2  # the whole range of what can be thrown
 
 
 def test_a_number_below_one_is_refused():
