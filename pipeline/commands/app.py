@@ -13,6 +13,7 @@ import typer
 from pipeline.cluster import pin_threads
 from pipeline.commands import study
 from pipeline.commands.compare import compare
+from pipeline.commands.compare_run import compare_run
 from pipeline.commands.doctor import doctor
 from pipeline.commands.exit_codes import Commands, exit_with
 from pipeline.commands.export import export
@@ -63,7 +64,7 @@ _PANELS: dict[str, dict[str, Callable[..., None]]] = {
         "export": export,
         "ui": ui,
     },
-    "Build": {"fabricate": fabricate, "track": track},
+    "Build": {"fabricate": fabricate, "track": track, "compare-run": compare_run},
     "Maintain": {"doctor": doctor, "verify": verify, "gc": gc},
 }
 _SUMMARIES = {"study": "Run every stage that is not done yet, and show the results.", **study.STAGE_SUMMARIES}

@@ -15,6 +15,7 @@ from pipeline.errors import PuddleError
 from pipeline.fabrication.kit_folder import KIT, write_kit
 from pipeline.fabrication.source import DesignSource, from_file, proposed
 from pipeline.fabrication.timeline_file import calibration_yaml, timeline_csv, timeline_json
+from pipeline.stages import environments
 from pipeline.store.design_file import design_document
 from pipeline.store.encoding import Json, canonical_json, digest, encode_json
 from pipeline.store.store import Store
@@ -106,6 +107,16 @@ def fabricate(
         "settings": chosen,
         "findings": [{"severity": f.severity, "where": f.where, "message": f.message} for f in findings],
         "metrics": metrics,
+        "simulated": {
+            "depth": source.depth,
+            "physics": physics.model_dump(mode="json"),
+            "media": {
+                name: of.model_dump(mode="json")
+                for name, of in environments.media_of(source.settings, "true_slush").items()
+            },
+            "rollout": source.settings.rollout.model_dump(mode="json"),
+            "predicted": None if source.predicted is None else list(source.predicted),
+        },
     }
     last = f"{verdict(findings)} Kit of a robot of {kit.mass_g:.0f} g: {out / 'index.html'}"
     lines = write_kit(place, files, manifest)

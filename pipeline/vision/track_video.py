@@ -91,9 +91,43 @@ def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: T
     Raises:
         PuddleError: a video can't be read or calibrated, or holds no throw. Nothing was written.
     """
-    require_vision()
     if out.suffix != ".csv" or not out.parent.is_dir() or out.is_dir():
         raise PuddleError(f"--out: expected a file name that ends in .csv, in an existing folder, got {out}")
+    tracked, lines = follow(videos, markers, options)
+    films = [out.with_name(f"{out.stem}-check{f'-{i + 1}' * (len(videos) > 1)}.mp4") for i in range(len(videos))]
+    with disk.explained("writing tracks", out, advice="choose another file"), contextlib.ExitStack() as unwanted:
+        temporary = [path.with_name(f".{path.name}.new.mp4") for path in films]
+        for path in temporary:
+            unwanted.callback(path.unlink, missing_ok=True)
+        for of, path in zip(tracked, temporary, strict=True):
+            write_check_film(path, of)
+        for path, final in zip(temporary, films, strict=True):
+            path.replace(final)
+        every = [track for of in tracked for track in of.tracks]
+        disk.place(out, csv_of(tracks_table(every)))
+        written = [out, *films]
+        if not options.robot:
+            bars = out.with_name(f"{out.stem}-bars.csv")
+            disk.place(bars, csv_of(_bars_table(every)))
+            written.insert(1, bars)
+    return [*lines, f"written: {', '.join(map(str, written))}"]
+
+
+def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> tuple[list[VideoTracks], list[str]]:
+    """Track the bars in videos, or a robot in one.
+
+    Args:
+        videos: the videos; throws are numbered on from one to the next.
+        markers: which tag is where.
+        options: lens, slow motion, and what is tracked.
+
+    Returns:
+        What each video holds, and lines for the terminal.
+
+    Raises:
+        PuddleError: a video can't be read or calibrated, or holds nothing to track.
+    """
+    require_vision()
     if options.robot and len(videos) > 1:
         raise PuddleError(f"--robot: expected one video of one run, got {len(videos)}")
     lines: list[str] = []
@@ -121,24 +155,9 @@ def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: T
             else "A throw begins where all tags of a bar are seen inside the rectangle of the tank's corner tags, and "
             f"lasts at least {options.rule.min_frames} frames."
         )
-        raise PuddleError(f"{', '.join(map(str, videos))}: expected at least one {what}, found none. {advice}")
-    films = [out.with_name(f"{out.stem}-check{f'-{i + 1}' * (len(videos) > 1)}.mp4") for i in range(len(videos))]
-    with disk.explained("writing tracks", out, advice="choose another file"), contextlib.ExitStack() as unwanted:
-        temporary = [path.with_name(f".{path.name}.new.mp4") for path in films]
-        for path in temporary:
-            unwanted.callback(path.unlink, missing_ok=True)
-        for of, path in zip(tracked, temporary, strict=True):
-            write_check_film(path, of)
-        for path, final in zip(temporary, films, strict=True):
-            path.replace(final)
-        every = [track for of in tracked for track in of.tracks]
-        disk.place(out, csv_of(tracks_table(every)))
-        written = [out, *films]
-        if not options.robot:
-            bars = out.with_name(f"{out.stem}-bars.csv")
-            disk.place(bars, csv_of(_bars_table(every)))
-            written.insert(1, bars)
-    return [*lines, f"written: {', '.join(map(str, written))}"]
+        names = ", ".join(map(str, videos))
+        raise PuddleError(f"{names}: expected at least one {what}, found none. {advice}")
+    return tracked, lines
 
 
 def tracks_table(tracks: Sequence[Track]) -> Columns:

@@ -1,0 +1,40 @@
+"""puddle compare-run: whether the robot that was built did what was promised."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyName, with_options
+from pipeline.commands.output import to_stdout
+
+
+@with_options
+def compare_run(
+    run: Annotated[Path, typer.Argument(metavar="VIDEO-or-TRACKS", help="A video of the run, or its tracks (.csv).")],
+    kit: Annotated[Path, typer.Option("--kit", help="The robot's kit, a folder of `puddle fabricate`.")],
+    study: StudyName = None,
+    markers: Annotated[Path | None, typer.Option("--markers", help="For a video: which tag is where.")] = None,
+    lens: Annotated[Path | None, typer.Option("--lens", help="For a video: a video of the printed board.")] = None,
+    slowdown: Annotated[
+        float, typer.Option("--slowdown", min=0.01, help="How many times slower than life the video plays.")
+    ] = 1.0,
+    start: Annotated[
+        float | None,
+        typer.Option(
+            "--start", help="Time in the video at which the servos began [s]; found from the joints if not given."
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="The page (.html).")] = Path("run.html"),
+    store: StorePath = DEFAULT_STORE,
+) -> None:
+    """Compare the run of a built robot with its simulation, and with what the ensemble promised.
+
+    Path, speed and the phase lag of each joint stand on the terminal and on a page. The promise is that of a study's
+    ensemble (--study), or what the kit records; its interval is two standard deviations of the members to either side.
+    """
+    from pipeline.commands.run_comparison import RunSource, compare_built_run
+
+    source = RunSource(run, markers, lens, slowdown, start)
+    for line in compare_built_run(source, kit, study, store, out):
+        to_stdout(line)

@@ -1,0 +1,322 @@
+"""The run of a built robot beside its simulation and its promise."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.commands.run_page import render_run
+from pipeline.config.loading import load
+from pipeline.config.settings import RolloutSettings
+from pipeline.errors import PuddleError
+from pipeline.fabrication.kit_folder import KIT, KIT_MANIFEST
+from pipeline.fabrication.timeline_file import read_timeline
+from pipeline.results.recorded_study import Study, open_study
+from pipeline.store import disk
+from pipeline.store.design_file import read_design
+from pipeline.store.encoding import check_format, decode_json
+from pipeline.vision.markers_file import Markers
+from pipeline.vision.track_video import TrackOptions, follow
+from tasks.analysis.built_run import (
+    Gait,
+    Promise,
+    RunError,
+    check_frequency,
+    check_robot,
+    fit_gait,
+    joint_angles,
+    promise_of,
+    start_of_run,
+    steady_speed,
+)
+from tasks.arrays import Float64
+from tasks.design import N_LINKS, Designs
+from tasks.fabrication.kit_settings import FabricationSettings
+from tasks.fabrication.timeline import Timeline
+from tasks.simulation import OK, simulate
+from tasks.simulation.box2d import Column
+from tasks.world import ENVIRONMENTS, Environment, Physics, ResidualSlush, froude_time
+
+
+@dataclass(frozen=True)
+class RunSource:
+    """Where a run comes from."""
+
+    path: Path  # a video, or tracks whose throws are links
+    markers: Path | None
+    lens: Path | None
+    slowdown: float
+    start: float | None  # when the timeline began [s]; None if the joints must tell
+
+
+@dataclass(frozen=True, eq=False)
+class RobotKit:
+    """What a kit's folder says of its robot."""
+
+    name: str
+    design: Designs
+    timeline: Timeline
+    choices: FabricationSettings
+    environment: Environment
+    physics: Physics
+    rollout: RolloutSettings
+    predicted: Float64 | None  # (n_members,) displacements of the root in a rollout [m of simulation]
+
+    @property
+    def scale(self) -> float:
+        """Bench metres per simulated metre."""
+        return self.choices.kit.scale_mm_per_m / 1000
+
+    @property
+    def time_scale(self) -> float:
+        """Bench seconds per simulated second."""
+        return froude_time(self.scale) if self.choices.scaling.law == "froude" else 1.0
+
+    @property
+    def frequency(self) -> float:
+        """Frequency of the gait on the bench [Hz]."""
+        return float(self.design.frequency[0]) / self.time_scale
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """A run, measured or simulated, at bench scale, from the moment on at which its gait is steady."""
+
+    time: Float64  # (n_frames,) since the timeline began [s]
+    x: Float64  # (n_frames,) of the root, from where it began [m]
+    y: Float64  # (n_frames,) over the waterline [m]
+    angle: Float64  # (n_frames, n_joints) of the joints from rest [rad]
+    speed: float  # [m/s]
+    gaits: tuple[Gait, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RunComparison:
+    """Everything about a run."""
+
+    kit: RobotKit
+    measured: RobotMotion
+    simulated: RobotMotion
+    members: Float64 | None  # (n_members, n_frames) x of each member's root at ``simulated.time`` [m]
+    promise: Promise | None  # of the speed [m/s]
+    promised_by: str
+    lags: Float64  # (2, n_joints) measured and simulated, behind the command [rad]
+    start_known: bool
+
+    @property
+    def verdict(self) -> str:
+        """Whether the robot did what was promised, in a sentence."""
+        went = f"it went {1000 * self.measured.speed:+.0f} mm/s"
+        if self.promise is None:
+            share = self.measured.speed / self.simulated.speed if self.simulated.speed else float("nan")
+            return (
+                f"No ensemble promised anything: {went}, {share:.0%} of the {1000 * self.simulated.speed:+.0f} mm/s of "
+                f"its simulation. Name the study that it comes from with --study."
+            )
+        low, high = 1000 * self.promise.low, 1000 * self.promise.high
+        promised = f"{self.promised_by} promised {low:+.0f} to {high:+.0f} mm/s"
+        if self.promise.holds(self.measured.speed):
+            return f"The robot did what was promised: {went}, and {promised}."
+        than = "less" if self.measured.speed < self.promise.low else "more"
+        return f"The robot did not do what was promised: {went}, {than} than {promised}."
+
+
+def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Path, out: Path) -> list[str]:
+    """Compare a run with its simulation; write the page.
+
+    Args:
+        source: the run.
+        kit: the robot's kit.
+        study: the study whose ensemble predicts the run; None for what the kit records.
+        store: the store of the study.
+        out: the page.
+
+    Returns:
+        Lines for the terminal; the last one is the verdict.
+
+    Raises:
+        PuddleError: the run can't be read, is not of this robot, or is too short.
+    """
+    if out.suffix != ".html" or not out.parent.is_dir() or out.is_dir():
+        raise PuddleError(f"--out: expected a file name that ends in .html, in an existing folder, got {out}")
+    robot = read_kit(kit)
+    recorded = None if study is None else open_study(study, store)
+    tracks, lines = _tracks(source)
+    try:
+        comparison = _compared(robot, tracks, source.start, recorded)
+    except RunError as error:
+        raise PuddleError(f"{source.path} with {kit}: {error}") from None
+    page = render_run(comparison, source.path.name)
+    with disk.explained("writing the page", out, advice="choose another file"):
+        disk.place(out, page.encode())
+    lines += _lines(comparison)
+    return [*lines, f"page: {out}", comparison.verdict]
+
+
+def read_kit(folder: Path) -> RobotKit:
+    """Read a kit's folder. Raises PuddleError if it is none, or lacks its timeline or simulation."""
+    path = folder / KIT_MANIFEST
+    try:
+        document = decode_json(disk.read_document(path), str(path))
+    except OSError as error:
+        raise PuddleError(
+            f"{folder}: expected a kit of `puddle fabricate`, found no {path.name}: {error.strerror}"
+        ) from None
+    check_format(document, schema=KIT.schema, version=KIT.version, source=str(path))
+    if "simulated" not in document:
+        raise PuddleError(
+            f"{path}: does not say how the robot was simulated. Make the kit again with `puddle fabricate`."
+        )
+    if not (folder / "timeline.json").exists():
+        raise PuddleError(f"{folder}: has no timeline.json, because its servos can't play the gait: no run is its own")
+    simulated: Mapping[str, Any] = document["simulated"]
+    predicted = simulated["predicted"]
+    return RobotKit(
+        name=str(document["name"]),
+        design=read_design(folder / "design.json"),
+        timeline=read_timeline(folder / "timeline.json"),
+        choices=FabricationSettings.model_validate(document["settings"]),
+        environment=ENVIRONMENTS["true_slush"].environment(simulated["depth"], simulated["media"]),
+        physics=Physics.model_validate(simulated["physics"]),
+        rollout=RolloutSettings.model_validate(simulated["rollout"]),
+        predicted=None if predicted is None else np.array(predicted, dtype=np.float64),
+    )
+
+
+LinkPath = tuple[Float64, Float64]  # (n,) times [s] and (n, 3) x, y [m] and angle [rad] of a link
+
+
+def _tracks(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
+    """Return the path of each link, and lines for the terminal."""
+    if source.path.suffix == ".csv":
+        return _read_tracks(source.path), []
+    if source.markers is None:
+        raise PuddleError(
+            f"{source.path}: a video needs --markers, the markers.yaml of a throwing kit. Tracks end in .csv."
+        )
+    options = TrackOptions(source.lens, source.slowdown, robot=True)
+    (video,), lines = follow([source.path], load(Markers, source.markers), options)
+    return {track.throw: (track.time, track.pose) for track in video.tracks}, lines
+
+
+def _read_tracks(path: Path) -> dict[int, LinkPath]:
+    names = ("throw", "time", "x", "y", "angle")
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else f"{error}"
+        raise PuddleError(f"{path}: expected tracks with numbers in the columns {', '.join(names)}: {why}") from None
+    table = np.array(rows).reshape(-1, len(names))
+    if not len(table) or not np.isfinite(table).all():
+        raise PuddleError(f"{path}: expected at least one row, of finite numbers")
+    found: dict[int, LinkPath] = {}
+    for link in np.unique(table[:, 0]).astype(int).tolist():
+        if not 0 <= link < N_LINKS:
+            raise PuddleError(
+                f"{path}: throw {link}: expected links of a robot, 0 to {N_LINKS - 1}: track the run with --robot"
+            )
+        own = table[table[:, 0] == link]
+        if (late := np.flatnonzero(np.diff(own[:, 1]) <= 0)).size:
+            raise PuddleError(f"{path}: link {link}, frame {late[0] + 1}: expected a time later than the frame before")
+        found[link] = (own[:, 1], np.column_stack((own[:, 2:4], np.unwrap(own[:, 4]))))
+    return found
+
+
+def _compared(
+    robot: RobotKit, tracks: Mapping[int, LinkPath], start: float | None, study: Study | None
+) -> RunComparison:
+    if 0 not in tracks:
+        raise RunError("no tag of link 0, the root, was tracked: expected it, because its path is compared")
+    time, root = tracks[0]
+    poses = {
+        link: np.column_stack([np.interp(time, of, path[:, i]) for i in range(3)])
+        for link, (of, path) in tracks.items()
+    }
+    check_robot(robot.design, {link: pose[:, :2] for link, pose in poses.items()}, robot.scale)
+    joints, line = robot.timeline.joints, robot.timeline
+    angle = joint_angles(robot.design, joints, {link: pose[:, 2] for link, pose in poses.items()})
+    began = start_of_run(time, angle, line.time, line.angle) if start is None else start
+    ramp = min(robot.choices.playback.ramp, float(line.time[-1]) / 2)
+    steady = (time - began >= ramp) & (time - began <= line.time[-1] - ramp)
+    if steady.sum() < 3:
+        raise RunError(
+            f"the gait is steady in {steady.sum()} frames: expected a video of the run between {ramp:g} and "
+            f"{line.time[-1] - ramp:g} s after the servos began; it shows {time[0] - began:.1f} to "
+            f"{time[-1] - began:.1f} s"
+        )
+    check_frequency(time[steady], angle[steady], robot.frequency)
+    measured = _motion(time[steady] - began, root[steady, :2], angle[steady], robot)
+    simulated, _ = _simulated(robot, robot.environment, robot.physics, measured)
+    members, promise, promised_by = None, None, ""
+    if study is not None:
+        environment = ResidualSlush(depth=robot.environment.depth, ensemble=study.ensemble())
+        of_study = study.settings.physics
+        _, members = _simulated(robot, environment, of_study, measured)
+        speeds = [steady_speed(simulated.time, of, 1 / robot.frequency) for of in members]
+        promise, promised_by = promise_of(np.array(speeds)), f"the ensemble of study {study.name}"
+    elif robot.predicted is not None:
+        seconds = robot.rollout.n_measure * robot.physics.time_step * robot.time_scale
+        promise, promised_by = promise_of(robot.predicted * robot.scale / seconds), "the ensemble that the kit records"
+    commanded = robot.design.phase[0, list(joints)]
+    lags = np.array(
+        [[at - of.phase for at, of in zip(commanded, run.gaits, strict=True)] for run in (measured, simulated)]
+    )
+    lags = (lags + np.pi) % (2 * np.pi) - np.pi
+    if start is None:
+        lags = lags - lags.mean(axis=1, keepdims=True)
+    return RunComparison(robot, measured, simulated, members, promise, promised_by, lags, start is not None)
+
+
+def _motion(time: Float64, position: Float64, angle: Float64, robot: RobotKit) -> RobotMotion:
+    gaits = tuple(fit_gait(time, of, robot.frequency) for of in angle.T)
+    speed = steady_speed(time, position[:, 0], 1 / robot.frequency)
+    return RobotMotion(time, position[:, 0] - position[0, 0], position[:, 1], angle, speed, gaits)
+
+
+def _simulated(
+    robot: RobotKit, environment: Environment, physics: Physics, measured: RobotMotion
+) -> tuple[RobotMotion, Float64]:
+    """Simulate as long a run after settling; return the first member's, and (n_members, n_steps) x of all [m]."""
+    step = physics.time_step * robot.time_scale
+    n_steps = int(np.ceil((measured.time[-1] - measured.time[0]) / step)) + 1
+    n_settle = robot.rollout.n_settle
+    rollouts = simulate(robot.design, environment, n_settle=n_settle, n_measure=n_steps, trace=True, physics=physics)
+    if rollouts.trace is None or not (rollouts.status == OK).all():
+        raise RunError("its simulation diverged, so there is nothing to compare with")
+    trace = rollouts.trace.reshape(-1, *rollouts.trace.shape[-3:])[:, n_settle:].astype(np.float64)
+    time = np.asarray(step * (n_settle + 1 + np.arange(n_steps)), dtype=np.float64)
+    angles = {link: trace[0, :, link, Column.ANGLE] for link in range(N_LINKS)}
+    angle = joint_angles(robot.design, robot.timeline.joints, angles)
+    root = robot.scale * trace[:, :, 0, : Column.Y + 1]
+    motion = _motion(time, root[0], angle, robot)
+    x = root[:, :, Column.X]
+    return motion, x - x[:, :1]
+
+
+def _lines(of: RunComparison) -> list[str]:
+    """Return what the terminal says of a comparison."""
+    measured, simulated, turn = of.measured, of.simulated, 1000 / (2 * np.pi * of.kit.frequency)
+    seconds = measured.time[-1] - measured.time[0]
+    lines = [
+        f"{of.kit.name}: {seconds:.1f} s of steady gait at {of.kit.frequency:.2f} Hz",
+        f"path: {1000 * measured.x[-1]:+.0f} mm, simulated {1000 * simulated.x[-1]:+.0f} mm",
+        f"speed: {1000 * measured.speed:+.1f} mm/s, simulated {1000 * simulated.speed:+.1f} mm/s",
+    ]
+    if of.promise is not None:
+        low, mean, high = (1000 * value for value in (of.promise.low, of.promise.mean, of.promise.high))
+        lines.append(f"promised: {mean:+.1f} mm/s, within {low:+.1f} to {high:+.1f}")
+    lag = "lag behind the command" if of.start_known else "lag relative to the other joints"
+    for column, joint in enumerate(of.kit.timeline.joints):
+        (real, expected), gait = of.lags[:, column], measured.gaits[column]
+        lines.append(
+            f"joint {joint}: ±{np.degrees(gait.amplitude):.0f}°, simulated "
+            f"±{np.degrees(simulated.gaits[column].amplitude):.0f}°; {lag} {np.degrees(real):+.0f}° "
+            f"({turn * real:+.0f} ms), simulated {np.degrees(expected):+.0f}°"
+        )
+    return lines

@@ -1,0 +1,113 @@
+"""The page of a built robot's run."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, finish
+from pipeline.report.moving import document
+from pipeline.report.page import inline_svg
+from pipeline.text import escape
+from tasks.world import ENVIRONMENTS
+
+if TYPE_CHECKING:
+    from pipeline.commands.run_comparison import RunComparison
+
+_SIMULATED, _PROMISED = ENVIRONMENTS["true_slush"].color, ENVIRONMENTS["residual_slush"].color
+_PERIODS = 3.0  # of the gait that the figure of the joints shows
+
+
+def render_run(of: RunComparison, run: str) -> str:
+    """Return the page of a comparison; ``run`` is the name of the video or tracks."""
+    figures = (finish("path", "Path of the root", partial(_path, of)), finish("joints", "Joints", partial(_joints, of)))
+    rows: list[tuple[str, ...]] = [
+        ("speed [mm/s]", f"{1000 * of.measured.speed:+.1f}", f"{1000 * of.simulated.speed:+.1f}", _promised(of))
+    ]
+    lag = "lag behind the command" if of.start_known else "lag relative to the mean of the joints"
+    for column, joint in enumerate(of.kit.timeline.joints):
+        amplitudes = (f"±{np.degrees(run_.gaits[column].amplitude):.0f}" for run_ in (of.measured, of.simulated))
+        rows.append((f"joint {joint}: amplitude [°]", *amplitudes, ""))
+        rows.append((f"joint {joint}: {lag} [°]", *(f"{np.degrees(value):+.0f}" for value in of.lags[:, column]), ""))
+    cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    shown = "".join(_figure(figure) for figure in figures)
+    body = f"""<main>
+<header><p class="study">puddle · {escape(run)}</p><h1>The run of {escape(of.kit.name)}</h1>
+<p class="finding">{escape(of.verdict)}</p></header>
+<div class="figures">{shown}</div>
+<div class="scroll"><table><thead><tr><th></th><th>measured</th><th>simulated</th><th>promised</th></tr></thead>
+<tbody>{cells}</tbody></table></div>
+<p class="small">The gait was steady for {of.measured.time[-1] - of.measured.time[0]:.1f} s. Simulated: the true
+slush of the kit's settings. Promised: the mean of the ensemble's members, two standard deviations to either side. The
+members' disagreement is a lower bound on the uncertainty.</p>
+</main>"""
+    return document(title=f"Run of {escape(of.kit.name)}", policy="img-src data:", body=body)
+
+
+def _promised(of: RunComparison) -> str:
+    if of.promise is None:
+        return ""
+    return f"{1000 * of.promise.low:+.1f} to {1000 * of.promise.high:+.1f}"
+
+
+def _figure(drawn: Drawing | Missing) -> str:
+    assert isinstance(drawn, Drawing)
+    caption = f"<figcaption>{escape(drawn.description)}</figcaption>"
+    return f'<figure id="{drawn.name}"><h3>{drawn.title}</h3>{inline_svg(drawn)}{caption}</figure>'
+
+
+def _path(of: RunComparison) -> tuple[Figure, str]:
+    """Draw x over time, with the promise as a band."""
+    figure = Figure(figsize=(FIGURE_WIDTH, 4.4), layout="constrained")
+    axes, heights = figure.subplots(2, sharex=True, height_ratios=(3, 1))
+    time, simulated = of.measured.time - of.measured.time[0], of.simulated.time - of.simulated.time[0]
+    if of.members is not None:
+        middle, spread = of.members.mean(axis=0), 2 * of.members.std(axis=0)
+        axes.fill_between(
+            simulated,
+            1000 * (middle - spread),
+            1000 * (middle + spread),
+            color=_PROMISED,
+            alpha=0.25,
+            lw=0,
+            label="promised",
+        )
+    elif of.promise is not None:
+        edges = [1000 * speed * time for speed in (of.promise.low, of.promise.high)]
+        axes.fill_between(time, *edges, color=_PROMISED, alpha=0.25, lw=0, label="promised")
+    for axis, values, of_simulation in ((axes, "x", True), (heights, "y", True)):
+        axis.plot(
+            simulated,
+            1000 * getattr(of.simulated, values),
+            color=_SIMULATED,
+            label="simulated" if of_simulation else "",
+        )
+        axis.plot(time, 1000 * getattr(of.measured, values), color=INK, label="measured")
+        axis.set(ylabel=f"{values} [mm]")
+        axis.grid(True, color=FAINT)
+    heights.set(xlabel="time since the gait is steady [s]")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3)
+    return figure, "The root's position along the tank and over the waterline."
+
+
+def _joints(of: RunComparison) -> tuple[Figure, str]:
+    """Draw the angles of the joints over a few periods of the gait."""
+    joints, frequency = of.kit.timeline.joints, of.kit.frequency
+    figure = Figure(figsize=(FIGURE_WIDTH, 1.0 + 1.6 * len(joints)), layout="constrained")
+    every = figure.subplots(len(joints), sharex=True, squeeze=False)[:, 0]
+    for column, (axes, joint) in enumerate(zip(every, joints, strict=True)):
+        for run, color, name in ((of.simulated, _SIMULATED, "simulated"), (of.measured, INK, "measured")):
+            turns = run.time * frequency
+            shown = (turns >= (first := np.ceil(turns[0]))) & (turns <= first + _PERIODS)
+            style = "." if name == "measured" else "-"
+            axes.plot(turns[shown] - first, np.degrees(run.angle[shown, column]), style, ms=3, color=color, label=name)
+        axes.set(ylabel=f"joint {joint} [°]")
+        axes.grid(True, color=FAINT)
+    every[-1].set(xlabel="periods of the command")
+    handles, labels = every[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=2)
+    return figure, "Angles from rest, at the same phase of the command."

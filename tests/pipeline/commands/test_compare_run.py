@@ -1,0 +1,178 @@
+"""puddle compare-run: the simulation itself as a robot that was built, and robots that differ from it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import call as called
+
+from pipeline.config.settings import RolloutSettings
+from pipeline.fabrication.kit_folder import write_kit
+from pipeline.fabrication.timeline_file import timeline_json
+from pipeline.store.design_file import design_document
+from tasks.fabrication.calibration import Calibration
+from tasks.fabrication.kit_settings import FabricationSettings
+from tasks.fabrication.timeline import Playback, timeline_of
+from tasks.simulation import simulate
+from tasks.world import Physics, Slush, TrueSlush, froude_time
+
+LOCKED = Physics(passive_joints="locked", link_collisions=True)
+TIME = froude_time(0.07)
+STEP = LOCKED.time_step * TIME
+N_STEPS = 1900
+BEGAN = 1.7  # when the servos begin in the video [s]
+
+
+def call(*words):
+    return called(*map(str, words))
+
+
+@pytest.fixture(scope="module")
+def robot(crane):
+    genes = {name: array.copy() for name, array in crane.arrays()}
+    genes["motion_range"][:, 0] = 0.2
+    return type(crane)(**genes)
+
+
+@pytest.fixture(scope="module")
+def run(robot, tmp_path_factory):
+    """A folder with the kit, the tracks of its simulation at bench scale, and its speed [m/s]."""
+    folder = tmp_path_factory.mktemp("run")
+    choices = FabricationSettings(playback=Playback(duration=10.0))
+    servo = {"centre_us": 1500, "direction": 1, "us_per_rad": 570, "min_us": 900, "max_us": 2100, "max_speed": 7}
+    servos = [{"joint": joint, "channel": joint, **servo} for joint in (2, 4)]
+    line = timeline_of(robot, choices.playback, time_scale=TIME)
+    files = {
+        "design.json": json.dumps(design_document(robot)).encode(),
+        "timeline.json": timeline_json(line, Calibration.model_validate({"servos": servos})),
+    }
+    simulated = {
+        "depth": 2.0,
+        "physics": LOCKED.model_dump(mode="json"),
+        "media": {"slush": Slush().model_dump(mode="json")},
+        "rollout": RolloutSettings().model_dump(mode="json"),
+        "predicted": None,
+    }
+    manifest = {"name": "crane", "settings": choices.model_dump(mode="json"), "simulated": simulated}
+    write_kit(folder / "kit", files, manifest)
+    trace = simulate(robot, TrueSlush(depth=2.0), n_settle=0, n_measure=N_STEPS, trace=True, physics=LOCKED).trace[0]
+    speed = tracks_of(folder / "run.csv", trace)
+    return folder, trace, speed
+
+
+def tracks_of(path, trace, *, slower=1.0, links=range(6)):
+    """Write what a camera would see of a simulated run, 60 times a second."""
+    frame = np.arange(0.0, STEP * N_STEPS, 1 / 60)
+    steps, rows = STEP * (1 + np.arange(N_STEPS)), []
+    for link in links:
+        x, y, angle = (np.interp(frame, steps, trace[:, link, i]) for i in range(3))
+        rows += [(link, *row) for row in zip(frame + BEGAN, 0.07 * x * slower, 0.07 * y, angle, strict=True)]
+    path.write_text("throw,time,x,y,angle\n" + "\n".join(",".join(map(str, row)) for row in rows))
+    steady = (frame > 2) & (frame < 8)
+    period = TIME / 0.2
+    x = 0.07 * slower * np.interp(frame, steps, trace[:, 0, 0])[steady]
+    n = round(60 * period)
+    return (x[-n:].mean() - x[:n].mean()) / (len(x) - n) * 60
+
+
+def compared(run, tmp_path, capsys, *options, tracks=None, kit=None):
+    folder, _, _ = run
+    page = tmp_path / "run.html"
+    code = call("compare-run", tracks or folder / "run.csv", "--kit", kit or folder / "kit", "--out", page, *options)
+    said = capsys.readouterr()
+    return code, (said.out if code == 0 else said.err), page
+
+
+def promising(run, tmp_path, mean, spread):
+    """Return a kit whose ensemble predicted a speed [m/s] and a deviation."""
+    kit = tmp_path / "promising"
+    shutil.copytree(run[0] / "kit", kit)
+    document = json.loads((kit / "kit.json").read_text())
+    metres = TIME * 20.0 / 0.07
+    document["simulated"]["predicted"] = [metres * (mean - spread), metres * (mean + spread)]
+    (kit / "kit.json").write_text(json.dumps(document))
+    return kit
+
+
+def test_the_simulation_as_a_robot_is_as_simulated(run, tmp_path, capsys):
+    code, said, page = compared(run, tmp_path, capsys, "--start", BEGAN)
+    assert code == 0 and "No ensemble promised anything" in said
+    lines = {line.split(":")[0]: line for line in said.splitlines()}
+    measured, simulated = (float(word) for word in re.findall(r"[+-][\d.]+", lines["speed"]))
+    assert measured == pytest.approx(1000 * run[2], abs=0.3)
+    assert abs(measured - simulated) < 0.1 * abs(measured) + 1  # other windows of a run that is not quite periodic
+    for joint in (2, 4):
+        assert "lag behind the command" in lines[f"joint {joint}"]
+    assert page.read_text().count("<svg") == 2
+
+
+def test_lags_are_the_simulations_own(run, robot, tmp_path, capsys):
+    """A joint lags behind its command as in the simulation; a servo that is 100 ms late is as much later."""
+    _, trace, _ = run
+    _, said, _ = compared(run, tmp_path, capsys, "--start", BEGAN)
+    late = trace.copy()
+    late_steps = round(0.1 / STEP)
+    turned = late[:-late_steps, 4:, 2] - late[:-late_steps, :1, 2]
+    late[late_steps:, 4:, 2] = late[late_steps:, :1, 2] + turned
+    tracks_of(tmp_path / "late.csv", late, links=(0, 2, 4))
+    _, later, _ = compared(run, tmp_path, capsys, "--start", BEGAN, tracks=tmp_path / "late.csv")
+
+    def lag(text, joint):
+        line = next(line for line in text.splitlines() if line.startswith(f"joint {joint}"))
+        return float(line.split("(")[1].split()[0])
+
+    assert lag(later, 4) - lag(said, 4) == pytest.approx(100, abs=10)
+    assert lag(later, 2) == pytest.approx(lag(said, 2), abs=2)
+
+
+@pytest.mark.parametrize(
+    ("off", "verdict"), [(0.0, "The robot did what was promised"), (0.02, "The robot did not do what was promised")]
+)
+def test_the_last_line_says_whether_the_promise_held(run, tmp_path, capsys, off, verdict):
+    code, said, _ = compared(run, tmp_path, capsys, kit=promising(run, tmp_path, run[2] + off, 0.003))
+    assert code == 0 and said.splitlines()[-1].startswith(verdict)
+    assert "the ensemble that the kit records promised" in said and ("less than" in said) == (off > 0)
+    assert "lag relative to the other joints" in said
+
+
+def test_a_study_predicts_the_path_of_every_member(run, recorded, tmp_path, capsys):
+    code, said, page = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
+    assert code == 0 and "the ensemble of study tiny promised" in said
+    assert "promised" in page.read_text()
+
+
+def test_tracks_of_something_else(run, robot, tmp_path, capsys):
+    _, trace, _ = run
+    far = trace.copy()
+    far[:, 1, 0] += 2.0
+    tracks_of(tmp_path / "other.csv", far)
+    code, said, page = compared(run, tmp_path, capsys, tracks=tmp_path / "other.csv")
+    assert code == 2 and "is this the kit of another robot" in said and not page.exists()
+    tracks_of(tmp_path / "rootless.csv", trace, links=(2, 4))
+    assert "no tag of link 0" in compared(run, tmp_path, capsys, tracks=tmp_path / "rootless.csv")[1]
+    tracks_of(tmp_path / "few.csv", trace, links=(0, 2))
+    assert "expected link 4 or 5" in compared(run, tmp_path, capsys, tracks=tmp_path / "few.csv")[1]
+    (tmp_path / "throws.csv").write_text("throw,time,x,y,angle\n7,0,0,0,0\n")
+    assert "expected links of a robot, 0 to 5" in compared(run, tmp_path, capsys, tracks=tmp_path / "throws.csv")[1]
+    (tmp_path / "bad.csv").write_text("throw,time,x\n0,0,0\n")
+    assert (
+        "numbers in the columns throw, time, x, y, angle"
+        in compared(run, tmp_path, capsys, tracks=tmp_path / "bad.csv")[1]
+    )
+
+
+def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):
+    kit = promising(run, tmp_path, 0.0, 1.0)
+    faster = replace(robot, frequency=robot.frequency / 1.5)
+    (kit / "design.json").write_text(json.dumps(design_document(faster)))
+    assert "is this the kit of another" in compared(run, tmp_path, capsys, "--start", BEGAN, kit=kit)[1]
+    assert "expected a kit of `puddle fabricate`" in compared(run, tmp_path, capsys, kit=tmp_path)[1]
+    (kit / "timeline.json").unlink()
+    assert "has no timeline.json" in compared(run, tmp_path, capsys, kit=kit)[1]
+    video = tmp_path / "run.mp4"
+    assert "a video needs --markers" in compared(run, tmp_path, capsys, tracks=video)[1]

@@ -1,0 +1,119 @@
+"""puddle fabricate --throwing-kit: a folder whose tags, printed and filmed, are where its markers file says."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from command_line import call
+from PIL import Image
+
+from pipeline.config.loading import load
+from pipeline.vision.markers_file import Markers
+
+
+@pytest.fixture(scope="module")
+def kit(tmp_path_factory):
+    pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
+    folder = tmp_path_factory.mktemp("throwing") / "kit"
+    assert call("fabricate", "--throwing-kit", "--out", str(folder)) == 0
+    return folder
+
+
+def test_every_file_is_there_and_every_link_leads_somewhere(kit):
+    held = {str(path.relative_to(kit)) for path in kit.rglob("*") if path.is_file()}
+    manifest = json.loads((kit / "throwing-kit.json").read_text())
+    assert held == {*manifest["files"], "throwing-kit.json"}
+    page = (kit / "index.html").read_text()
+    links = set(re.findall(r"""(?:href|src)=["']([^"'#:]+)["']""", page))
+    assert len(links) >= 16 and links <= held
+    rows = list(csv.DictReader(io.StringIO((kit / "bars.csv").read_text())))
+    assert [row["mass_g"] for row in rows] == ["196.0"] * 4
+
+
+@pytest.mark.parametrize("sheet", ["faces", "tags", "board"])
+def test_printed_tags_have_the_size_that_the_markers_file_says(kit, sheet):
+    from pipeline.vision.tags import Detector
+
+    markers = load(Markers, kit / "markers.yaml")
+    picture = Image.open(kit / f"{sheet}.png")
+    assert picture.info["dpi"] == pytest.approx((300, 300), abs=0.01)
+    per_mm = 300 / 25.4
+    size = {tag.number: tag.size for bar in (*markers.bars, *markers.robot.bars()) for tag in bar.tags}
+    size |= {tag.number: markers.tank.tag_size for tag in markers.tank.corners}
+    found = Detector(markers).find(np.array(picture.convert("L")), sheet)
+    expected = {
+        "faces": {tag.number for bar in markers.bars for tag in bar.tags},
+        "tags": {tag.number for tag in markers.tank.corners} | set(range(20, 26)),
+        "board": set(),
+    }
+    assert found.keys() == expected[sheet]
+    for number, corners in found.items():
+        edges = np.linalg.norm(np.roll(corners, 1, axis=0) - corners, axis=1) / per_mm
+        assert edges == pytest.approx(np.full(4, 1000 * size[number]), abs=0.2), number
+    for bar in markers.bars if sheet == "faces" else ():
+        up, down = (found[tag.number].mean(axis=0) for tag in bar.tags)
+        assert (down - up) / per_mm == pytest.approx((0, 1000 * (bar.tags[0].along - bar.tags[1].along)), abs=0.1)
+
+
+def test_the_board_is_found_on_its_sheet(kit):
+    import cv2
+
+    from pipeline.vision.tags import charuco_board
+
+    markers = load(Markers, kit / "markers.yaml")
+    detector = cv2.aruco.CharucoDetector(charuco_board(markers.board, markers.dictionary))
+    corners, numbers, _, _ = detector.detectBoard(np.array(Image.open(kit / "board.png").convert("L")))
+    assert len(numbers) == 6 * 4
+    per_mm = 300 / 25.4
+    along = np.linalg.norm(corners[numbers.ravel() == 1] - corners[numbers.ravel() == 0]) / per_mm
+    assert along == pytest.approx(36.0, abs=0.1)
+
+
+def test_svg_and_png_show_the_same(kit):
+    """The area of all black rectangles, in mm²."""
+    for sheet in ("faces", "tags", "board"):
+        text = (kit / f"{sheet}.svg").read_text()
+        assert 'width="210mm" height="297mm"' in text
+        sides = re.findall(r'width="([\d.]+)" height="([\d.]+)" shape-rendering', text)
+        area = sum(float(width) * float(height) for width, height in sides)
+        dark = (np.array(Image.open(kit / f"{sheet}.png").convert("L")) < 10).mean() * 210 * 297
+        assert dark == pytest.approx(area, rel=0.01)
+
+
+def test_the_same_command_makes_the_same_bytes_and_replaces_the_kit(kit, tmp_path, capsys):
+    assert call("fabricate", "--throwing-kit", "--out", str(tmp_path / "kit")) == 0
+    assert "bar-70: 70 × 70 mm, 196 g" in capsys.readouterr().out
+    assert {p.name: p.read_bytes() for p in (tmp_path / "kit").glob("*.*")} == {
+        p.name: p.read_bytes() for p in kit.glob("*.*")
+    }
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("docs/design.json",), "expected no design, --study or --preset"),
+        (("--set", "throwing.lengths=[1,2]"), "throwing.lengths"),
+        (("--set", "kit.rod_mm=6"), "bar-70: too heavy at any infill"),
+        (("--set", "kit.scale_mm_per_m=200", "--set", "kit.rod_mm=10"), "does not fit on A4"),
+    ],
+)
+def test_a_mistake_is_one_message_and_no_kit(tmp_path, options, message, capsys):
+    pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
+    assert call("fabricate", "--throwing-kit", "--out", str(tmp_path / "kit"), *options) == 2
+    said = capsys.readouterr().err
+    assert message in said and not (tmp_path / "kit").exists()
+
+
+@pytest.mark.parametrize("width", [1200, 390])
+def test_the_page_in_a_browser(kit, browser, width):
+    browser.open(kit / "index.html", width=width)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    assert browser.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 100)")
+    hidden = browser.evaluate("[...document.querySelectorAll('.scroll')].map((t) => t.scrollWidth - t.clientWidth)")
+    assert max(hidden) <= 0
+    assert not browser.named("Log.entryAdded")

@@ -1,0 +1,74 @@
+"""A built robot's run: its gait, its start and its identity."""
+
+import numpy as np
+import pytest
+
+from tasks.analysis.built_run import (
+    RunError,
+    check_frequency,
+    check_robot,
+    fit_gait,
+    joint_angles,
+    promise_of,
+    start_of_run,
+    steady_speed,
+)
+from tasks.design import rest_pose
+from tasks.fabrication.timeline import Playback, timeline_of
+
+TIME = np.arange(0, 6, 1 / 60)
+
+
+def test_a_gait_is_its_amplitude_and_phase():
+    found = fit_gait(TIME, 0.2 + 0.7 * np.sin(2 * np.pi * 0.8 * TIME - 1.1), 0.8)
+    assert (found.amplitude, found.phase, found.left) == pytest.approx((0.7, -1.1, 0.0), abs=1e-9)
+
+
+def test_angles_of_joints_follow_from_any_link_of_a_part(crane):
+    """At rest they are 0; link 3 is fixed to link 2, and link 1 to the root."""
+    rest = rest_pose(crane)[2][0]
+    turned = {0: rest[0] + 0.1 * TIME, 3: rest[3] + 0.3 * TIME, 4: np.full(len(TIME), rest[4] + 4 * np.pi)}
+    found = joint_angles(crane, (2, 4), turned)
+    wrapped = (found - np.column_stack((0.2 * TIME, -0.1 * TIME)) + np.pi) % (2 * np.pi) - np.pi
+    assert wrapped == pytest.approx(np.zeros_like(found), abs=1e-9)
+    with pytest.raises(RunError, match="expected link 4 or 5"):
+        joint_angles(crane, (2, 4), {0: TIME, 2: TIME})
+
+
+def test_the_start_of_a_run_is_found_by_its_ramp(crane):
+    line = timeline_of(crane, Playback(duration=10.0), time_scale=np.sqrt(0.07))
+    time = TIME + 20.0
+    angle = np.column_stack([np.interp(time - 19.213, line.time, of, left=0, right=0) for of in line.angle.T])
+    assert start_of_run(time, angle, line.time, line.angle) == pytest.approx(19.213, abs=0.002)
+
+
+def test_links_of_one_part_are_as_far_apart_as_at_rest(crane):
+    x, y, _ = rest_pose(crane)
+    links = {link: np.tile(0.07 * np.array([x[0, link], y[0, link]]), (5, 1)) for link in (0, 2, 3)}
+    check_robot(crane, links, 0.07)
+    links[3] = links[3] + (0.05, 0.05)
+    with pytest.raises(RunError, match=r"links 2 and 3 are .* is this the kit of another robot"):
+        check_robot(crane, links, 0.07)
+
+
+@pytest.mark.parametrize(("frequency", "right"), [(0.8, True), (0.83, True), (1.2, False), (0.45, False)])
+def test_a_gait_of_another_frequency_is_not_of_this_kit(frequency, right):
+    angle = np.sin(2 * np.pi * frequency * TIME)[:, None]
+    if right:
+        check_frequency(TIME, angle, 0.8)
+    else:
+        with pytest.raises(RunError, match=r"Hz, expected 0\.80 Hz"):
+            check_frequency(TIME, angle, 0.8)
+
+
+def test_the_swing_of_the_gait_does_not_count_as_speed():
+    x = 0.05 * TIME + 0.02 * np.sin(2 * np.pi * 0.5 * TIME)
+    assert steady_speed(TIME, x, 2.0) == pytest.approx(0.05, rel=0.01)
+    with pytest.raises(RunError, match=r"expected at least two periods, 8\.0 s"):
+        steady_speed(TIME, x, 4.0)
+
+
+def test_a_promise_is_two_deviations_to_either_side():
+    promise = promise_of(np.array([1.0, 3.0]))
+    assert (promise.low, promise.mean, promise.high) == (0.0, 2.0, 4.0)
+    assert promise.holds(0.1) and not promise.holds(4.1)
