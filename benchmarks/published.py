@@ -21,7 +21,7 @@ from tasks.world import ENVIRONMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-PAGES = (ROOT / "README.md", ROOT / "docs" / "results.md", ROOT / "docs" / "throws.md")
+PAGES = (ROOT / "README.md", *(ROOT / "docs" / name for name in ("results.md", "throws.md", "filming.md")))
 SECTION = re.compile(
     r"<!-- from docs/results/([\w-]+)\.json, (\S+): python -m benchmarks\.published -->\n.*?<!-- end -->", re.S
 )
@@ -82,6 +82,20 @@ def errors(results: Mapping[str, Any]) -> str:
         size = f"{row['n_throws']:,} × {row['n_steps']}"
         cells = [row["throws"], size, row["network"], str(row["inputs"]), f"{row['seconds']:.0f}"]
         cells += [" ".join(f"{error:.2f}" for error in row["error"][depth]) for depth in depths]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def video(results: Mapping[str, Any]) -> str:
+    """Tabulate what tracking makes of a synthetic camera's videos, by the speed of the bars."""
+    headings = ("video, lens", "speed [m/s]", "frames", "lost", "position [mm]", "in a throw [mm]", "stated [mm]")
+    headings += ("angle [°]", "stated [°]", "residual: vx, vy, ω")
+    lines = [f"| {' | '.join(headings)} |", f"|---|---|{'--:|' * (len(headings) - 2)}"]
+    for row in results["cases"]:
+        low, high = row["band"]
+        cells = [row["case"], f"{low:g} to {high:g}", str(row["frames"]), f"{row['lost']:.1%}".replace("%", " %")]
+        cells += [f"{row[name]:.2f}" for name in ("position_mm", "jitter_mm", "stated_mm", "angle_deg", "stated_deg")]
+        cells.append(" ".join(f"{share:.2f}" for share in row["residual"]))
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -172,6 +186,7 @@ _TABLES = {
     "accuracy": accuracy,
     "coverage": coverage,
     "errors": errors,
+    "video": video,
     "digests": digests,
     "few": few_throws,
     "penalty": penalty,

@@ -282,10 +282,15 @@ def _motion(time: Float64, position: Float64, angle: Float64, robot: RobotKit) -
 def _simulated(
     robot: RobotKit, environment: Environment, physics: Physics, measured: RobotMotion
 ) -> tuple[RobotMotion, Float64]:
-    """Simulate as long a run after settling; return the first member's, and (n_members, n_steps) x of all [m]."""
+    """Simulate as long a run after settling, from the same phase of the gait on.
+
+    Returns the first member's, and (n_members, n_steps) x of all [m].
+    """
     step = physics.time_step * robot.time_scale
     n_steps = int(np.ceil((measured.time[-1] - measured.time[0]) / step)) + 1
+    period = 1 / robot.frequency
     n_settle = robot.rollout.n_settle
+    n_settle += round(((measured.time[0] - step * (n_settle + 1)) % period) / step)
     rollouts = simulate(robot.design, environment, n_settle=n_settle, n_measure=n_steps, trace=True, physics=physics)
     if rollouts.trace is None or not (rollouts.status == OK).all():
         raise RunError("its simulation diverged, so there is nothing to compare with")
@@ -305,7 +310,8 @@ def _lines(of: RunComparison) -> list[str]:
     seconds = measured.time[-1] - measured.time[0]
     lines = [
         f"{of.kit.name}: {seconds:.1f} s of steady gait at {of.kit.frequency:.2f} Hz",
-        f"path: {1000 * measured.x[-1]:+.0f} mm, simulated {1000 * simulated.x[-1]:+.0f} mm",
+        f"path: {1000 * measured.x[-1]:+.0f} mm along the tank, simulated {1000 * simulated.x[-1]:+.0f} mm; the root "
+        f"is at {1000 * measured.y.mean():+.0f} mm over the water, simulated {1000 * simulated.y.mean():+.0f} mm",
         f"speed: {1000 * measured.speed:+.1f} mm/s, simulated {1000 * simulated.speed:+.1f} mm/s",
     ]
     if of.promise is not None:
@@ -316,7 +322,7 @@ def _lines(of: RunComparison) -> list[str]:
         (real, expected), gait = of.lags[:, column], measured.gaits[column]
         lines.append(
             f"joint {joint}: ±{np.degrees(gait.amplitude):.0f}°, simulated "
-            f"±{np.degrees(simulated.gaits[column].amplitude):.0f}°; {lag} {np.degrees(real):+.0f}° "
-            f"({turn * real:+.0f} ms), simulated {np.degrees(expected):+.0f}°"
+            f"±{np.degrees(simulated.gaits[column].amplitude):.0f}°; {lag} {np.degrees(real):+z.0f}° "
+            f"({turn * real:+z.0f} ms), simulated {np.degrees(expected):+z.0f}°"
         )
     return lines

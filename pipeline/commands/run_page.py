@@ -31,7 +31,7 @@ def render_run(of: RunComparison, run: str) -> str:
     for column, joint in enumerate(of.kit.timeline.joints):
         amplitudes = (f"±{np.degrees(run_.gaits[column].amplitude):.0f}" for run_ in (of.measured, of.simulated))
         rows.append((f"joint {joint}: amplitude [°]", *amplitudes, ""))
-        rows.append((f"joint {joint}: {lag} [°]", *(f"{np.degrees(value):+.0f}" for value in of.lags[:, column]), ""))
+        rows.append((f"joint {joint}: {lag} [°]", *(f"{np.degrees(value):+z.0f}" for value in of.lags[:, column]), ""))
     cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     shown = "".join(_figure(figure) for figure in figures)
     body = f"""<main>
