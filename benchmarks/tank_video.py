@@ -20,6 +20,7 @@ from tasks.tracks import Bars, Tracks, TrackTable, residual_transitions
 from benchmarks.published import RESULTS
 from benchmarks.synthetic_tank import SCALE, Camera, Scene, film_board, render, states_of, throws_for_bars
 from pipeline.store.provenance import environment as provenance
+from pipeline.store.tables import Columns, csv_of
 from pipeline.vision.kit_markers import markers_of
 from pipeline.vision.track_video import TrackOptions, track_videos
 from tasks.arrays import Float64
@@ -31,12 +32,15 @@ from tasks.simulation.free_links import FreeLinks
 from tasks.world import Physics, Slush, froude_time
 
 _N_THROWS, _SECONDS = 20, 0.5
+_EXACT = 1e-6  # deviation that is stated of exact positions [m] and angles [rad]
 _SPEED = SCALE / froude_time(SCALE)  # bench m/s per m/s of simulation
 BANDS = (0.0, 0.1, 0.3, 0.6, 2.0)  # speeds at bench scale [m/s]
-CASES: tuple[tuple[str, dict[str, Any], bool], ...] = (
-    ("60/s, board", {"rate": 60.0}, True),
-    ("60/s, no board", {"rate": 60.0}, False),
-    ("120/s, board", {"rate": 120.0}, True),
+CASES = (
+    ("60/s, board", 60.0),
+    ("60/s, no board", 60.0),
+    ("120/s, board", 120.0),
+    ("60/s, exact positions", 60.0),
+    ("120/s, exact positions", 120.0),
 )
 
 
@@ -45,13 +49,13 @@ def table_of(path: Path) -> Any:
     return np.genfromtxt(path, delimiter=",", names=True)
 
 
-def measure(folder: Path, camera: Camera, board: bool) -> list[dict[str, Any]]:
+def measure(folder: Path, camera: Camera, lens: str) -> list[dict[str, Any]]:
     """Film, track and compare.
 
     Args:
         folder: the videos and tracks.
         camera: the camera.
-        board: whether the lens is calibrated with the board, or with the tank's tags alone.
+        lens: "board", "no board" if the tank's tags alone calibrate it, or "exact positions" for those of the truth.
 
     Returns:
         A row for each band of speeds.
@@ -67,10 +71,13 @@ def measure(folder: Path, camera: Camera, board: bool) -> list[dict[str, Any]]:
         (folder / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False))
         (folder / "truth.json").write_text(json.dumps(rows))
     truth = np.array(json.loads((folder / "truth.json").read_text()))
-    out = folder / ("tracks.csv" if board else "tracks-no-board.csv")
-    options = TrackOptions(lens_video=folder / "board.mp4" if board else None)
-    for line in track_videos([folder / "throws.mp4"], markers, out, options):
-        print(line, flush=True)
+    out = folder / f"tracks-{lens.replace(' ', '-')}.csv"
+    if lens == "exact positions":
+        _write_exact(out, truth, starts)
+    else:
+        options = TrackOptions(lens_video=folder / "board.mp4" if lens == "board" else None)
+        for line in track_videos([folder / "throws.mp4"], markers, out, options):
+            print(line, flush=True)
     tracks, of_bars = table_of(out), table_of(out.with_name(f"{out.stem}-bars.csv"))
     row = np.abs(tracks["time"][:, None] - truth[:, 1]).argmin(axis=1)
     error = np.stack([tracks[name] for name in ("x", "y", "angle")], axis=1) - truth[row, 2:5]
@@ -98,6 +105,17 @@ def measure(folder: Path, camera: Camera, board: bool) -> list[dict[str, Any]]:
             }
         )
     return found
+
+
+def _write_exact(out: Path, truth: Float64, starts: Starts) -> None:
+    """Write the truth as a tracks file: what smoothing alone makes of these frames."""
+    columns: Columns = {"throw": truth[:, 0].astype(int)}
+    columns |= {name: truth[:, i] for i, name in enumerate(("time", "x", "y", "angle"), 1)}
+    columns |= {f"{name}_sd": np.full(len(truth), _EXACT) for name in ("x", "y", "angle")}
+    out.write_bytes(csv_of(columns))
+    length = SCALE * starts.length_scale
+    bars: Columns = {"throw": starts.throw, "length": length, "width": SCALE**2 / length}
+    out.with_name(f"{out.stem}-bars.csv").write_bytes(csv_of(bars | {"mass": np.full(len(length), 0.196)}))
 
 
 def _residual_errors(tracks: Any, of_bars: Any, truth: Float64, starts: Starts) -> tuple[Float64, Float64, Float64]:
@@ -144,8 +162,8 @@ def main(words: Sequence[str] | None = None) -> None:
     options.add_argument("--work", type=Path, required=True)
     work: Path = options.parse_args(words).work
     cases = []
-    for name, changes, board in CASES:
-        rows = measure(work / name.split("/")[0], Camera(**changes), board)
+    for name, rate in CASES:
+        rows = measure(work / f"{rate:.0f}", Camera(rate=rate), name.split(", ")[1])
         cases += [{"case": name, **row} for row in rows]
         print(*cases[-len(rows) :], sep="\n", flush=True)
     document = {"schema": "puddle.tank_video", "version": 1, "made_with": dict(provenance()), "cases": cases}
