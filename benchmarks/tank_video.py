@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from tasks.tracks import Bars, Tracks, TrackTable, residual_transitions
 
 from benchmarks.published import RESULTS
 from benchmarks.synthetic_tank import SCALE, Camera, Scene, film_board, render, states_of, throws_for_bars
@@ -29,6 +28,7 @@ from tasks.fabrication.throwing_bars import throwing_bars
 from tasks.residual.throws import Starts
 from tasks.seeding import generator
 from tasks.simulation.free_links import FreeLinks
+from tasks.tracks import Bars, Tracks, TrackTable, residual_transitions
 from tasks.world import Physics, Slush, froude_time
 
 _N_THROWS, _SECONDS = 20, 0.5
