@@ -32,43 +32,77 @@ MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4e9
 """Room required in memory: ten times what the tests write, and Ray's shared memory."""
 
+TOGETHER = {
+    "local_ray": (
+        "cluster/test_cluster.py",
+        "workflow/test_study.py",
+        "workflow/test_dispatcher.py",
+        "torture/test_order.py",
+    ),
+    "fork_server": (
+        "torture/test_processes.py",
+        "torture/test_crash_points.py",
+        "torture/test_corruption.py",
+        "torture/test_full_disk.py",
+        "torture/test_guards.py",
+        "torture/test_hostile_stores.py",
+    ),
+    "study": (
+        "commands/test_bad_input.py",
+        "commands/test_by_name.py",
+        "commands/test_doctor.py",
+        "commands/test_exit_codes.py",
+        "commands/test_forecast.py",
+        "commands/test_gc.py",
+        "commands/test_power.py",
+        "commands/test_recompute.py",
+        "commands/test_score.py",
+        "commands/test_status.py",
+        "commands/test_suggest_throws.py",
+        "commands/test_verify.py",
+        "fabrication/test_source.py",
+        "results/test_export_folder.py",
+        "results/test_notebook.py",
+        "results/test_recorded_study.py",
+        "stages/test_analyse.py",
+        "stages/test_report.py",
+        "stages/test_stages.py",
+    ),
+    "drawn": (
+        "report/test_browser.py",
+        "report/test_column_figures.py",
+        "report/test_data.py",
+        "report/test_figures.py",
+        "report/test_page.py",
+        "report/test_transfer_latex.py",
+    ),
+}
+"""Files that one process runs, by an expensive fixture that they share."""
+
 LONGEST_FIRST = (
-    "torture/test_processes.py",
+    *TOGETHER["local_ray"],
+    *TOGETHER["fork_server"],
+    *TOGETHER["study"],
     "tracking/test_pages.py",
-    "architecture/test_wheel.py",
+    "torture/test_kills.py",
+    "cluster/test_slurm.py",
     "parity/test_batch_equals_pybox2d.py",
     "parity/test_bodies_equal_pybox2d.py",
-    "workflow/test_study.py",
-    "cluster/test_cluster.py",
-    "cluster/test_slurm.py",
-    "architecture/test_changes.py",
-    "torture/test_kills.py",
     "fabrication/test_fabricate.py",
+    "architecture/test_changes.py",
     "commands/test_app.py",
     "torture/test_network.py",
-    "report/test_page.py",
-    "tracking/test_mirror.py",
-    "tasks/test_compiled.py",
-    "fabrication/test_findings.py",
+    *TOGETHER["drawn"],
     "fabrication/test_exports.py",
+    "tracking/test_mirror.py",
+    "architecture/test_wheel.py",
+    "fabrication/test_findings.py",
     "networks/test_coupled.py",
-    "torture/test_crash_points.py",
-    "architecture/test_patches.py",
-    "fabrication/test_servos.py",
-    "simulation/test_batch.py",
-    "torture/test_order.py",
-    "torture/test_corruption.py",
-    "report/test_figures.py",
-    "commands/test_exit_codes.py",
-    "commands/test_bad_input.py",
-    "commands/test_forecast.py",
-    "torture/test_full_disk.py",
-    "fabrication/test_random_designs.py",
-    "commands/test_gc.py",
-    "results/test_export_folder.py",
-    "report/test_films.py",
-    "workflow/test_dispatcher.py",
+    "tasks/test_compiled.py",
     "cluster/test_session.py",
+    "fabrication/test_servos.py",
+    "stages/test_pontoon.py",
+    "report/test_films.py",
     "tracking/test_server.py",
 )
 """The slowest files run first, so that no process is left with one of them at the end."""
@@ -206,6 +240,19 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_configure_node(node: Any) -> None:
     """Give the processes of pytest-xdist the same seed."""
     node.workerinput["torture_seed"] = node.config.stash[_SESSION].seed
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give files that share an expensive fixture to one process of pytest-xdist, and every other file to any."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByFixture(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            return next((fixture for fixture, files in TOGETHER.items() if file.endswith(files)), file)
+
+    return ByFixture(config, log) if config.getoption("dist") == "loadfile" else None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

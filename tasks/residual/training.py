@@ -6,7 +6,7 @@ machine and device. All members of a study hold out the same throws.
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 
@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+from torch.optim.adamw import adamw
 
 from tasks.arrays import Float32, Float64
 from tasks.residual.error_report import ErrorRow, error_rows
@@ -96,6 +97,38 @@ def mean_loss(training: Training, predicted: Tensor, true: Tensor, weight: Tenso
     return training.focal_alpha * (weight * L_mse).mean()
 
 
+def weight_updates(parameters: Sequence[Tensor], weight_decay: float) -> Callable[[float], None]:
+    """Return the update of AdamW, which takes a learning rate and changes parameters in place by their gradients.
+
+    It is the function behind torch.optim.AdamW. The class would import torch's compiler, which takes each process that
+    trains 2 to 6 s.
+    """
+    mean, mean_square = ([torch.zeros_like(parameter) for parameter in parameters] for _ in range(2))
+    n_updates = [torch.zeros((), device=parameter.device) for parameter in parameters]
+
+    @torch.no_grad()
+    def update(rate: float) -> None:
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        adamw(
+            list(parameters),
+            gradients,
+            mean,
+            mean_square,
+            [],
+            n_updates,
+            fused=True,
+            amsgrad=False,
+            beta1=0.9,
+            beta2=0.999,
+            lr=rate,
+            weight_decay=weight_decay,
+            eps=1e-8,
+            maximize=False,
+        )
+
+    return update
+
+
 def n_cuda_devices() -> int:
     """Count the CUDA devices that torch can use here."""
     return torch.cuda.device_count() if torch.cuda.is_available() else 0
@@ -170,19 +203,19 @@ def _fit(
     on_progress: Callable[[int, float], None] | None,
 ) -> Float64:
     """Train in place on (n_rows, n_inputs + 6) observations and residuals, and 6 weights; return the learning curve."""
-    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=training.weight_decay, fused=True)
+    parameters = list(network.parameters())
+    update = weight_updates(parameters, training.weight_decay)
     n_rows, n_observed = len(training_set), network.n_inputs
     curve = []
     losses = []
     for iteration in range(training.n_iterations):
-        for group in optimiser.param_groups:
-            group["lr"] = learning_rate(training, iteration)
         drawn = torch.randint(n_rows, (training.batch_size,), device=training_set.device)
         batch = training_set.index_select(0, drawn)
         loss = mean_loss(training, network(batch[:, :n_observed]), *_targets(batch, n_observed))
-        optimiser.zero_grad()
+        for parameter in parameters:
+            parameter.grad = None
         loss.backward()  # type: ignore[no-untyped-call]
-        optimiser.step()
+        update(learning_rate(training, iteration))
 
         done = iteration + 1
         losses.append(_finite(loss, "training", member, done))
@@ -223,15 +256,15 @@ def _predict(network: ResidualNetwork, observation: Tensor) -> Tensor:
 @contextmanager
 def _deterministic(seed: int, device: torch.device) -> Iterator[None]:
     """Seed torch and restrict it to one thread and deterministic algorithms; restore its state afterwards."""
-    n_threads, was_deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    n_threads, mode = torch.get_num_threads(), torch.get_deterministic_debug_mode()
     if device.type == "cuda":
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # without it cuBLAS refuses to be deterministic
     with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
         try:
             torch.manual_seed(seed)
             torch.set_num_threads(1)
-            torch.use_deterministic_algorithms(True)
+            torch.set_deterministic_debug_mode("error")  # use_deterministic_algorithms would import torch's compiler
             yield
         finally:
             torch.set_num_threads(n_threads)
-            torch.use_deterministic_algorithms(was_deterministic)
+            torch.set_deterministic_debug_mode(mode)

@@ -78,6 +78,7 @@ def test_the_smoke_study_runs_from_an_installed_wheel_in_an_empty_folder(wheel, 
         [str(python), "-c", where], cwd=empty, env=environment, capture_output=True, text=True, check=True
     )
     assert shown.stdout.count(str(site)) == 3
-    puddle("study", "--preset", "smoke", "--workers", "0")
+    shorter = ("grid.depths=[9]", "grid.n_trials=1", "rollout.n_measure=60", "throws.n_throws=10")
+    puddle("study", "--preset", "smoke", "--workers", "0", *(word for one in shorter for word in ("--set", one)))
     assert (empty / "store" / "studies" / "smoke" / "report" / "index.html").stat().st_size > 100_000
-    assert "report    done" in puddle("status", "--preset", "smoke")
+    assert "report    done" in puddle("status", "--study", "smoke")

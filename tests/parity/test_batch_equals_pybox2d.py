@@ -20,6 +20,9 @@ from tasks.world.flowing_slush import FlowingPool, FlowingSlush
 
 DEPTHS = (0.0, 0.3, 1.0, 2.5, 9.0)
 
+N_DESIGNS = 17
+"""Designs at each depth, drawn anew in each run. pybox2d takes a second for them."""
+
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="slow in Python; test_batch.py has a short one")
 
 
@@ -31,7 +34,7 @@ def test_sines_and_cosines_are_the_platform_s(same_libm: None, seed: int, sines)
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])
 @pytest.mark.parametrize("depth", DEPTHS)
 def test_every_float_of_every_step(kind: type[DryLand | TrueSlush], depth: float, same_libm: None, seed: int) -> None:
-    designs = random_designs(37, np.random.default_rng(seed))
+    designs = random_designs(N_DESIGNS, np.random.default_rng(seed))
     motion = assert_equal(designs, kind(depth), Physics(), n_settle=200, n_measure=1200)
     assert np.isfinite(motion.final).all()
 
@@ -49,7 +52,7 @@ def test_motors_far_beyond_the_paper_s_range(
     kind: type[DryLand | TrueSlush], depth: float, same_libm: None, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    designs = wild(random_designs(33, rng), rng, motor_on=1.0)
+    designs = wild(random_designs(N_DESIGNS, rng), rng, motor_on=1.0)
     motion = assert_equal(designs, kind(depth), Physics(**STRONG_MOTORS), n_settle=100, n_measure=1300)
     assert abs(motion.final[..., Column.ANGLE]).max() > rotation.NEAR  # so that the other reduction of angles is met
 
@@ -59,7 +62,7 @@ def test_motors_far_beyond_the_paper_s_range(
 def test_physics_of_all_other_constants(
     kind: type[DryLand | TrueSlush], depth: float, same_libm: None, seed: int
 ) -> None:
-    designs = random_designs(33, np.random.default_rng(seed))
+    designs = random_designs(N_DESIGNS, np.random.default_rng(seed))
     assert_equal(designs, kind(depth), Physics(**OTHER_CONSTANTS), n_settle=100, n_measure=700)
 
 

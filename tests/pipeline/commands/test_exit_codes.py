@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from command_line import refused
+from command_line import call, refused
 
 from pipeline.commands.app import _PANELS, main
 from pipeline.commands.exit_codes import DEFECT, INCOMPLETE, INTERRUPTED, OUTPUT_CLOSED, USER_ERROR, Commands
@@ -37,14 +37,22 @@ def test_the_documentation_lists_every_code():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_without_a_reader_ends_a_command_quietly(command):
-    ended = to_a_closed_pipe(*command.split(), "--help")
-    assert (ended.returncode, ended.stderr) == (OUTPUT_CLOSED, "")
+def test_help_without_a_reader_ends_a_command_quietly(command, capsys, monkeypatch):
+    """In this process; those of the next test also end without a word from the interpreter."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as stdout:
+        monkeypatch.setattr(sys, "stdout", stdout)
+        assert call(*command.split(), "--help") == OUTPUT_CLOSED
+    assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("words", [("settings", "--preset", "smoke"), ("studies", "--json"), ("status",)])
-def test_results_without_a_reader_end_a_command_quietly(words, done):
-    store = () if words[0] == "settings" else ("--store", str(done / "store"))
+@pytest.mark.parametrize(
+    "words",
+    [("settings", "--preset", "smoke"), ("studies", "--json"), ("status",), ("study", "--help"), ("servo", "--help")],
+)
+def test_output_without_a_reader_ends_a_command_quietly(words, done):
+    store = ("--store", str(done / "store")) if words[0] in ("studies", "status") else ()
     study = ("--study", "tiny") if words[0] == "status" else ()
     ended = to_a_closed_pipe(*words, *study, *store)
     assert (ended.returncode, ended.stderr) == (OUTPUT_CLOSED, "")

@@ -16,9 +16,9 @@ from pipeline.report.replay import Overlay, Replay
 
 
 @pytest.fixture(scope="module")
-def page(study, tmp_path_factory) -> Path:
+def page(study, drawn, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("page") / "index.html"
-    path.write_text(render_page(replace(study, replays=[annotated(replay) for replay in study.replays])))
+    path.write_text(render_page(replace(study, replays=[annotated(replay) for replay in study.replays]), drawn))
     return path
 
 

@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 from dataclasses import replace
+from functools import partial
 from html import unescape
 from html.parser import HTMLParser
 
@@ -11,8 +12,10 @@ import numpy as np
 import pytest
 from command_line import call
 
-from pipeline.report.data import TrialResult
+from pipeline.report.data import StudyReport, TrialResult
 from pipeline.report.downloads import tables_of
+from pipeline.report.drawing import finish
+from pipeline.report.figures import FIGURES, draw_all
 from pipeline.report.findings import Findings
 from pipeline.report.page import render_page, render_robot
 from pipeline.report.replay import Overlay
@@ -215,8 +218,13 @@ def test_work_items_that_were_not_tried_are_not_called_failed(study, drawn):
     assert "failed" not in wild and "incomplete" not in wild
 
 
-def test_a_study_that_has_only_begun_makes_a_page(study):
-    started = replace(study, trials=[], residual_errors=[], replays=[], digests=[], findings=Findings())
+@pytest.fixture
+def started(study) -> StudyReport:
+    """A study that has only begun."""
+    return replace(study, trials=[], residual_errors=[], replays=[], digests=[], findings=Findings())
+
+
+def test_a_study_that_has_only_begun_makes_a_page(started):
     page = Page(render_page(started))
     assert page.open == [] and page.scripts == {}
     for missing in ("The replay viewer", "Transfer at the greatest depth", "The transfer table"):
@@ -229,8 +237,9 @@ def test_how_it_was_made_is_there(html):
     assert "ab" * 32 in text
 
 
-def test_the_same_page_each_time_and_from_drawings_at_hand(study, html):
-    assert render_page(study) == html
+def test_the_same_page_each_time_and_from_drawings_at_hand(study, started, drawn, html):
+    assert render_page(study, drawn) == html
+    assert render_page(started) == render_page(started, draw_all(started))
 
 
 def test_the_contents_list_every_section(html):
@@ -289,9 +298,9 @@ def test_tables_can_be_downloaded(study):
     assert len(tables["contrasts.csv"]) == len(study.findings.contrasts) + 1
 
 
-def test_the_variance_between_replicates_stands_below_the_transfer_table(study, replicated, html):
+def test_the_variance_between_replicates_stands_below_the_transfer_table(study, replicated, drawn, html):
     assert "variance" not in Page(html).ids and "variance.csv" not in tables_of(study)
-    page = render_page(replace(study, findings=replicated))
+    page = render_page(replace(study, findings=replicated), drawn)
     assert page.index('class="transfer"') < page.index('id="variance"') < page.index('<section id="paper"')
     rows = tables_of(replace(study, findings=replicated))["variance.csv"].decode().splitlines()
     assert len(rows) == 1 + len(replicated.replicated) == 3
@@ -318,7 +327,7 @@ def test_the_page_of_one_design_offers_what_it_has(slush_replay):
     assert "where it evolved" not in page.text
 
 
-def test_the_whole_grid_stays_under_twelve_megabytes(study, slush_replay):
+def test_the_whole_grid_stays_under_twelve_megabytes(study, slush_replay, drawn):
     """10 depths × 3 environments × 10 trials of 1,000 generations; a replay of 20 s of each champion and exploiter.
 
     The best of an arm is seen in both environments, with overlays and the push of the slush.
@@ -334,4 +343,8 @@ def test_the_whole_grid_stays_under_twelve_megabytes(study, slush_replay):
     doubt = Overlay("disagreement", "m/s²", np.zeros((601, 6)))
     best = replace(plain, push=np.zeros((601, 6, 2)), overlays=(doubt, replace(doubt, label="novelty")))
     replays = [best] * 52 + [plain] * 300
-    assert len(render_page(replace(study, trials=trials, replays=replays)).encode()) < 12_000_000
+    grid = replace(study, trials=trials, replays=replays)
+    of_trials = {name: FIGURES[name] for name in FIGURES if name.startswith(("transfer_a", "fitness_curves"))}
+    assert len(of_trials) == 4
+    figures = {name: finish(name, title, partial(draw, grid)) for name, (title, draw) in of_trials.items()}
+    assert len(render_page(grid, {**drawn, **figures}).encode()) < 12_000_000

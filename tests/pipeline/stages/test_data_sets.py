@@ -10,6 +10,7 @@ from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
 from pipeline.results import catalogue
+from pipeline.stages import STAGES
 from pipeline.stages.analyse import ANALYSE
 from pipeline.stages.analyses.analysis_tables import read_table
 from pipeline.stages.assess import PREDICTIONS, read_predictions
@@ -50,7 +51,7 @@ def settings_with(**changes):
 def sets(tmp_path_factory):
     store = Store.open(tmp_path_factory.mktemp("sets") / "store", create=True)
     with serial_cluster() as cluster:
-        return store, run(settings_with(), store, cluster)
+        return store, run(settings_with(), store, cluster, STAGES[:-1])
 
 
 def trial(environment, index):

@@ -10,6 +10,7 @@ from small_study import labelled, run
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
 from pipeline.stages.analyses.analysis_tables import read_table
 from pipeline.stages.evolve import EVOLVE
 from pipeline.stages.transfer import CHAMPION, SCORE, TRANSFER
@@ -42,7 +43,7 @@ def settings():
 def done(tmp_path_factory, settings):
     store = Store.open(tmp_path_factory.mktemp("choices") / "store", create=True)
     with serial_cluster() as cluster:
-        return store, run(settings, store, cluster)
+        return store, run(settings, store, cluster, STAGES[:-1])
 
 
 def test_the_sample_s_deviation_is_that_of_fitness_scores_and_predictions(done):

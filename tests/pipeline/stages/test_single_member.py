@@ -6,6 +6,7 @@ from small_study import labelled, run
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
+from pipeline.stages import STAGES
 from pipeline.stages.analyses.analysis_tables import read_table
 from pipeline.stages.environments import WEIGHTS
 from pipeline.stages.transfer import SCORE
@@ -32,7 +33,7 @@ assess: {{n_designs: 4}}
 def singles(tmp_path_factory):
     store = Store.open(tmp_path_factory.mktemp("singles") / "store", create=True)
     with serial_cluster() as cluster:
-        return store, run(parse(Settings, SETTINGS, name="singles"), store, cluster)
+        return store, run(parse(Settings, SETTINGS, name="singles"), store, cluster, STAGES[:-1])
 
 
 def test_every_trial_has_a_network_of_its_own(singles):
