@@ -34,6 +34,10 @@ PATIENCE = 30.0
 """Longest wait for an answer of the browser [s]."""
 
 
+def _pixels(png: str) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB"))
+
+
 class Browser:
     """A headless Chromium with one tab, spoken to in DevTools JSON, ended by zero bytes, on descriptors 3 and 4."""
 
@@ -114,8 +118,14 @@ class Browser:
             " return {x: Math.floor(b.x + scrollX), y: Math.floor(b.y + scrollY),"
             " width: Math.ceil(b.width), height: Math.ceil(b.height), scale: 1}; })()"
         )
-        png = self("Page.captureScreenshot", clip=box, captureBeyondViewport=True)["data"]
-        return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB"))
+        return _pixels(self("Page.captureScreenshot", clip=box, captureBeyondViewport=True)["data"])
+
+    def drawn(self, identity: str) -> np.ndarray:
+        """Pixels that a script has drawn on a canvas, (height, width, 3).
+
+        A screenshot may show what lies outside the window as it was before: a busy machine paints it later.
+        """
+        return _pixels(self.evaluate(f"document.getElementById('{identity}').toDataURL()").partition(",")[2])
 
     def close(self) -> None:
         os.killpg(self._pid, signal.SIGKILL)  # its own group: it and the processes that it started

@@ -80,13 +80,13 @@ def choose(browser: Browser, identity: str, value: str) -> None:
 
 
 def test_the_viewer_plays_to_the_end_and_starts_again(opened):
-    first = opened.picture("#stage")
+    first = opened.drawn("stage")
     choose(opened, "speed", "4")
     click(opened, "play")
     assert opened.evaluate("document.getElementById('play').textContent") == "Pause"
     opened.until("document.getElementById('play').textContent === 'Play'")
     assert opened.evaluate("document.getElementById('time').textContent") == "3.0 / 3.0 s"
-    assert (opened.picture("#stage") != first).any()
+    assert (opened.drawn("stage") != first).any()
     click(opened, "play")
     opened.until("parseFloat(document.getElementById('scrub').value) < 2.5")
 
@@ -94,28 +94,28 @@ def test_the_viewer_plays_to_the_end_and_starts_again(opened):
 def test_the_viewer_scrubs(opened):
     choose(opened, "scrub", "1.5")
     assert opened.evaluate("document.getElementById('time').textContent") == "1.5 / 3.0 s"
-    halfway = opened.picture("#stage")
+    halfway = opened.drawn("stage")
     choose(opened, "scrub", "0")
-    assert (opened.picture("#stage") != halfway).any()
+    assert (opened.drawn("stage") != halfway).any()
     choose(opened, "scrub", "1.5")
-    np.testing.assert_array_equal(opened.picture("#stage"), halfway)
+    np.testing.assert_array_equal(opened.drawn("stage"), halfway)
 
 
 def test_the_viewer_is_drawn_when_it_appears(opened):
     """MLflow shows a page in a frame that has no size at first, and tells the page nothing when it gets one."""
-    before = opened.picture("#stage")
+    before = opened.drawn("stage")
     opened.evaluate("stage.parentElement.style.display = 'none'; stage.width = 0")
     opened.evaluate("new Promise(requestAnimationFrame)")
     opened.evaluate("stage.parentElement.style.display = ''")
     opened.until("stage.width > 0")
-    np.testing.assert_array_equal(opened.picture("#stage"), before)
+    np.testing.assert_array_equal(opened.drawn("stage"), before)
 
 
 def test_two_robots_have_panes_beside_or_above_one_another(opened):
     choose(opened, "beside", "")
-    alone = opened.picture("#stage").shape
+    alone = opened.drawn("stage").shape
     choose(opened, "beside", "0")
-    together = opened.picture("#stage")
+    together = opened.drawn("stage")
     wide = opened.evaluate("innerWidth") > 600
     assert (together.shape[0] > alone[0]) != wide
     assert together.shape[1] == alone[1]
@@ -126,12 +126,12 @@ def test_two_robots_have_panes_beside_or_above_one_another(opened):
 def test_the_prediction_is_shown_beside_true_slush(opened):
     """By default, for a robot that was filmed in two environments; other robots are shown alone."""
     choose(opened, "choice", "1")  # filmed in True Slush only
-    alone = opened.picture("#stage")
+    alone = opened.drawn("stage")
     choose(opened, "choice", "3")
     choose(opened, "beside", "")
-    predicted = opened.picture("#stage")
+    predicted = opened.drawn("stage")
     choose(opened, "beside", "twin")
-    both = opened.picture("#stage")
+    both = opened.drawn("stage")
     wide = opened.evaluate("innerWidth") > 600
     first, second = np.array_split(both, 2, axis=1 if wide else 0)
     assert (first.shape == second.shape) and (first != second).any()
@@ -144,11 +144,11 @@ def test_the_prediction_is_shown_beside_true_slush(opened):
 
 def test_overlays_colour_links_and_the_line_below_follows(opened):
     choose(opened, "scrub", "3")
-    plain = opened.picture("#stage")
+    plain = opened.drawn("stage")
     assert opened.evaluate("document.getElementById('line').hidden")
     choose(opened, "overlay", "disagreement")
     assert not opened.evaluate("document.getElementById('line').hidden")
-    assert (opened.picture("#stage") != plain).any()
+    assert (opened.drawn("stage") != plain).any()
     assert "m/s²" in opened.evaluate("document.getElementById('legend').textContent")
     opened.evaluate(
         "(() => { const line = document.getElementById('timeline'), box = line.getBoundingClientRect();"
@@ -159,9 +159,9 @@ def test_overlays_colour_links_and_the_line_below_follows(opened):
 
 
 def test_the_push_is_drawn_where_it_is_asked_for(opened):
-    plain = opened.picture("#stage")
+    plain = opened.drawn("stage")
     click(opened, "push")
-    assert (opened.picture("#stage") != plain).sum() > 100
+    assert (opened.drawn("stage") != plain).sum() > 100
 
 
 def test_the_gallery_moves_where_it_is_seen_and_opens_the_viewer(opened):

@@ -1,4 +1,5 @@
 import math
+import sys
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from tasks.residual.training import (
     n_cuda_devices,
     precision_weights,
     train_member,
+    weight_updates,
 )
 from tasks.world import Physics, Slush
 
@@ -91,6 +93,33 @@ def test_learning_rate_rises_to_its_peak_and_decays_exponentially_to_its_least()
     for shortest in (Training(n_iterations=10, warm_up=0.0), Training(n_iterations=10, warm_up=0.5)):
         assert max(learning_rate(shortest, i) for i in range(10)) == 1e-3
         assert learning_rate(shortest, 9) == pytest.approx(1e-6)
+
+
+def test_updates_are_those_of_adamw():
+    """Loshchilov and Hutter, Decoupled Weight Decay Regularization, algorithm 2."""
+    rng = np.random.default_rng(1)
+    parameters = [torch.tensor(rng.normal(size=shape), dtype=torch.float32) for shape in ((2, 3), (4,))]
+    update = weight_updates(parameters, weight_decay=0.1)
+    expected = [parameter.double().numpy() for parameter in parameters]
+    m, v = ([np.zeros_like(array) for array in expected] for _ in range(2))
+    for t, rate in enumerate((0.1, 0.02, 0.3), start=1):
+        for k, parameter in enumerate(parameters):
+            parameter.grad = torch.tensor(rng.normal(size=parameter.shape), dtype=torch.float32)
+            gradient = parameter.grad.double().numpy()
+            m[k] = 0.9 * m[k] + 0.1 * gradient
+            v[k] = 0.999 * v[k] + 0.001 * gradient**2
+            step = m[k] / (1 - 0.9**t) / (np.sqrt(v[k] / (1 - 0.999**t)) + 1e-8)
+            expected[k] = expected[k] - rate * (0.1 * expected[k] + step)
+        update(rate)
+    for parameter, array in zip(parameters, expected, strict=True):
+        np.testing.assert_allclose(parameter.numpy(), array, atol=2e-6)  # some roundings of numbers below 4
+
+
+def test_training_does_not_load_the_compiler_of_torch(thrown):
+    """It takes seconds in each process that trains, and nothing here is compiled by it."""
+    before = set(sys.modules)
+    train_member(thrown, SMALL, SHORT, seed=3, member=1)
+    assert not {"torch._dynamo", "torch._inductor"} & (set(sys.modules) - before)
 
 
 def test_a_second_run_gives_the_same_bytes_and_leaves_torch_as_it_was(thrown):
