@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from pipeline.results.recorded_study import Study, open_study
 from pipeline.store import disk
 from pipeline.store.design_file import read_design
 from pipeline.store.encoding import check_format, decode_json
+from pipeline.store.track_file import read_track_columns, track_table
 from pipeline.vision.markers_file import Markers
 from pipeline.vision.track_video import TrackOptions, follow
 from tasks.analysis.built_run import (
@@ -193,11 +193,11 @@ LinkPath = tuple[Float64, Float64]  # (n,) times [s] and (n, 3) x, y [m] and ang
 
 def _tracks(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
     """Return the path of each link, and lines for the terminal."""
-    if source.path.suffix == ".csv":
+    if source.path.suffix in (".csv", ".parquet"):
         return _read_tracks(source.path), []
     if source.markers is None:
         raise PuddleError(
-            f"{source.path}: a video needs --markers, the markers.yaml of a throwing kit. Tracks end in .csv."
+            f"{source.path}: a video needs --markers, markers.yaml of a throwing kit; tracks end in .csv or .parquet"
         )
     options = TrackOptions(source.lens, source.slowdown, robot=True)
     (video,), lines = follow([source.path], load(Markers, source.markers), options)
@@ -205,16 +205,14 @@ def _tracks(source: RunSource) -> tuple[dict[int, LinkPath], list[str]]:
 
 
 def _read_tracks(path: Path) -> dict[int, LinkPath]:
-    names = ("throw", "time", "x", "y", "angle")
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = [[float(row[name]) for name in names] for row in csv.DictReader(file)]
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        why = error.strerror if isinstance(error, OSError) else f"{error}"
-        raise PuddleError(f"{path}: expected tracks with numbers in the columns {', '.join(names)}: {why}") from None
-    table = np.array(rows).reshape(-1, len(names))
-    if not len(table) or not np.isfinite(table).all():
-        raise PuddleError(f"{path}: expected at least one row, of finite numbers")
+        content = path.read_bytes()
+    except OSError as error:
+        raise PuddleError(f"{path}: expected tracks, got: {error.strerror}") from None
+    rows = track_table(read_track_columns(content, str(path)), str(path))
+    table = np.column_stack((rows.throw, rows.time, rows.x, rows.y, rows.angle))
+    if not np.isfinite(table).all():
+        raise PuddleError(f"{path}: row {int(np.argwhere(~np.isfinite(table))[0, 0]) + 1}: expected finite numbers")
     found: dict[int, LinkPath] = {}
     for link in np.unique(table[:, 0]).astype(int).tolist():
         if not 0 <= link < N_LINKS:
