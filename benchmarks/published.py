@@ -16,12 +16,14 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from benchmarks import tracks_tables
 from tasks.analysis import paper
 from tasks.world import ENVIRONMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-PAGES = (ROOT / "README.md", *(ROOT / "docs" / name for name in ("results.md", "throws.md", "filming.md")))
+_PAGES = ("results.md", "throws.md", "filming.md", "your-own-tank.md")
+PAGES = (ROOT / "README.md", *(ROOT / "docs" / name for name in _PAGES))
 SECTION = re.compile(
     r"<!-- from docs/results/([\w-]+)\.json, (\S+): python -m benchmarks\.published -->\n.*?<!-- end -->", re.S
 )
@@ -183,6 +185,9 @@ def _of_arm(study: Mapping[str, Any], environment: str) -> list[str]:
 
 
 _TABLES = {
+    "residuals": tracks_tables.residuals,
+    "studies": tracks_tables.studies,
+    "fluids": tracks_tables.fluids,
     "accuracy": accuracy,
     "coverage": coverage,
     "errors": errors,

@@ -2,7 +2,7 @@
 
 Writes docs/results/tracks.json, which docs/your-own-tank.md shows; without arguments, all parts of it. A simulation
 with steps of 1/960 s stands in for the tank, and exact poses, with noise or without, for the camera. All of it takes
-half an hour on one core.
+half an hour on one core. Rows that the file has are not measured again.
 """
 
 from __future__ import annotations
@@ -132,15 +132,17 @@ def residual_errors(transitions: Transitions, medium: Medium) -> dict[str, list[
 
 CAMERAS = (
     Camera(),
-    Camera(rate=120.0),
-    Camera(noise_mm=0.1, noise_deg=0.2),
     Camera(noise_mm=0.3, noise_deg=0.5),
+    Camera(rate=120.0),
+    Camera(rate=120.0, noise_mm=0.3, noise_deg=0.5),
+    Camera(noise_mm=0.1, noise_deg=0.2),
     Camera(noise_mm=1.0, noise_deg=1.0),
     Camera(noise_mm=2.0, noise_deg=2.0),
-    Camera(rate=120.0, noise_mm=0.3, noise_deg=0.5),
-    Camera(n_throws=250, noise_mm=0.3, noise_deg=0.5),
-    Camera(n_throws=100, noise_mm=0.3, noise_deg=0.5),
 )
+FEWER = (Camera(n_throws=250, noise_mm=0.3, noise_deg=0.5), Camera(n_throws=100, noise_mm=0.3, noise_deg=0.5))
+
+Row = dict[str, Any]
+Measurement = tuple[Row, Callable[[], Row]]  # what identifies a row, and what measures the rest of it
 
 
 def measured(camera: Camera, medium: Medium) -> Transitions:
@@ -148,56 +150,59 @@ def measured(camera: Camera, medium: Medium) -> Transitions:
     return residual_transitions(*tracked(camera, medium), Tracks(file="tracks"), _PHYSICS)[0]
 
 
-def residuals() -> Iterator[dict[str, Any]]:
+def residuals() -> Iterator[Measurement]:
     """Yield the errors of residuals for each camera, by speed of the bar."""
     for camera in CAMERAS:
-        yield {**dataclasses.asdict(camera), "error": residual_errors(measured(camera, Slush()), Slush())}
+        fewer = dataclasses.replace(camera, n_throws=100)
+        yield dataclasses.asdict(fewer), lambda of=fewer: {"error": residual_errors(measured(of, Slush()), Slush())}
 
 
-def studies() -> Iterator[dict[str, Any]]:
+def study(transitions: Callable[[], Transitions], true: Environment, inputs: tuple[Observed, ...] = OBSERVATION) -> Row:
+    """Evolve in networks, and return where the champions get in the environment that they were learned from.
+
+    Args:
+        transitions: returns what the networks learn from.
+        true: the environment.
+        inputs: what the networks observe.
+    """
+    return {"displacement": displacements(ResidualSlush(true.depth, learned(transitions(), inputs)), true)}
+
+
+def studies() -> Iterator[Measurement]:
     """Yield where champions of a small study get in True Slush, by what its networks learned from."""
     true = TrueSlush(_DEPTH)
-    yield {"learned_from": "nothing: evolved in True Slush", "displacement": displacements(true, true)}
-    for n_throws in (500, 100):
-        ensemble = learned(exact(n_throws, Slush()))
-        found = displacements(ResidualSlush(_DEPTH, ensemble), true)
-        yield {"learned_from": "exact states", "n_throws": n_throws, "displacement": found}
-    for camera in CAMERAS:
-        ensemble = learned(measured(camera, Slush()))
-        found = displacements(ResidualSlush(_DEPTH, ensemble), true)
-        yield {"learned_from": "tracks", **dataclasses.asdict(camera), "displacement": found}
+    yield {"learned_from": "nothing"}, lambda: {"displacement": displacements(true, true)}
+    yield {"learned_from": "exact states", "n_throws": 500}, lambda: study(lambda: exact(500, Slush()), true)
+    for camera in CAMERAS + FEWER:
+        row = {"learned_from": "tracks", **dataclasses.asdict(camera)}
+        yield row, lambda of=camera: study(lambda: measured(of, Slush()), true)
 
 
-def fluids() -> Iterator[dict[str, Any]]:
+def fluids() -> Iterator[Measurement]:
     """Yield where champions get in fluids that the learner does not know, learned from tracks with sin θ."""
+    camera, inputs = Camera(noise_mm=0.1, noise_deg=0.2), (*OBSERVATION, "sin_angle")
     for name, true in (("anisotropic", AnisotropicPool(_FLUIDS_DEPTH)), ("flowing", FlowingPool(_FLUIDS_DEPTH))):
-        yield {"fluid": name, "learned_from": "nothing: evolved in it", "displacement": displacements(true, true)}
-        medium = true.medium
-        assert medium is not None
-        camera = Camera(noise_mm=0.1, noise_deg=0.2)
-        for words, transitions in (("exact states", exact(500, medium)), ("tracks", measured(camera, medium))):
-            ensemble = learned(transitions, (*OBSERVATION, "sin_angle"))
-            found = displacements(ResidualSlush(_FLUIDS_DEPTH, ensemble), true)
-            yield {"fluid": name, "learned_from": words, "displacement": found}
+        row = {"fluid": name, "learned_from": "nothing"}
+        yield row, lambda at=true: {"displacement": displacements(at, at)}
+        row = {"fluid": name, "learned_from": "tracks"}
+        yield row, lambda at=true: study(lambda: measured(camera, at.medium), at, inputs)
 
 
-PARTS: dict[str, Callable[[], Iterator[dict[str, Any]]]] = {
-    "residuals": residuals,
-    "studies": studies,
-    "fluids": fluids,
-}
+PARTS: dict[str, Callable[[], Iterator[Measurement]]] = {"residuals": residuals, "fluids": fluids, "studies": studies}
 
 
 def main() -> None:
-    """Measure some parts, and write the file after each row."""
+    """Measure the rows that the file lacks of some parts, and write it after each."""
     path = RESULTS / "tracks.json"
-    document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    document |= {"schema": "puddle.tracks", "version": 1, "made_with": dict(provenance())}
     for part in sys.argv[1:] or PARTS:
-        document[part] = []
-        for row in PARTS[part]():
-            print(row, flush=True)
-            document[part].append(row)
+        for identity, measure in PARTS[part]():
+            document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+            rows = document.setdefault(part, [])
+            if any(identity.items() <= row.items() for row in rows):
+                continue
+            rows.append({**identity, **measure()})
+            print(rows[-1], flush=True)
+            document |= {"schema": "puddle.tracks", "version": 1, "made_with": dict(provenance())}
             path.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
 
 
