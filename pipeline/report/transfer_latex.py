@@ -9,10 +9,12 @@ from tasks.world import ENVIRONMENTS
 _NONE = "--"
 _SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 _SPECIAL |= {character: f"\\{character}" for character in "&%$#_{}"}
+_SUBSCRIPTS = {"\N{LATIN SUBSCRIPT SMALL LETTER A}": "a"}
 _ACCENTS = {
     "\N{COMBINING CIRCUMFLEX ACCENT}": r"\hat",
     "\N{COMBINING TILDE}": r"\tilde",
     "\N{COMBINING MACRON}": r"\bar",
+    "\N{COMBINING RIGHT ARROW ABOVE}": r"\vec",
 }
 _HEAD = r"""% Transfer results of study {name}. Needs \usepackage{{booktabs}}.
 % Displacement of the root link [m], mean over n trials +- sample standard deviation. "% of E": the mean divided by the
@@ -89,6 +91,8 @@ def _symbol(symbol: str) -> str:
             written = f"{written[:-1]}{_ACCENTS[character]}{{{written[-1:]}}}"
         elif character == "′":
             written += "'"
+        elif character in _SUBSCRIPTS:
+            written += f"_{{{_SUBSCRIPTS[character]}}}"
         elif digit is not None and not character.isascii():
             written += f"_{{{digit}}}"
         else:

@@ -71,8 +71,9 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         if (reason := _reason(analysed.get(PartId(kind)), table)) is not None
     }
     for files in instruments.values():
-        if (reason := _reason(files, "champions")) is not None:
-            missing["champions"] = reason
+        for table in ("champions", "champion_coverage"):
+            if (reason := _reason(files, table)) is not None:
+                missing[table] = reason
     if ensemble and (reason := _reason(ensemble, "member_errors")) is not None:
         missing["member_errors"] = reason
     traced = _family(inputs, family) if family else None

@@ -44,7 +44,7 @@ register(
         settings_group="flowing_slush",
         settings=FlowingSlush,
         label="Flowing Slush",
-        symbol="E→",
+        symbol="E⃗",
         evolved="in Flowing Slush",
         marker="h",
         color="#8a5a2b",

@@ -113,6 +113,7 @@ def test_where_every_design_diverges_each_thing_says_so(page_of, monkeypatch):
         "Prediction accuracy": "every assessed design diverged, in True Slush or under a member",
         "Accuracy of members and aggregates": "every assessed design diverged, in True Slush or under a member",
         "Error of the members on champions": no_champion,
+        "Champions outside the throws": no_champion,
         "The table of luck and reach": no_champion,
     }
     words = words_of(html)

@@ -90,7 +90,7 @@ def test_the_manifest_names_every_file(exported):
 def test_csv_has_a_column_for_each_element(recorded, exported, tmp_path, capsys):
     assert call("export", "tiny", "--out", str(tmp_path / "out"), "--store", str(recorded), "--format", "csv") == 0
     said = capsys.readouterr().out
-    assert "No figure transfer_across_depths" in said and "8 champions, 27 tables" in said
+    assert "No figure transfer_across_depths" in said and "8 champions, 28 tables" in said
     flat = pl.read_csv(tmp_path / "out" / "tables" / "histories.csv", infer_schema_length=None)
     whole = pl.read_parquet(exported / "tables" / "histories.parquet")
     assert len(flat) == len(whole) and flat["operator"].equals(whole["operator"])

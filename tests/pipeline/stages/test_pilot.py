@@ -6,7 +6,7 @@ from small_study import run
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
-from pipeline.config.settings import Settings
+from pipeline.config.settings import PilotSettings, Settings
 from pipeline.stages import STAGES
 from pipeline.stages.data_sets import DataSetId
 from pipeline.stages.pilot import COVERAGE, PILOT, STATES, PilotId, read_coverage
@@ -75,8 +75,7 @@ def test_the_states_are_kept(pilots):
 
 def test_it_warns_where_too_much_is_outside(pilots):
     store, results = pilots
-    strict, lenient = (settings_with(pilot={"most_outside": share}) for share in (0.0, 1.0))
-    strict, lenient = (Settings.model_validate(of.model_dump()) for of in (strict, lenient))
+    strict, lenient = (settings_with(pilot=PilotSettings(most_outside=share)) for share in (0.0, 1.0))
     assert any(line.startswith("warning: throws: ") for line in PILOT.summarise(strict, results, store).lines)
     summary = PILOT.summarise(lenient, results, store)
     assert not any("warning" in line for line in summary.lines)
