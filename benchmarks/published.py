@@ -149,6 +149,23 @@ def members(results: Mapping[str, Any]) -> str:
     return _by_variant(results, "members", "members", arms)
 
 
+def rounds(results: Mapping[str, Any]) -> str:
+    """Tabulate what throws in rounds are worth beside as many throws at once, by data set."""
+    lines = [
+        "| throws | in rounds | error: vx, vy, ω | zero-shot [m], of each data set | share of *E* |",
+        "|--:|--:|---|--:|--:|",
+    ]
+    best, groups = fmean(results["in_true_slush"]), [(row["n_throws"], row["n_rounds"]) for row in results["rows"]]
+    for group in sorted(set(groups)):
+        rows = [row for row, of in zip(results["rows"], groups, strict=True) if of == group]
+        error = " ".join(f"{fmean(of):.2f}" for of in zip(*(row["error"] for row in rows), strict=True))
+        means = [fmean(row["zero_shot"]) for row in rows]
+        each = ", ".join(_signed(f"{mean:z.1f}") for mean in means)
+        share = _share({"mean": fmean(means)}, {"mean": best})
+        lines.append(f"| {group[0]} | {group[1]} | {error} | {each} | {share} |")
+    return "\n".join(lines)
+
+
 def _by_variant(results: Mapping[str, Any], series: str, heading: str, arms: Sequence[str]) -> str:
     lines = [
         f"| {heading} | evolved in | predicted | zero-shot | adapted | share of *E*, of each data set | adapted "
@@ -195,6 +212,7 @@ _TABLES = {
     "digests": digests,
     "few": few_throws,
     "penalty": penalty,
+    "rounds": rounds,
     "members": members,
 }
 _PREDICTORS = {"mean": "mean μ over members", "mean - 1 sd": "μ − σ"}

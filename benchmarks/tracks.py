@@ -38,7 +38,7 @@ LENGTH = 0.07  # bench metres per metre of simulation
 TIME = froude_time(LENGTH)
 SECONDS = 1.0  # each throw is followed for [s of simulation]
 _FINE = 960  # steps of the tank in a second of simulation
-_N_MEMBERS, _N_TRIALS, _N_GENERATIONS = 4, 3, 300
+_N_MEMBERS, _N_TRIALS, _N_GENERATIONS = 4, 16, 300
 _DEPTH, _FLUIDS_DEPTH = 9.0, 2.0  # [m]
 _TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
 _AFPO = Afpo.model_validate({"population_size": 16, "mutation": {"step": 0.2}})
@@ -99,10 +99,10 @@ def learned(transitions: Transitions, inputs: tuple[Observed, ...] = OBSERVATION
     return Ensemble.from_members([member.arrays() for member in members])
 
 
-def displacements(evolved_in: Environment, tested_in: Environment) -> list[float]:
+def displacements(evolved_in: Environment, tested_in: Environment, *, n_trials: int = _N_TRIALS) -> list[float]:
     """Evolve the trials of a small study; return where the champions get in another environment [m]."""
     found = evolve(
-        [Trial(partial(generator, 7, "tracks", k), EMPTY_POPULATION) for k in range(_N_TRIALS)],
+        [Trial(partial(generator, 7, "tracks", k), EMPTY_POPULATION) for k in range(n_trials)],
         lambda designs: evaluate(simulate(designs, evolved_in), disagreement_penalty=1.0, objective=PAPERS_OBJECTIVE),
         first_generation=0,
         n_generations=_N_GENERATIONS,

@@ -1,5 +1,6 @@
 """Tables of docs/results/tracks.json, which `python -m benchmarks.tracks` measures."""
 
+import math
 from collections.abc import Mapping, Sequence
 from statistics import fmean, stdev
 from typing import Any
@@ -47,7 +48,11 @@ def _noise(row: Mapping[str, Any]) -> str:
 
 
 def _share_of(displacement: Sequence[float], of: Sequence[float]) -> str:
-    return f"{fmean(displacement) / fmean(of):.0%}".replace("%", " %").replace("-", "−")
+    """Write a ratio of means with its 95 % interval, by the delta method for its logarithm."""
+    share = fmean(displacement) / fmean(of)
+    deviation = math.hypot(*(stdev(group) / math.sqrt(len(group)) / fmean(group) for group in (displacement, of)))
+    low, high = (share * math.exp(sign * 1.96 * deviation) for sign in (-1, 1))
+    return f"{share:.0%} ({low:.0%} to {high:.0%})".replace("%", " %").replace("-", "−")
 
 
 def _mean_of(displacement: Sequence[float]) -> str:

@@ -86,9 +86,13 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     table = columns_of(ScoreRow, _score_rows(spec.trials, inputs, job.spec.failed))
     columns = ("environment", "depth", "trial", "predicted", "zero_shot", "adapted", "replicate")
     scores = Scores(*(table[name] for name in columns))
-    shares = assessed_among(inputs, spec.throw_groups[0]) if spec.throw_groups else []
+    main = spec.throw_groups[0] if spec.throw_groups else ""
+    shares = assessed_among(inputs, main) if main else []
     predicted, true, trial = _predictions(shares)
-    regressions = accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
+    regressions = [
+        replace(row, learned_from=main)
+        for row in accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
+    ]
     ranges = members_ranges(predicted, true, rng=generator(spec.seed, "analyse", "members-ranges"), trial=trial)
     reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), job.spec.not_assessed)
     if shares and not (np.isfinite(predicted).all(axis=0) & np.isfinite(true)).any():

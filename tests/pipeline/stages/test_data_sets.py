@@ -8,7 +8,7 @@ from small_study import labelled, run
 
 from pipeline.cluster import serial_cluster
 from pipeline.config.loading import parse
-from pipeline.config.settings import Settings
+from pipeline.config.settings import GridSettings, Settings
 from pipeline.results import catalogue
 from pipeline.stages import STAGES
 from pipeline.stages.analyse import ANALYSE
@@ -167,6 +167,15 @@ def test_both_ensembles_are_assessed_on_the_same_designs(sets):
             for label in (f"true_slush/1m/trial-{k}", f"designed_throws/true_slush/1m/trial-{k}")
         )
         assert (one["true"] == other["true"]).all() and (one["predicted"] != other["predicted"]).any()
+
+
+def test_a_single_ensemble_is_named_after_its_throws(tmp_path):
+    grid = GridSettings(depths=(1.0,), environments=("true_slush", "designed_throws"), single_member_depths=(), n_trials=2)
+    settings = settings_with(replicates=1, grid=grid)
+    store = Store.open(tmp_path / "store", create=True)
+    with serial_cluster() as cluster:
+        upstream = run(settings, store, cluster, STAGES[:-1])
+    assert set(_statistics(store, upstream, "regressions")["learned_from"]) == {"designed_throws"}
 
 
 def test_the_arms_are_contrasted_and_attributed(sets):
