@@ -73,3 +73,8 @@ def power_lines(study: "Study", differences: Sequence[float], power: float) -> I
     heading = "".join(f"{f'{difference:g} m':>10}" for difference in differences)
     yield f"{'depth':>7}  {'evolved in':<16} {'':<9} {'n':>4} {'SD [m]':>7}{heading}"
     yield from rows
+    if study.settings.replicates > 1:
+        yield (
+            f"Trials count as independent. Those with networks share {study.settings.replicates} data sets, so they "
+            "may need more data sets, not more trials: the table variance splits their variance."
+        )

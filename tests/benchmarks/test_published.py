@@ -54,8 +54,8 @@ def test_accuracy_stands_beside_the_arm_whose_ensemble_it_is_of(studies):
 
 def test_rounds_are_means_over_data_sets():
     rows = [
-        {"n_throws": 100, "n_rounds": 2, "replicate": k, "error": [0.1 + 0.2 * k, 0.5, 0.5], "zero_shot": [4.0, 6.0 + k]}
-        for k in range(2)
+        {"n_throws": 100, "n_rounds": 2, "error": [0.1 + 0.2 * k, 0.5, 0.5], "zero_shot": [4.0, 6.0 + k]}
+        for k in (0, 1)
     ]
     (row,) = rounds({"in_true_slush": [10.0, 11.0], "rows": rows}).splitlines()[2:]
     assert row == "| 100 | 2 | 0.20 0.50 0.50 | 5.0, 5.5 | 50 % |"

@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from command_line import call, refused
 
+from pipeline.commands.power import power_lines
 from pipeline.results.recorded_study import open_study
 from tasks.analysis.statistical_power import n_trials_for
 
@@ -16,6 +19,13 @@ def test_a_row_for_each_arm_and_the_trials_that_its_deviation_needs(recorded, ca
     (row,) = (row for row in rows if "dry_land" in row and "adapted" in row)
     assert int(row.split()[-2].replace(",", "")) == n_trials_for(0.1, sd)
     assert all(len(row) <= 80 for row in rows)
+
+
+def test_it_says_where_trials_share_data_sets(recorded):
+    study = open_study("tiny", recorded)
+    shared = study.settings.model_copy(update={"replicates": 2})
+    lines, with_note = (list(power_lines(of, [1.0], 0.8)) for of in (study, replace(study, settings=shared)))
+    assert with_note[:-1] == lines and "share 2 data sets" in with_note[-1]
 
 
 @pytest.mark.parametrize(

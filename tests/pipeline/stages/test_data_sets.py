@@ -170,8 +170,13 @@ def test_both_ensembles_are_assessed_on_the_same_designs(sets):
 
 
 def test_a_single_ensemble_is_named_after_its_throws(tmp_path):
-    grid = GridSettings(depths=(1.0,), environments=("true_slush", "designed_throws"), single_member_depths=(), n_trials=2)
-    settings = settings_with(replicates=1, grid=grid)
+    grid = {
+        "depths": [1.0],
+        "environments": ["true_slush", "designed_throws"],
+        "single_member_depths": [],
+        "n_trials": 2,
+    }
+    settings = settings_with(replicates=1, grid=GridSettings.model_validate(grid))
     store = Store.open(tmp_path / "store", create=True)
     with serial_cluster() as cluster:
         upstream = run(settings, store, cluster, STAGES[:-1])
