@@ -1,8 +1,8 @@
 """Write the tables of results in README.md and docs from docs/results/*.json: `python -m benchmarks.published`.
 
 A results file is the ``results.json`` of `puddle export`. `python -m benchmarks.published EXPORT/results.json` records
-one first, under the name of its study. `--add-to STUDY EXPORT/results.json` adds its depths to those recorded for a
-study that is run one depth at a time.
+one first, under the name of its study, and the figures of the export that docs/results/pictures.json names. `--add-to
+STUDY EXPORT/results.json` adds its depths to those recorded for a study that is run one depth at a time.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 _PAGES = ("results.md", "throws.md", "filming.md", "your-own-tank.md")
 PAGES = (ROOT / "README.md", *(ROOT / "docs" / name for name in _PAGES))
+PICTURES = "results/pictures.json"  # which figure of which results each picture of docs shows, and a digest of these
 SECTION = re.compile(
     r"<!-- from docs/results/([\w-]+)\.json, (\S+): python -m benchmarks\.published -->\n.*?<!-- end -->", re.S
 )
@@ -312,13 +313,31 @@ def with_part(results: Mapping[str, Any], part: Mapping[str, Any], study: str) -
 def record(given: Path, study: str | None) -> None:
     """Record an export under the name of its study, or add its depths to a study of another name."""
     if study is None:
-        name = json.loads(given.read_text(encoding="utf-8"))["study"]
-        shutil.copyfile(given, RESULTS / f"{name}.json")
+        results = json.loads(given.read_text(encoding="utf-8"))
+        shutil.copyfile(given, RESULTS / f"{results['study']}.json")
+        record_pictures(results, given.parent / "figures", ROOT / "docs")
         return
     file = RESULTS / f"{study}.json"
     so_far = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
     document = with_part(so_far, json.loads(given.read_text(encoding="utf-8")), study)
     file.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
+
+
+def record_pictures(results: Mapping[str, Any], figures: Path, docs: Path) -> None:
+    """Copy the figures of an export that pages show, and note the digest of what they are drawn from.
+
+    Args:
+        results: of the export.
+        figures: its figures.
+        docs: the folder of the pages.
+    """
+    index = docs / PICTURES
+    document = json.loads(index.read_text(encoding="utf-8"))
+    for name, picture in document["pictures"].items():
+        if picture["results"] == results["study"]:
+            shutil.copyfile(figures / f"{picture['figure']}.png", docs / name)
+            picture["drawn_from"] = results["digests"][picture["of"]]
+    index.write_text(f"{json.dumps(document, indent=1)}\n", encoding="utf-8")
 
 
 def main() -> None:

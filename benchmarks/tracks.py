@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache, partial
 from typing import Any
 
@@ -39,10 +39,10 @@ TIME = froude_time(LENGTH)
 SECONDS = 1.0  # each throw is followed for [s of simulation]
 _FINE = 960  # steps of the tank in a second of simulation
 _N_MEMBERS, _N_TRIALS, _N_GENERATIONS = 4, 16, 300
-_DEPTH, _FLUIDS_DEPTH = 9.0, 2.0  # [m]
+DEPTH, _FLUIDS_DEPTH = 9.0, 2.0  # [m]
 _TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
 _AFPO = Afpo.model_validate({"population_size": 16, "mutation": {"step": 0.2}})
-_PHYSICS = Physics()
+PHYSICS = Physics()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Camera:
 def starts(n_throws: int) -> Starts:
     """Return starts that are designed for robots."""
     throws = Throws(design="robots", n_throws=n_throws, n_steps=None)
-    return initial_states(throws, generator(1, "throws"), _PHYSICS)
+    return initial_states(throws, generator(1, "throws"), PHYSICS)
 
 
 @cache
@@ -114,12 +114,12 @@ def displacements(evolved_in: Environment, tested_in: Environment, *, n_trials: 
 
 def exact(n_throws: int, medium: Medium) -> Transitions:
     """Return the same throws as a study simulates them."""
-    return simulate_throws(starts(n_throws), round(SECONDS * 60), medium, _PHYSICS)
+    return simulate_throws(starts(n_throws), round(SECONDS * 60), medium, PHYSICS)
 
 
 def residual_errors(transitions: Transitions, medium: Medium) -> dict[str, list[float]]:
     """Compare residuals with those of the medium in the same states; as shares of their size, by speed."""
-    links = FreeLinks(transitions.length_scale, _PHYSICS)
+    links = FreeLinks(transitions.length_scale, PHYSICS)
     true = links.step(transitions.state, medium) - transitions.next_on_dry_land
     vx, vy = transitions.state[:, 3], transitions.state[:, 4]
     rows = error_rows(transitions.residual, true, np.hypot(vx, vy))
@@ -147,7 +147,7 @@ Measurement = tuple[Row, Callable[[], Row]]  # what identifies a row, and what m
 
 def measured(camera: Camera, medium: Medium) -> Transitions:
     """Return the transitions of filmed throws."""
-    return residual_transitions(*tracked(camera, medium), Tracks(file="tracks"), _PHYSICS)[0]
+    return residual_transitions(*tracked(camera, medium), Tracks(file="tracks"), PHYSICS)[0]
 
 
 def residuals() -> Iterator[Measurement]:
@@ -170,7 +170,7 @@ def study(transitions: Callable[[], Transitions], true: Environment, inputs: tup
 
 def studies() -> Iterator[Measurement]:
     """Yield where champions of a small study get in True Slush, by what its networks learned from."""
-    true = TrueSlush(_DEPTH)
+    true = TrueSlush(DEPTH)
     yield {"learned_from": "nothing"}, lambda: {"displacement": displacements(true, true)}
     yield {"learned_from": "exact states", "n_throws": 500}, lambda: study(lambda: exact(500, Slush()), true)
     for camera in CAMERAS + FEWER:
@@ -191,19 +191,24 @@ def fluids() -> Iterator[Measurement]:
 PARTS: dict[str, Callable[[], Iterator[Measurement]]] = {"residuals": residuals, "fluids": fluids, "studies": studies}
 
 
-def main() -> None:
-    """Measure the rows that the file lacks of some parts, and write it after each."""
+def measure_missing(part: str, measurements: Iterable[Measurement]) -> None:
+    """Measure the rows that the file lacks of a part, and write it after each."""
     path = RESULTS / "tracks.json"
+    for identity, measure in measurements:
+        document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        rows = document.setdefault(part, [])
+        if any(identity.items() <= row.items() for row in rows):
+            continue
+        rows.append({**identity, **measure()})
+        print(rows[-1], flush=True)
+        document |= {"schema": "puddle.tracks", "version": 1, "made_with": dict(provenance())}
+        path.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
+
+
+def main() -> None:
+    """Measure the parts that are named, or all."""
     for part in sys.argv[1:] or PARTS:
-        for identity, measure in PARTS[part]():
-            document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-            rows = document.setdefault(part, [])
-            if any(identity.items() <= row.items() for row in rows):
-                continue
-            rows.append({**identity, **measure()})
-            print(rows[-1], flush=True)
-            document |= {"schema": "puddle.tracks", "version": 1, "made_with": dict(provenance())}
-            path.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
+        measure_missing(part, PARTS[part]())
 
 
 if __name__ == "__main__":

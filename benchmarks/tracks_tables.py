@@ -21,12 +21,17 @@ def residuals(results: Mapping[str, Any]) -> str:
 def studies(results: Mapping[str, Any]) -> str:
     """Tabulate where champions get, by what their networks learned from."""
     lines = ["| learned from | throws | displacement [m] | share of exact states |", "|---|--:|--:|--:|"]
-    exact = next(row["displacement"] for row in results["studies"] if row["learned_from"] == "exact states")
+    exact = {row["learned_from"]: row["displacement"] for row in results["studies"] if "rate" not in row}
     for row in results["studies"]:
-        of_tracks = row["learned_from"] == "tracks"
-        words = f"tracks, {row['rate']:g} frames/s, {_noise(row)}" if of_tracks else row["learned_from"]
-        share = _share_of(row["displacement"], exact) if of_tracks else ""
-        words = "nothing: evolved in True Slush" if words == "nothing" else words
+        words, share = row["learned_from"], ""
+        if words == "tracks":
+            share = _share_of(row["displacement"], exact["exact states"])
+            words = f"tracks, {row['rate']:g} frames/s, {_noise(row)}"
+        elif words == "video":
+            share = _share_of(row["displacement"], exact["exact states of filmed throws"])
+            words = f"synthetic video, {row['rate']:g} frames/s"
+        elif words == "nothing":
+            words = "nothing: evolved in True Slush"
         lines.append(f"| {words} | {row.get('n_throws', '')} | {_mean_of(row['displacement'])} | {share} |")
     return "\n".join(lines)
 

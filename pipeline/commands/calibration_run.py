@@ -100,7 +100,7 @@ def calibrate(
                     manifests, first = computed[0]
                     samples[kind] = list(_timed(run, stage, settings, base, kind, manifests)) or [first]
         except NoDevice as missing:
-            raise PuddleError(f"{missing}: a GPU's time can be measured only where there is one") from None
+            raise PuddleError(f"{missing}: state the rate of one with --gpu-tflops") from None
         in_order = {chain.identity: done[chain.identity] for chain in plan if chain.identity in done}
         run.upstream[stage.name] = Results(stage.name, in_order)
     return samples

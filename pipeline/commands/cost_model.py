@@ -18,7 +18,7 @@ import math
 import os
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pipeline.config.settings import Settings
@@ -264,8 +264,22 @@ def bytes_left_of_study(settings: Settings, upstream: Upstream) -> float:
     return total
 
 
+def on_stated_gpu(settings: Settings, samples: Sequence[Sample], tflops: float) -> list[Sample]:
+    """Replace the seconds of training by those of a GPU that reaches a stated rate [TFLOP/s].
+
+    Each weight takes a multiplication and an addition for each sample of a minibatch: once forward, and twice backward.
+    """
+    flop = 6.0 * settings.network.n_weights * settings.training.batch_size
+    return [replace(one, seconds=flop * one.size / (tflops * 1e12)) for one in samples]
+
+
 def forecast_study(
-    settings: Settings, store: Store | None, cores: Sequence[int], *, say: Callable[[str], None]
+    settings: Settings,
+    store: Store | None,
+    cores: Sequence[int],
+    *,
+    gpu_tflops: float | None = None,
+    say: Callable[[str], None],
 ) -> StudyForecast:
     """Forecast the rest of a study, for this machine's cores and for others.
 
@@ -273,13 +287,24 @@ def forecast_study(
         settings: the study's settings.
         store: the store that holds its results, if there is one.
         cores: further numbers of cores to forecast for.
+        gpu_tflops: rate of a GPU that trains, instead of one of this machine [TFLOP/s].
         say: shows what is being timed.
 
     Returns:
         The cost of what is left of each stage.
+
+    Raises:
+        PuddleError: a rate is given, but is not above 0, or the settings train without a GPU.
     """
     from pipeline.commands.calibration_run import calibrate
 
+    if gpu_tflops is not None:
+        if not (math.isfinite(gpu_tflops) and gpu_tflops > 0):
+            raise PuddleError(f"--gpu-tflops: expected a rate above 0, got {gpu_tflops:g}")
+        if settings.training.device != "cuda":
+            raise PuddleError(
+                f"--gpu-tflops: training.device is '{settings.training.device}', expected --set training.device=cuda"
+            )
     upstream: Upstream = {}
     samples: dict[CostKind, list[Sample]] = {}
     if store is not None:
@@ -289,12 +314,19 @@ def forecast_study(
     remaining = remaining_chains(settings, upstream)
     unknown = {one.kind for one in remaining} - samples.keys()
     if unknown:
-        samples |= calibrate(settings, unknown, say=say)
+        samples |= calibrate(settings if gpu_tflops is None else _without_gpu(settings), unknown, say=say)
+    if gpu_tflops is not None:
+        trained = {kind: of for kind, of in samples.items() if kind.stage == "train"}
+        samples |= {kind: on_stated_gpu(settings, of, gpu_tflops) for kind, of in trained.items()}
     costs = {kind: Cost.fit(of) for kind, of in samples.items()}
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     stages = tuple(forecast_stages(settings, remaining, costs, unknown))
     store_bytes = None if store is None else store.size_bytes()
     return StudyForecast(settings.name, stages, tuple(dict.fromkeys([own, *cores])), store_bytes)
+
+
+def _without_gpu(settings: Settings) -> Settings:
+    return settings.model_copy(update={"training": settings.training.model_copy(update={"device": "cpu"})})
 
 
 def forecast_lines(forecast: StudyForecast) -> Iterator[str]:

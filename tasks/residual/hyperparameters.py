@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from tasks.parameters import Parameters, later_choice
-from tasks.residual.observation import OBSERVATION, Observed
+from tasks.residual.observation import OBSERVATION, STATE, Observed
 
 
 class Architecture(Parameters):
@@ -23,6 +23,11 @@ class Architecture(Parameters):
     observation: Annotated[tuple[Observed, ...], Field(min_length=1)] = later_choice(OBSERVATION)
     """Inputs: by default the six of the paper [P]. Magnitudes (speed, abs_omega, abs_sin_angle) make small networks
     more accurate, because drag grows with |v| v and |ω| ω. sin_angle is for media that push a tilted plate sideways."""
+
+    @property
+    def n_weights(self) -> int:
+        """Weights of the matrices, without biases: the multiplications that one prediction takes."""
+        return self.width * (len(self.observation) + (self.hidden_layers - 1) * self.width + len(STATE))
 
     @model_validator(mode="after")
     def _inputs_differ(self) -> Self:

@@ -253,6 +253,20 @@ def test_every_table_of_displacements_is_from_a_results_file():
         assert not re.findall(r"^\|.*(?:Residual Slush|Dry Land|True Slush).*±.*\|$", left, re.M), page.name
 
 
+def test_pictures_are_drawn_from_the_results_that_are_published():
+    pictures = json.loads((ROOT / "docs" / published.PICTURES).read_text(encoding="utf-8"))["pictures"]
+    shown = {
+        name
+        for page in published.PAGES
+        for name in re.findall(r"!\[[^]]*\]\((?:docs/)?([\w-]+\.png)\)", page.read_text(encoding="utf-8"))
+    }
+    assert shown - pictures.keys() == {"bar-faces.png", "tracked-throw.png"}  # they show no results
+    assert pictures.keys() <= shown
+    for name, picture in pictures.items():
+        results = json.loads((published.RESULTS / f"{picture['results']}.json").read_text(encoding="utf-8"))
+        assert picture["drawn_from"] == results["digests"][picture["of"]], name
+
+
 def test_a_page_that_differs_from_its_results_file_is_noticed():
     text = published.PAGES[0].read_text(encoding="utf-8")
     assert "12.9 ± 1.6" in text and published.with_sections(text.replace("12.9 ± 1.6", "13.9 ± 1.6")) == text

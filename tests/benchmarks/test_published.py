@@ -1,8 +1,10 @@
 """Published results: files that grow depth by depth, and tables that are written from them."""
 
+import json
+
 import pytest
 
-from benchmarks.published import few_throws, members, rounds, with_part
+from benchmarks.published import PICTURES, few_throws, members, record_pictures, rounds, with_part
 
 
 def export(name, depth, zero_shot, accuracy=()):
@@ -50,6 +52,21 @@ def test_shares_are_of_each_data_set(studies):
 
 def test_accuracy_stands_beside_the_arm_whose_ensemble_it_is_of(studies):
     assert members(studies).splitlines()[2].endswith("| 50 %, 60 %, 70 % | 60 % | 0.90 | 1.10 |")
+
+
+def test_recording_an_export_takes_the_pictures_that_pages_show(tmp_path):
+    docs, figures = tmp_path / "docs", tmp_path / "figures"
+    (docs / "results").mkdir(parents=True)
+    figures.mkdir()
+    (figures / "bars.png").write_bytes(b"new")
+    stale = {"results": "laptop", "figure": "bars", "of": "analyse", "drawn_from": "old"}
+    others = {**stale, "results": "row"}
+    document = {"pictures": {"laptop_bars.png": stale, "row_bars.png": others}}
+    (docs / PICTURES).write_text(json.dumps(document))
+    record_pictures({"study": "laptop", "digests": {"analyse": "d1"}}, figures, docs)
+    found = json.loads((docs / PICTURES).read_text())["pictures"]
+    assert (docs / "laptop_bars.png").read_bytes() == b"new"
+    assert found == {"laptop_bars.png": {**stale, "drawn_from": "d1"}, "row_bars.png": others}
 
 
 def test_rounds_are_means_over_data_sets():

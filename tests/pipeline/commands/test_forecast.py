@@ -4,7 +4,7 @@ import json
 import shutil
 
 import pytest
-from command_line import call
+from command_line import call, refused
 
 from pipeline.commands.cost_model import (
     Cost,
@@ -21,6 +21,7 @@ from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store, StudyRecord
+from tasks.residual.training import n_cuda_devices
 
 
 def sample(size: float, seconds: float) -> Sample:
@@ -97,6 +98,29 @@ def test_a_calibration_run_forecasts_a_real_study(study, settings, tmp_path):
         copies = 2 if stage.stage == "report" else 1
         n_bytes = copies * sum(store.item_bytes(stage.stage, key) for key in store.keys(stage.stage))
         assert stage.n_bytes / 1e6 == pytest.approx(n_bytes / 1e6, rel=0.6, abs=0.51), stage.stage
+
+
+def test_training_is_priced_for_a_stated_gpu(settings):
+    """The paper's: 8 networks, 50,000 iterations of 262,144, 6 x 256 + 3 x 256 x 256 + 256 x 6 weights."""
+    overrides = ["training.device=cuda", "training.batch_size=262144", "network.hidden_layers=4", "network.width=256"]
+    study = parse(Settings, settings.model_dump_json(), name="gpu", overrides=overrides)
+    found = forecast_study(study, None, (), gpu_tflops=20.0, say=lambda line: None)
+    train = next(stage for stage in found.stages if stage.stage == "train")
+    flop = 6 * (6 * 256 + 3 * 256 * 256 + 256 * 6) * 262_144 * train.n_units
+    assert train.core_seconds == pytest.approx(flop / 20e12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--gpu-tflops", "20"], "--gpu-tflops: training.device is 'cpu', expected --set training.device=cuda"),
+        (["--gpu-tflops", "0", "--set", "training.device=cuda"], "--gpu-tflops: expected a rate above 0, got 0"),
+        (["--set", "training.device=cuda"], "state the rate of one with --gpu-tflops"),
+    ],
+)
+@pytest.mark.skipif(n_cuda_devices() > 0, reason="has a GPU")
+def test_a_gpu_that_is_not_there_needs_a_rate(capsys, tmp_path, arguments, said):
+    assert said in refused(capsys, "forecast", "--preset", "smoke", "--store", str(tmp_path), *arguments)
 
 
 def test_short_and_long_times_are_written_in_their_units():
