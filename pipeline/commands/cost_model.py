@@ -265,9 +265,17 @@ def bytes_left_of_study(settings: Settings, upstream: Upstream) -> float:
 
 
 def on_stated_gpu(settings: Settings, samples: Sequence[Sample], tflops: float) -> list[Sample]:
-    """Replace the seconds of training by those of a GPU that reaches a stated rate [TFLOP/s].
+    """Replace the seconds of training by those of a GPU.
 
     Each weight takes a multiplication and an addition for each sample of a minibatch: once forward, and twice backward.
+
+    Args:
+        settings: the study's settings.
+        samples: the cost of training networks; a unit is an iteration.
+        tflops: the rate that the GPU reaches [TFLOP/s].
+
+    Returns:
+        Samples of the same sizes and bytes.
     """
     flop = 6.0 * settings.network.n_weights * settings.training.batch_size
     return [replace(one, seconds=flop * one.size / (tflops * 1e12)) for one in samples]
