@@ -26,7 +26,8 @@ def studies(results: Mapping[str, Any]) -> str:
         words, share = row["learned_from"], ""
         if words == "tracks":
             share = _share_of(row["displacement"], exact["exact states"])
-            words = f"tracks, {row['rate']:g} frames/s, {_noise(row)}"
+            noise = _noise(row) if row["noise_mm"] else "no noise"
+            words = f"tracks, {row['rate']:g} frames/s, {noise}"
         elif words == "video":
             share = _share_of(row["displacement"], exact["exact states of filmed throws"])
             words = f"synthetic video, {row['rate']:g} frames/s"
