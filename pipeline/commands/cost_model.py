@@ -18,7 +18,7 @@ import math
 import os
 import statistics
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from pipeline.config.settings import Settings
@@ -206,7 +206,7 @@ def _samples_of_others(settings: Settings, store: Store, say: Callable[[str], No
 
 
 def forecast_stages(
-    settings: Settings, remaining: Sequence[_Remaining], costs: Mapping[CostKind, Cost], calibrated: Iterable[CostKind]
+    settings: Settings, remaining: Sequence[_Remaining], costs: Mapping[CostKind, Cost], sources: Mapping[CostKind, str]
 ) -> list[StageForecast]:
     """Return the cost of the remaining work of every stage, in order.
 
@@ -214,18 +214,17 @@ def forecast_stages(
         settings: the study's settings.
         remaining: its unfinished chains.
         costs: the cost of each of their kinds.
-        calibrated: kinds whose samples come from the calibration run, not from the store.
+        sources: where the samples of a kind come from, if not from the store.
     """
-    calibrated = set(calibrated)
     forecasts = []
     for stage in STAGES:
         own = [one for one in remaining if one.stage is stage]
         seconds = [costs[one.kind].seconds(one.sizes) for one in own]
         longest = max((s / _n_batches(settings, one) for s, one in zip(seconds, own, strict=True)), default=0.0)
         n_bytes = sum(costs[one.kind].n_bytes(one.sizes) for one in own)
-        sources = {"calibration" if one.kind in calibrated else "store" for one in own}
+        found = {sources.get(one.kind, "store") for one in own}
         n_units = sum(sum(one.units) for one in own)
-        source = " and ".join(sorted(sources))
+        source = " and ".join(sorted(found))
         forecasts.append(StageForecast(stage.name, stage.unit, n_units, sum(seconds), longest, n_bytes, source))
     return forecasts
 
@@ -251,6 +250,7 @@ _BYTES = {
 networks are smaller than the paper's. Tables of generations are estimated by their designs."""
 
 _BYTES_PER_DESIGN = 200.0
+_QUICK_BATCH = 1024
 
 
 def bytes_left_of_study(settings: Settings, upstream: Upstream) -> float:
@@ -264,21 +264,14 @@ def bytes_left_of_study(settings: Settings, upstream: Upstream) -> float:
     return total
 
 
-def on_stated_gpu(settings: Settings, samples: Sequence[Sample], tflops: float) -> list[Sample]:
-    """Replace the seconds of training by those of a GPU.
+def on_stated_gpu(settings: Settings, tflops: float) -> Sample:
+    """Return the cost of training a network on a GPU that reaches a stated rate [TFLOP/s].
 
     Each weight takes a multiplication and an addition for each sample of a minibatch: once forward, and twice backward.
-
-    Args:
-        settings: the study's settings.
-        samples: the cost of training networks; a unit is an iteration.
-        tflops: the rate that the GPU reaches [TFLOP/s].
-
-    Returns:
-        Samples of the same sizes and bytes.
     """
-    flop = 6.0 * settings.network.n_weights * settings.training.batch_size
-    return [replace(one, seconds=flop * one.size / (tflops * 1e12)) for one in samples]
+    n_iterations = settings.training.n_iterations
+    flop = 6.0 * settings.network.n_weights * settings.training.batch_size * n_iterations
+    return Sample(n_iterations, flop / (tflops * 1e12), _BYTES["iterations"][0])
 
 
 def forecast_study(
@@ -320,21 +313,24 @@ def forecast_study(
             upstream, samples = _survey(settings, store, say)
             samples = {**_samples_of_others(settings, store, say), **samples}
     remaining = remaining_chains(settings, upstream)
-    unknown = {one.kind for one in remaining} - samples.keys()
-    if unknown:
-        samples |= calibrate(settings if gpu_tflops is None else _without_gpu(settings), unknown, say=say)
+    sources = dict.fromkeys({one.kind for one in remaining} - samples.keys(), "calibration")
     if gpu_tflops is not None:
-        trained = {kind: of for kind, of in samples.items() if kind.stage == "train"}
-        samples |= {kind: on_stated_gpu(settings, of, gpu_tflops) for kind, of in trained.items()}
+        trained = {one.kind for one in remaining if one.stage.name == "train"}
+        samples |= {kind: [on_stated_gpu(settings, gpu_tflops)] for kind in trained}
+        sources |= dict.fromkeys(trained, "stated rate")
+    if measured := {kind for kind, source in sources.items() if source == "calibration"}:
+        samples |= calibrate(settings if gpu_tflops is None else _without_gpu(settings), measured, say=say)
     costs = {kind: Cost.fit(of) for kind, of in samples.items()}
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    stages = tuple(forecast_stages(settings, remaining, costs, unknown))
+    stages = tuple(forecast_stages(settings, remaining, costs, sources))
     store_bytes = None if store is None else store.size_bytes()
     return StudyForecast(settings.name, stages, tuple(dict.fromkeys([own, *cores])), store_bytes)
 
 
 def _without_gpu(settings: Settings) -> Settings:
-    return settings.model_copy(update={"training": settings.training.model_copy(update={"device": "cpu"})})
+    """Return settings whose networks a core trains at once, to compute what comes after them."""
+    quick = {"device": "cpu", "batch_size": min(_QUICK_BATCH, settings.training.batch_size)}
+    return settings.model_copy(update={"training": settings.training.model_copy(update=quick)})
 
 
 def forecast_lines(forecast: StudyForecast) -> Iterator[str]:

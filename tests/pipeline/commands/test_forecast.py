@@ -59,12 +59,12 @@ def test_the_longest_chain_is_divided_by_the_batches_of_a_generation():
     paper = load(Settings, preset_path("paper"))
     remaining = [one for one in remaining_chains(paper, {}) if one.stage.name == "evolve"]
     costs = {one.kind: Cost(0.0, 1.0 / one.chain.weight, 0.0, 1.0 / one.chain.weight) for one in remaining}
-    evolve = {stage.stage: stage for stage in forecast_stages(paper, remaining, costs, ())}["evolve"]
+    evolve = {stage.stage: stage for stage in forecast_stages(paper, remaining, costs, {})}["evolve"]
     assert evolve.n_units == evolve.core_seconds == pytest.approx(310_000)
     assert evolve.longest_chain_seconds == pytest.approx(1000)
     assert evolve.seconds(100) == pytest.approx(3100) and evolve.seconds(1000) == pytest.approx(1000)
     alone = [one for one in remaining if one.kind.environment == "residual_slush"]
-    (split,) = (stage for stage in forecast_stages(paper, alone, costs, ()) if stage.stage == "evolve")
+    (split,) = (stage for stage in forecast_stages(paper, alone, costs, {}) if stage.stage == "evolve")
     assert split.longest_chain_seconds == pytest.approx(1000 / 16)
 
 
@@ -107,7 +107,7 @@ def test_training_is_priced_for_a_stated_gpu(settings):
     found = forecast_study(study, None, (), gpu_tflops=20.0, say=lambda line: None)
     train = next(stage for stage in found.stages if stage.stage == "train")
     flop = 6 * (6 * 256 + 3 * 256 * 256 + 256 * 6) * 262_144 * train.n_units
-    assert train.core_seconds == pytest.approx(flop / 20e12)
+    assert train.core_seconds == pytest.approx(flop / 20e12) and train.source == "stated rate"
 
 
 @pytest.mark.parametrize(
