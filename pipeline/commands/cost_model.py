@@ -250,7 +250,7 @@ _BYTES = {
 networks are smaller than the paper's. Tables of generations are estimated by their designs."""
 
 _BYTES_PER_DESIGN = 200.0
-_QUICK_BATCH = 1024
+_QUICK_BATCH = 1024  # of networks that are trained only because later stages need some
 
 
 def bytes_left_of_study(settings: Settings, upstream: Upstream) -> float:

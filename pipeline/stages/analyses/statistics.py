@@ -88,11 +88,8 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     scores = Scores(*(table[name] for name in columns))
     main = spec.throw_groups[0] if spec.throw_groups else ""
     shares = assessed_among(inputs, main) if main else []
-    predicted, true, trial = _predictions(shares)
-    regressions = [
-        replace(row, learned_from=main)
-        for row in accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
-    ]
+    predicted, true, trial = predictions = _predictions(shares)
+    regressions = _accuracy(spec, main, predictions, rng)
     ranges = members_ranges(predicted, true, rng=generator(spec.seed, "analyse", "members-ranges"), trial=trial)
     reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), job.spec.not_assessed)
     if shares and not (np.isfinite(predicted).all(axis=0) & np.isfinite(true)).any():
@@ -126,14 +123,24 @@ def _of_other_ensembles(spec: StatisticsSpec, inputs: Inputs) -> list[Regression
     """Assess the ensembles that learned from other throws than the main one."""
     found = []
     for group in spec.throw_groups[1:]:
-        predicted, true, trial = _predictions(assessed_among(inputs, group))
-        rng = generator(spec.seed, "analyse", "accuracy", group)
-        rows = accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
-        found += [replace(row, learned_from=group) for row in rows]
+        predictions = _predictions(assessed_among(inputs, group))
+        found += _accuracy(spec, group, predictions, generator(spec.seed, "analyse", "accuracy", group))
     return found
 
 
-def _predictions(shares: Sequence[Files]) -> tuple[Float64, Float64, list[str]]:
+_Predictions = tuple[Float64, Float64, list[str]]
+
+
+def _accuracy(
+    spec: StatisticsSpec, group: str, predictions: _Predictions, rng: np.random.Generator
+) -> list[Regression]:
+    """Assess the ensemble that learned from a group of throws."""
+    predicted, true, trial = predictions
+    rows = accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
+    return [replace(row, learned_from=group) for row in rows]
+
+
+def _predictions(shares: Sequence[Files]) -> _Predictions:
     """Return (n_members, n_designs) predicted and (n_designs,) true displacement, and the trial of each design.
 
     With several replicates, member k is the k-th of that replicate's ensemble which the design's trial uses.
