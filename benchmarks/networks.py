@@ -17,9 +17,13 @@ from numba.extending import intrinsic
 
 from benchmarks.engines import N_ROUNDS, N_STEPS, designs
 from benchmarks.measure import Figure, seconds
+from tasks.residual import Architecture, Training
+from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
+from tasks.residual.network import initial_weights
+from tasks.residual.torch_descent import TorchDescent
 from tasks.simulation import simulate
-from tasks.simulation.networks.inference import N_LANES
+from tasks.simulation.networks.tiles import N_LANES
 from tasks.world import ResidualSlush
 
 N_MEMBERS = 8
@@ -123,4 +127,35 @@ def generation() -> list[Figure]:
         scaled = [r * N_STEPS / N_TIMED for r in rounds]
         promise = 16.0 if width == 256 else None
         figures.append(Figure(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", promise))
+    return figures
+
+
+def training() -> list[Figure]:
+    """Train networks of three shapes for some iterations: the kernel and torch."""
+    figures = []
+    for (hidden_layers, width), batch_size in (((2, 32), 2048), ((3, 64), 4096), ((4, 256), 16384)):
+        rng = np.random.default_rng(3)
+        architecture = Architecture(hidden_layers=hidden_layers, width=width)
+        settings = Training(loss="mse", batch_size=batch_size)
+        rows = rng.normal(size=(90_000, 12)).astype(np.float32)
+        weights = initial_weights(architecture, rng)
+        ours, theirs = (
+            engine(weights, rows, architecture.dropout, settings, np.random.default_rng(4))
+            for engine in (Descent, TorchDescent)
+        )
+        n = max(1, 400_000 // (batch_size * width))
+        ours.advance(1)
+        theirs.advance(1)
+        times, ratios = [], []
+        for _ in range(N_ROUNDS):
+            by_kernel, by_torch = (
+                min(seconds(lambda run=run, n=n: run.advance(n)) for _ in range(4)) / n for run in (ours, theirs)
+            )
+            times.append(1e3 * by_kernel)
+            ratios.append(by_torch / by_kernel)
+        shape = f"{hidden_layers} × {width}"
+        figures += [
+            Figure(f"a training iteration of {batch_size:,} samples, {shape}", times, "ms"),
+            Figure(f"training {shape} over torch", ratios, "times", 2.5 if width == 32 else None, at_least=True),
+        ]
     return figures

@@ -27,7 +27,7 @@ class _Serial:
 
     @property
     def n_gpus(self) -> float:
-        from tasks.residual.training import n_cuda_devices
+        from tasks.residual.torch_descent import n_cuda_devices
 
         return float(n_cuda_devices())
 

@@ -170,7 +170,7 @@ def _ensemble(
 
 TRAIN = Stage(
     name="train",
-    version=1,
+    version=2,
     unit="iterations",
     reads=lambda settings: ("collect",),
     plan=_plan,

@@ -154,7 +154,7 @@ def _folded(member: Mapping[str, Float32], k: int) -> list[tuple[Float32, Float3
         member[name].astype(np.float64) for name in _SCALES
     )
     weights[0] = weights[0] / observation_deviation[:, None]
-    biases[0] = biases[0] - observation_mean @ weights[0]
+    biases[0] = biases[0] - (observation_mean[:, None] * weights[0]).sum(axis=0)  # in the same order everywhere
     weights[-1] = (weights[-1] * residual_deviation)[:, VELOCITIES]
     biases[-1] = (biases[-1] * residual_deviation + residual_mean)[VELOCITIES]
     return [(weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in zip(weights, biases, strict=True)]

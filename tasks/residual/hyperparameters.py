@@ -3,6 +3,7 @@
 [P] marks values of the paper; the others are our decisions.
 """
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -75,3 +76,12 @@ class Training(Parameters):
                 f"min_learning_rate is {self.min_learning_rate}, expected at most learning_rate, {self.learning_rate}"
             )
         return self
+
+
+def learning_rate(training: Training, iteration: int) -> float:
+    """Return the rate at an iteration from 0: a linear warm-up, then exponential decay to the least rate at the end."""
+    n_warm_up = round(training.warm_up * training.n_iterations)
+    if iteration < n_warm_up:
+        return training.learning_rate * (iteration + 1) / n_warm_up
+    decayed = (iteration - n_warm_up) / (training.n_iterations - 1 - n_warm_up)
+    return training.learning_rate * math.pow(training.min_learning_rate / training.learning_rate, decayed)

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import torch
-from torch import Tensor, nn
+from numpy.random import Generator
 
 from tasks.arrays import Float32
 from tasks.residual.hyperparameters import Architecture
@@ -68,51 +67,19 @@ def _moments(rows: Float32) -> tuple[Float32, Float32]:
     return mean.astype(np.float32), deviation.astype(np.float32)
 
 
-class ResidualNetwork(nn.Module):
-    """Network from (n_rows, n_inputs) standardised observations to (n_rows, 6) standardised residuals."""
+def initial_weights(architecture: Architecture, rng: Generator) -> dict[str, Float32]:
+    """Draw weight_i (n_in, n_out) and bias_i (n_out,) of each layer i, for rows @ weight + bias.
 
-    def __init__(self, architecture: Architecture) -> None:
-        """Initialise from torch's current seed."""
-        super().__init__()
-        sizes = [len(architecture.observation), *[architecture.width] * architecture.hidden_layers, len(STATE)]
-        self.layers = nn.ModuleList(nn.Linear(n_in, n_out) for n_in, n_out in pairwise(sizes))
-        self.n_inputs = len(architecture.observation)
-        self.dropout = architecture.dropout
-
-    def forward(self, observation: Tensor) -> Tensor:
-        """Predict residuals; dropout is active while training."""
-        *hidden_layers, last = self.layers
-        rows = observation
-        for layer in hidden_layers:
-            rows = torch.relu(layer(rows))
-            if self.training and self.dropout > 0:
-                rows = rows * dropout_mask(rows.shape, self.dropout, rows.device)
-        out: Tensor = last(rows)
-        return out
-
-    def arrays(self) -> dict[str, Float32]:
-        """Return copies of weight_i (n_in, n_out) and bias_i (n_out,) of each layer i, for rows @ weight + bias."""
-        arrays: dict[str, Float32] = {}
-        for i in range(len(self.layers)):
-            arrays[f"weight_{i}"] = self.get_parameter(f"layers.{i}.weight").detach().cpu().numpy().T.copy()
-            arrays[f"bias_{i}"] = self.get_parameter(f"layers.{i}.bias").detach().cpu().numpy().copy()
-        return arrays
-
-
-def dropout_mask(shape: torch.Size, p: float, device: torch.device) -> Tensor:
-    """Return factors that are 0 with probability p and 1 / (1 - p) otherwise, independently.
-
-    Gaps between dropped units are geometric, so only the few gaps are drawn. torch's dropout draws a number for every
-    unit, which took half the training time of a small network at the paper's p.
+    They are uniform within ±1 / √n_in, as in torch.nn.Linear.
 
     Args:
-        shape: shape of the mask.
-        p: probability of 0.
-        device: device of the mask.
+        architecture: the network's size.
+        rng: generator.
     """
-    n = shape.numel()
-    # Enough gaps to pass the end: the mean plus ten deviations falls short with a probability below 1e-20.
-    n_gaps = int(n * p + 10 * (n * p) ** 0.5 + 20)
-    dropped = torch.empty(n_gaps, dtype=torch.int64, device=device).geometric_(p).cumsum(0).sub_(1).clamp_(max=n)
-    mask = torch.full((n + 1,), 1 / (1 - p), device=device)  # position n stands for all past the end
-    return mask.index_fill_(0, dropped, 0.0)[:n].view(shape)
+    sizes = [len(architecture.observation), *[architecture.width] * architecture.hidden_layers, len(STATE)]
+    weights: dict[str, Float32] = {}
+    for i, (n_in, n_out) in enumerate(pairwise(sizes)):
+        bound = n_in**-0.5
+        weights[f"weight_{i}"] = rng.uniform(-bound, bound, (n_in, n_out)).astype(np.float32)
+        weights[f"bias_{i}"] = rng.uniform(-bound, bound, n_out).astype(np.float32)
+    return weights

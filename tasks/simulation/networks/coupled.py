@@ -18,7 +18,8 @@ import numpy as np
 from tasks.arrays import Bools, Float32, Int64
 from tasks.compiled import inline
 from tasks.design.genes import N_LINKS
-from tasks.simulation.networks.inference import N_LANES, PackedNetworks, run_networks
+from tasks.simulation.networks.inference import PackedNetworks, run_networks
+from tasks.simulation.networks.tiles import N_LANES
 from tasks.simulation.simd.lanes import Block, as_block, sqrt
 from tasks.simulation.trees import layout
 

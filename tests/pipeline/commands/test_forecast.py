@@ -21,7 +21,7 @@ from pipeline.config.loading import load, parse, preset_path
 from pipeline.config.settings import Settings
 from pipeline.stages import STAGES
 from pipeline.store.store import Store, StudyRecord
-from tasks.residual.training import n_cuda_devices
+from tasks.residual.torch_descent import n_cuda_devices
 
 
 def sample(size: float, seconds: float) -> Sample:

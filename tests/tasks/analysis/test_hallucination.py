@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import torch
 
 from tasks.analysis.hallucination import (
     acceleration,
@@ -13,7 +12,7 @@ from tasks.analysis.hallucination import (
 from tasks.design import random_designs
 from tasks.residual import Architecture
 from tasks.residual.ensemble import Ensemble
-from tasks.residual.network import ResidualNetwork
+from tasks.residual.network import initial_weights
 from tasks.simulation import simulate
 from tasks.world import LinkStates, Physics, ResidualSlush, Slush
 
@@ -97,14 +96,14 @@ def test_traces_of_other_designs_are_refused():
 
 
 def test_trained_members_are_asked_about_the_same_links(study):
-    torch.manual_seed(0)
+    rng = np.random.default_rng(0)
     scales = {
         f"{what}_{moment}": np.full(6, value, np.float32)
         for what in ("observation", "residual")
         for moment, value in (("mean", 0.0), ("deviation", 1.0))
     }
-    networks = [ResidualNetwork(Architecture(hidden_layers=2, width=16)) for _ in range(3)]
-    arrays = [{**network.arrays(), **scales} for network in networks]
+    architecture = Architecture(hidden_layers=2, width=16)
+    arrays = [{**initial_weights(architecture, rng), **scales} for _ in range(3)]
     ensemble = Ensemble.from_members(arrays)
     links = link_states(study.designs, study.trace[:, :4], PHYSICS)
     said = member_accelerations(ensemble, links, PHYSICS)

@@ -11,7 +11,7 @@ from tasks.design import random_designs
 from tasks.residual.observation import INPUTS, OBSERVATION
 from tasks.simulation.batch import scene_of
 from tasks.simulation.networks import coupled
-from tasks.simulation.networks.inference import N_LANES
+from tasks.simulation.networks.tiles import N_LANES
 from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees.groups import Groups
 from tasks.world import Physics, ResidualSlush

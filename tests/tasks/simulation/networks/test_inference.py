@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from tasks.simulation.networks.inference import TILE_ROWS, TILE_UNITS, PackedNetworks
+from tasks.simulation.networks.inference import PackedNetworks
+from tasks.simulation.networks.tiles import TILE_ROWS, TILE_UNITS
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="the ensemble uses torch then")
 

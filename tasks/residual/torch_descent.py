@@ -1,0 +1,174 @@
+"""The descent of descent.py by torch: for CUDA devices, and on a CPU for comparison with the compiled kernel."""
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import torch
+from numpy.random import Generator
+from torch import Tensor
+from torch.optim.adamw import adamw
+
+from tasks.arrays import Float32, Float64
+from tasks.residual.descent_kernel import BETA_1, BETA_2, EPSILON
+from tasks.residual.hyperparameters import Training, learning_rate
+from tasks.residual.observation import STATE
+
+
+class TorchDescent:
+    """A network that is trained by torch, with the interface of :class:`tasks.residual.descent.Descent`.
+
+    The random numbers are others, so the networks are, too. The data stay on the device.
+    """
+
+    def __init__(
+        self, weights: Mapping[str, Float32], rows: Float32, dropout: float, training: Training, rng: Generator
+    ) -> None:
+        """Begin at a network's weights; see :class:`tasks.residual.descent.Descent`."""
+        self._training, self._dropout = training, dropout
+        self._device = torch.device(training.device)
+        self._rows = torch.from_numpy(rows).to(self._device)
+        self._layers = [
+            tuple(
+                torch.tensor(weights[f"{kind}_{i}"], device=self._device, requires_grad=True)
+                for kind in ("weight", "bias")
+            )
+            for i in range(len(weights) // 2)
+        ]
+        self.n_inputs = len(self._layers[0][0])
+        self._random = torch.Generator(self._device)
+        self._random.manual_seed(int(rng.integers(2**63)))
+        self._update = weight_updates([array for layer in self._layers for array in layer], training.weight_decay)
+        self._n_done = 0
+
+    def advance(self, n_iterations: int) -> Float64:
+        """Take iterations and return the (n_iterations,) mean loss of each minibatch."""
+        n_rows, batch_size = len(self._rows), self._training.batch_size
+        losses = np.empty(n_iterations)
+        with _deterministic(self._device):
+            for i in range(n_iterations):
+                drawn = torch.randint(n_rows, (batch_size,), device=self._device, generator=self._random)
+                losses[i] = self.step(self._rows.index_select(0, drawn))
+        return losses
+
+    def step(self, batch: Tensor) -> float:
+        """Take one iteration on the given (n_rows, n_columns) rows; return their mean loss."""
+        predicted = self._forward(batch[:, : self.n_inputs], self._dropout)
+        loss = mean_loss(self._training, predicted, batch[:, self.n_inputs :])
+        for layer in self._layers:
+            for array in layer:
+                array.grad = None
+        loss.backward()  # type: ignore[no-untyped-call]
+        self._update(learning_rate(self._training, self._n_done))
+        self._n_done += 1
+        return loss.item()
+
+    def weights(self) -> dict[str, Float32]:
+        """Return copies of weight_i and bias_i of each layer i."""
+        weights: dict[str, Float32] = {}
+        for i, (weight, bias) in enumerate(self._layers):
+            weights[f"weight_{i}"] = weight.detach().cpu().numpy().copy()
+            weights[f"bias_{i}"] = bias.detach().cpu().numpy().copy()
+        return weights
+
+    def predict(self, inputs: Float32) -> Float32:
+        """Map (n_rows, n_inputs) standardised observations to (n_rows, 6) standardised residuals, without dropout."""
+        with torch.inference_mode(), _deterministic(self._device):
+            return self._forward(torch.from_numpy(inputs).to(self._device), 0.0).cpu().numpy()
+
+    def _forward(self, rows: Tensor, dropout: float) -> Tensor:
+        *hidden_layers, (last_weight, last_bias) = self._layers
+        for weight, bias in hidden_layers:
+            rows = torch.relu(torch.addmm(bias, rows, weight))
+            if dropout > 0:
+                rows = rows * dropout_mask(rows.shape, dropout, self._random)
+        return torch.addmm(last_bias, rows, last_weight)
+
+
+def mean_loss(training: Training, predicted: Tensor, targets: Tensor) -> Tensor:
+    """Return the mean loss over rows, as tasks.residual.training.mean_loss does, as a node of torch's graph.
+
+    Args:
+        training: the loss and its parameters.
+        predicted: (n_rows, 6) predicted residuals.
+        targets: (n_rows, 6) residuals; 6 more columns weight their squared errors.
+    """
+    squared = (predicted - targets[:, : len(STATE)]).square()
+    weight = targets[:, len(STATE) :]
+    L_mse = (weight * squared if weight.shape[1] else squared).mean(dim=1)
+    if training.loss == "mse":
+        return L_mse.mean()
+    fade = (-torch.expm1(-training.focal_s * L_mse)) ** training.focal_gamma
+    return training.focal_alpha * (fade * L_mse).mean()
+
+
+def weight_updates(parameters: Sequence[Tensor], weight_decay: float) -> Callable[[float], None]:
+    """Return the update of AdamW, which takes a learning rate and changes parameters in place by their gradients.
+
+    It is the function behind torch.optim.AdamW. The class would import torch's compiler, which takes each process that
+    trains 2 to 6 s.
+    """
+    mean, mean_square = ([torch.zeros_like(parameter) for parameter in parameters] for _ in range(2))
+    n_updates = [torch.zeros((), device=parameter.device) for parameter in parameters]
+
+    @torch.no_grad()
+    def update(rate: float) -> None:
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+        adamw(
+            list(parameters),
+            gradients,
+            mean,
+            mean_square,
+            [],
+            n_updates,
+            fused=True,
+            amsgrad=False,
+            beta1=BETA_1,
+            beta2=BETA_2,
+            lr=rate,
+            weight_decay=weight_decay,
+            eps=EPSILON,
+            maximize=False,
+        )
+
+    return update
+
+
+def dropout_mask(shape: torch.Size, p: float, random: torch.Generator) -> Tensor:
+    """Return factors that are 0 with probability p and 1 / (1 - p) otherwise, independently.
+
+    Gaps between dropped units are geometric, so only the few gaps are drawn. torch's dropout draws a number for every
+    unit, which took half the training time of a small network at the paper's p.
+
+    Args:
+        shape: shape of the mask.
+        p: probability of 0.
+        random: generator, on the device of the mask.
+    """
+    n = shape.numel()
+    # Enough gaps to pass the end: the mean plus ten deviations falls short with a probability below 1e-20.
+    n_gaps = int(n * p + 10 * (n * p) ** 0.5 + 20)
+    gaps = torch.empty(n_gaps, dtype=torch.int64, device=random.device).geometric_(p, generator=random)
+    mask = torch.full((n + 1,), 1 / (1 - p), device=random.device)  # position n stands for all past the end
+    return mask.index_fill_(0, gaps.cumsum(0).sub_(1).clamp_(max=n), 0.0)[:n].view(shape)
+
+
+def n_cuda_devices() -> int:
+    """Count the CUDA devices that torch can use here."""
+    return torch.cuda.device_count() if torch.cuda.is_available() else 0
+
+
+@contextmanager
+def _deterministic(device: torch.device) -> Iterator[None]:
+    """Restrict torch to one thread and deterministic algorithms; restore its state afterwards."""
+    n_threads, mode = torch.get_num_threads(), torch.get_deterministic_debug_mode()
+    if device.type == "cuda":
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # without it cuBLAS refuses to be deterministic
+    try:
+        torch.set_num_threads(1)
+        torch.set_deterministic_debug_mode("error")  # use_deterministic_algorithms would import torch's compiler
+        yield
+    finally:
+        torch.set_num_threads(n_threads)
+        torch.set_deterministic_debug_mode(mode)

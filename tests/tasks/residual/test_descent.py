@@ -1,0 +1,177 @@
+"""The compiled training: torch's gradients, AdamW's updates, and bits that no width of vectors changes."""
+
+import hashlib
+import subprocess
+import sys
+
+import numba
+import numpy as np
+import pytest
+
+from tasks.residual import Architecture, Training
+from tasks.residual.descent import Descent, _drops
+from tasks.residual.descent_kernel import CHUNK
+from tasks.residual.hyperparameters import learning_rate
+from tasks.residual.network import initial_weights
+from tests.tasks.residual.test_torch_descent import gradient_by_torch, rows_of
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="torch trains then")
+
+MSE = Training(loss="mse", batch_size=200, n_iterations=100)
+
+
+def descent(training=MSE, n_inputs=6, weighted=False, dropout=0.0, seed=1, **size):
+    names = ("a", "y", "cos_angle", "vx", "vy", "omega", "speed", "abs_omega", "abs_sin_angle")
+    architecture = Architecture(**{"hidden_layers": 2, "width": 32, **size}, observation=names[:n_inputs])
+    weights = initial_weights(architecture, np.random.default_rng(seed))
+    rows = rows_of(500, n_inputs, weighted)
+    return Descent(weights, rows, dropout, training, np.random.default_rng(seed + 1)), weights, rows
+
+
+def gradient(network):
+    """The gradient of the first iteration, from the moving mean of AdamW, in the shapes of the weights."""
+    network._memory.parameters[:] = network._memory.mean / np.float32(0.1)
+    return network.weights()
+
+
+@pytest.mark.parametrize(
+    ("case", "training"),
+    [
+        ({}, MSE),
+        ({}, Training(batch_size=200)),
+        ({}, Training(batch_size=200, focal_alpha=2.0, focal_s=3.0, focal_gamma=1.0)),
+        ({"weighted": True}, MSE),
+        ({"weighted": True}, Training(batch_size=200)),
+        ({"n_inputs": 9}, MSE),
+        ({"hidden_layers": 1, "width": 5}, MSE),
+        ({"hidden_layers": 3, "width": 23}, MSE),
+        ({"hidden_layers": 4, "width": 64}, MSE),
+        ({"hidden_layers": 1, "width": 1, "n_inputs": 1}, MSE),
+        *(({}, MSE.model_copy(update={"batch_size": n})) for n in (1, CHUNK, CHUNK + 1, 3 * CHUNK - 1)),
+    ],
+)
+def test_an_iteration_has_the_loss_and_the_gradient_of_torch(case, training):
+    network, weights, rows = descent(training, **case)
+    batch = rows[np.random.default_rng(2).integers(len(rows), size=training.batch_size)]
+    loss, expected = gradient_by_torch(weights, batch, training)
+    assert network.advance(1)[0] == pytest.approx(loss, rel=1e-5)
+    got = gradient(network)
+    largest = max(abs(array).max() for array in expected.values())
+    for name, array in expected.items():
+        assert abs(got[name] - array).max() < 1e-5 * largest, name
+
+
+@pytest.mark.parametrize("dropout", [0.01, 0.5])
+def test_dropped_units_neither_act_nor_learn(dropout):
+    training = MSE.model_copy(update={"batch_size": 2 * CHUNK + 40})
+    network, weights, rows = descent(training, dropout=dropout, hidden_layers=3, width=20)
+    rng = np.random.default_rng(2)
+    batch = rows[rng.integers(len(rows), size=training.batch_size)]
+    n_units = training.batch_size * 3 * 20
+    # the gaps between dropped units are geometric: a unit is dropped with the same probability wherever it is
+    dropped = rng.geometric(dropout, int(n_units * dropout + 10 * (n_units * dropout) ** 0.5 + 20)).cumsum() - 1
+    kept = np.ones(n_units)
+    kept[dropped[dropped < n_units]] = 0
+    kept = kept.reshape(-1, 3, 20) / (1 - dropout)
+    loss, expected = gradient_by_torch(weights, batch, training, kept)
+    assert network.advance(1)[0] == pytest.approx(loss, rel=1e-5)
+    got = gradient(network)
+    for name, array in expected.items():
+        assert abs(got[name] - array).max() < 1e-5 * abs(array).max(), name
+
+
+@pytest.mark.parametrize("p", [0.001, 0.1, 0.9])
+def test_a_share_p_of_the_units_is_dropped_independently(p):
+    n_iterations, n_units = 4, 256_000
+    dropped, first = _drops(np.random.default_rng(0), p, n_iterations, n_units)
+    assert first[0] == 0 and first[-1] == len(dropped)
+    variance = n_units * p * (1 - p)
+    for i in range(n_iterations):
+        own = dropped[first[i] : first[i + 1]]
+        assert (np.diff(own) > 0).all() and own[0] >= 0 and own[-1] < n_units
+        assert len(own) == pytest.approx(n_units * p, abs=5 * variance**0.5)
+    # Independent: a unit and the next are both dropped p² of the time.
+    n = n_iterations * n_units
+    both = int((np.diff(dropped) == 1).sum())
+    assert both == pytest.approx(n * p * p, abs=5 * max((n * p * p) ** 0.5, 2 * p * (4 * variance) ** 0.5) + 1)
+
+
+def test_updates_are_those_of_adamw():
+    """Loshchilov and Hutter, Decoupled Weight Decay Regularization, algorithm 2, with each iteration's gradient."""
+    training = Training(loss="mse", batch_size=64, n_iterations=10, weight_decay=0.1, learning_rate=0.1)
+    network, _, _ = descent(training)
+    memory = network._memory
+    expected = memory.parameters.astype(float)
+    m, v = np.zeros_like(expected), np.zeros_like(expected)
+    for t in range(1, 11):
+        network.advance(1)
+        gradient = memory.sums.sum(axis=1, dtype=float)
+        m = 0.9 * m + 0.1 * gradient
+        v = 0.999 * v + 0.001 * gradient**2
+        step = m / (1 - 0.9**t) / (np.sqrt(v / (1 - 0.999**t)) + 1e-8)
+        expected -= learning_rate(training, t - 1) * (0.1 * expected + step)
+        # some roundings of numbers below 1 in each of t updates, of at most 0.1 each
+        np.testing.assert_allclose(memory.parameters, expected, atol=t * 2e-6)
+
+
+def test_minibatches_are_drawn_with_replacement():
+    """Two rows to learn from, and a learning rate that changes nothing: a batch's loss counts how often each came."""
+    still = {"learning_rate": 1e-30, "min_learning_rate": 1e-30, "loss": "mse", "weight_decay": 0.0}
+    weights = initial_weights(Architecture(hidden_layers=1, width=4), np.random.default_rng(0))
+    rows = (10 * np.random.default_rng(1).normal(size=(2, 12))).astype(np.float32)
+
+    def losses(batch_size, n_iterations):
+        training = Training(batch_size=batch_size, n_iterations=n_iterations, **still)
+        return Descent(weights, rows, 0.0, training, np.random.default_rng(2)).advance(n_iterations)
+
+    single = losses(1, 50)
+    low, high = single.min(), single.max()
+    assert high > 1.01 * low
+    assert ((np.abs(single - low) < 1e-5 * high) | (np.abs(single - high) < 1e-5 * high)).all()
+    # The share of one row in a batch of 64 is binomial: a deviation of (1/4 / 64)^½ of the losses' difference. Of 500
+    # batches the deviation is known to 1 / (2 · 500)^½ = 3 %.
+    spread = losses(64, 500).std() / (high - low)
+    assert spread == pytest.approx(1 / 16, rel=5 * 0.032)
+
+
+def test_many_iterations_in_one_call_are_those_of_many_calls():
+    whole, _, _ = descent(MSE, dropout=0.0)
+    parts, _, _ = descent(MSE, dropout=0.0)
+    losses = whole.advance(12)
+    assert (np.concatenate([parts.advance(n) for n in (1, 4, 7)]) == losses).all()
+    for name, array in whole.weights().items():
+        assert (array == parts.weights()[name]).all()
+
+
+def digest():
+    network, _, _ = descent(MSE, dropout=0.001, weighted=True, n_inputs=9)
+    network.advance(60)
+    arrays = network.weights().values()
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+
+DIGEST = "e07a1e1b2ca8c754b8257e5858ec13fc9d771a7e084786117058f24729e80d37"
+
+
+def test_the_bytes_are_those_of_every_processor():
+    assert digest() == DIGEST
+
+
+WIDTHS = {4: set(), 8: {"avx"}, 16: {"avx", "avx512f"}}
+
+
+@pytest.mark.parametrize("n_lanes", WIDTHS)
+def test_the_width_of_the_vectors_changes_no_byte(n_lanes):
+    """The compiler splits vectors that are wider than the registers, so a machine can try all widths."""
+    program = (
+        "import llvmlite.binding as llvm\n"
+        "features = llvm.get_host_cpu_features()\n"
+        "class Pretended(type(features)):\n"  # the compiler reads the real ones by flatten()
+        f"    get = lambda self, name: name in {WIDTHS[n_lanes]}\n"
+        "llvm.get_host_cpu_features = lambda: Pretended(features)\n"
+        "from tasks.simulation.networks.tiles import N_LANES\n"
+        "from tests.tasks.residual.test_descent import digest\n"
+        "print(N_LANES, digest())"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == [str(n_lanes), DIGEST]

@@ -1,0 +1,154 @@
+"""Training by torch: gradients by hand, AdamW, dropout, and torch left as it was."""
+
+import numpy as np
+import pytest
+import torch
+
+from tasks.residual import Architecture, Training
+from tasks.residual.network import initial_weights
+from tasks.residual.torch_descent import TorchDescent, dropout_mask, mean_loss, n_cuda_devices, weight_updates
+
+ARCHITECTURE = Architecture(hidden_layers=2, width=16)
+
+
+def rows_of(n_rows, n_inputs=6, weighted=False, seed=3):
+    """Random inputs, targets that are a function of them, and weights."""
+    rng = np.random.default_rng(seed)
+    inputs = rng.normal(size=(n_rows, n_inputs))
+    targets = np.sin(inputs @ rng.normal(0, n_inputs**-0.5, (n_inputs, 6))) + 0.1 * rng.normal(size=(n_rows, 6))
+    weights = [rng.uniform(size=(n_rows, 6))] if weighted else []
+    return np.concatenate([inputs, targets, *weights], axis=1).astype(np.float32)
+
+
+def gradient_by_torch(weights, batch, training, kept=None):
+    """The mean loss of a minibatch and its gradient in float64; units have factors (n_rows, hidden_layers, width)."""
+    arrays = {name: torch.tensor(array, dtype=torch.float64, requires_grad=True) for name, array in weights.items()}
+    n_layers = len(weights) // 2
+    n_inputs = len(weights["weight_0"])
+    batch = torch.from_numpy(batch).double()
+    h = batch[:, :n_inputs]
+    for i in range(n_layers):
+        h = h @ arrays[f"weight_{i}"] + arrays[f"bias_{i}"]
+        if i < n_layers - 1:
+            h = h.relu() * (1.0 if kept is None else torch.from_numpy(kept[:, i]))
+    loss = mean_loss(training, h, batch[:, n_inputs:])
+    loss.backward()
+    return loss.item(), {name: array.grad.numpy() for name, array in arrays.items()}
+
+
+def new(training, dropout=0.0, seed=1, weighted=False):
+    weights = initial_weights(ARCHITECTURE, np.random.default_rng(seed))
+    return TorchDescent(
+        weights, rows_of(300, weighted=weighted), dropout, training, np.random.default_rng(seed)
+    ), weights
+
+
+@pytest.mark.parametrize("loss", ["mse", "focal"])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_an_iteration_follows_the_gradient_of_the_mean_loss(loss, weighted):
+    """AdamW's first step from a gradient g is rate · (g / (|g| + ε) + decay · θ): with a decay of 0, its sign."""
+    training = Training(loss=loss, batch_size=64, weight_decay=0.0, warm_up=0.0, learning_rate=1e-3)
+    descent, weights = new(training, weighted=weighted)
+    batch = rows_of(64, weighted=weighted, seed=9)
+    expected_loss, gradient = gradient_by_torch(weights, batch, training)
+    assert descent.step(torch.from_numpy(batch)) == pytest.approx(expected_loss, rel=1e-5)
+    for name, after in descent.weights().items():
+        large = np.abs(gradient[name]) > 1e-5
+        assert large.mean() > 0.5
+        step = (weights[name] - after)[large]
+        assert step == pytest.approx(1e-3 * np.sign(gradient[name][large]), rel=2e-3)
+
+
+def test_focal_loss_by_hand():
+    predicted = torch.tensor([[0.0] * 6, [0.3, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 2.0]])
+    true = torch.zeros(3, 6)
+    # ‖·‖² / 6: 0, 0.09 / 6 = 0.015, 9 / 6 = 1.5
+    focal = [0.0, 2 * (1 - np.exp(-10 * 0.015)) ** 3 * 0.015, 2 * (1 - np.exp(-10 * 1.5)) ** 3 * 1.5]
+    training = Training(focal_alpha=2.0, focal_s=10.0, focal_gamma=3.0)
+    assert float(mean_loss(training, predicted, true)) == pytest.approx(sum(focal) / 3, rel=1e-6)
+    assert float(mean_loss(Training(loss="mse"), predicted, true)) == pytest.approx((0.015 + 1.5) / 3, rel=1e-6)
+
+
+def test_focal_loss_is_smooth_for_tiny_errors():
+    error = torch.full((1, 6), 1e-6, requires_grad=True)
+    loss = mean_loss(Training(), error, torch.zeros(1, 6))
+    # 1 - exp(-s L) = s L (1 - s L / 2 ...) with s L = 1e-10
+    assert loss.item() == pytest.approx((100 * 1e-12) ** 2 * 1e-12, rel=1e-5)
+    zero = torch.zeros(1, 6, requires_grad=True)
+    mean_loss(Training(focal_gamma=1.0), zero, torch.zeros(1, 6)).backward()
+    assert (zero.grad == 0).all()
+
+
+def test_it_learns_and_a_second_run_gives_the_same_bytes_and_leaves_torch_as_it_was():
+    training = Training(loss="mse", batch_size=64, n_iterations=300, learning_rate=1e-2)
+    runs = []
+    for n_threads in (1, 2):
+        torch.set_num_threads(n_threads)
+        torch.manual_seed(n_threads)
+        before = torch.get_rng_state()
+        descent, _ = new(training, dropout=0.001)
+        losses = descent.advance(300)
+        assert losses[-50:].mean() < 0.5 * losses[:10].mean()
+        runs.append(descent.weights())
+        assert torch.get_num_threads() == n_threads
+        assert (torch.get_rng_state() == before).all()
+        assert not torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(1)
+    for name, array in runs[0].items():
+        assert array.tobytes() == runs[1][name].tobytes(), name
+
+
+def test_dropout_acts_in_training_alone():
+    training = Training(loss="mse", batch_size=64, learning_rate=1e-30, min_learning_rate=1e-30, weight_decay=0.0)
+    descent, _ = new(training, dropout=0.5)
+    batch = torch.from_numpy(rows_of(64))
+    assert descent.step(batch) != descent.step(batch)
+    x = rows_of(20)[:, :6]
+    plain, _ = new(training)
+    assert (descent.predict(x) == plain.predict(x)).all()
+
+
+@pytest.mark.parametrize("p", [0.001, 0.1, 0.9])
+def test_dropout_drops_a_share_p_and_keeps_the_mean(p):
+    mask = dropout_mask(torch.Size((4000, 256)), p, torch.Generator().manual_seed(0))
+    n = mask.numel()
+    dropped = mask == 0
+    assert (mask[~dropped] == torch.tensor(1 / (1 - p), dtype=torch.float32)).all()
+    deviation = (n * p * (1 - p)) ** 0.5
+    assert int(dropped.sum()) == pytest.approx(n * p, abs=5 * deviation)
+    # In any quarter too, the last included: the gaps reach the end.
+    for quarter in dropped.view(4, -1):
+        assert int(quarter.sum()) == pytest.approx(n * p / 4, abs=5 * deviation / 2)
+    # Independent: a unit and the next are both dropped p² of the time.
+    flat = dropped.flatten()
+    both = int((flat[1:] & flat[:-1]).sum())
+    assert both == pytest.approx(n * p * p, abs=5 * max((n * p * p) ** 0.5, deviation * 2 * p) + 1)
+
+
+@pytest.mark.skipif(n_cuda_devices() == 0, reason="there is no CUDA device")
+def test_a_gpu_gives_the_same_bytes_twice():
+    training = Training(loss="mse", batch_size=64, device="cuda")
+    once, again = (new(training, dropout=0.001)[0] for _ in range(2))
+    once.advance(20), again.advance(20)
+    for name, array in once.weights().items():
+        assert np.isfinite(array).all() and array.tobytes() == again.weights()[name].tobytes()
+
+
+def test_updates_are_those_of_adamw():
+    """Loshchilov and Hutter, Decoupled Weight Decay Regularization, algorithm 2."""
+    rng = np.random.default_rng(1)
+    parameters = [torch.tensor(rng.normal(size=shape), dtype=torch.float32) for shape in ((2, 3), (4,))]
+    update = weight_updates(parameters, weight_decay=0.1)
+    expected = [parameter.double().numpy() for parameter in parameters]
+    m, v = ([np.zeros_like(array) for array in expected] for _ in range(2))
+    for t, rate in enumerate((0.1, 0.02, 0.3), start=1):
+        for k, parameter in enumerate(parameters):
+            parameter.grad = torch.tensor(rng.normal(size=parameter.shape), dtype=torch.float32)
+            gradient = parameter.grad.double().numpy()
+            m[k] = 0.9 * m[k] + 0.1 * gradient
+            v[k] = 0.999 * v[k] + 0.001 * gradient**2
+            step = m[k] / (1 - 0.9**t) / (np.sqrt(v[k] / (1 - 0.999**t)) + 1e-8)
+            expected[k] = expected[k] - rate * (0.1 * expected[k] + step)
+        update(rate)
+    for parameter, array in zip(parameters, expected, strict=True):
+        np.testing.assert_allclose(parameter.numpy(), array, atol=2e-6)  # some roundings of numbers below 4
