@@ -132,7 +132,8 @@ def aggregates(report: StudyReport) -> tuple[Figure, str]:
     legend(figure, handles)
     members = [fit for fit in fits if _is_member(fit)]
     return figure, (
-        "Correlation and slope of the regression of true on predicted displacement, with 95 % intervals, for "
+        "Correlation and slope of the regression of true on predicted displacement, with 95 % intervals"
+        f"{' that include the variance between replicates' if fits[0].n_replicates > 1 else ''}, for "
         f"{count(members, 'member')} and for aggregates of the members: the mean minus k standard deviations, the "
         "minimum, the median, a low quantile, and CVaR, the mean of the lowest quarter. The dashed line marks the "
         "ideal value of both."

@@ -68,8 +68,8 @@ def against_paper(findings: Findings) -> str:
 
 
 _REPLICATES = (
-    " Means and ratios of arms with several replicates have intervals that include the variance between these, and so "
-    "does the variance of the paper’s own numbers, which come from a single replicate."
+    " With several replicates, the intervals of means, ratios and regressions include the variance between these, and "
+    "so does the variance of the paper’s own numbers, which come from a single replicate."
 )
 
 

@@ -13,7 +13,8 @@ stated otherwise.
                          zero_shot_reach (root minus centre of mass), adapted, adapted_com, adapted_reach, status ("ok"
                          or the reason why there are no scores)
     regressions.parquet  a row per predictor ("member 0", "mean", "mean - 1 sd", "min", ...): name, n, n_left_out,
-                         n_resampled, and the estimates slope, intercept [m], r
+                         n_resampled, and the estimates slope, intercept [m], r; learned_from; n_replicates (with
+                         several, the intervals include the variance between them)
     histograms.parquet   a row per member, mean and mean - 1 sd: name, n_outside, edges (n_bins + 1 numbers, for both
                          axes), counts (n_bins² numbers: reshape to predicted by true)
     contrasts.parquet    a row per contrast and depth: a, b ("dry_land/adapted"), depth; for each side X = a, b: X_n,

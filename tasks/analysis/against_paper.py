@@ -140,7 +140,8 @@ def _aggregate_row(accuracy: Sequence[Regression], predictor: str, figure: Figur
     if of is None:
         return Row(what, f"{stated:z.2f}", source, "-", "not comparable", "accuracy was not assessed")
     found: Estimate = getattr(of, figure)
-    return _number_row(what, stated, "{:z.2f}", source, found, NEGLIGIBLE_FIGURE[figure], of.n_resampled, N_ASSESSED)
+    n, n_paper = of.n_resampled, N_ASSESSED / of.n_replicates  # of N replicates, the mean has at least 1/N the variance
+    return _number_row(what, stated, "{:z.2f}", source, found, NEGLIGIBLE_FIGURE[figure], n, n_paper)
 
 
 _FIGURE = {"r": "Pearson's R", "slope": "slope"}

@@ -6,10 +6,17 @@ below 1 means that predictions are too optimistic, a low R that they rank design
 Designs of one trial descend from each other, so they are not independent samples. Where the trial of each design is
 given, the intervals come from resampling whole trials; resampling designs gives intervals that are too narrow.
 
+Trials of several replicates are predicted by different ensembles. Their intervals are those of
+:mod:`tasks.analysis.replicates`, which include the variance between replicates; those of R are symmetric on Fisher's
+scale, artanh R, where R is nearly normal (Fisher 1921). Resampling replicates, and trials within them, would not do:
+two replicates, resampled, have half of the variance that they are a sample of. How often these intervals contain the
+truth is in docs/results.md.
+
 The paper draws 2,376 designs uniformly over the generations of trials in True Slush and on Dry Land, so that the sample
 contains early designs that hardly move and late ones that go far.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -18,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
+from tasks.analysis.replicates import of_means
 from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_constant
 from tasks.arrays import Bools, Float64, Floats, Int64
 from tasks.evolution import Deviation, penalised_mean
@@ -27,6 +35,7 @@ Figure = Literal["r", "slope"]  # A figure of a regression: Pearson's R, or the 
 _PENALTIES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0)  # k of μ - kσ; the paper's are 0 and 1
 _TAIL = 0.25  # share of the most pessimistic members in the lower quantile and CVaR: two of eight
 _MIN_DESIGNS = 3  # any two points lie on a line
+_HIGHEST_R = 1 - 1e-12  # of Fisher's transformation, which is infinite at 1
 
 
 @dataclass(frozen=True)
@@ -36,11 +45,12 @@ class Regression:
     name: str  # name of the predictor, such as "member 0", "mean", "mean - 1 sd" or "min"
     n: int  # designs in the regression
     n_left_out: int  # designs whose predicted or true displacement is not finite
-    n_resampled: int  # independent units that the intervals resample: trials, or designs if their trials are unknown
+    n_resampled: int  # units that the intervals count as samples: trials, or designs if their trials are unknown
     slope: Estimate
     intercept: Estimate  # [m]
     r: Estimate  # pearson's R
     learned_from: str = "throws"  # settings group of the throws that the ensemble learned from
+    n_replicates: int = 1  # replicates of the units; with several, the intervals include the variance between them
 
 
 @dataclass(frozen=True)
@@ -96,7 +106,12 @@ def aggregates(predicted: Floats, deviation: Deviation = "population") -> dict[s
 
 
 def regress(
-    predictors: Mapping[str, Floats], true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
+    predictors: Mapping[str, Floats],
+    true: Floats,
+    *,
+    rng: Generator,
+    trial: npt.ArrayLike | None = None,
+    replicate: npt.ArrayLike | None = None,
 ) -> tuple[Regression, ...]:
     """Return the regression of true displacement on each predictor, with intervals from the same resamples.
 
@@ -105,25 +120,58 @@ def regress(
         true: (n_designs,) displacement in True Slush [m].
         rng: source of randomness.
         trial: (n_designs,) trial of each design; designs count as independent if not given.
+        replicate: (n_designs,) replicate of each design, the same for all of a trial; one if not given.
     """
     if not predictors:
         return ()
-    x, y, used, rows, lines = _resampled_lines(predictors, true, trial)
+    x, y, used, units, lines = _lines_of_units(predictors, true, trial, replicate)
     figures: tuple[Estimate, ...] = (Estimate.missing("no designs"),) * (3 * len(x))
     if len(y):
-        figures = bootstrap(
-            lambda means: lines(means).reshape(*means.shape[:-1], -1), rows, rng=rng, undefined="there is no spread"
-        )
+        is_r = np.arange(3 * len(x)) % 3 == 2
+        figures = _estimates(lambda means: lines(means).reshape(*means.shape[:-1], -1), units, is_r, rng)
     return tuple(
-        _regression(name, x[i][used[i]], y[used[i]], len(y), len(rows), figures[3 * i : 3 * i + 3])
+        _regression(name, x[i][used[i]], y[used[i]], len(y), units, figures[3 * i : 3 * i + 3])
         for i, name in enumerate(predictors)
     )
 
 
-def _resampled_lines(
-    predictors: Mapping[str, Floats], true: Floats, trial: npt.ArrayLike | None
-) -> tuple[Float64, Float64, Bools, Float64, Callable[[Float64], Float64]]:
-    """Return predictions, truth, a mask of finite pairs, rows to resample, and the lines of (..., n_columns) means.
+@dataclass(frozen=True, eq=False)
+class _Units:
+    """What the intervals count as samples: trials, or designs if their trials are unknown."""
+
+    rows: Float64  # (n_units, n_columns), whose means decide the figures
+    replicate: Int64  # (n_units,)
+
+    @property
+    def n_replicates(self) -> int:
+        return len(np.unique(self.replicate))
+
+
+def _estimates(
+    statistic: Callable[[Float64], Float64], units: _Units, is_r: Bools, rng: Generator
+) -> tuple[Estimate, ...]:
+    """Estimate functions of means, of which some are Pearson's R, with the variance between replicates if any."""
+    undefined = "there is no spread"
+    if units.n_replicates < 2:
+        return bootstrap(statistic, units.rows, rng=rng, undefined=undefined)
+
+    def on_fishers_scale(means: Float64) -> Float64:
+        figures = statistic(means)
+        return np.where(is_r, np.arctanh(np.clip(figures, -_HIGHEST_R, _HIGHEST_R)), figures)
+
+    found = of_means(on_fishers_scale, units.rows, units.replicate, undefined=undefined)
+    return tuple(_from_fishers_scale(of) if r else of for of, r in zip(found, is_r, strict=True))
+
+
+def _from_fishers_scale(found: Estimate) -> Estimate:
+    value, low, high = (None if end is None else math.tanh(end) for end in (found.value, found.low, found.high))
+    return Estimate(value, low, high, found.reason)
+
+
+def _lines_of_units(
+    predictors: Mapping[str, Floats], true: Floats, trial: npt.ArrayLike | None, replicate: npt.ArrayLike | None
+) -> tuple[Float64, Float64, Bools, _Units, Callable[[Float64], Float64]]:
+    """Return predictions, truth, a mask of finite pairs, independent units, and the lines of (..., n_columns) means.
 
     A line has a slope, an intercept and Pearson's R: (..., n_predictors, 3).
     """
@@ -140,12 +188,13 @@ def _resampled_lines(
     w = np.where(used, (np.where(used, y, 0.0) - centre[1, :, None]) / centre[3, :, None], 0.0)
     sums = np.stack((used, u, w, u * u, w * w, u * w), axis=-1)  # (n_predictors, n_designs, 6)
     rows = sums.transpose(1, 0, 2).reshape(len(y), 6 * len(x))
+    own = np.zeros(len(y), dtype=np.int64) if replicate is None else np.asarray(replicate)
     if trial is not None:
-        labels, group = np.unique(np.asarray(trial), return_inverse=True)
+        labels, first, group = np.unique(np.asarray(trial), return_index=True, return_inverse=True)
         grouped = np.zeros((len(labels), rows.shape[1]))
         np.add.at(grouped, group, rows)
-        rows = grouped
-    return x, y, used, rows, lambda means: _line(means.reshape(*means.shape[:-1], len(x), 6), centre)
+        rows, own = grouped, own[first]
+    return x, y, used, _Units(rows, own), lambda means: _line(means.reshape(*means.shape[:-1], len(x), 6), centre)
 
 
 def _centre_and_scale(values: Float64) -> tuple[float, float]:
@@ -170,7 +219,7 @@ def _line(moments: Float64, centre: Float64) -> Float64:
 
 
 def _regression(
-    name: str, x: Float64, y: Float64, n_designs: int, n_resampled: int, figures: tuple[Estimate, ...]
+    name: str, x: Float64, y: Float64, n_designs: int, units: _Units, figures: tuple[Estimate, ...]
 ) -> Regression:
     slope, intercept, r = figures
     n = len(x)
@@ -183,7 +232,8 @@ def _regression(
         slope = intercept = r = Estimate.missing(reason)
     elif is_constant(y, resolution=RESOLUTION):
         r = Estimate.missing("every design truly goes equally far")
-    return Regression(name, n, n_designs - n, n_resampled, slope, intercept, r)
+    n_replicates = max(units.n_replicates, 1)
+    return Regression(name, n, n_designs - n, len(units.rows), slope, intercept, r, n_replicates=n_replicates)
 
 
 def accuracy(
@@ -192,6 +242,7 @@ def accuracy(
     *,
     rng: Generator,
     trial: npt.ArrayLike | None = None,
+    replicate: npt.ArrayLike | None = None,
     deviation: Deviation = "population",
 ) -> tuple[Regression, ...]:
     """Return the regression of true displacement on each member's prediction and on every aggregate (Fig. 3).
@@ -201,14 +252,20 @@ def accuracy(
         true: (n_designs,) displacement in True Slush [m]; NaN where diverged.
         rng: source of randomness.
         trial: (n_designs,) trial of each design; see :func:`regress`.
+        replicate: (n_designs,) replicate of each design; see :func:`regress`.
         deviation: what σ is in μ - kσ.
     """
     aggregated = aggregates(predicted, deviation) if len(predicted) else {}
-    return regress(members(predicted) | aggregated, true, rng=rng, trial=trial)
+    return regress(members(predicted) | aggregated, true, rng=rng, trial=trial, replicate=replicate)
 
 
 def members_ranges(
-    predicted: Floats, true: Floats, *, rng: Generator, trial: npt.ArrayLike | None = None
+    predicted: Floats,
+    true: Floats,
+    *,
+    rng: Generator,
+    trial: npt.ArrayLike | None = None,
+    replicate: npt.ArrayLike | None = None,
 ) -> dict[Figure, MembersRange]:
     """Return the lowest, median and highest figure of the members' regressions.
 
@@ -219,6 +276,7 @@ def members_ranges(
         true: (n_designs,) displacement in True Slush [m]; NaN where diverged.
         rng: source of randomness.
         trial: (n_designs,) trial of each design; see :func:`regress`.
+        replicate: (n_designs,) replicate of each design; see :func:`regress`.
     """
     used = np.isfinite(predicted) & np.isfinite(true)
     fit = {
@@ -229,13 +287,13 @@ def members_ranges(
     if not fit:
         missing = Estimate.missing("no member has a regression")
         return dict.fromkeys(("slope", "r"), MembersRange(0, missing, missing, missing))
-    *_, rows, lines = _resampled_lines(fit, true, trial)
+    *_, units, lines = _lines_of_units(fit, true, trial, replicate)
 
     def ends(means: Float64) -> Float64:
         figures = lines(means)[..., (0, 2)]  # (..., n_members, 2): slope and R
         return np.concatenate([of(figures, axis=-2) for of in (np.min, np.median, np.max)], axis=-1)
 
-    found = bootstrap(ends, rows, rng=rng, undefined="there is no spread")
+    found = _estimates(ends, units, np.arange(6) % 2 == 1, rng)
     return {"slope": MembersRange(len(fit), *found[0::2]), "r": MembersRange(len(fit), *found[1::2])}
 
 

@@ -31,7 +31,7 @@ from tasks.analysis.prediction import (
     members_ranges,
 )
 from tasks.analysis.variance_split import VarianceRow, variances
-from tasks.arrays import Float64
+from tasks.arrays import Float64, Int64
 from tasks.evolution import Deviation
 from tasks.seeding import generator
 
@@ -88,9 +88,10 @@ def compute(job: Job[StatisticsSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     scores = Scores(*(table[name] for name in columns))
     main = spec.throw_groups[0] if spec.throw_groups else ""
     shares = assessed_among(inputs, main) if main else []
-    predicted, true, trial = predictions = _predictions(shares)
+    predicted, true, trial, replicate = predictions = _predictions(spec, shares)
     regressions = _accuracy(spec, main, predictions, rng)
-    ranges = members_ranges(predicted, true, rng=generator(spec.seed, "analyse", "members-ranges"), trial=trial)
+    of_ranges = generator(spec.seed, "analyse", "members-ranges")
+    ranges = members_ranges(predicted, true, rng=of_ranges, trial=trial, replicate=replicate)
     reasons: Reasons = {} if shares else dict.fromkeys(("regressions", "histograms"), job.spec.not_assessed)
     if shares and not (np.isfinite(predicted).all(axis=0) & np.isfinite(true)).any():
         lost = "every assessed design diverged, in True Slush or under a member"
@@ -123,33 +124,33 @@ def _of_other_ensembles(spec: StatisticsSpec, inputs: Inputs) -> list[Regression
     """Assess the ensembles that learned from other throws than the main one."""
     found = []
     for group in spec.throw_groups[1:]:
-        predictions = _predictions(assessed_among(inputs, group))
+        predictions = _predictions(spec, assessed_among(inputs, group))
         found += _accuracy(spec, group, predictions, generator(spec.seed, "analyse", "accuracy", group))
     return found
 
 
-_Predictions = tuple[Float64, Float64, list[str]]
+_Predictions = tuple[Float64, Float64, list[str], Int64]
 
 
 def _accuracy(
     spec: StatisticsSpec, group: str, predictions: _Predictions, rng: np.random.Generator
 ) -> list[Regression]:
     """Assess the ensemble that learned from a group of throws."""
-    predicted, true, trial = predictions
-    rows = accuracy(predicted, true, rng=rng, trial=trial, deviation=spec.deviation)
+    predicted, true, trial, replicate = predictions
+    rows = accuracy(predicted, true, rng=rng, trial=trial, replicate=replicate, deviation=spec.deviation)
     return [replace(row, learned_from=group) for row in rows]
 
 
-def _predictions(shares: Sequence[Files]) -> _Predictions:
-    """Return (n_members, n_designs) predicted and (n_designs,) true displacement, and the trial of each design.
+def _predictions(spec: StatisticsSpec, shares: Sequence[Files]) -> _Predictions:
+    """Return (n_members, n_designs) predicted and (n_designs,) true displacement, each design's trial and replicate.
 
     With several replicates, member k is the k-th of that replicate's ensemble which the design's trial uses.
     """
     if not shares:
-        return np.zeros((0, 0)), np.zeros(0), []
+        return np.zeros((0, 0)), np.zeros(0), [], np.zeros(0, np.int64)
     table = read_predictions(shares)
     trial = [f"{environment}/{k}" for environment, k in zip(table["environment"], table["trial"], strict=True)]
-    return table["predicted"].T, table["true"], trial
+    return table["predicted"].T, table["true"], trial, table["trial"] % spec.trials[0].n_replicates
 
 
 def _drawn(predicted: Float64, true: Float64, deviation: Deviation) -> Columns:

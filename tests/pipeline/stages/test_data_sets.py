@@ -160,6 +160,7 @@ def test_both_ensembles_are_assessed_on_the_same_designs(sets):
     store, upstream = sets
     regressions = _statistics(store, upstream, "regressions")
     assert set(regressions["learned_from"]) == {"throws", "designed_throws"}
+    assert set(regressions["n_replicates"]) == {2}
     shares = labelled(upstream["assess"].done)
     for k in range(3):
         one, other = (

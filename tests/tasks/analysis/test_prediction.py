@@ -2,6 +2,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 
 from tasks.analysis.prediction import accuracy, aggregates, histograms, members_ranges, regress
@@ -193,3 +195,72 @@ def test_members_without_a_regression_are_left_out_of_their_range():
     assert (none.n, none.lowest.value, none.lowest.reason) == (0, None, "no member has a regression")
     flat = members_ranges(predicted, np.ones(30), rng=rng())
     assert flat["r"].median.value is None and flat["slope"].median.value == 0.0
+
+
+@given(st.integers(0, 2**32), st.integers(3, 9), st.integers(0, 9))
+def test_one_replicate_has_the_intervals_of_resampled_trials(seed, n_trials, replicate):
+    draw = rng(seed)
+    trial = np.repeat(np.arange(n_trials), 4)
+    true = draw.normal(3.0, 2.0, len(trial))
+    predicted = true + draw.normal(0.0, 1.0, (2, len(trial)))
+    of = {"trial": trial, "replicate": np.full(len(trial), replicate)}
+    assert accuracy(predicted, true, rng=rng(), **of) == accuracy(predicted, true, rng=rng(), trial=trial)
+    assert members_ranges(predicted, true, rng=rng(), **of) == members_ranges(predicted, true, rng=rng(), trial=trial)
+
+
+N_STUDIES = 1000
+GAIN = 0.2
+"""Deviation over replicates of the factor by which networks exaggerate."""
+
+
+def planted(draw, n_replicates, n_trials=20, n=30):
+    """Truth, predictions, trial and replicate of 30 designs of each of 20 trials, ten of each of two environments.
+
+    Truths have variance 1, of which 0.3 between trials. Predictions are g times the truth plus an error of variance
+    0.5, of which 0.2 between trials; g has mean 1 over replicates.
+    """
+    trial = np.repeat(np.arange(n_trials), n)
+    replicate = trial % (n_trials // 2) % n_replicates
+    true, error = (
+        draw.normal(0, math.sqrt(between), n_trials)[trial] + draw.normal(0, math.sqrt(within), len(trial))
+        for between, within in ((0.3, 0.7), (0.2, 0.3))
+    )
+    return true, draw.normal(1, GAIN, n_replicates)[replicate] * true + error, trial, replicate
+
+
+def holds(found, truths):
+    return [figure.low <= truth <= figure.high for figure, truth in zip((found.r, found.slope), truths, strict=True)]
+
+
+@pytest.mark.parametrize(("n_replicates", "of_r", "of_slope"), [(2, 0.90, 0.94), (3, 0.93, 0.95), (5, 0.94, 0.95)])
+def test_intervals_of_several_replicates_hold_r_and_slope(n_replicates, of_r, of_slope):
+    """Over all replicates, predictions have variance 1 + GAIN² + 0.5 and covariance 1 with the truth.
+
+    The rates of 10,000 samples are stated; those of 1,000 are within four binomial deviations.
+    """
+    draw, variance = rng(6), 1 + GAIN**2 + 0.5
+    truths = (1 / math.sqrt(variance), 1 / variance)
+    inside = []
+    for _ in range(N_STUDIES):
+        true, predicted, trial, replicate = planted(draw, n_replicates)
+        inside.append(holds(one(predicted, true, trial=trial, replicate=replicate), truths))
+    for rate, stated in zip(np.mean(inside, axis=0), (of_r, of_slope), strict=True):
+        assert abs(rate - stated) < 4 * math.sqrt(stated * (1 - stated) / N_STUDIES)
+
+
+def test_an_exact_line_has_no_interval_with_several_replicates():
+    x, trial = np.arange(24.0), np.repeat(np.arange(6), 4)
+    found = one(x, 2 * x, trial=trial, replicate=trial % 2)
+    assert (found.slope.value, found.r.value, found.n_replicates) == pytest.approx((2, 1, 2))
+    assert found.r.low is None and found.r.reason == "no interval, since the values have no spread"
+
+
+def test_ends_of_a_range_include_the_variance_between_replicates():
+    """Members so far apart that the order never changes: each end is that member, as with one replicate."""
+    draw = rng(9)
+    true, _, trial, replicate = planted(draw, 2)
+    predicted = np.stack([true + draw.normal(0, noise, len(true)) for noise in (6.0, 0.1, 1.5)])
+    of = {"trial": trial, "replicate": replicate}
+    found = members_ranges(predicted, true, rng=rng(), **of)
+    for end, row in (("lowest", 0), ("highest", 1), ("median", 2)):
+        assert getattr(found["r"], end) == one(predicted[row], true, **of).r

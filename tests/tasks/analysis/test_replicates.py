@@ -18,6 +18,7 @@ from tasks.analysis.replicates import (
     mean_of,
     nested,
     nested_sample,
+    of_means,
     ratio_of_sums,
     sum_of_means,
     terms_of_ratio,
@@ -189,3 +190,35 @@ def test_intervals_of_a_comparison_with_an_arm_without_replicates_hold_the_truth
     pairs = [(planted(draw, n_replicates, centre=9.1), sample(draw.normal(13.6, 1, 10))) for _ in range(N_SAMPLES)]
     assert near([inside(nested_difference(*pair, equal_variances=False), 9.1 - 13.6) for pair in pairs], of_difference)
     assert near([inside(nested_ratio(*pair, rng=draw), 9.1 / 13.6) for pair in pairs], of_ratio)
+
+
+def identity(means):
+    return means
+
+
+@given(st.integers(0, 2**32), st.integers(2, 12), st.integers(1, 4))
+def test_a_function_that_is_a_mean_has_the_interval_of_the_mean(seed, n, n_replicates):
+    """Its pseudo-values are the values themselves."""
+    values, replicate = rng(seed).normal(5, 1, (n, 2)), np.arange(n) % n_replicates
+    found = of_means(identity, values, replicate, undefined="it is undefined")
+    for one, column in zip(found, values.T, strict=True):
+        expected = sum_of_means(NestedSample(column, replicate))
+        assert (one.value, one.low, one.high) == pytest.approx((expected.value, expected.low, expected.high))
+
+
+def test_a_ratio_has_nearly_the_same_interval_by_pseudo_values_as_by_the_delta_method():
+    """Both linearise x / y; they differ by terms of 1 / n."""
+    pairs, replicate = rng(5).normal((5, 20), (1, 2), (60, 2)), np.arange(60) % 3
+    (found,) = of_means(lambda means: means[..., :1] / means[..., 1:], pairs, replicate, undefined="it is undefined")
+    x, y = (NestedSample(column, replicate) for column in pairs.T)
+    expected = ratio_of_sums((x, y), undefined="it is undefined")
+    assert found.value == pytest.approx(expected.value)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high), rel=2 / 60)
+
+
+def test_functions_that_are_not_finite_say_why():
+    """The logarithm of a mean of 0, and of one that is 0 without its last trial."""
+    rows = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    nothing, without = of_means(np.log, rows, np.array([0, 1, 0]), undefined="it is undefined")
+    assert nothing == Estimate.missing("it is undefined")
+    assert without == Estimate(math.log(1 / 3), reason="no interval, since without one of the trials it is undefined")
