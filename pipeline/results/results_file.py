@@ -12,6 +12,7 @@ from pipeline.store.encoding import Json
 from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import arms_of, trials_of
 from tasks.analysis.coverage import EVERYTHING
+from tasks.analysis.equivalence import VERDICTS
 from tasks.analysis.prediction import mean_less_deviations
 
 SCHEMA = "puddle.results"
@@ -24,8 +25,8 @@ _DIGITS = 4  # decimals of a displacement [m]
 def results_of(study: Study) -> dict[str, Json]:
     """Return a study's results: its champions, each arm's means and deviations, accuracy, coverage, times and digests.
 
-    Displacements are in metres, of the root; times in core-seconds. A stage's digest is the SHA-256 of the digests of
-    its items, ordered by label.
+    Displacements are in metres, of the root; times in core-seconds; t tests are the paper's, counted by verdict. A
+    stage's digest is the SHA-256 of the digests of its items, ordered by label.
     """
     upstream = study.upstream
     seconds: dict[str, Json] = {stage.name: round(upstream[stage.name].seconds) for stage in STAGES}
@@ -51,6 +52,7 @@ def results_of(study: Study) -> dict[str, Json]:
             for arm in arms_of(trials_of(study.settings, "transfer"))
         ],
         "accuracy": _accuracy(study),
+        "t_tests": _t_tests(study),
         "coverage": _coverage(study, champions),
         "champions": list(known),
     }
@@ -81,6 +83,13 @@ def _accuracy(study: Study) -> list[Json]:
         for row in study.table("regressions").to_pylist()
         if row["name"] in shown
     ]
+
+
+def _t_tests(study: Study) -> dict[str, Json]:
+    """Count the paper's t tests by the verdict of this study."""
+    rows = study.table("paper").to_pylist() if "paper" in study.tables else []
+    tests = [row["verdict"] for row in rows if row["what"].startswith("Student")]
+    return {verdict: tests.count(verdict) for verdict in VERDICTS}
 
 
 def _coverage(study: Study, champions: Sequence[Mapping[str, Json]]) -> list[Json]:

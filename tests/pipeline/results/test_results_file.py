@@ -45,6 +45,13 @@ def test_champions_of_networks_are_grouped_by_what_the_throws_cover(results, rec
         assert row["n"] == ((whole.share_outside >= low) & (whole.share_outside < (high if high < 1 else 2))).sum()
 
 
+def test_the_papers_t_tests_are_counted_by_verdict(results, recorded):
+    rows = open_study("tiny", recorded).table("paper").to_pandas()
+    tests = rows[rows.what.str.startswith("Student")]
+    assert sum(results["t_tests"].values()) == len(tests) > 0
+    assert results["t_tests"]["not comparable"] == (tests.verdict == "not comparable").sum()
+
+
 def test_it_is_small_and_has_the_accuracy_of_the_ensemble(results):
     assert {row["name"] for row in results["accuracy"]} == {"mean", "mean - 1 sd"}
     assert len(json.dumps(results)) < 20_000
