@@ -178,6 +178,9 @@ def of_means(
         rows: (n_trials, n_columns).
         replicate: (n_trials,) replicate of each trial.
         undefined: reason to give for a figure that is not finite.
+
+    Returns:
+        The n_figures estimates.
     """
     n, means = len(rows), rows.mean(axis=0)
     with np.errstate(all="ignore"):

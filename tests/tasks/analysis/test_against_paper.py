@@ -161,7 +161,7 @@ def test_the_papers_own_number_has_the_variance_of_one_replicate():
 
 
 def test_the_papers_accuracy_has_at_most_as_much_variance_as_one_of_the_replicates():
-    """Of two, the mean has half of it, from as many trials as the paper: the interval is wider by √(1 + 2)."""
+    """The mean of two has half of it, from as many trials as the paper: the interval is wider by √(1 + 2)."""
     rows = [replace(row, n_replicates=2) for row in accuracy(mean_r=0.87)]
     why = rows_of(like_the_paper(), rows)["Pearson's R of the members' mean, at 9 m"].why
     low, high = (0.87 - 0.77 + side * math.sqrt(3) * 0.02 for side in (-1, 1))
