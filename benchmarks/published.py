@@ -1,8 +1,11 @@
-"""Write the tables of results in README.md and docs from docs/results/*.json: `python -m benchmarks.published`.
+"""Write tables and figures of results in README.md and docs from docs/results/*.json: `python -m benchmarks.published`.
 
 A results file is the ``results.json`` of `puddle export`. `python -m benchmarks.published EXPORT/results.json` records
 one first, under the name of its study, and the figures of the export that docs/results/pictures.json names. `--add-to
 STUDY EXPORT/results.json` adds its depths to those recorded for a study that is run one depth at a time.
+
+Tables stand between markers; figures in running text are those of benchmarks/page_sentences.py. It ends with exit code
+1, and says why, where the words of a page no longer follow from the results.
 """
 
 from __future__ import annotations
@@ -11,24 +14,34 @@ import argparse
 import json
 import re
 import shutil
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from benchmarks import tracks_tables
+from benchmarks import recorded_tables, tracks_tables
+from benchmarks.page_sentences import SENTENCES
+from benchmarks.sentences import complaints, with_figures
 from tasks.analysis import paper
 from tasks.world import ENVIRONMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-_PAGES = ("results.md", "throws.md", "filming.md", "your-own-tank.md")
-PAGES = (ROOT / "README.md", *(ROOT / "docs" / name for name in _PAGES))
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 PICTURES = "results/pictures.json"  # which figure of which results each picture of docs shows, and a digest of these
 SECTION = re.compile(
     r"<!-- from docs/results/([\w-]+)\.json, (\S+): python -m benchmarks\.published -->\n.*?<!-- end -->", re.S
 )
 _HEADINGS = ("evolved in", "predicted", "zero-shot", "adapted", "share of *E*", "of *E* adapted")
+
+
+def with_results(page: Path) -> tuple[str, list[str]]:
+    """Return a page with the tables and figures of the results files, and complaints about what these do not show."""
+    name = page.relative_to(ROOT).as_posix()
+    sentences = SENTENCES.get(name, ())
+    text = with_figures(with_sections(page.read_text(encoding="utf-8")), sentences)
+    return text, [f"{name}: {complaint}" for complaint in complaints(text, sentences)]
 
 
 def with_sections(page: str) -> str:
@@ -215,6 +228,11 @@ _TABLES = {
     "penalty": penalty,
     "rounds": rounds,
     "members": members,
+    "open-choices": recorded_tables.open_choices,
+    "tank": recorded_tables.tank,
+    "torques": recorded_tables.torques,
+    "intervals-of-means": recorded_tables.intervals_of_means,
+    "intervals-of-accuracy": recorded_tables.intervals_of_accuracy,
 }
 _PREDICTORS = {"mean": "mean μ over members", "mean - 1 sd": "μ − σ"}
 
@@ -341,15 +359,19 @@ def record_pictures(results: Mapping[str, Any], figures: Path, docs: Path) -> No
 
 
 def main() -> None:
-    """Record a study's results, if a file is given, and write the tables."""
+    """Record a study's results, if a file is given, and write tables and figures."""
     options = argparse.ArgumentParser(description=main.__doc__)
     options.add_argument("results", nargs="*", type=Path, help="results.json of an export")
     options.add_argument("--add-to", metavar="STUDY", help="study that these are depths of")
     given = options.parse_args()
     for path in given.results:
         record(path, given.add_to)
+    found = []
     for page in PAGES:
-        page.write_text(with_sections(page.read_text(encoding="utf-8")), encoding="utf-8")
+        text, of_page = with_results(page)
+        page.write_text(text, encoding="utf-8")
+        found += of_page
+    sys.exit("\n".join(found) or 0)
 
 
 if __name__ == "__main__":

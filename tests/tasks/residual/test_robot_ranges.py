@@ -1,5 +1,7 @@
 """The states that robots pass through, estimated in the base simulator."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -31,6 +33,12 @@ def test_other_designs_stay_within_the_ranges_in_every_environment(environment):
 def test_the_ranges_are_not_much_wider_than_what_robots_do():
     speed, spin = speeds(DryLand(depth=0.0), seed=12)
     assert np.mean(speed > RANGES.max_velocity / 2) > 0.005 and np.mean(spin > RANGES.max_omega / 2) > 0.005
+
+
+def test_the_page_states_the_ranges():
+    page = " ".join((Path(__file__).parents[3] / "docs" / "throws.md").read_text().split())
+    assert f"slower than {RANGES.max_velocity:.1f} m/s and {RANGES.max_omega:.1f} rad/s" in page
+    assert f"a throw is followed for {RANGES.n_steps} steps" in page
 
 
 def test_a_throw_is_followed_until_gravity_takes_it_out_of_the_range():
