@@ -156,6 +156,6 @@ def training() -> list[Figure]:
         shape = f"{hidden_layers} × {width}"
         figures += [
             Figure(f"a training iteration of {batch_size:,} samples, {shape}", times, "ms"),
-            Figure(f"training {shape} over torch", ratios, "times", 2.5 if width == 32 else None, at_least=True),
+            Figure(f"training {shape} over torch", ratios, "times"),
         ]
     return figures
