@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from tasks.arrays import Bools, Int64
 from tasks.residual import MeasuredTransitions
@@ -183,7 +183,7 @@ def memory(transitions: MeasuredTransitions, time_step: float, frame_interval: f
     _, _, angle, vx, vy, omega = state[rows].T
     features = np.stack([length[rows], np.cos(angle), np.sin(angle), vx, vy, omega], axis=1)
     features /= np.maximum(features.std(axis=0), 1e-9)
-    _, near = cKDTree(features).query(features, k=_N_NEIGHBOURS)
+    _, near = scipy.spatial.cKDTree(features).query(features, k=_N_NEIGHBOURS)
     residual = transitions.residual[rows, 3:5].astype(np.float64) / time_step
     slopes, weights = [], []
     for centre in range(0, len(rows), max(len(rows) // 2000, 1)):

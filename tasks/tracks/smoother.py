@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from tasks.arrays import Bools, Float64, Ints
 
@@ -115,7 +115,7 @@ def _most_likely(chain: _Chain, weight: Float64, before: _Noise) -> _Noise:
         factor = max(squares / n, np.square(_LEAST_NOISE / before.measurement))
         return factor, log_variances + n * np.log(factor) + squares / factor
 
-    found = minimize_scalar(
+    found = scipy.optimize.minimize_scalar(
         lambda at: innovations(at)[1], bounds=_LOG_RATIOS[chain.sd is None], options={"xatol": 0.05}
     )
     factor = np.sqrt(innovations(float(found.x))[0])

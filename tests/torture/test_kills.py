@@ -124,7 +124,7 @@ class Killed:
                 at_work = [process for process, name in found.items() if name != IDLE]
                 if at_work or (found and time.monotonic() > idle_allowed):
                     return next(iter(at_work or found))
-            time.sleep(0.02)
+            time.sleep(0.1)  # a look at every process costs as much as a work item
         return None
 
     def processes(self, victim: str) -> list[psutil.Process]:
