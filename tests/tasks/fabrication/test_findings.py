@@ -10,6 +10,7 @@ from shapely import unary_union
 
 from tasks.design import N_LINKS, DesignError, Designs
 from tasks.fabrication import checks
+from tasks.fabrication.assembly import Assembly, assemble
 from tasks.fabrication.built_bodies import mechanism_of, moved
 from tasks.fabrication.checks import lag_rad
 from tasks.fabrication.features import KitError, horn_features
@@ -26,8 +27,8 @@ def part(kit: Kit, name: str):
     return next(p for p in kit.parts if p.name == name)
 
 
-def found(kit: Kit, name: str):
-    return [finding for finding in kit.findings if finding.name == name]
+def found(assembly: Assembly, name: str):
+    return [finding for finding in checks.findings_of(assembly) if finding.name == name]
 
 
 def with_genes(design: Designs, **genes) -> Designs:
@@ -39,11 +40,11 @@ def test_a_sound_robot_has_no_fault(kit):
 
 
 def test_not_of_the_variant(crane):
-    still = build_kit(with_genes(crane, motor_on=np.zeros((1, N_LINKS), dtype=bool)), SETTINGS)
+    still = assemble(with_genes(crane, motor_on=np.zeros((1, N_LINKS), dtype=bool)), SETTINGS)
     assert len(still.mechanism.bodies) == 1 and not still.servo_joints and len(still.layers.rods[0]) == 2
     assert "0 motors are on" in found(still, "not of the variant")[0].message
     # Link 2 folded down over link 0 covers the left or right of link 1's middle too: 35 × 35 mm.
-    folded = build_kit(with_genes(crane, rest_angle=np.array([[0, -pi / 2, pi, -pi / 2, 0, -pi / 2]])), SETTINGS)
+    folded = assemble(with_genes(crane, rest_angle=np.array([[0, -pi / 2, pi, -pi / 2, 0, -pi / 2]])), SETTINGS)
     said = {finding.where: finding.message for finding in found(folded, "not of the variant")}
     assert "overlap by 1225 mm² at rest without a joint" in said["links 1 and 2"]
 
@@ -51,7 +52,7 @@ def test_not_of_the_variant(crane):
 def test_every_number_of_motors(crane):
     for n in (1, 3, 5):
         on = np.array([[False] + [True] * n + [False] * (5 - n)])
-        several = build_kit(with_genes(crane, motor_on=on), SETTINGS.model_copy(update={"servo": "mg90s"}))
+        several = assemble(with_genes(crane, motor_on=on), SETTINGS.model_copy(update={"servo": "mg90s"}))
         assert len(several.servo_joints) == n and len(several.mechanism.bodies) == n + 1
         depth = [body.depth for body in several.mechanism.bodies]
         assert all((depth[j.parent] - depth[j.child]) % 2 == 1 for j in several.mechanism.joints)
@@ -59,19 +60,19 @@ def test_every_number_of_motors(crane):
 
 def test_a_servo_that_does_not_turn_far_enough(crane):
     wide = with_genes(crane, motion_range=np.array([[0, 0.2, radians(61), 0.2, radians(59), 0.2]]))
-    limited = build_kit(wide, SETTINGS.model_copy(update={"servo": "hs85mg", "horn": "cross"}))
+    limited = assemble(wide, SETTINGS.model_copy(update={"servo": "hs85mg", "horn": "cross"}))
     (finding,) = found(limited, "servo's travel")
     assert (finding.severity, finding.where) == ("fault", "joint 2") and "±61°" in finding.message
 
 
 def test_a_cradle_wider_than_its_link(crane):
-    slim = build_kit(with_genes(crane, length_scale=np.full((1, N_LINKS), 3.0)), SETTINGS)
+    slim = assemble(with_genes(crane, length_scale=np.full((1, N_LINKS), 3.0)), SETTINGS)
     (first, second) = found(slim, "cradle wider than its link")
     assert "26.6 mm wide, link 0 only 23.3 mm" in first.message and second.where == "joint 4"
 
 
 def test_servos_in_one_place(crane):
-    twin = build_kit(
+    twin = assemble(
         with_genes(crane, parent=np.array([[-1, 0, 0, 2, 0, 4]]), parent_attachment=np.array([[0, 0, 1, 1, 0.9, 1.0]])),
         SETTINGS,
     )
@@ -90,10 +91,10 @@ def test_walls(crane):
     # From an ear's screw, 28.3 / 2 from the servo's middle, to the case's opening, 22.8 / 2 + 0.3, less the pilot.
     wall = 28.3 / 2 - 22.8 / 2 - 0.3 - 0.85 * 2.0 / 2
     micro = SETTINGS.model_copy(update={"servo": "mg90s"})
-    thick = build_kit(crane, micro.model_copy(update={"min_wall_mm": wall + 0.01}))
+    thick = assemble(crane, micro.model_copy(update={"min_wall_mm": wall + 0.01}))
     (left, right) = found(thick, "wall too thin")
     assert f"{wall:.2f} mm between case" in left.message and left.where != right.where
-    thin = build_kit(crane, micro.model_copy(update={"min_wall_mm": wall - 0.01}))
+    thin = assemble(crane, micro.model_copy(update={"min_wall_mm": wall - 0.01}))
     assert not found(thin, "wall too thin")
 
 
@@ -101,7 +102,7 @@ def test_necks(crane):
     # Links 2 and 3 overlap in a square of 17.5: its diagonal, and twice what a fillet of radius 5 adds in its corners.
     neck = 17.5 * sqrt(2) + 2 * 5 * (sqrt(2) - 1)
     for least, expected in ((neck - 0.3, 0), (neck + 0.3, 2)):
-        kit = build_kit(crane, SETTINGS.model_copy(update={"min_neck_mm": least}))
+        kit = assemble(crane, SETTINGS.model_copy(update={"min_neck_mm": least}))
         assert len(found(kit, "narrow neck")) == expected
 
 
@@ -114,12 +115,12 @@ def test_parts_that_collide(crane):
         far = with_genes(
             crane, motion_range=np.array([[0, 0.2, 1.2, 0.2, 1.2, 0.2]]), phase=np.array([[0, 0, 0, 0, phase, 0]])
         )
-        (finding,) = found(build_kit(far, SETTINGS), "parts collide")
+        (finding,) = found(assemble(far, SETTINGS), "parts collide")
         assert (finding.severity, finding.where) == (severity, "part 2 and part 3")
         assert said in finding.message and "joint 2 and joint 4" in finding.message
         assert ("Reduce motion_range" in finding.message) == (severity == "fault")
     at_rest = with_genes(crane, rest_angle=np.array([[0, -pi / 2, -2.2, -pi / 2, 0.8, -pi / 2]]))
-    (finding,) = found(build_kit(at_rest, SETTINGS), "parts collide")
+    (finding,) = found(assemble(at_rest, SETTINGS), "parts collide")
     assert finding.severity == "fault" and "at rest" in finding.message and "rest_angle" in finding.message
 
 
@@ -134,7 +135,7 @@ def test_no_room_for_rods(crane):
         motor_on=np.array([[False] * 5 + [True]]),
         motion_range=np.array([[0, 0.2, 0.2, 0.2, 0.2, pi / 2]]),
     )
-    kit = build_kit(flat, SETTINGS)
+    kit = assemble(flat, SETTINGS)
     (finding,) = found(kit, "no room for rods")
     assert finding.severity == "fault" and sorted(map(len, kit.layers.rods)) == [0, 2]
 
@@ -153,18 +154,17 @@ def test_rods_that_give_way(kit):
     assert bool(said) == (lag > radians(10)) and all(f"{degrees(lag):.0f}°" in finding.message for finding in said)
 
 
-def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane):
+def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane, kit):
     small = SETTINGS.model_copy(update={"bed_mm": (120.0, 120.0, 200.0)})
-    kit = build_kit(crane, small)
-    assert {finding.severity for finding in found(kit, "larger than the bed")} == {"note"}
-    whole = build_kit(crane, SETTINGS)
-    for body, split in enumerate(kit.splits):
+    cut = build_kit(crane, small)
+    assert {finding.severity for finding in found(cut, "larger than the bed")} == {"note"}
+    for body, split in enumerate(cut.splits):
         assert split.fits and len(split.pieces) > 1
-        gap = unary_union(split.cuts).intersection(kit.profiles[body].polygon)
+        gap = unary_union(split.cuts).intersection(cut.profiles[body].polygon)
         for side in ("left", "right"):
-            pieces = [p for p in kit.parts if p.body == body and p.side == side]
+            pieces = [p for p in cut.parts if p.body == body and p.side == side]
             assert len(pieces) == len(split.pieces)
-            lost = part(whole, f"part-{body + 1}-{side}").volume_mm3 - sum(p.volume_mm3 for p in pieces)
+            lost = part(kit, f"part-{body + 1}-{side}").volume_mm3 - sum(p.volume_mm3 for p in pieces)
             assert lost == pytest.approx(25 * gap.area, rel=1e-4)  # the outline's arcs are chords there
             assert all((on_bed(p, mesh_of(p.solid)).vertices.max(axis=0) <= [110, 110, 26]).all() for p in pieces)
         for a, b in pairwise(split.pieces):
@@ -180,7 +180,7 @@ def test_a_part_larger_than_the_bed_is_split_by_dovetails(crane):
 
 
 def test_a_part_that_no_cut_makes_fit_is_a_fault(crane):
-    tiny = build_kit(crane, SETTINGS.model_copy(update={"bed_mm": (40.0, 40.0, 20.0)}))
+    tiny = assemble(crane, SETTINGS.model_copy(update={"bed_mm": (40.0, 40.0, 20.0)}))
     said = found(tiny, "larger than the bed")
     assert [finding.severity for finding in said] == 4 * ["fault"]
     assert (
@@ -192,7 +192,7 @@ def test_a_part_that_no_cut_makes_fit_is_a_fault(crane):
 def test_settings_that_no_part_can_be_made_with(crane):
     # A plate of 29.9 - 18.5 - 2 = 9.4 mm, ears of 2 mm and a notch of 5 mm for the cable.
     with pytest.raises(KitError, match=r"thickness_mm is 15: servo hs85mg needs at least 16\.4"):
-        build_kit(crane, KitSettings(thickness_mm=15.0, servo="hs85mg"))
+        assemble(crane, KitSettings(thickness_mm=15.0, servo="hs85mg"))
     (servo_joint, _) = servo_joints_of(mechanism_of(crane, SETTINGS), SETTINGS)
     with pytest.raises(KitError, match=r"thickness_mm is 15: the horn of servo wide needs at least 25"):
         tall = replace(SERVOS["ds3225"].horns[0], top_mm=21.0)
@@ -202,6 +202,6 @@ def test_settings_that_no_part_can_be_made_with(crane):
         )
     # Two layers of 100 mm and a gap of 1 mm on either side leave 300 + 100 - 402 mm.
     with pytest.raises(KitError, match=r"pitch_mm is 300: .* leave -2\.0 mm"):
-        build_kit(crane, KitSettings(thickness_mm=100.0, servo="mg90s"))
+        assemble(crane, KitSettings(thickness_mm=100.0, servo="mg90s"))
     with pytest.raises(DesignError, match="length_scale of link 0 is 5"):
-        build_kit(with_genes(crane, length_scale=np.array([[5.0, 2, 2, 2, 2, 2]])), SETTINGS)
+        assemble(with_genes(crane, length_scale=np.array([[5.0, 2, 2, 2, 2, 2]])), SETTINGS)

@@ -11,7 +11,7 @@ from tasks.fabrication.parts import mesh_of
 from tasks.fabrication.servos import SERVOS
 
 SETTINGS = KitSettings()
-FEW, MANY = 3, 200
+FEW, MANY = 2, 200
 """Number of designs in `make test`, and with --torture."""
 
 

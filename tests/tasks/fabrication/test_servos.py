@@ -8,7 +8,9 @@ import pytest
 from build123d import GeomType
 from pydantic import ValidationError
 
+from tasks.fabrication.assembly import assemble
 from tasks.fabrication.built_bodies import mechanism_of
+from tasks.fabrication.checks import findings_of
 from tasks.fabrication.features import SCREW_LENGTHS_MM, KitError, ear_screw_mm, horn_screw, horn_seat_mm, plate_mm
 from tasks.fabrication.kit import build_kit
 from tasks.fabrication.kit_settings import KitSettings
@@ -109,8 +111,8 @@ def test_dimensions_without_a_source_are_reported(crane):
     mechanism = mechanism_of(crane, KitSettings())
 
     def said(settings: KitSettings) -> list[str]:
-        kit = build_kit(crane, settings)
-        return [finding.message for finding in kit.findings if finding.name == "not measured"]
+        findings = findings_of(assemble(crane, settings))
+        return [finding.message for finding in findings if finding.name == "not measured"]
 
     (servo_joint, _) = servo_joints_of(mechanism, KitSettings())
     unknown = [name for name in MEASURES if name not in servo_joint.servo.sources]
@@ -153,14 +155,14 @@ def test_parts_and_gauges_of_every_servo_are_solids(crane, servo, horn):
     assert height_mm == pytest.approx(plate + 3.0)  # and 3 mm of the pocket's rim
 
 
-def test_short_threads_and_missing_screw_lengths(crane):
-    (said,) = (f for f in build_kit(crane, KitSettings()).findings if f.name == "short thread")
+def test_short_threads_and_missing_screw_lengths(crane, kit):
+    (said,) = (finding for finding in kit.findings if finding.name == "short thread")
     assert said.severity == "warning"
     assert (
         "the M3 screws in the disc horn engage 2.5 mm of thread, expected at least their diameter, 3 mm" in said.message
     )
     thick = KitSettings(measured={"thickness_mm": 3.0})
-    assert not any(finding.name == "short thread" for finding in build_kit(crane, thick).findings)
+    assert not any(finding.name == "short thread" for finding in findings_of(assemble(crane, thick)))
     settings = KitSettings(measured={"thickness_mm": 7.2})  # 0.3 mm to the case
     (servo_joint, _) = servo_joints_of(mechanism_of(crane, settings), settings)
     with pytest.raises(KitError, match=r"no screw of 4 to 60 mm holds a disc horn 7\.2 mm thick .* 7\.5 mm above"):
