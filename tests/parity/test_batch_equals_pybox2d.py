@@ -19,6 +19,7 @@ from tasks.world.anisotropic_slush import AnisotropicPool, AnisotropicSlush
 from tasks.world.flowing_slush import FlowingPool, FlowingSlush
 
 DEPTHS = (0.0, 0.3, 1.0, 2.5, 9.0)
+FEWER_DEPTHS = (0.0, 1.0, 9.0)
 
 N_DESIGNS = 17
 """Designs at each depth, drawn anew in each run. pybox2d takes a second for them."""
@@ -47,18 +48,18 @@ def test_ends_of_groups_that_are_stepped_together(environment: Environment, same
 
 
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])
-@pytest.mark.parametrize("depth", DEPTHS)
+@pytest.mark.parametrize("depth", FEWER_DEPTHS)
 def test_motors_far_beyond_the_paper_s_range(
     kind: type[DryLand | TrueSlush], depth: float, same_libm: None, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
     designs = wild(random_designs(N_DESIGNS, rng), rng, motor_on=1.0)
-    motion = assert_equal(designs, kind(depth), Physics(**STRONG_MOTORS), n_settle=100, n_measure=1300)
+    motion = assert_equal(designs, kind(depth), Physics(**STRONG_MOTORS), n_settle=100, n_measure=700)
     assert abs(motion.final[..., Column.ANGLE]).max() > rotation.NEAR  # so that the other reduction of angles is met
 
 
 @pytest.mark.parametrize("kind", [DryLand, TrueSlush])
-@pytest.mark.parametrize("depth", DEPTHS)
+@pytest.mark.parametrize("depth", FEWER_DEPTHS)
 def test_physics_of_all_other_constants(
     kind: type[DryLand | TrueSlush], depth: float, same_libm: None, seed: int
 ) -> None:

@@ -146,7 +146,7 @@ def transform(x: float, y: float, angle: float) -> Box2D.b2Transform:
 def test_manifolds_are_those_of_b2_collide_polygons(seed: int) -> None:
     rng = np.random.default_rng(seed)
     found = []
-    for _ in range(3000):
+    for _ in range(1500):
         shapes = [
             Box2D.b2PolygonShape(
                 box=(
@@ -169,7 +169,7 @@ def test_the_ground_s_top_is_always_the_face_that_touches(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ground = Box2D.b2PolygonShape(box=(GROUND_HALF_WIDTH, GROUND_HALF_HEIGHT))
     found = []
-    for _ in range(3000):
+    for _ in range(1500):
         half_height = float(rng.uniform(0.5, 1.5))
         link = Box2D.b2PolygonShape(box=(0.25 / half_height, half_height))
         depth, x = float(rng.choice([0, 0.3, 9])), float(rng.uniform(-1, 1) * 10 ** rng.uniform(-1, 3.5))
