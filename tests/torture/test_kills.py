@@ -42,7 +42,7 @@ ALL_BUT_REPORT = STAGES[:-1]
 
 STUDY = TINY | {
     "grid": {"depths": [1.0], "environments": ["dry_land"], "single_member_depths": [], "n_trials": 6},
-    "rollout": {"n_settle": 5, "n_measure": 200},
+    "rollout": {"n_settle": 5, "n_measure": 100},
     "evolution": {"n_generations": 10, "afpo": {"population_size": 6}},
 }
 """A study of about sixty work items of up to 0.1 s."""
