@@ -50,6 +50,7 @@ TOGETHER = {
     "study": (
         "commands/test_bad_input.py",
         "commands/test_by_name.py",
+        "commands/test_compare_run.py",
         "commands/test_doctor.py",
         "commands/test_exit_codes.py",
         "commands/test_forecast.py",
@@ -64,7 +65,9 @@ TOGETHER = {
         "results/test_export_folder.py",
         "results/test_notebook.py",
         "results/test_recorded_study.py",
+        "results/test_results_file.py",
         "stages/test_analyse.py",
+        "stages/test_pontoon.py",
         "stages/test_report.py",
         "stages/test_stages.py",
     ),
@@ -101,7 +104,6 @@ LONGEST_FIRST = (
     "tasks/test_compiled.py",
     "cluster/test_session.py",
     "fabrication/test_servos.py",
-    "stages/test_pontoon.py",
     "report/test_films.py",
     "tracking/test_server.py",
 )

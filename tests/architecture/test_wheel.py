@@ -79,6 +79,7 @@ def test_the_smoke_study_runs_from_an_installed_wheel_in_an_empty_folder(wheel, 
     )
     assert shown.stdout.count(str(site)) == 3
     shorter = ("grid.depths=[9]", "grid.n_trials=1", "rollout.n_measure=60", "throws.n_throws=10")
+    shorter += ("grid.environments=[residual_slush]", "grid.single_member_depths=[]")
     puddle("study", "--preset", "smoke", "--workers", "0", *(word for one in shorter for word in ("--set", one)))
     assert (empty / "store" / "studies" / "smoke" / "report" / "index.html").stat().st_size > 100_000
     assert "report    done" in puddle("status", "--study", "smoke")

@@ -172,23 +172,22 @@ def test_a_diverged_champion_is_counted_out(study, drawn):
 NASTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)> & \"'` $title"
 
 
-def test_every_text_of_the_study_is_escaped(study):
-    nasty = render_page(
-        replace(
-            study,
-            name=NASTY,
-            title=NASTY,
-            created_with={NASTY: NASTY},
-            settings_yaml=NASTY,
-            failed=[NASTY],
-            not_possible=[NASTY],
-            diverged=[NASTY],
-            digests=[(NASTY, NASTY, "ab" * 32)],
-            residual_errors=[replace(row, band=NASTY) for row in study.residual_errors],
-            replays=[replace(study.replays[0], title=NASTY, seen_in=NASTY)],
-        )
+def test_every_text_of_the_study_is_escaped(study, drawn):
+    nasty = replace(
+        study,
+        name=NASTY,
+        title=NASTY,
+        created_with={NASTY: NASTY},
+        settings_yaml=NASTY,
+        failed=[NASTY],
+        not_possible=[NASTY],
+        diverged=[NASTY],
+        digests=[(NASTY, NASTY, "ab" * 32)],
+        residual_errors=[replace(row, band=NASTY) for row in study.residual_errors],
+        replays=[replace(study.replays[0], title=NASTY, seen_in=NASTY)],
     )
-    page = Page(nasty)
+    title, draw = FIGURES["residual_error"]  # the figure with a text of the study
+    page = Page(render_page(nasty, {**drawn, "residual_error": finish("residual_error", title, partial(draw, nasty))}))
     assert page.open == []
     assert set(page.scripts) == {"replays", "viewer"}
     assert "x" not in page.references
