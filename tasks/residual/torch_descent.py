@@ -46,7 +46,7 @@ class TorchDescent:
         """Take iterations and return the (n_iterations,) mean loss of each minibatch."""
         n_rows, batch_size = len(self._rows), self._training.batch_size
         losses = np.empty(n_iterations)
-        with _deterministic(self._device):
+        with deterministic(self._device):
             for i in range(n_iterations):
                 drawn = torch.randint(n_rows, (batch_size,), device=self._device, generator=self._random)
                 losses[i] = self.step(self._rows.index_select(0, drawn))
@@ -74,7 +74,7 @@ class TorchDescent:
 
     def predict(self, inputs: Float32) -> Float32:
         """Map (n_rows, n_inputs) standardised observations to (n_rows, 6) standardised residuals, without dropout."""
-        with torch.inference_mode(), _deterministic(self._device):
+        with torch.inference_mode(), deterministic(self._device):
             return self._forward(torch.from_numpy(inputs).to(self._device), 0.0).cpu().numpy()
 
     def _forward(self, rows: Tensor, dropout: float) -> Tensor:
@@ -160,7 +160,7 @@ def n_cuda_devices() -> int:
 
 
 @contextmanager
-def _deterministic(device: torch.device) -> Iterator[None]:
+def deterministic(device: torch.device) -> Iterator[None]:
     """Restrict torch to one thread and deterministic algorithms; restore its state afterwards."""
     n_threads, mode = torch.get_num_threads(), torch.get_deterministic_debug_mode()
     if device.type == "cuda":

@@ -36,6 +36,10 @@ class Tracks(Parameters):
     flip_angle: bool = False
     """Whether angles grow clockwise. A mirrored view flips x and the angle; an image whose y grows downward, y and the
     angle."""
+    fit: Literal["rollouts", "steps"] = "rollouts"
+    """How residuals are found: "rollouts" fits a model of the medium to the poses at several frames, and smooths what
+    it leaves; "steps" smooths the poses alone, which takes seconds instead of a minute, and underestimates what dies
+    out between two frames."""
 
     @model_validator(mode="after")
     def _scale_is_used(self) -> Self:

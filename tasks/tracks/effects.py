@@ -44,9 +44,14 @@ class Contacts:
     floor: Bools
 
     @property
+    def any(self) -> Bools:
+        """Frames at a contact."""
+        return self.left | self.right | self.floor
+
+    @property
     def around(self) -> Bools:
         """Frames at a contact and beside it."""
-        at = self.left | self.right | self.floor
+        at = self.any
         near = at.copy()
         for shift in range(1, _FRAMES_AROUND + 1):
             near[:, shift:] |= at[:, :-shift]

@@ -85,14 +85,19 @@ def residual_transitions(
         raise TrackError(f"throw {throw} is shorter than a step, {dt:.3g} s of simulation: leave it out")
     step = np.minimum(np.arange(n_steps.max() + 1), n_steps[:, None])
     time = np.minimum(step * dt, paths.time[:, -1:])
-    smoothed = [_smooth(paths, axis, time) for axis in range(3)]
+    smoothed = _smoothed(paths, paths.pose, time)
     turned = contacts(paths, (smoothed[0].noise.measurement, smoothed[1].noise.measurement))
 
     real = np.arange(n_steps.max()) < n_steps[:, None]
     in_gap, n_gaps = _in_gaps(paths, time)
     at_contact = _near_frames(paths, turned.around, time)
-    transitions = _transitions(paths, long_axes, smoothed, physics, real & ~in_gap & ~at_contact)
+    usable = real & ~in_gap & ~at_contact
+    transitions = _transitions(paths, long_axes, smoothed, physics, usable)
     refuse_upward_falls(transitions, physics.gravity, dt)
+    effects = fall_in_air(transitions, physics.gravity, dt), memory(transitions, dt, _typical_interval(paths))
+    if tracks.fit == "rollouts":
+        smoothed, in_range = _rolled_out(paths, long_axes, turned.any, transitions, time, physics)
+        transitions = _transitions(paths, long_axes, smoothed, physics, usable & in_range)
     typical = np.median(transitions.residual_sd[:, 3:], axis=0)
     where = [_where(paths, *of) for of in ((turned.left, 0), (turned.right, 0), (turned.floor, 1))]
     report = TrackReport(
@@ -107,15 +112,64 @@ def residual_transitions(
         n_contacts=(int(turned.left.sum()), int(turned.right.sum()), int(turned.floor.sum())),
         contact_at=(where[0], where[1], where[2]),
         n_rows_at_contacts=int((real & at_contact & ~in_gap).sum()),
-        fall=fall_in_air(transitions, physics.gravity, dt),
-        memory=memory(transitions, dt, _typical_interval(paths)),
+        fall=effects[0],
+        memory=effects[1],
     )
     return transitions, report
 
 
-def _smooth(paths: Paths, axis: int, time: Float64) -> Smoothed:
-    sd = None if paths.sd is None else paths.sd[..., axis]
-    return smooth(Measured(paths.time, paths.pose[..., axis], paths.seen, sd), time)
+def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
+    """Smooth each coordinate of (n_throws, n_frames, 3) poses."""
+    return [
+        smooth(
+            Measured(paths.time, pose[..., axis], paths.seen, None if paths.sd is None else paths.sd[..., axis]), time
+        )
+        for axis in range(3)
+    ]
+
+
+def _rolled_out(
+    paths: Paths, long_axes: Float64, turned: Bools, transitions: MeasuredTransitions, time: Float64, physics: Physics
+) -> tuple[list[Smoothed], Bools]:
+    """Fit a model of the medium, roll the throws out, and smooth by how much the poses seen differ from them.
+
+    Args:
+        paths: the throws.
+        long_axes: (n_throws,) of their bars [m].
+        turned: (n_throws, n_frames) frames at contacts.
+        transitions: a first estimate.
+        time: (n_throws, n_times) of the steps [s].
+        physics: constants of the base simulator.
+
+    Returns:
+        The states, and which of the (n_throws, n_times - 1) steps begin no faster than smoothed poses ever do: how fast
+        a bar was before its first frame, drag soon hides.
+    """
+    from tasks.residual.rollouts import SeenPaths, fit_medium, follow  # imports torch
+
+    at_frames = _smoothed(paths, paths.pose, paths.time)
+    noise = np.array([of.noise.measurement for of in at_frames])
+    begins = turned.copy()
+    begins[:, 0] = True
+    begins[:, 1:] |= np.diff(paths.time, axis=1) > _LONGEST_GAP * _typical_interval(paths)
+    seen = SeenPaths(
+        time=paths.time,
+        pose=paths.pose,
+        sd=np.broadcast_to(noise, paths.pose.shape) if paths.sd is None else paths.sd,
+        velocity=np.stack([of.mean[..., 1] for of in at_frames], axis=-1),
+        seen=paths.seen,
+        begins=begins & paths.seen,
+        length_scale=long_axes,
+    )
+    model = fit_medium(seen, transitions, physics)
+    seen_pose, pose, velocity = follow(model, seen, time, physics)
+    smoothed = _smoothed(paths, paths.pose - seen_pose, time)
+    for axis, of in enumerate(smoothed):
+        of.mean[..., 0] += pose[..., axis]
+        of.mean[..., 1] += velocity[..., axis]
+    fastest = np.abs(transitions.state[:, 3:]).max(axis=0)
+    found = np.stack([of.mean[:, :-1, 1] for of in smoothed], axis=-1)
+    return smoothed, (np.abs(found) <= fastest).all(axis=-1)
 
 
 def _typical_interval(paths: Paths) -> float:

@@ -13,7 +13,7 @@ from pipeline.results.recorded_study import open_study
 from pipeline.stages.collect import COLLECT, TRANSITIONS, read_transitions
 from pipeline.stages.tracked import with_tracks
 from pipeline.stages.train import TRAIN
-from tasks.residual import MeasuredTransitions
+from tasks.residual import MeasuredTransitions, rollouts
 
 SETTINGS = """name: tank
 network: {hidden_layers: 1, width: 4}
@@ -32,7 +32,10 @@ def collected(tmp_path_factory) -> tuple[Path, list[str]]:
     write_tracks(*filmed(4, seconds=0.5), folder / "tracks.csv")
     (folder / "plain.yaml").write_text(SETTINGS.partition("tracks:")[0])
     options = ["--settings", str(folder / "plain.yaml"), "--store", str(folder / "store"), "--workers", "0"]
-    assert call("collect", "--tracks", str(folder / "tracks.csv"), *options) == 0
+    with pytest.MonkeyPatch.context() as briefly:
+        briefly.setattr(rollouts, "_N_FIRST", 10)
+        briefly.setattr(rollouts, "_N_ITERATIONS", 10)
+        assert call("collect", "--tracks", str(folder / "tracks.csv"), *options) == 0
     return folder, options
 
 
@@ -63,8 +66,9 @@ def test_the_key_is_that_of_the_content_wherever_the_file_lies(collected, tmp_pa
     with (tmp_path / "tracks-bars.csv").open("a") as file:
         file.write("99,0.07,0.07,0.098\n")
     assert keys(with_tracks(settings, tmp_path / "tracks.csv")) != keys(settings)
-    in_mm = settings.model_copy(update={"tracks": settings.tracks.model_copy(update={"length_unit": "mm"})})
-    assert keys(in_mm) != keys(settings)
+    for change in ({"length_unit": "mm"}, {"fit": "steps"}):
+        other = settings.model_copy(update={"tracks": settings.tracks.model_copy(update=change)})
+        assert keys(other) != keys(settings)
 
 
 def test_what_is_collected_needs_no_file(collected, tmp_path, capsys) -> None:
