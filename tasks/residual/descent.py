@@ -1,6 +1,6 @@
 """Training of a multilayer perceptron on a core, by AdamW on minibatches.
 
-torch spends three to ten times as long on an iteration of a small network as the kernel in descent_kernel.py.
+torch takes three times as long for an iteration of 2 × 32 units, and half as long again for 3 × 64.
 """
 
 from collections.abc import Mapping
