@@ -219,6 +219,7 @@ _TABLES = {
     "residuals": tracks_tables.residuals,
     "studies": tracks_tables.studies,
     "fluids": tracks_tables.fluids,
+    "robots": tracks_tables.robots,
     "accuracy": accuracy,
     "coverage": coverage,
     "errors": errors,

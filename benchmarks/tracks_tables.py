@@ -18,6 +18,17 @@ def residuals(results: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def robots(results: Mapping[str, Any]) -> str:
+    """Tabulate what networks get wrong along the paths of robots, by what they learned from."""
+    lines = ["| learned from | `tracks.fit` | vx | vy | ω |", "|---|---|--:|--:|--:|"]
+    for row in results["robots"]:
+        words = row["learned_from"]
+        if words == "tracks":
+            words = f"tracks, {row['rate']:g} frames/s, {_noise(row) if row['noise_mm'] else 'no noise'}"
+        lines.append(f"| {words} | {row.get('fit', '')} | {' | '.join(f'{of:.2f}' for of in row['error'])} |")
+    return "\n".join(lines)
+
+
 def studies(results: Mapping[str, Any]) -> str:
     """Tabulate where champions get, by what their networks learned from."""
     lines = ["| learned from | throws | displacement [m] | share of exact states |", "|---|--:|--:|--:|"]
