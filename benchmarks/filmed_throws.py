@@ -1,7 +1,8 @@
 """Measure what filmed throws are worth: `python -m benchmarks.filmed_throws --work DIR`.
 
 500 throws are filmed by the synthetic camera, tracked as `puddle track` does, and learned from. Adds its rows to
-docs/results/tracks.json, which docs/your-own-tank.md shows. It takes half an hour on two cores; DIR keeps the videos.
+docs/results/tracks-rollouts.json, which docs/your-own-tank.md shows. It takes half an hour on two cores; DIR keeps the
+videos.
 """
 
 from __future__ import annotations

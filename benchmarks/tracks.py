@@ -1,8 +1,9 @@
-"""Measure what tracked throws are worth: `python -m benchmarks.tracks [residuals] [studies] [fluids]`.
+"""Measure what tracked throws are worth: `python -m benchmarks.tracks [residuals] [robots] [studies] [fluids]`.
 
-Writes docs/results/tracks.json, which docs/your-own-tank.md shows; without arguments, all parts of it. A simulation
-with steps of 1/960 s stands in for the tank, and exact poses, with noise or without, for the camera. All of it takes
-half an hour on one core. Rows that the file has are not measured again.
+Writes docs/results/tracks-rollouts.json, which docs/your-own-tank.md shows; without arguments, all parts of it. A
+simulation with steps of 1/960 s stands in for the tank, and exact poses, with noise or without, for the camera. All of
+it takes one and a half hours on one core. Rows that the file has are not measured again. tracks.json has what was
+measured before rollouts were the default.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache, partial
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
+from benchmarks import throws
 from benchmarks.published import RESULTS
 from pipeline.store.provenance import environment as provenance
 from tasks.arrays import Float64
@@ -57,8 +59,8 @@ class Camera:
 
 def starts(n_throws: int) -> Starts:
     """Return starts that are designed for robots."""
-    throws = Throws(design="robots", n_throws=n_throws, n_steps=None)
-    return initial_states(throws, generator(1, "throws"), PHYSICS)
+    designed = Throws(design="robots", n_throws=n_throws, n_steps=None)
+    return initial_states(designed, generator(1, "throws"), PHYSICS)
 
 
 @cache
@@ -141,20 +143,35 @@ CAMERAS = (
 )
 FEWER = (Camera(n_throws=250, noise_mm=0.3, noise_deg=0.5), Camera(n_throws=100, noise_mm=0.3, noise_deg=0.5))
 
+Fit = Literal["rollouts", "steps"]  # of the settings tracks.fit
 Row = dict[str, Any]
 Measurement = tuple[Row, Callable[[], Row]]  # what identifies a row, and what measures the rest of it
 
 
-def measured(camera: Camera, medium: Medium) -> Transitions:
+@cache
+def measured(camera: Camera, medium: Medium, fit: Fit = "rollouts") -> Transitions:
     """Return the transitions of filmed throws."""
-    return residual_transitions(*tracked(camera, medium), Tracks(file="tracks"), PHYSICS)[0]
+    return residual_transitions(*tracked(camera, medium), Tracks(file="tracks", fit=fit), PHYSICS)[0]
 
 
 def residuals() -> Iterator[Measurement]:
     """Yield the errors of residuals for each camera, by speed of the bar."""
     for camera in CAMERAS:
-        fewer = dataclasses.replace(camera, n_throws=100)
-        yield dataclasses.asdict(fewer), lambda of=fewer: {"error": residual_errors(measured(of, Slush()), Slush())}
+        yield dataclasses.asdict(camera), lambda of=camera: {"error": residual_errors(measured(of, Slush()), Slush())}
+
+
+def robots() -> Iterator[Measurement]:
+    """Yield what networks get wrong along the paths of robots that evolved in True Slush, by what they learned from."""
+    at = cache(lambda: throws.robots(DEPTH))
+
+    def errors(transitions: Transitions) -> Row:
+        return {"error": throws.errors(learned(transitions), *at())}
+
+    yield {"learned_from": "exact states", "n_throws": 500}, lambda: errors(exact(500, Slush()))
+    for camera in (CAMERAS[0], CAMERAS[1], CAMERAS[3]):
+        for fit in get_args(Fit):
+            row = {"learned_from": "tracks", "fit": fit, **dataclasses.asdict(camera)}
+            yield row, lambda of=camera, fit=fit: errors(measured(of, Slush(), fit))
 
 
 def study(transitions: Callable[[], Transitions], true: Environment, inputs: tuple[Observed, ...] = OBSERVATION) -> Row:
@@ -188,12 +205,17 @@ def fluids() -> Iterator[Measurement]:
         yield row, lambda at=true: study(lambda: measured(camera, at.medium), at, inputs)
 
 
-PARTS: dict[str, Callable[[], Iterator[Measurement]]] = {"residuals": residuals, "fluids": fluids, "studies": studies}
+PARTS: dict[str, Callable[[], Iterator[Measurement]]] = {
+    "residuals": residuals,
+    "robots": robots,
+    "fluids": fluids,
+    "studies": studies,
+}
 
 
 def measure_missing(part: str, measurements: Iterable[Measurement]) -> None:
     """Measure the rows that the file lacks of a part, and write it after each."""
-    path = RESULTS / "tracks.json"
+    path = RESULTS / "tracks-rollouts.json"
     for identity, measure in measurements:
         document = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
         rows = document.setdefault(part, [])

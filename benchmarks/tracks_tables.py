@@ -1,4 +1,4 @@
-"""Tables of docs/results/tracks.json, which `python -m benchmarks.tracks` measures."""
+"""Tables of docs/results/tracks-rollouts.json, which `python -m benchmarks.tracks` measures."""
 
 import math
 from collections.abc import Mapping, Sequence
