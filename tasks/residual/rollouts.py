@@ -78,8 +78,8 @@ class MediumModel(nn.Module):
         self.residual_deviation = torch.from_numpy(scale)
         self.coefficients = _network(4, 10)
         self.rest = _network(7, 3)
-        nn.init.zeros_(self.rest[-1].weight)  # type: ignore[arg-type]
-        nn.init.zeros_(self.rest[-1].bias)  # type: ignore[arg-type]
+        for parameter in self.rest[-1].parameters():
+            nn.init.zeros_(parameter)
 
     def forward(self, length_scale: Tensor, pose: Tensor, velocity: Tensor) -> Tensor:
         """Return the (n, 3) changes of vx, vy and ω in a step.

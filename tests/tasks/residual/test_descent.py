@@ -115,7 +115,7 @@ def test_updates_are_those_of_adamw():
 
 
 def test_minibatches_are_drawn_with_replacement():
-    """Two rows to learn from, and a learning rate that changes nothing: a batch's loss counts how often each came."""
+    """Two rows to learn from, and a learning rate that changes nothing: a loss says how often each row was drawn."""
     still = {"learning_rate": 1e-30, "min_learning_rate": 1e-30, "loss": "mse", "weight_decay": 0.0}
     weights = initial_weights(Architecture(hidden_layers=1, width=4), np.random.default_rng(0))
     rows = (10 * np.random.default_rng(1).normal(size=(2, 12))).astype(np.float32)

@@ -1,0 +1,274 @@
+"""What results files say in the sentences of pages: figures, and whether claims in words hold.
+
+A claim in words holds within tolerances: means of displacements count as equal within a tenth.
+"""
+
+import math
+from collections.abc import Mapping
+from statistics import fmean
+
+import scipy
+
+from benchmarks.sentences import Results
+from tasks.analysis import paper
+
+EQUAL = 0.1  # relative difference of means that count as equal
+
+
+def _moments(study: Results, environment: str, quantity: str, depth: float) -> Results:
+    found: list[Results] = [of for of in study["arms"] if (of["environment"], of["depth"]) == (environment, depth)]
+    if len(found) != 1 or quantity not in found[0]:
+        raise ValueError(
+            f"study {study['study']} has no {quantity} of {environment} at {depth:g} m, which a page quotes"
+        )
+    moments: Results = found[0][quantity]
+    return moments
+
+
+def _mean(study: Results, environment: str, quantity: str, depth: float = paper.DEPTH) -> float:
+    mean: float = _moments(study, environment, quantity, depth)["mean"]
+    return mean
+
+
+def spread(study: Results, environment: str, quantity: str) -> str:
+    """Return mean ± deviation of an arm at 9 m."""
+    moments = _moments(study, environment, quantity, paper.DEPTH)
+    return f"{moments['mean']:.1f} ± {moments['sd']:.1f}"
+
+
+def share(study: Results, environment: str, quantity: str = "zero_shot", of: str = "zero_shot") -> float:
+    """Return an arm's share of *E* at 9 m."""
+    return _mean(study, environment, quantity) / _mean(study, "true_slush", of)
+
+
+def kept(study: Results, environment: str, depth: float = paper.DEPTH) -> float:
+    """Return how much of its prediction an arm travels."""
+    return _mean(study, environment, "zero_shot", depth) / _mean(study, environment, "predicted", depth)
+
+
+def shortfall(study: Results, environment: str) -> float:
+    """Return how far an arm stays behind its prediction at 9 m [m]."""
+    return _mean(study, environment, "predicted") - _mean(study, environment, "zero_shot")
+
+
+def percent(share: float) -> str:
+    """Write a share in percent."""
+    return f"{100 * share:.0f}".replace("-", "−")
+
+
+def _fit(study: Results, learned_from: str) -> Results:
+    """Return R and slope of an ensemble's mean."""
+    (row,) = (row for row in study["accuracy"] if (row["learned_from"], row["name"]) == (learned_from, "mean"))
+    found: Results = row
+    return found
+
+
+# -- studies ---------------------------------------------------------------------------------------------------------
+
+
+def _of_data_sets(desk: Results) -> list[list[Results]]:
+    rows = [row for row in desk["champions"] if row["environment"] == "designed_throws"]
+    return [[row for row in rows if row["trial"] % 2 == k] for k in (0, 1)]
+
+
+def shares_of_data_sets(desk: Results) -> Mapping[str, str]:
+    """Return the shares of *E* of the robots of each data set."""
+    best = _mean(desk, "true_slush", "zero_shot")
+    shares = [percent(fmean(row["zero_shot"] for row in rows) / best) for rows in _of_data_sets(desk)]
+    return dict(zip(("first", "second"), shares, strict=True))
+
+
+def desk_holds(desk: Results) -> bool:
+    """Whether two of the five champions of the first data set travel half as far, and all reach *E* adapted."""
+    first, _ = _of_data_sets(desk)
+    n_short = sum(row["zero_shot"] < 0.6 * row["predicted"] for row in first)
+    return (len(first), n_short) == (5, 2) and share(desk, "designed_throws", "adapted", "adapted") > 1 - EQUAL
+
+
+def papers_order_holds(laptop: Results) -> bool:
+    """Whether arms are in the paper's order in slush, and designed throws ahead of the paper's at every depth."""
+    depths = sorted({arm["depth"] for arm in laptop["arms"]})
+    order = ("dry_land", "residual_slush", "true_slush")
+    ordered = [[_mean(laptop, name, "zero_shot", depth) for name in order] for depth in depths if depth > 0]
+    arms = [[_mean(laptop, name, "zero_shot", depth) for depth in depths] for name in ("designed_throws", order[1])]
+    larger_gap = all(
+        share(laptop, "residual_slush", quantity) < paper.RATIOS["residual_slush", quantity][0]
+        for quantity in ("zero_shot", "adapted")
+    )
+    ahead = all(designed > papers for designed, papers in zip(*arms, strict=True))
+    return larger_gap and ahead and all(means == sorted(means) for means in ordered)
+
+
+def designed_throws_hold(laptop: Results) -> bool:
+    """Whether robots of designed throws travel as far as predicted, and almost as far as those of True Slush."""
+    fit, close = _fit(laptop, "designed_throws"), share(laptop, "designed_throws")
+    predicts = fit["r"] > 0.9 and math.isclose(fit["slope"], 1, abs_tol=EQUAL)
+    return predicts and close > 0.85 and abs(kept(laptop, "designed_throws") - 1) < EQUAL
+
+
+def t_tests(laptop: Results) -> Mapping[str, str]:
+    """Return how many of the paper's t tests have each outcome."""
+    n = laptop["t_tests"]
+    counts = {"all": sum(n.values()), "same": n["agrees"], "other": n["differs"], "untold": n["cannot tell"]}
+    return {name: f"{count}" for name, count in counts.items()}
+
+
+def magnitudes_hold(laptop: Results, magnitudes: Results) -> bool:
+    """Whether magnitudes lose with the paper's throws and gain nothing with designed ones."""
+    papers, designed = (
+        [_mean(study, name, "zero_shot") for study in (laptop, magnitudes)]
+        for name in ("residual_slush", "designed_throws")
+    )
+    return papers[1] < papers[0] and math.isclose(*designed, rel_tol=EQUAL)
+
+
+# -- why our E goes farther ------------------------------------------------------------------------------------------
+
+
+def _choices(choices: Results, *wanted: str) -> list[Results]:
+    return [row for row in choices["rows"] if row["setting"] and row["setting"].partition("=")[0] in wanted]
+
+
+def _redrawn(choices: Results) -> Results:
+    (row,) = (row for row in choices["rows"] if row["setting"] == "evolution.afpo.mutation.changed_genes=redraw")
+    found: Results = row
+    return found
+
+
+def variation(choices: Results) -> Mapping[str, str]:
+    """Return the range of *E* over ways to vary designs, and what resampled genes give the paper's ten trials."""
+    means = [row["mean"] for row in choices["rows"] if row["group"] == "How designs vary"]
+    row, (low, high) = _redrawn(choices), _repeated(choices)
+    return {
+        "low": f"{min(means):.0f}",
+        "high": f"{max(means):.0f}",
+        "redrawn": f"{row['mean']:.1f} ± {row['sd']:.1f}",
+        "n": f"{row['n']}",
+        "least": f"{low:.1f}",
+        "most": f"{high:.1f}",
+    }
+
+
+def _repeated(choices: Results) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of the paper's ten trials, if they resampled genes as ours did."""
+    row = _redrawn(choices)
+    error = row["sd"] * math.sqrt(1 / row["n"] + 1 / paper.N_TRIALS)
+    half = float(scipy.stats.t.ppf(0.975, row["n"] - 1)) * error
+    return row["mean"] - half, row["mean"] + half
+
+
+def variation_holds(choices: Results) -> bool:
+    """Whether resampled genes get less far than ours, and as far as the paper's trials."""
+    ours, row, (low, high) = choices["rows"][0], _redrawn(choices), _repeated(choices)
+    moments = [of[name] for of in (ours, row) for name in ("mean", "sd", "n")]
+    p = float(scipy.stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue)
+    return p < 0.001 and row["mean"] < ours["mean"] and low < paper.MEANS["true_slush", "zero_shot"][0] < high
+
+
+def small_effects(choices: Results) -> Mapping[str, str]:
+    """Return the largest effect of the choices that do not matter, and the gap to the paper [m]."""
+    ours, papers = choices["rows"][0]["mean"], paper.MEANS["true_slush", "zero_shot"][0]
+    small = _choices(choices, "slush.drag", "slush.drag_integration", "physics.spawn")
+    small += [row for row in choices["rows"] if row["setting"] == "physics.motor_gain=3"]
+    return {"most": f"{max(abs(row['mean'] - ours) for row in small):.0f}", "gap": f"{ours - papers:.1f}"}
+
+
+def reach(choices: Results) -> Mapping[str, str]:
+    """Return how far the whole robot gets where its root alone travels [m]."""
+    reaching = _choices(choices, "physics.range_of_motion", "physics.motor_gain")
+    com = sorted(row["com"] for row in reaching if row["setting"] != "physics.motor_gain=3")
+    return {"low": f"{com[0]:.1f}", "high": f"{com[-1]:.1f}"}
+
+
+def sensitivity_holds(sensitivity: Results) -> bool:
+    """Whether intervals of the differences, in means of the base, are as the sentence says of its four variants."""
+    found = {row["name"]: row for row in sensitivity["rows"]}
+    within = [_interval(found[name]) for name in ("joint-limits", "motors-after-settling")]
+    beyond = [_interval(found[name]) for name in ("peak-to-peak", "tournaments")]
+    bound = paper.NEGLIGIBLE
+    return all(-bound < low and high < bound for low, high in within) and all(
+        high < -bound or low > bound for low, high in beyond
+    )
+
+
+def _interval(row: Results) -> tuple[float, float]:
+    base, variant = row["base"], row["displacement"]
+    found = scipy.stats.ttest_ind(variant, base).confidence_interval()
+    return found.low / fmean(base), found.high / fmean(base)
+
+
+# -- throws, tracks, videos ------------------------------------------------------------------------------------------
+
+
+def _error(throws: Results, n_throws: int, network: str = "2 × 32", inputs: int = 6, of: str = "robots") -> float:
+    """Return the mean error of networks over depths and components, with about 100,000 transitions or fewer."""
+    (error,) = (
+        row["error"]
+        for row in throws["errors"]
+        if (row["throws"], row["n_throws"], row["network"], row["inputs"]) == (of, n_throws, network, inputs)
+        and row["n_steps"] in (40, 200)
+        and (of, row["n_steps"]) != ("robots", 200)
+    )
+    return fmean(share for shares in error.values() for share in shares)
+
+
+def errors_hold(throws: Results) -> bool:
+    """Whether errors of networks are the shares that the page names."""
+    designed = _error(throws, 2500)
+    expected = (
+        (_error(throws, 500, of="paper"), 1, 0.2),
+        (designed, 1 / 5, 0.05),
+        (_error(throws, 500), 1 / 4, 0.05),
+        (_error(throws, 2500, inputs=9) / designed, 2 / 3, 0.1),
+        (_error(throws, 2500, "3 × 64") / designed, 1 / 2, 0.1),
+    )
+    return all(math.isclose(found, stated, abs_tol=tolerance) for found, stated, tolerance in expected)
+
+
+def tracks_hold(tracks: Results) -> bool:
+    """Whether tracks lose a quarter, and 2 mm of noise or 100 throws more than half, of what exact states give."""
+    of = {row["learned_from"]: fmean(row["displacement"]) for row in tracks["studies"]}
+    rows = [row for row in tracks["studies"] if row["learned_from"] == "tracks" and row["rate"] == 60]
+    shares = {(row["n_throws"], row["noise_mm"]): fmean(row["displacement"]) / of["exact states"] for row in rows}
+    quarter = (
+        fmean(share for (n, noise), share in shares.items() if n == 500 and noise <= 1),
+        of["video"] / of["exact states of filmed throws"],
+    )
+    half = (shares[500, 2.0], shares[100, 0.3])
+    return all(math.isclose(share, 0.75, abs_tol=0.05) for share in quarter) and max(half) < 0.5
+
+
+def _bars(video: Results, case: str) -> list[Results]:
+    return [row for row in video["cases"] if row["case"] == case]
+
+
+def video_holds(video: Results) -> bool:
+    """Whether positions from videos are off by a quarter of a millimetre, about as much as their noise says."""
+    seen = [row for row in video["cases"] if "exact" not in row["case"]]
+    with_board = [row for row in seen if "no board" not in row["case"]]
+    right = [abs(row["stated_mm"] / row["jitter_mm"] - 1) for row in with_board]
+    return math.isclose(fmean(row["position_mm"] for row in seen), 0.25, abs_tol=0.05) and max(right) < 0.35
+
+
+def too_small(video: Results) -> Mapping[str, str]:
+    """Return by how much the stated noise of fast bars is too small."""
+    fast = _bars(video, "60/s, no board")[-1]
+    return {"share": percent(1 - fast["stated_mm"] / fast["jitter_mm"])}
+
+
+# -- benchmarks ------------------------------------------------------------------------------------------------------
+
+
+def medians(benchmarks: Results, name: str) -> list[float]:
+    """Return the medians of a benchmark over depths."""
+    return [of["median"] for of in benchmarks["figures"] if of["name"].startswith(f"{name}, d = ")]
+
+
+def own_work(benchmarks: Results) -> Mapping[str, str]:
+    """Return the ranges of AFPO's own work and of its tables [%]."""
+    median = {of["name"]: of["median"] for of in benchmarks["figures"]}
+    arms = ("DryLand, d = 9", "TrueSlush, d = 1", "TrueSlush, d = 9")
+    own = [median[f"AFPO's own work, {arm}"] for arm in arms]
+    tables = [median[f"AFPO's own work and its tables, {arm}"] - of for arm, of in zip(arms, own, strict=True)]
+    ends = {"low": min(own), "high": max(own), "low_tables": min(tables), "high_tables": max(tables)}
+    return {name: f"{end:.0f}" for name, end in ends.items()}
