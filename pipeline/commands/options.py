@@ -115,14 +115,18 @@ class StudyOptions:
         from pipeline.config.settings import Settings
         from pipeline.workflow.record import settings_of
 
+        overrides = list(self.overrides or ())
+        if self.tracks and any(override.startswith("tracks.") for override in overrides):
+            # Settings of tracks are valid only beside the file.
+            overrides = ["throws.source=tracks", f"tracks.file={json.dumps(str(self.tracks))}", *overrides]
         if self.study is None:
             path = self.settings_file or preset_path(self.preset or _DEFAULT_PRESET)
-            return load(Settings, path, self.overrides or ())
+            return load(Settings, path, overrides)
         recorded = settings_of(self._record(self.study))
-        if not self.overrides:
+        if not overrides:
             return recorded
         name = f"the settings of study {self.study}"
-        return parse(Settings, recorded.model_dump_json(), name=name, overrides=self.overrides)
+        return parse(Settings, recorded.model_dump_json(), name=name, overrides=overrides)
 
     @property
     def source(self) -> str:

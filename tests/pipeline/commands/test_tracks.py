@@ -9,6 +9,7 @@ from command_line import call, refused
 from small_study import labelled
 from tank import filmed, write_tracks
 
+from pipeline.commands.options import StudyOptions
 from pipeline.results.recorded_study import open_study
 from pipeline.stages.collect import COLLECT, TRANSITIONS, read_transitions
 from pipeline.stages.tracked import with_tracks
@@ -69,6 +70,14 @@ def test_the_key_is_that_of_the_content_wherever_the_file_lies(collected, tmp_pa
     for change in ({"length_unit": "mm"}, {"fit": "steps"}):
         other = settings.model_copy(update={"tracks": settings.tracks.model_copy(update=change)})
         assert keys(other) != keys(settings)
+
+
+def test_the_file_may_be_named_beside_other_settings_of_tracks(collected) -> None:
+    folder, _ = collected
+    changed = ["tracks.fit=steps", "tracks.flip_x=true"]
+    options = StudyOptions(settings_file=folder / "plain.yaml", overrides=changed, tracks=folder / "tracks.csv")
+    tracks = options.settings().tracks
+    assert (tracks.file, tracks.fit, tracks.flip_x) == (str(folder / "tracks.csv"), "steps", True)
 
 
 def test_what_is_collected_needs_no_file(collected, tmp_path, capsys) -> None:
