@@ -39,8 +39,8 @@ from tasks.world import Physics
 
 _WIDTH = 32
 _SEED = 1
-_N_FIRST, _FIRST_BATCH, _FIRST_RATE = 3000, 512, 1e-2  # the fit to residuals of single steps
-_N_ITERATIONS, _BATCH, _RATE = 1500, 192, 2e-3  # the fit to rollouts
+_FIRST_BATCH, _FIRST_RATE = 512, 1e-2  # the fit to residuals of single steps
+_BATCH, _RATE = 192, 2e-3  # the fit to rollouts
 _FLAT, _DECAY = 0.6, 5e-3  # share of the iterations at the full rate, and the share of it at the end
 _WINDOW = 6  # intervals between frames in a rollout; the next one begins at the last but one of its frames
 _LONGEST = 1.5  # typical intervals between frames, on average, in a window
@@ -213,13 +213,22 @@ def _at(path: Tensor, steps: Tensor) -> Tensor:
     return earlier + (steps - before)[:, :, None] * (later - earlier)
 
 
-def fit_medium(paths: SeenPaths, transitions: MeasuredTransitions, physics: Physics) -> MediumModel:
+def fit_medium(
+    paths: SeenPaths,
+    transitions: MeasuredTransitions,
+    physics: Physics,
+    *,
+    n_first_iterations: int = 3000,
+    n_iterations: int = 1500,
+) -> MediumModel:
     """Fit a model of the medium to the frames of throws.
 
     Args:
         paths: the throws.
         transitions: their residuals, as a smoother estimates them, for a first fit.
         physics: constants of the base simulator.
+        n_first_iterations: iterations of the first fit, to single steps.
+        n_iterations: iterations of the fit to rollouts.
 
     Returns:
         The model, on one CPU thread; a second run gives the same.
@@ -227,32 +236,32 @@ def fit_medium(paths: SeenPaths, transitions: MeasuredTransitions, physics: Phys
     with torch.random.fork_rng(devices=[]), deterministic(torch.device("cpu")):
         torch.manual_seed(_SEED)
         model = MediumModel(transitions, physics.time_step)
-        _fit_steps(model, transitions)
+        _fit_steps(model, transitions, n_first_iterations)
         windows = _Windows(paths, _parts(paths), model, physics.time_step)
-        _fit_rollouts(model, windows, physics.gravity)
+        _fit_rollouts(model, windows, physics.gravity, n_iterations)
     return model
 
 
-def _fit_steps(model: MediumModel, transitions: MeasuredTransitions) -> None:
+def _fit_steps(model: MediumModel, transitions: MeasuredTransitions, n_iterations: int) -> None:
     weights = torch.from_numpy(precision_weights(transitions.residual, transitions.residual_sd)[:, 3:])
     residual = torch.from_numpy(transitions.residual[:, 3:])
     inputs = _of_transitions(transitions)
     parameters = list(model.parameters())
     update = weight_updates(parameters, weight_decay=0.01)
-    for iteration in range(_N_FIRST):
+    for iteration in range(n_iterations):
         rows = torch.randint(len(residual), (_FIRST_BATCH,))
         predicted = model(*(of[rows] for of in inputs))
         loss = (weights[rows] * ((predicted - residual[rows]) / model.residual_deviation).square()).mean()
         _descend(loss, parameters)
-        update(_FIRST_RATE * 0.01 ** (iteration / _N_FIRST))
+        update(_FIRST_RATE * 0.01 ** (iteration / n_iterations))
 
 
-def _fit_rollouts(model: MediumModel, windows: _Windows, gravity: float) -> None:
+def _fit_rollouts(model: MediumModel, windows: _Windows, gravity: float, n_iterations: int) -> None:
     parameters = list(model.parameters())
     update = weight_updates(parameters, weight_decay=0.01)
     Q = windows.estimate_starts(model, gravity, n_sweeps=5)
     shuffled = torch.randperm(len(windows))
-    for iteration in range(_N_ITERATIONS):
+    for iteration in range(n_iterations):
         if iteration and iteration % _RELINEARISE == 0:
             Q = windows.estimate_starts(model, gravity, n_sweeps=2)
         if len(shuffled) < min(_BATCH, len(windows)):
@@ -262,7 +271,7 @@ def _fit_rollouts(model: MediumModel, windows: _Windows, gravity: float) -> None
         squared = (r - Q[rows] @ (Q[rows].transpose(1, 2) @ r)).square().mean(dim=(1, 2))
         _descend((_ROBUST * torch.log1p(squared / _ROBUST)).mean(), parameters)
         nn.utils.clip_grad_norm_(parameters, 1.0)
-        done = iteration / _N_ITERATIONS
+        done = iteration / n_iterations
         warm_up = min((iteration + 1) / 50, 1.0)
         update(warm_up * _RATE * _DECAY ** max((done - _FLAT) / (1 - _FLAT), 0.0))
 

@@ -58,7 +58,7 @@ def checked_paths(table: TrackTable, bars: Bars, tracks: Tracks) -> tuple[Paths,
 
 
 def residual_transitions(
-    table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics
+    table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics, *, n_iterations: int = 1500
 ) -> tuple[MeasuredTransitions, TrackReport]:
     """Smooth tracked throws, and compare each step of the simulator's clock with the base simulator's.
 
@@ -70,6 +70,7 @@ def residual_transitions(
         bars: the bar of each throw.
         tracks: units, axes and scale.
         physics: constants of the base simulator.
+        n_iterations: iterations of a fit to rollouts.
 
     Returns:
         MeasuredTransitions with their uncertainty, ordered by throw and step, and what the tracks are like.
@@ -96,7 +97,7 @@ def residual_transitions(
     refuse_upward_falls(transitions, physics.gravity, dt)
     effects = fall_in_air(transitions, physics.gravity, dt), memory(transitions, dt, _typical_interval(paths))
     if tracks.fit == "rollouts":
-        smoothed, in_range = _rolled_out(paths, long_axes, turned.any, transitions, time, physics)
+        smoothed, in_range = _rolled_out(paths, long_axes, turned.any, transitions, time, physics, n_iterations)
         transitions = _transitions(paths, long_axes, smoothed, physics, usable & in_range)
     typical = np.median(transitions.residual_sd[:, 3:], axis=0)
     where = [_where(paths, *of) for of in ((turned.left, 0), (turned.right, 0), (turned.floor, 1))]
@@ -129,7 +130,13 @@ def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
 
 
 def _rolled_out(
-    paths: Paths, long_axes: Float64, turned: Bools, transitions: MeasuredTransitions, time: Float64, physics: Physics
+    paths: Paths,
+    long_axes: Float64,
+    turned: Bools,
+    transitions: MeasuredTransitions,
+    time: Float64,
+    physics: Physics,
+    n_iterations: int,
 ) -> tuple[list[Smoothed], Bools]:
     """Fit a model of the medium, roll the throws out, and smooth by how much the poses seen differ from them.
 
@@ -140,6 +147,7 @@ def _rolled_out(
         transitions: a first estimate.
         time: (n_throws, n_times) of the steps [s].
         physics: constants of the base simulator.
+        n_iterations: iterations of the fit.
 
     Returns:
         The states, and which of the (n_throws, n_times - 1) steps begin no faster than smoothed poses ever do: how fast
@@ -161,7 +169,7 @@ def _rolled_out(
         begins=begins & paths.seen,
         length_scale=long_axes,
     )
-    model = fit_medium(seen, transitions, physics)
+    model = fit_medium(seen, transitions, physics, n_iterations=n_iterations)
     seen_pose, pose, velocity = follow(model, seen, time, physics)
     smoothed = _smoothed(paths, paths.pose - seen_pose, time)
     for axis, of in enumerate(smoothed):

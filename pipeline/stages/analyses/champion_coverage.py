@@ -5,6 +5,7 @@ prediction when the truth is not known.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,10 +16,12 @@ from pipeline.stages.analyses.champions import Champion
 from pipeline.stages.analyses.filmed_rollouts import home_of
 from pipeline.stages.analyses.specs import InstrumentsSpec
 from pipeline.stages.collect import read_transitions, throws_among
-from pipeline.stages.environments import networks_among
+from pipeline.stages.environments import home_networks_among, networks_among
+from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Inputs, Job
 from tasks.analysis.coverage import coverage, observed_states
 from tasks.arrays import Float32
+from tasks.design.genes import concatenate
 from tasks.residual.support import deviations
 from tasks.seeding import generator
 
@@ -40,7 +43,7 @@ def champion_coverage(
     """
     if job.spec.arm.environment not in RESIDUAL_ENVIRONMENTS:
         return ()
-    states = {of.trial: found for of in arm if len(found := _states(job, inputs, of))}
+    states = {of: found for of, found in _states(job, inputs, arm).items() if len(found)}
     if not states:
         return ()
     scale = deviations(np.concatenate(list(states.values())))
@@ -53,11 +56,22 @@ def champion_coverage(
     ]
 
 
-def _states(job: Job[InstrumentsSpec], inputs: Inputs, champion: Champion) -> Float32:
-    """Return states of a champion's links where it evolved, under every member."""
-    spec, trial = job.spec, champion.trial
-    home = home_of(spec.simulation, champion, networks_among(inputs))
-    rollouts = environments.roll_out(spec.simulation, job.execution, home, champion.design, trace=True)
-    rng = generator(spec.seed, "analyse", "coverage", trial.environment, trial.depth, trial.index)
+def _states(job: Job[InstrumentsSpec], inputs: Inputs, arm: Sequence[Champion]) -> dict[TrialId, Float32]:
+    """Return states of champions' links where they evolved, under every member; one simulation for each home."""
+    spec, networks = job.spec, networks_among(inputs)
     n_settle = spec.simulation.rollout.n_settle
-    return observed_states(champion.design, rollouts, n_settle=n_settle, rng=rng, n_most=_N_STATES)
+    by_home: dict[tuple[InputName, ...], list[Champion]] = {}
+    for champion in arm:
+        by_home.setdefault(tuple(home_networks_among(networks, champion.trial)), []).append(champion)
+    states: dict[TrialId, Float32] = {}
+    for champions in by_home.values():
+        home = home_of(spec.simulation, champions[0], networks)
+        designs = concatenate([of.design for of in champions])
+        rollouts = environments.roll_out(spec.simulation, job.execution, home, designs, trace=True)
+        assert rollouts.trace is not None
+        for number, champion in enumerate(champions):
+            trial = champion.trial
+            rng = generator(spec.seed, "analyse", "coverage", trial.environment, trial.depth, trial.index)
+            own = replace(rollouts, trace=np.take(rollouts.trace, [number], axis=-4))
+            states[trial] = observed_states(champion.design, own, n_settle=n_settle, rng=rng, n_most=_N_STATES)
+    return {of.trial: states[of.trial] for of in arm}

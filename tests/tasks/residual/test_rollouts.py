@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tasks.residual import MeasuredTransitions, Throws, initial_states, rollouts, simulate_throws
+from tasks.residual import MeasuredTransitions, Throws, initial_states, simulate_throws
 from tasks.residual.rollouts import MediumModel, SeenPaths, fit_medium, follow
 from tasks.simulation.free_links import FreeLinks
 from tasks.world import Physics, Slush
@@ -66,26 +66,34 @@ def thrown():
     return simulate_throws(starts, 61, Slush(), PHYSICS)
 
 
-def test_a_fit_recovers_drag_from_every_fourth_pose(monkeypatch, thrown) -> None:
-    """The first estimate has half the velocities' changes; rollouts find the rest in the poses."""
-    monkeypatch.setattr(rollouts, "_N_FIRST", 500)
-    monkeypatch.setattr(rollouts, "_N_ITERATIONS", 250)
+@pytest.fixture(scope="module")
+def seen_at_every_fourth_step(thrown):
+    """The poses, with first estimates of the residuals that are half of the true ones."""
     columns = {name: getattr(thrown, name) for name in thrown.columns()}
     columns["residual"] = thrown.residual / 2
     halved = MeasuredTransitions(**columns, residual_sd=np.full_like(thrown.residual, 1e-3))
     state = thrown.state.reshape(60, 61, 6)[:, ::4].astype(np.float64)
     time = np.tile(np.arange(16) * 4 * DT, (60, 1))
     lengths = thrown.length_scale.reshape(60, 61)[:, 0]
-    model = fit_medium(seen_paths(time, state[..., :3], state[..., 3:], lengths), halved, PHYSICS)
+    return seen_paths(time, state[..., :3], state[..., 3:], lengths), halved
 
+
+def test_a_fit_recovers_drag_from_every_fourth_pose(thrown, seen_at_every_fourth_step) -> None:
+    """The first estimate has half the velocities' changes; rollouts find the rest in the poses."""
+    model = fit_medium(*seen_at_every_fourth_step, PHYSICS, n_first_iterations=500, n_iterations=250)
     inputs = [
         torch.from_numpy(np.float64(of)) for of in (thrown.length_scale, thrown.state[:, :3], thrown.state[:, 3:])
     ]
     error = model(*inputs).detach().numpy() - thrown.residual[:, 3:]
     share = np.sqrt((error**2).mean(axis=0) / (thrown.residual[:, 3:] ** 2).mean(axis=0))
     assert (share < 0.3).all()  # the first estimate's are 0.5
-    again = fit_medium(seen_paths(time, state[..., :3], state[..., 3:], lengths), halved, PHYSICS)
-    assert all(torch.equal(*pair) for pair in zip(model.parameters(), again.parameters(), strict=True))
+
+
+def test_a_second_fit_gives_the_same(seen_at_every_fourth_step) -> None:
+    first, again = (
+        fit_medium(*seen_at_every_fourth_step, PHYSICS, n_first_iterations=20, n_iterations=5) for _ in range(2)
+    )
+    assert all(torch.equal(*pair) for pair in zip(first.parameters(), again.parameters(), strict=True))
 
 
 def test_half_a_turn_makes_no_difference_to_a_bar(thrown) -> None:

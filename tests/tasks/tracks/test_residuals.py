@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tank import SCALE, filmed
 
-from tasks.residual import observe, rollouts
+from tasks.residual import observe
 from tasks.simulation.free_links import FreeLinks
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable, residual_transitions
 from tasks.world import Physics, Slush
@@ -30,12 +30,11 @@ def test_slow_bars_show_the_mediums_residual() -> None:
     assert report.fall.acceleration == pytest.approx(-9.8, abs=0.1)
 
 
-def test_rollouts_find_spins_that_die_out_between_frames(monkeypatch) -> None:
+def test_rollouts_find_spins_that_die_out_between_frames() -> None:
     """Fast bars lose most of their spin in the 3.8 steps between two frames, which a smoother takes for less drag."""
-    monkeypatch.setattr(rollouts, "_N_ITERATIONS", 200)
     thrown = filmed(40)
     smoothed, _ = residual_transitions(*thrown, PLAIN, PHYSICS)
-    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS)
+    found, _ = residual_transitions(*thrown, Tracks(file="tracks.csv"), PHYSICS, n_iterations=200)
     assert (errors(found, slower_than=20.0) < (0.3, 0.2, 0.3)).all()
     assert errors(smoothed, slower_than=20.0)[2] > 0.4
     assert np.abs(found.state[:, 5]).max() <= np.abs(smoothed.state[:, 5]).max()
