@@ -118,6 +118,7 @@ class Scene:
     camera: Camera
     markers: Markers
     behind: float = 0.003  # distance of the bars behind the front [m]
+    waterline_at: float | None = None  # height of the water where tags show it [m]
     rng: np.random.Generator = field(default_factory=lambda: generator(0, "synthetic tank"))
 
     @cached_property
@@ -125,19 +126,22 @@ class Scene:
         """Middle of the tank's tags [m]."""
         return np.mean([(tag.x, tag.y) for tag in self.markers.tank.corners], axis=0)
 
+    @property
+    def level(self) -> float:
+        """Height of the water over the origin of the tank's tags [m]."""
+        return float(self.markers.tank.waterline or self.waterline_at or 0.0)
+
     @cached_property
     def background(self) -> Float32:
         """The picture without a bar."""
         at = self._points(self.camera.plane(self.middle, 0.0))
-        level = float(self.markers.tank.waterline or 0.0)
-        picture = np.where(at[..., 1] < level, _WATER, _AIR) + 12 * np.sin(9 * at[..., 0]) * np.cos(7 * at[..., 1])
+        picture = np.where(at[..., 1] < self.level, _WATER, _AIR) + 12 * np.sin(9 * at[..., 0]) * np.cos(7 * at[..., 1])
         picture = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0)
-        size = self.markers.tank.tag_size
-        for tag in self.markers.tank.corners:
-            one = TaggedBar.model_validate(
-                {"length": 1.4 * size, "width": 1.4 * size, "mass": 1.0, "tags": [{"number": tag.number, "size": size}]}
-            )
-            picture = self._with(picture, at, one, np.array([[tag.x, tag.y, 0.0]]))
+        tags = [(tag.number, tag.x, tag.y) for tag in self.markers.tank.corners]
+        for number, side in zip(self.markers.tank.waterline_tags or (), (1, 3), strict=False):
+            tags.append((number, self.middle[0] * side / 2, self.level))
+        for number, x, y in tags:
+            picture = self._with(picture, at, sticker(number, self.markers.tank.tag_size), np.array([[x, y, 0.0]]))
         return picture
 
     @cached_property
@@ -170,11 +174,24 @@ class Scene:
         drawn[window] = picture[window] * (1 - share / len(poses)) + colour / len(poses)
         return drawn
 
-    def shot(self, bar: TaggedBar | None, poses: Float64) -> Picture:
-        """Take a picture of a bar at the (n, 3) poses of an exposure, in the tank's frame."""
-        picture = self.background if bar is None else self._with(self.background, self._bars_plane, bar, poses)
+    def shot(self, shown: Sequence[tuple[TaggedBar, Float64]]) -> Picture:
+        """Take a picture of bars, each at the (n, 3) poses of an exposure in the tank's frame, the last one on top."""
+        picture = self.background
+        for bar, poses in shown:
+            picture = self._with(picture, self._bars_plane, bar, poses)
         noisy = picture + self.camera.noise * self.rng.standard_normal(picture.shape, dtype=np.float32)
         return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def sticker(number: int, size: float) -> TaggedBar:
+    """Return a tag on white paper.
+
+    Args:
+        number: of the tag.
+        size: edge of its black square [m].
+    """
+    sheet = {"length": 1.4 * size, "width": 1.4 * size, "mass": 1.0}
+    return TaggedBar.model_validate(sheet | {"tags": [{"number": number, "size": size}]})
 
 
 def states_of(starts: Starts, seconds: float) -> tuple[Float32, Float64]:
@@ -211,7 +228,6 @@ def render(out: Path, scene: Scene, starts: Starts, bars: Sequence[int], seconds
     """
     camera, rows = scene.camera, []
     states, time = states_of(starts, seconds + camera.exposure)
-    level = float(scene.markers.tank.waterline or 0.0)
     x_middle, speed = float(scene.middle[0]), SCALE / froude_time(SCALE)
     n_blank, n_frames = round(_BLANK * camera.rate), round(seconds * camera.rate)
     number = 0
@@ -226,9 +242,9 @@ def render(out: Path, scene: Scene, starts: Starts, bars: Sequence[int], seconds
                 instants = opens + camera.exposure * (np.arange(_N_INSTANTS) + 0.5) / _N_INSTANTS
                 path = states[throw].astype(np.float64)
                 poses = np.column_stack([np.interp(instants, time, path[:, i]) for i in range(3)]) * (SCALE, SCALE, 1)
-                there = poses + np.array((x_middle, level, 0.0))
-                shown = None if frame < 0 else scene.markers.bars[bar]
-                add(scene.shot(shown, there), (number - 1) / camera.rate)
+                there = poses + np.array((x_middle, scene.level, 0.0))
+                shown = [] if frame < 0 else [(scene.markers.bars[bar], there)]
+                add(scene.shot(shown), (number - 1) / camera.rate)
                 if frame >= 0:
                     velocity = path[int(np.searchsorted(time, instants.mean())), 3:] * (
                         speed,

@@ -1,0 +1,134 @@
+"""A synthetic camera before a robot: `python -m benchmarks.synthetic_run --kit KIT --out DIR` films a run of its robot.
+
+The robot does what it does in the simulation that the kit records. Beside the video come the printed board, the markers
+file and the tracks that are true, so that `puddle compare-run` can be tried without a robot, with a robot that swims
+slower than its simulation (--slower), and with tags at the waterline (--waterline-tags).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from benchmarks.synthetic_tank import Camera, Scene, film_board, sticker
+from pipeline.commands.run_comparison import RobotKit, read_kit
+from pipeline.store.tables import Columns, csv_of
+from pipeline.vision.kit_markers import markers_of
+from pipeline.vision.markers_file import Markers, TaggedBar
+from pipeline.vision.video import film
+from tasks.arrays import Float64
+from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
+from tasks.fabrication.throwing_bars import throwing_bars
+from tasks.seeding import generator
+from tasks.simulation import simulate
+
+_TANK = ThrowingKit(tank_length=1.1, tank_height=0.62, waterline=0.32)
+_WATERLINE_TAGS = 48, 49
+_BEFORE = 1.0  # from the start of the video to that of the servos [s]
+_START = 0.25  # where the root begins in the tank [m]
+_N_INSTANTS = 4  # over which an exposure is averaged
+
+
+def tank_markers(*, waterline_tags: bool) -> Markers:
+    """Return the markers of a throwing kit's tank, with the waterline as a height or as two tags."""
+    markers = markers_of(_TANK, throwing_bars(_TANK, KitSettings(), 1000.0))
+    if not waterline_tags:
+        return markers
+    tank = markers.tank.model_copy(update={"waterline": None, "waterline_tags": _WATERLINE_TAGS})
+    return Markers.model_validate(markers.model_dump() | {"tank": tank.model_dump()})
+
+
+def motion_of(robot: RobotKit, seconds: float, slower: float) -> tuple[Float64, Float64]:
+    """Simulate a kit's robot.
+
+    Args:
+        robot: the robot.
+        seconds: duration at bench scale [s].
+        slower: factor of the root's path along x; the gait stays as it is.
+
+    Returns:
+        (n_steps,) times since the servos began [s], and (n_steps, n_links, 3) poses at bench scale, over the waterline.
+    """
+    step = robot.physics.time_step * robot.time_scale
+    n_steps = int(np.ceil(seconds / step))
+    rollout = simulate(
+        robot.design, robot.environment, n_settle=0, n_measure=n_steps, trace=True, physics=robot.physics
+    )
+    assert rollout.trace is not None
+    poses = rollout.trace[0, :, :, :3].astype(np.float64) * (robot.scale, robot.scale, 1.0)
+    root = poses[:, :1, 0] - poses[0, 0, 0]
+    poses[:, :, 0] += (slower - 1) * root
+    return step * (1 + np.arange(n_steps)), poses
+
+
+def parts_of(robot: RobotKit, markers: Markers) -> list[tuple[int, TaggedBar]]:
+    """Return what the camera sees, from the back to the front: links from the last to the root, then their tags."""
+    tags, links = markers.robot, list(reversed(range(robot.design.length_scale.shape[1])))
+    length = robot.scale * robot.design.length_scale[0]
+    bodies = []
+    for link in links:
+        sides = {"length": length[link], "width": robot.scale**2 / length[link], "mass": 1.0}
+        tag = tags.bars()[link].tags[0].model_dump() | {"size": min(tags.tag_size, 0.7 * sides["width"])}
+        bodies.append((link, TaggedBar.model_validate(sides | {"tags": [tag]})))
+    return bodies + [(link, sticker(tags.first + link, tags.tag_size)) for link in links]
+
+
+def film_run(out: Path, scene: Scene, robot: RobotKit, seconds: float, slower: float) -> Columns:
+    """Film a run.
+
+    Args:
+        out: the MP4 file.
+        scene: tank and camera.
+        robot: the robot.
+        seconds: duration from the start of the servos on [s].
+        slower: factor of the path along x.
+
+    Returns:
+        The true tracks, in the columns of a tracks file whose throws are links.
+    """
+    camera, parts = scene.camera, parts_of(robot, scene.markers)
+    time, poses = motion_of(robot, seconds, slower)
+    shift = np.array((_START - poses[0, 0, 0], 0.0, 0.0))
+    n_links, rows = poses.shape[1], []
+    with film(out, width=camera.width, height=camera.height, rate=camera.rate, quality=camera.quality) as add:
+        for frame in range(round((_BEFORE + seconds) * camera.rate)):
+            opens = frame / camera.rate
+            if frame and scene.rng.random() < camera.drop:
+                continue
+            instants = opens - _BEFORE + camera.exposure * (np.arange(_N_INSTANTS) + 0.5) / _N_INSTANTS
+            seen = [
+                np.column_stack([np.interp(instants, time, poses[:, link, i]) for i in range(3)]) + shift
+                for link in range(n_links)
+            ]
+            add(scene.shot([(bar, seen[link] + (0.0, scene.level, 0.0)) for link, bar in parts]), opens)
+            rows += [(link, opens, *seen[link].mean(axis=0)) for link in range(n_links)]
+    table = np.array(rows)
+    tracks: Columns = {"throw": table[:, 0].astype(int)}
+    return tracks | {name: table[:, i] for i, name in enumerate(("time", "x", "y", "angle"), 1)}
+
+
+def main() -> None:
+    """Film a run and a board, and write what is true of them."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--kit", type=Path, required=True)
+    options.add_argument("--out", type=Path, required=True)
+    options.add_argument("--seconds", type=float, default=20.0)
+    options.add_argument("--slower", type=float, default=1.0)
+    options.add_argument("--waterline-tags", action="store_true")
+    given = options.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    markers, rng = tank_markers(waterline_tags=given.waterline_tags), generator(0, "synthetic run")
+    scene = Scene(Camera(exposure=0.004), markers, rng=rng, waterline_at=_TANK.waterline)
+    tracks = film_run(given.out / "run.mp4", scene, read_kit(given.kit), given.seconds, given.slower)
+    (given.out / "run.csv").write_bytes(csv_of(tracks))
+    film_board(given.out / "board.mp4", scene.camera, markers, 12, rng)
+    document = yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)
+    (given.out / "markers.yaml").write_text(document, encoding="utf-8")
+    print(f"{given.seconds:g} s of a run in {given.out}")
+
+
+if __name__ == "__main__":
+    main()
