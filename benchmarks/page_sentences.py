@@ -207,11 +207,6 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "members",
         ),
         _recorded(
-            "robots of designed throws go as far in this study, {designed} m of {designed_predicted} m predicted, "
-            "while those of the paper's throws go {papers} m of {papers_predicted} m.",
-            "no_penalty",
-        ),
-        _recorded(
             "{papers} % of the states of robots evolved in 9 m of *E* are outside the paper's throws, and {designed} % "
             "outside the designed ones; at 2 m, {papers_2m} % and {designed_2m} %. Without designed throws at |ω| "
             "above 1 rad/s it would be {slow} % at 9 m, {spin} % of all because of their spin (2 m: {slow_2m} % and "

@@ -22,17 +22,11 @@ from pipeline.report.transfer_table import transfer_table, variance_table
 from pipeline.report.wording import absent, folded, percent
 from pipeline.text import escape
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE
-from tasks.world import ENVIRONMENTS
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 _STUDY_POLICY = "script-src 'unsafe-inline'; img-src data:"  # nothing is loaded from elsewhere
 
 _MOST_PIXELS_PER_UNIT = 1.5  # limit on the enlargement of figures; their text is then as large as a heading
-
-
-_RANDOMISED = """<div><dt><span class="swatch randomised_slush"></span>Randomised Slush, <i>Ẽ</i></dt>
-<dd>Slushes of random density and drag, whose ranges are settings: domain randomisation. It knows the kind of fluid, as
-the networks do not, and has seen no throw. Fitness is the mean over these slushes minus their disagreement.</dd></div>
-"""
 
 
 def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] | None = None) -> str:
@@ -47,7 +41,7 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
         "contents": "".join(f' <a href="#{name}">{escape(title)}</a>' for name, title in contents),
         "failed": _missing(report),
         "aim": _aim(report),
-        "randomised": _RANDOMISED if "randomised_slush" in report.environments else "",
+        "environments": "\n".join(_environment(name) for name in report.environments if ENVIRONMENTS[name].about),
         "sections": "\n".join(
             f'<section id="{name}">\n<h2>{escape(title)}</h2>\n{content}\n</section>'
             for name, title, content in sections
@@ -56,6 +50,14 @@ def render_page(report: StudyReport, drawings: Mapping[str, Drawing | Missing] |
     }
     body = Template(resource("page.html")).substitute(texts)
     return document(title=texts["title"], policy=_STUDY_POLICY, body=body)
+
+
+def _environment(name: EnvironmentName) -> str:
+    """Say what an environment is."""
+    kind = ENVIRONMENTS[name]
+    swatch = f'<span class="swatch {name}"></span>'
+    term = f"<dt>{swatch}{escape(kind.label)}, <i>{escape(kind.symbol)}</i></dt>"
+    return f"<div>{term}\n<dd>{escape(kind.about)}</dd></div>"
 
 
 def _aim(report: StudyReport) -> str:

@@ -74,6 +74,7 @@ register(
         label="Anisotropic Slush",
         symbol="Eₐ",
         evolved="in Anisotropic Slush",
+        about="Slush with different drag along and across a link.",
         marker="p",
         color="#2f7f4f",
         adapted_color="#b3d9c1",

@@ -15,6 +15,7 @@ register(
         label="Dry Land",
         symbol="E′",
         evolved="on Dry Land",
+        about="The simulator without slush: the same ground, surrounded by air.",
         marker="s",
         color="#1d6b3c",
         adapted_color="#9ed3a9",

@@ -46,6 +46,7 @@ register(
         label="Flowing Slush",
         symbol="E⃗",
         evolved="in Flowing Slush",
+        about="Slush that flows steadily along x.",
         marker="h",
         color="#8a5a2b",
         adapted_color="#dcc5ad",

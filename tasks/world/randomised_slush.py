@@ -115,6 +115,9 @@ register(
         label="Randomised Slush",
         symbol="Ẽ",
         evolved="in Randomised Slush",
+        about="Slushes of random density and drag, whose ranges are settings: domain randomisation. It knows the kind "
+        "of fluid, as the networks do not, and has seen no throw. Fitness is the mean over these slushes minus their "
+        "disagreement.",
         marker="P",
         color="#b5304f",
         adapted_color="#eeb4c0",

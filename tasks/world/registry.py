@@ -28,6 +28,7 @@ class EnvironmentKind:
     label: str
     symbol: str  # symbol in the paper
     evolved: str  # phrase that completes "evolved ..."
+    about: str = ""  # what it is, in a few sentences, for a page; empty if its label says it
     marker: str  # Matplotlib marker, so that colour is never the only difference
     color: str
     adapted_color: str  # colour of the same arm once its controllers have adapted to True Slush

@@ -38,6 +38,9 @@ register(
         label="Residual Slush",
         symbol="Ê",
         evolved="in Residual Slush",
+        about="Dry Land with an ensemble of small neural networks. They learned the residual, which is the difference "
+        "between True Slush and Dry Land, from links thrown into True Slush. Fitness is the mean over the members "
+        "minus their disagreement, so that a robot has to do well under all of them.",
         marker="^",
         color="#dd7700",
         adapted_color="#fbcb8f",
@@ -54,6 +57,8 @@ register(
         label="Single member",
         symbol="Ê₁",
         evolved="with a single member",
+        about="Dry Land with a single network. Robots can exploit its errors: they evolve to use hallucinated "
+        "dynamics.",
         marker="D",
         color="#7d4aa5",
         adapted_color="#cfb6e2",
@@ -71,6 +76,8 @@ register(
         label="Designed throws",
         symbol="Ê*",
         evolved="in Residual Slush learned from designed throws",
+        about="Residual Slush whose networks learned from throws that are designed for robots: they cover the speeds, "
+        "lengths and heights of robots' links evenly, with as many transitions.",
         marker="v",
         color="#b8860b",
         adapted_color="#ead9a0",
@@ -88,6 +95,7 @@ register(
         label="Designed, single",
         symbol="Ê*₁",
         evolved="with a single member learned from designed throws",
+        about="Dry Land with a single network that learned from designed throws.",
         marker="d",
         color="#5b6ea8",
         adapted_color="#c3cbe6",

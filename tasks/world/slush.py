@@ -150,6 +150,8 @@ register(
         label="True Slush",
         symbol="E",
         evolved="in True Slush",
+        about="The target environment: hard ground under slush of some depth. Robots that evolve here are the "
+        "reference for all others.",
         marker="o",
         color="#1c6fb8",
         adapted_color="#a6cbe8",

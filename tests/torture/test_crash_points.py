@@ -1,12 +1,11 @@
 """A study may die, or lose power, at any effect on the disk, and the next run still ends in the same bytes.
 
 The study has three parts: evolution and transfer, the analyses, and the report, which also replaces a folder of copies.
-Every point of the first and the last is tried, always, with two kinds of faults in the last; those of the analyses, which
-commit as evolution does, and all kinds of faults, with --torture.
-A process that dies leaves on the disk what it has written, and
-nothing else matters to the next one. So one run is surveyed for the disks that every fault at every point would leave,
-and a real driver continues from each distinct disk. That processes which really die leave the disks that the survey
-predicts is tested too: at random points, and with --torture at all of them.
+Every point of the first and the last is tried, always, though in the last with two kinds of faults; the analyses, which
+commit as evolution does, and all kinds of faults, with --torture. A process that dies leaves on the disk what it has
+written, and nothing else matters to the next one. So one run is surveyed for the disks that every fault at every point
+would leave, and a real driver continues from each distinct disk. That processes which really die leave the disks that
+the survey predicts is tested too: at random points, and with --torture at all of them.
 """
 
 import hashlib

@@ -80,7 +80,7 @@ def seen_at_every_fourth_step(thrown):
 
 def test_a_fit_recovers_drag_from_every_fourth_pose(thrown, seen_at_every_fourth_step) -> None:
     """The first estimate has half the velocities' changes; rollouts find the rest in the poses."""
-    model = fit_medium(*seen_at_every_fourth_step, PHYSICS, n_first_iterations=500, n_iterations=250)
+    model = fit_medium(*seen_at_every_fourth_step, PHYSICS, n_first_iterations=400, n_iterations=150)
     inputs = [
         torch.from_numpy(np.float64(of)) for of in (thrown.length_scale, thrown.state[:, :3], thrown.state[:, 3:])
     ]
