@@ -34,6 +34,7 @@ from tasks.world import Physics, Slush, froude_time
 SCALE = 0.07  # bench metres per simulated metre
 _PER_MM = 6.0  # texels of a bar's picture per millimetre
 _N_INSTANTS = 8  # over which an exposure is averaged
+_COARSE = 16  # pixels of the grid on which the part of a picture that shows a bar is found
 _BLANK = 0.15  # between two throws [s]
 _AIR, _WATER, _PAPER, _INK = 205.0, 165.0, 240.0, 25.0  # grey levels
 
@@ -153,14 +154,16 @@ class Scene:
 
     def _with(self, picture: Float32, at: Float32, bar: TaggedBar, poses: Float64) -> Float32:
         """Draw a bar at the poses of an exposure."""
-        face, cover = _face(bar, self.markers.dictionary, self.camera.field / self.camera.width)
-        reach = np.hypot(bar.length, bar.width) / 2 + 0.005
+        pixel = self.camera.field / self.camera.width
+        face, cover = _face(bar, self.markers.dictionary, pixel)
+        reach = np.hypot(bar.length, bar.width) / 2 + 0.005 + _COARSE * pixel
         low, high = poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach
-        inside = ((at >= low) & (at <= high)).all(axis=2)
+        inside = ((at[::_COARSE, ::_COARSE] >= low) & (at[::_COARSE, ::_COARSE] <= high)).all(axis=2)
         rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
         if not len(rows):
             return picture
-        window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+        height, width = (slice(_COARSE * int(of[0]), _COARSE * (int(of[-1]) + 1)) for of in (rows, columns))
+        window = height, width
         colour = np.zeros(picture[window].shape, np.float32)
         share = np.zeros_like(colour)
         for x, y, angle in poses.astype(np.float32):
