@@ -14,7 +14,9 @@ from pipeline.results.recorded_study import open_study
 from pipeline.stages.collect import COLLECT, TRANSITIONS, read_transitions
 from pipeline.stages.tracked import with_tracks
 from pipeline.stages.train import TRAIN
-from tasks.residual import MeasuredTransitions, rollouts
+from tasks.residual import MeasuredTransitions
+from tasks.residual.rollouts import fit_medium
+from tasks.tracks import residual_transitions
 
 SETTINGS = """name: tank
 network: {hidden_layers: 1, width: 4}
@@ -34,8 +36,8 @@ def collected(tmp_path_factory) -> tuple[Path, list[str]]:
     (folder / "plain.yaml").write_text(SETTINGS.partition("tracks:")[0])
     options = ["--settings", str(folder / "plain.yaml"), "--store", str(folder / "store"), "--workers", "0"]
     with pytest.MonkeyPatch.context() as briefly:
-        briefly.setattr(rollouts, "_N_FIRST", 10)
-        briefly.setattr(rollouts, "_N_ITERATIONS", 10)
+        briefly.setitem(fit_medium.__kwdefaults__, "n_first_iterations", 10)
+        briefly.setitem(residual_transitions.__kwdefaults__, "n_iterations", 10)
         assert call("collect", "--tracks", str(folder / "tracks.csv"), *options) == 0
     return folder, options
 
