@@ -57,7 +57,7 @@ def claim(page, words, study):
     [
         ("README.md", "as well as it says", ROW, ("residual_slush", 9.0), "zero_shot", 10.0),
         ("README.md", "close most of the gap", LAPTOP, ("designed_throws", 9.0), "zero_shot", 4.0),
-        ("docs/results.md", "shares of *E* agree", ROW, ("dry_land", 9.0), "adapted", 12.0),
+        ("docs/results.md", "shares of *E* are close", ROW, ("dry_land", 9.0), "adapted", 12.0),
         ("docs/results.md", "under a single network do not", ROW, ("single_member", 9.0), "zero_shot", 13.5),
         ("docs/results.md", "reach *E* adapted", DESK, ("designed_throws", 9.0), "adapted", 15.0),
         ("docs/results.md", "as far as predicted. At 0.5 m", SHALLOW, ("residual_slush", 3.0), "zero_shot", 10.0),
@@ -65,7 +65,7 @@ def claim(page, words, study):
         ("docs/results.md", "In slush the order", LAPTOP, ("dry_land", 0.5), "zero_shot", 30.0),
         ("docs/results.md", "predict what robots do", LAPTOP, ("designed_throws", 9.0), "predicted", 15.0),
         ("docs/throws.md", "almost as far as those", LAPTOP, ("single_member", 9.0), "zero_shot", 3.0),
-        ("docs/throws.md", "the paper's throws lose", LAPTOP, ("residual_slush", 9.0), "zero_shot", 0.1),
+        ("docs/throws.md", "travel less far", LAPTOP, ("residual_slush", 9.0), "zero_shot", 0.1),
     ],
 )
 def test_a_claim_about_arms_needs_its_results(page, words, study, arm, quantity, mean):
