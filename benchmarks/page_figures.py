@@ -118,7 +118,7 @@ def t_tests(laptop: Results) -> Mapping[str, str]:
 
 
 def magnitudes_hold(laptop: Results, magnitudes: Results) -> bool:
-    """Whether magnitudes lose with the paper's throws and gain nothing with designed ones."""
+    """Whether magnitudes take robots of the paper's throws less far, and those of designed throws no farther."""
     papers, designed = (
         [_mean(study, name, "zero_shot") for study in (laptop, magnitudes)]
         for name in ("residual_slush", "designed_throws")

@@ -20,6 +20,7 @@ from pipeline.vision.kit_markers import markers_of
 from pipeline.vision.markers_file import Markers, TaggedBar
 from pipeline.vision.video import film
 from tasks.arrays import Float64
+from tasks.design import N_LINKS
 from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
 from tasks.fabrication.throwing_bars import throwing_bars
 from tasks.seeding import generator
@@ -66,14 +67,13 @@ def motion_of(robot: RobotKit, seconds: float, slower: float) -> tuple[Float64, 
 
 def parts_of(robot: RobotKit, markers: Markers) -> list[tuple[int, TaggedBar]]:
     """Return what the camera sees, from the back to the front: links from the last to the root, then their tags."""
-    tags, links = markers.robot, list(reversed(range(robot.design.length_scale.shape[1])))
+    tags = markers.robot
     length = robot.scale * robot.design.length_scale[0]
-    bodies = []
-    for link in links:
-        sides = {"length": length[link], "width": robot.scale**2 / length[link], "mass": 1.0}
-        tag = tags.bars()[link].tags[0].model_dump() | {"size": min(tags.tag_size, 0.7 * sides["width"])}
-        bodies.append((link, TaggedBar.model_validate(sides | {"tags": [tag]})))
-    return bodies + [(link, sticker(tags.first + link, tags.tag_size)) for link in links]
+    bodies = [
+        (link, tagged.model_copy(update={"length": length[link], "width": robot.scale**2 / length[link]}))
+        for link, tagged in enumerate(tags.bars())
+    ]
+    return bodies[::-1] + [(link, sticker(tags.first + link, tags.tag_size)) for link in reversed(range(N_LINKS))]
 
 
 def film_run(out: Path, scene: Scene, robot: RobotKit, seconds: float, slower: float) -> Columns:
@@ -92,7 +92,7 @@ def film_run(out: Path, scene: Scene, robot: RobotKit, seconds: float, slower: f
     camera, parts = scene.camera, parts_of(robot, scene.markers)
     time, poses = motion_of(robot, seconds, slower)
     shift = np.array((_START - poses[0, 0, 0], 0.0, 0.0))
-    n_links, rows = poses.shape[1], []
+    rows: list[tuple[float, ...]] = []
     with film(out, width=camera.width, height=camera.height, rate=camera.rate, quality=camera.quality) as add:
         for frame in range(round((_BEFORE + seconds) * camera.rate)):
             opens = frame / camera.rate
@@ -101,10 +101,10 @@ def film_run(out: Path, scene: Scene, robot: RobotKit, seconds: float, slower: f
             instants = opens - _BEFORE + camera.exposure * (np.arange(_N_INSTANTS) + 0.5) / _N_INSTANTS
             seen = [
                 np.column_stack([np.interp(instants, time, poses[:, link, i]) for i in range(3)]) + shift
-                for link in range(n_links)
+                for link in range(N_LINKS)
             ]
             add(scene.shot([(bar, seen[link] + (0.0, scene.level, 0.0)) for link, bar in parts]), opens)
-            rows += [(link, opens, *seen[link].mean(axis=0)) for link in range(n_links)]
+            rows += [(link, opens, *seen[link].mean(axis=0)) for link in range(N_LINKS)]
     table = np.array(rows)
     tracks: Columns = {"throw": table[:, 0].astype(int)}
     return tracks | {name: table[:, i] for i, name in enumerate(("time", "x", "y", "angle"), 1)}

@@ -19,6 +19,7 @@ from pipeline.report.figures import FIGURES, draw_all
 from pipeline.report.findings import Findings
 from pipeline.report.page import render_page, render_robot
 from pipeline.report.replay import Overlay
+from tasks.world import ENVIRONMENTS
 
 VOID = {"meta", "link", "br", "input", "img", "hr"}
 FETCHES = {"src", "srcset", "href", "xlink:href", "data", "action", "poster"}
@@ -92,6 +93,13 @@ def test_nothing_is_fetched(html, study, drawn):
     assert "default-src 'none'" in html
     targets = {reference[1:].partition(":")[0] for reference in page.references if reference.startswith("#")}
     assert targets <= set(page.ids) | {replay.robot for replay in study.replays}
+
+
+def test_it_says_what_each_environment_of_the_study_is(study, drawn):
+    of_study = ("true_slush", "designed_throws")
+    page = unescape(render_page(replace(study, environments=of_study), drawn))
+    said = {name: kind.about for name, kind in ENVIRONMENTS.items() if kind.about}
+    assert [name for name, about in said.items() if f"<dd>{about}</dd>" in page] == list(of_study)
 
 
 def test_the_viewer_finds_its_controls_and_its_robots(html, study):
