@@ -1,7 +1,7 @@
 """puddle power: how many trials a difference needs."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,8 +12,10 @@ from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
     from pipeline.results.recorded_study import Study
+    from tasks.analysis.comparison import Quantity
 
 _DIFFERENCES = (1.0, 2.0, 5.0)  # [m]
+_QUANTITIES: "Mapping[Quantity, str]" = {"zero_shot": "zero-shot", "adapted": "adapted"}
 
 
 @with_options
@@ -28,6 +30,7 @@ def power(
     """Tell how many trials a difference between two arms needs, from a study's own deviations.
 
     The test is the paper's: Student's t, two-sided, p < 0.05. Both arms have the deviation of the arm that is listed.
+    Where an arm has several replicates, it includes the variance between them, and more trials are of more replicates.
     """
     from pipeline.results.recorded_study import open_study
 
@@ -36,7 +39,9 @@ def power(
 
 
 def power_lines(study: "Study", differences: Sequence[float], power: float) -> Iterator[str]:
-    """Yield a row for each arm: its deviation over trials, and the trials per arm that each difference needs.
+    """Yield a row for each arm: its deviation, and the trials per arm that each difference needs.
+
+    Where an arm has several replicates, its deviation is the effective one, which includes the variance between them.
 
     Args:
         study: a recorded study.
@@ -46,35 +51,36 @@ def power_lines(study: "Study", differences: Sequence[float], power: float) -> I
     Raises:
         PuddleError: a difference or the power is out of range, or no arm has two champions.
     """
-    import numpy as np
-
-    from tasks.analysis.statistical_power import n_trials_for
+    from tasks.analysis.replicates import nested
+    from tasks.analysis.statistical_power import effective_deviation, n_nested_trials_for
 
     if not 0 < power < 1:
         raise PuddleError(f"--power: expected a probability between 0 and 1, got {power:g}")
     for difference in differences:
         if not (math.isfinite(difference) and difference > 0):
             raise PuddleError(f"--difference: expected a difference above 0 m, got {difference:g}")
-    champions = study.champions().to_pylist()
-    arms = dict.fromkeys((row["depth"], row["environment"]) for row in champions)
-    rows = []
+    scores = study.scores()
+    arms = dict.fromkeys(zip(scores.depth, scores.evolved_in, strict=True))
+    rows, any_nested = [], False
     for depth, environment in sorted(arms, key=lambda arm: -arm[0]):
-        for quantity, words in (("zero_shot", "zero-shot"), ("adapted", "adapted")):
-            arm = [row[quantity] for row in champions if (row["depth"], row["environment"]) == (depth, environment)]
-            known = [value for value in arm if value is not None and math.isfinite(value)]
-            if len(known) > 1:
-                sd = float(np.std(known, ddof=1))
-                needed = (n_trials_for(difference, sd, power=power) for difference in differences)
-                cells = "".join(f"{'> 100,000' if n is None else f'{n:,}':>10}" for n in needed)
-                rows.append(f"{f'{depth:g} m':>7}  {environment:<16} {words:<9} {len(known):>4} {sd:>7.2f}{cells}")
+        for quantity, words in _QUANTITIES.items():
+            sample = scores.sample(environment, quantity, depth)
+            n = len(sample.values)
+            if n > 1:
+                needed = (n_nested_trials_for(difference, sample, power=power) for difference in differences)
+                cells = "".join(f"{'> 100,000' if k is None else f'{k:,}':>10}" for k in needed)
+                sd = effective_deviation(sample)
+                rows.append(f"{f'{depth:g} m':>7}  {environment:<16} {words:<9} {n:>4} {sd:>7.2f}{cells}")
+                any_nested |= nested(sample)
     if not rows:
         raise PuddleError(f"study {study.name} has no arm with two champions, so no deviation over trials is known")
     yield f"study {study.name}: trials of each arm that show a difference of means with a probability of {power:.0%}"
     heading = "".join(f"{f'{difference:g} m':>10}" for difference in differences)
     yield f"{'depth':>7}  {'evolved in':<16} {'':<9} {'n':>4} {'SD [m]':>7}{heading}"
     yield from rows
-    if study.settings.replicates > 1:
+    if any_nested:
         yield (
-            f"Trials count as independent. Those with networks share {study.settings.replicates} data sets, so they "
-            "may need more data sets, not more trials: the table variance splits their variance."
+            f"Trials of arms with networks belong to {study.settings.replicates} replicates. Their SD includes the "
+            "variance between replicates, and more trials are those of more replicates, each with as many trials as "
+            "here."
         )

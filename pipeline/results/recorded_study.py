@@ -18,20 +18,21 @@ from pipeline.errors import DamagedArtifact, OtherVersion, PuddleError
 from pipeline.results import catalogue
 from pipeline.results.catalogue import CATALOGUE, KEYS
 from pipeline.stages import STAGES, environments
-from pipeline.stages.data_sets import data_sets
+from pipeline.stages.data_sets import data_sets, replicate_of
 from pipeline.stages.transfer import CHAMPION, SCORE
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import survey
-from pipeline.workflow.identity import ChainId, trials_of
+from pipeline.workflow.identity import ChainId, TrialId, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
 
 if TYPE_CHECKING:
+    from tasks.analysis.comparison import Scores
     from tasks.world import EnsembleMedium
 
 CHAMPIONS = "champions"  # name of the table of champions
@@ -175,6 +176,29 @@ class Study:
         last = len(_CHAMPION_FIELDS) - 1
         schema = _CHAMPION_FIELDS.set(last, _CHAMPION_FIELDS.field("fitness").with_metadata(of_fitness))
         return pa.Table.from_pylist(rows, schema=schema)
+
+    def scores(self) -> Scores:
+        """Return the displacements of all champions, each with the replicate that its trial depends on."""
+        import numpy as np
+
+        from tasks.analysis.comparison import Scores
+
+        rows = self.champions().to_pydict()
+        of_trials = zip(rows["environment"], rows["depth"], rows["trial"], strict=True)
+        trials = [TrialId("transfer", *of, self.settings.replicates) for of in of_trials]
+        predicted, zero_shot, adapted = (
+            np.array(rows[name], dtype=np.float64)
+            for name in ("predicted", "zero_shot", "adapted")  # null becomes NaN
+        )
+        return Scores(
+            np.array(rows["environment"], dtype=np.str_),
+            np.array(rows["depth"], dtype=np.float64),
+            np.array(rows["trial"], dtype=np.int64),
+            predicted,
+            zero_shot,
+            adapted,
+            np.array([replicate_of(trial) for trial in trials], dtype=np.int64),
+        )
 
     def champion(self, environment: str, *, depth: float, trial: int) -> Designs:
         """Return the champion of a trial, a design.

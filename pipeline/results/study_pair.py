@@ -1,7 +1,6 @@
 """Two recorded studies, read for their comparison."""
 
 import json
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -9,11 +8,8 @@ from pipeline.errors import PuddleError
 from pipeline.report.data import TrialResult
 from pipeline.report.pair_page import ComparedStudy, StudyPair
 from pipeline.results.recorded_study import Study
-from pipeline.stages.data_sets import replicate_of
 from pipeline.store.provenance import environment as provenance
-from pipeline.workflow.identity import TrialId
 from pipeline.workflow.record import setting_changes
-from tasks.analysis.comparison import Scores
 from tasks.analysis.study_differences import compare_studies
 
 _OF_DISPLACEMENT = ("physics", "slush", "rollout")
@@ -35,7 +31,7 @@ def pair_of(a: Study, b: Study) -> StudyPair:
                 f"study {study.name} has no champions: no trial has been transferred to True Slush yet, or every "
                 f"design diverged"
             )
-    differences = compare_studies(*(_scores(study, of) for study, of in zip((a, b), trials, strict=True)))
+    differences = compare_studies(a.scores(), b.scores())
     if not differences:
         raise PuddleError(
             f"studies {a.name} and {b.name} have no champions of the same environment at the same depth yet: expected "
@@ -113,21 +109,3 @@ def _trials(study: Study) -> list[TrialResult]:
         )
         for row in champions
     ]
-
-
-def _scores(study: Study, trials: Sequence[TrialResult]) -> Scores:
-    n_replicates = study.settings.replicates
-    identities = [TrialId("transfer", of.environment, of.depth, of.trial, n_replicates) for of in trials]
-    predicted, zero_shot, adapted = (
-        np.array([getattr(trial, name) for trial in trials], dtype=np.float64)  # None becomes NaN
-        for name in ("predicted", "zero_shot", "adapted")
-    )
-    return Scores(
-        np.array([trial.environment for trial in trials]),
-        np.array([trial.depth for trial in trials]),
-        np.array([trial.trial for trial in trials]),
-        predicted,
-        zero_shot,
-        adapted,
-        np.array([replicate_of(trial) for trial in identities]),
-    )

@@ -1,11 +1,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from command_line import call, refused
 
 from pipeline.commands.power import power_lines
-from pipeline.results.recorded_study import open_study
+from pipeline.results.recorded_study import Study, open_study
 from tasks.analysis.statistical_power import n_trials_for
 
 
@@ -21,11 +22,27 @@ def test_a_row_for_each_arm_and_the_trials_that_its_deviation_needs(recorded, ca
     assert all(len(row) <= 80 for row in rows)
 
 
-def test_it_says_where_trials_share_data_sets(recorded):
-    study = open_study("tiny", recorded)
-    shared = study.settings.model_copy(update={"replicates": 2})
-    lines, with_note = (list(power_lines(of, [1.0], 0.8)) for of in (study, replace(study, settings=shared)))
-    assert with_note[:-1] == lines and "share 2 data sets" in with_note[-1]
+def test_variance_between_replicates_counts_in_arms_with_networks(recorded, monkeypatch):
+    """Even trials at 2 m and odd ones at 6 m, three of each: replicates deviate by √8, and trials by √(24 / 5).
+
+    Cohen's 26 replicates for an effect of 0.8 have 78 trials. Trials of True Slush depend on no replicate.
+    """
+    opened = open_study("tiny", recorded)
+    study = replace(opened, settings=opened.settings.model_copy(update={"replicates": 2}))
+    rows = [
+        {"environment": environment, "depth": 1.0, "trial": k, "zero_shot": zero_shot}
+        for environment in ("true_slush", "residual_slush")
+        for k, zero_shot in enumerate([1.0, 5.0, 2.0, 6.0, 3.0, 7.0])
+    ]
+    table = pa.Table.from_pylist(rows, schema=opened.champions().schema)
+    monkeypatch.setattr(Study, "champions", lambda self: table)
+    difference = 0.8 * np.sqrt(8)
+    *_, true, residual, note = power_lines(study, [difference], 0.8)
+    sd = np.sqrt((4 + 24) / 5)  # squares within replicates, and of their means
+    assert true.split() == ["1", "m", "true_slush", "zero-shot", "6", f"{sd:.2f}", str(n_trials_for(difference, sd))]
+    assert residual.split()[-3:] == ["6", f"{np.sqrt(24):.2f}", "78"]
+    assert "belong to 2 replicates" in note and "independent" not in note
+    assert len(list(power_lines(opened, [difference], 0.8))) == 4  # without a note where there is one replicate
 
 
 @pytest.mark.parametrize(
