@@ -16,6 +16,7 @@ import re
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
+from hashlib import sha256
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -29,7 +30,7 @@ from tasks.world import ENVIRONMENTS
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-PICTURES = "results/pictures.json"  # which figure of which results each picture of docs shows, and a digest of these
+PICTURES = "results/pictures.json"  # of each picture of docs: which figure of which results, their digest, and its own
 SECTION = re.compile(
     r"<!-- from docs/results/([\w-]+)\.json, (\S+): python -m benchmarks\.published -->\n.*?<!-- end -->", re.S
 )
@@ -343,7 +344,7 @@ def record(given: Path, study: str | None) -> None:
 
 
 def record_pictures(results: Mapping[str, Any], figures: Path, docs: Path) -> None:
-    """Copy the figures of an export that pages show, and note the digest of what they are drawn from.
+    """Copy the figures of an export that pages show, and note their digests and those of what they are drawn from.
 
     Args:
         results: of the export.
@@ -356,6 +357,7 @@ def record_pictures(results: Mapping[str, Any], figures: Path, docs: Path) -> No
         if picture["results"] == results["study"]:
             shutil.copyfile(figures / f"{picture['figure']}.png", docs / name)
             picture["drawn_from"] = results["digests"][picture["of"]]
+            picture["sha256"] = sha256((docs / name).read_bytes()).hexdigest()
     index.write_text(f"{json.dumps(document, indent=1)}\n", encoding="utf-8")
 
 
