@@ -4,8 +4,9 @@ A results file is the ``results.json`` of `puddle export`. `python -m benchmarks
 one first, under the name of its study, and the figures of the export that docs/results/pictures.json names. `--add-to
 STUDY EXPORT/results.json` adds its depths to those recorded for a study that is run one depth at a time.
 
-Tables stand between markers; figures in running text are those of benchmarks/page_sentences.py. It ends with exit code
-1, and says why, where the words of a page no longer follow from the results.
+Tables, and what they were made with, stand between markers; figures in running text are those of
+benchmarks/page_sentences.py. It ends with exit code 1, and says why, where the words of a page no longer follow from
+the results.
 """
 
 from __future__ import annotations
@@ -128,6 +129,18 @@ def digests(results: Mapping[str, Any]) -> str:
     return "\n".join(["| result | digest |", "|---|---|", *rows])
 
 
+def made_with(results: Mapping[str, Any]) -> str:
+    """Say with which code and on which processor results were measured."""
+    made = results["made_with"]
+    commit, dirty, _ = made["commit"].partition("-dirty")
+    measured = f"Measured at commit {commit[:7]}{' with changes' if dirty else ''}"
+    parts = [f"Recorded at commit {made['recorded at']}" if "recorded at" in made else measured]
+    parts += [f"with the preset as it is at {made['preset at']}"] if "preset at" in made else []
+    parts += [f"on {made['cpu']}"] if "cpu" in made else []
+    parts += [f"{name} {made[key]}" for key, name in (("python", "Python"), ("torch", "torch")) if key in made]
+    return f"{', '.join(parts)}."
+
+
 def coverage(results: Mapping[str, Any]) -> str:
     """Tabulate what champions keep of their predictions, by how much of what they do lies outside the throws."""
     lines = ["| states outside the throws | champions | predicted | zero-shot | kept |", "|--:|--:|--:|--:|--:|"]
@@ -226,6 +239,7 @@ _TABLES = {
     "errors": errors,
     "video": video,
     "digests": digests,
+    "made-with": made_with,
     "few": few_throws,
     "penalty": penalty,
     "rounds": rounds,

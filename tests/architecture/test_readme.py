@@ -256,6 +256,20 @@ def test_every_table_of_displacements_is_from_a_results_file():
         assert not re.findall(r"^\|.*(?:Residual Slush|Dry Land|True Slush).*±.*\|$", left, re.M), page.name
 
 
+@pytest.mark.parametrize(
+    "path",
+    sorted({*published.RESULTS.glob("*.json")} - {ROOT / "docs" / published.PICTURES}),
+    ids=lambda path: path.name,
+)
+def test_a_results_file_names_the_commits_that_it_is_from(path):
+    results = json.loads(path.read_text(encoding="utf-8"))
+    if results["schema"] == "puddle.recorded":  # of one measurement each
+        commits = [of["stated at"] for of in results.values() if isinstance(of, dict)]
+    else:
+        commits = [of["made_with"]["commit"] for of in results.get("parts", {path.stem: results}).values()]
+    assert commits and all(re.fullmatch(r"[0-9a-f]{7,40}(-dirty)?", commit) for commit in commits)
+
+
 def recorded_pictures() -> dict[str, dict[str, str | None]]:
     return json.loads((ROOT / "docs" / published.PICTURES).read_text(encoding="utf-8"))["pictures"]
 

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from benchmarks.published import PICTURES, few_throws, members, record_pictures, rounds, with_part
+from benchmarks.published import PICTURES, few_throws, made_with, members, record_pictures, rounds, with_part
 
 
 def export(name, depth, zero_shot, accuracy=()):
@@ -78,3 +78,22 @@ def test_rounds_are_means_over_data_sets():
     ]
     (row,) = rounds({"in_true_slush": [10.0, 11.0], "rows": rows}).splitlines()[2:]
     assert row == "| 100 | 2 | 0.20 0.50 0.50 | 5.0, 5.5 | 50 % |"
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (
+            {"commit": f"0123456{'f' * 33}", "cpu": "A", "python": "3.11.7"},
+            "Measured at commit 0123456, on A, Python 3.11.7.",
+        ),
+        ({"commit": "0123456-dirty"}, "Measured at commit 0123456 with changes."),
+        ({"commit": "0123456-dirty", "recorded at": "789abcd"}, "Recorded at commit 789abcd."),
+        (
+            {"commit": "0123456", "preset at": "789abcd"},
+            "Measured at commit 0123456, with the preset as it is at 789abcd.",
+        ),
+    ],
+)
+def test_pages_say_what_results_were_made_with(made, words):
+    assert made_with({"made_with": made}) == words
