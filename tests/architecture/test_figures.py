@@ -44,6 +44,7 @@ EXCEPTIONS = {
         *("70 mm per metre", "70 to 210 mm long, and 70 mm × 70 mm divided by its length", "scale by √0.07"),
         *("80 % of the fluid that they displace", "1 m/s is 0.26 m/s on the bench", "20 kg·cm are 1.96 N·m"),
         *("standard deviation of 2 m, a mean is known to about ± 2.3 m", "jumps above 16 m/s"),
+        *("weight decay 0.01", "a warm-up of 0.01 of the iterations"),
     ),
     "the ranges of designed throws, which tests/tasks/residual/test_robot_ranges.py compares with the page": (
         "99.9 % of their states are slower than 4.8 m/s and 6.1 rad/s",

@@ -21,7 +21,8 @@ from benchmarks.readme import PAGE, RESULTS, with_section
 from benchmarks.sentences import with_figures
 from pipeline.commands.app import app
 from pipeline.commands.options import StudyOptions
-from pipeline.config.loading import parse
+from pipeline.config.loading import load, parse, preset_path
+from pipeline.config.settings import Settings
 from pipeline.report.sensitivity_page import SENSITIVITY, sensitivity_page
 from tasks.fabrication.kit_settings import FabricationSettings
 
@@ -38,6 +39,35 @@ by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 def test_the_readme_is_short():
     assert len(README.read_text().splitlines()) <= MOST_LINES_OF_README
+
+
+def test_the_readme_says_how_the_preset_paper_decides_what_the_paper_leaves_open():
+    settings = load(Settings, preset_path("paper"))
+    physics, afpo, training = settings.physics, settings.evolution.afpo, settings.training
+    numbers = (
+        f"{physics.link_density:g} kg/m², friction {physics.friction:g}, restitution {physics.restitution:g};",
+        f"{physics.velocity_iterations} velocity and {physics.position_iterations} position iterations",
+        f"the speed {physics.motor_gain:g} /s times the angle error",
+        f"{afpo.mutation.genes_changed:g} changed genes on average, by Gaussian steps of {afpo.mutation.step:g} of",
+        f"weight decay {training.weight_decay:g}; a warm-up of {training.warm_up:g} of",
+    )
+    text = " ".join(README.read_text(encoding="utf-8").split())
+    assert [words for words in numbers if words not in text] == []
+    readings = {
+        "joints have no limits": physics.joint_limits == "none",
+        "the range of motion is an amplitude": physics.range_of_motion == "amplitude",
+        "they run while a robot settles": physics.motors_while_settling,
+        "Its lowest corner begins at the surface": physics.spawn == "lowest_corner",
+        "drag opposes the velocity": settings.slush.drag == "vector",
+        "is integrated exactly over a step": settings.slush.drag_integration == "exact",
+        "in adaptation each gene changes as often": settings.transfer.mutation_rate == "per_gene",
+        "parents are chosen uniformly": afpo.parent_selection == "uniform",
+        "σ over members is the population's": settings.ensemble.deviation == "population",
+        "inputs and targets are standardised": training.standardise_targets,
+        "Ten are trained, where the paper has eight members": (settings.grid.n_trials, settings.ensemble.n_members)
+        == (10, 8),
+    }
+    assert [words for words, is_so in readings.items() if not is_so or words not in text] == []
 
 
 # -- links -----------------------------------------------------------------------------------------------------------
