@@ -112,7 +112,7 @@ def designed_throws_hold(laptop: Results) -> bool:
 
 def t_tests(laptop: Results) -> Mapping[str, str]:
     """Return how many of the paper's t tests have each outcome."""
-    n = laptop["t_tests"]
+    n = laptop["verdicts"]["t_tests"]
     counts = {"all": sum(n.values()), "same": n["agrees"], "other": n["differs"], "untold": n["cannot tell"]}
     return {name: f"{count}" for name, count in counts.items()}
 

@@ -134,11 +134,11 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         Sentence(
             "{same} of the paper's {all} t tests come out as the paper claims, {other} otherwise, and {untold} are "
-            "undecided, by 95 % intervals that are not corrected for their number. The paper has p < 0.0001 where it "
+            "undecided, by intervals that hold jointly with 95 %. The paper has p < 0.0001 where it "
             "claims a difference; some of these p are only just below 0.05.",
             (LAPTOP,),
             figures.t_tests,
-            lambda laptop: not laptop["t_tests"]["not comparable"],
+            lambda laptop: not laptop["verdicts"]["t_tests"]["not comparable"],
         ),
         _recorded("*Ê* travelled {one} m and {other} m zero-shot at 9 m.", "two_machines"),
         Sentence(

@@ -35,7 +35,7 @@ PICTURES = "results/pictures.json"  # of each picture of docs: which figure of w
 SECTION = re.compile(
     r"<!-- from docs/results/([\w-]+)\.json, (\S+): python -m benchmarks\.published -->\n.*?<!-- end -->", re.S
 )
-_HEADINGS = ("evolved in", "predicted", "zero-shot", "adapted", "share of *E*", "of *E* adapted")
+_HEADINGS = ("zero-shot", "adapted", "share of *E*", "of *E* adapted")
 
 
 def with_results(page: Path) -> tuple[str, list[str]]:
@@ -64,14 +64,14 @@ def transfer(results: Mapping[str, Any], what: str) -> str:
     depths = dict.fromkeys(arm["depth"] for arm in results["arms"])
     chosen = list(depths) if what == "all" else [float(what.removesuffix("m"))]
     with_paper, several = chosen == [paper.DEPTH], len(chosen) > 1
-    predicted = f"predicted ({results['predicted_is']})" if "predicted_is" in results else "predicted"
-    headings = ["depth [m]"] * several + [_HEADINGS[0], predicted, *_HEADINGS[2:]] + ["paper"] * with_paper
+    predicted = _predicted_headings(results)
+    headings = ["depth [m]"] * several + ["evolved in", *predicted, *_HEADINGS] + ["paper"] * with_paper
     left = 2 if several else 1
     lines = [f"| {' | '.join(headings)} |", f"|{'---|' * left}{'--:|' * (len(headings) - left)}"]
     for depth in chosen:
         arms = {arm["environment"]: arm for arm in results["arms"] if arm["depth"] == depth}
         for name in [name for name in ENVIRONMENTS if name in arms]:
-            cells = [f"{depth:g}"] * several + _cells(name, arms) + [_papers(name)] * with_paper
+            cells = [f"{depth:g}"] * several + _cells(name, arms, len(predicted)) + [_papers(name)] * with_paper
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -88,6 +88,39 @@ def accuracy(results: Mapping[str, Any]) -> str:
         figures = (_figure(row[figure]) for figure in ("r", "slope"))
         cells = [ensembles.get(row.get("learned_from"), "")] * several + [name, *figures, _papers_figures(row["name"])]
         lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def comparison(results: Mapping[str, Any]) -> str:
+    """Tabulate the paper's numbers, other than t tests, beside a study's and their verdicts."""
+    lines = ["| | paper | this study (95 %) | verdict |", "|---|--:|--:|---|"]
+    for row in results["comparison"]:
+        if not row["what"].startswith("Student") and row["this_run"] != "-":
+            own = f"{row['this_run']} ({row['interval']})" if row["interval"] else row["this_run"]
+            cells = (row["what"], row["paper"], own, row["verdict"])
+            lines.append(f"| {' | '.join(_signed_words(cell) for cell in cells)} |")
+    return "\n".join(lines)
+
+
+def _signed_words(text: str) -> str:
+    """Write minus signs and percents in running text."""
+    return re.sub(r"(?<!\S)(\(?)-(?=\d)", r"\1−", text).replace("%", " %")
+
+
+def variance(results: Mapping[str, Any]) -> str:
+    """Tabulate the deviation of each arm between replicates and within."""
+    lines = [
+        "| evolved in | depth [m] | quantity | n | replicates | SD between [m] | SD within [m] "
+        "| variance between (95 %) |",
+        "|---|--:|---|--:|--:|--:|--:|--:|",
+    ]
+    for row in results["variance"]:
+        deviations = [f"{row[name]:.1f}" if row[name] is not None else "" for name in ("sd_between", "sd_within")]
+        shares = [row[f"share_between{end}"] for end in ("", "_low", "_high")]
+        share = "" if None in shares else f"{shares[0]:.0%} ({shares[1]:.0%} to {shares[2]:.0%})".replace("%", " %")
+        words = row["quantity"].replace("_", "-")
+        cells = [ENVIRONMENTS[row["environment"]].label, f"{row['depth']:g}", words, f"{row['n']}"]
+        lines.append(f"| {' | '.join([*cells, str(row['n_replicates']), *deviations, share])} |")
     return "\n".join(lines)
 
 
@@ -235,6 +268,8 @@ _TABLES = {
     "fluids": tracks_tables.fluids,
     "robots": tracks_tables.robots,
     "accuracy": accuracy,
+    "comparison": comparison,
+    "variance": variance,
     "coverage": coverage,
     "errors": errors,
     "video": video,
@@ -264,13 +299,22 @@ def _papers_figures(name: str) -> str:
     return ", ".join(_figure(paper.AGGREGATES[name, figure][0]) for figure in figures)
 
 
-def _cells(name: str, arms: Mapping[str, Any]) -> list[str]:
+def _predicted_headings(results: Mapping[str, Any]) -> list[str]:
+    """Return the headings of the prediction; results of the first version have μ - kσ alone."""
+    if "predicted_is" in results:
+        return [f"predicted ({results['predicted_is']})"]
+    k = "" if results["penalty"] == 1 else f"{results['penalty']:g}"
+    return ["predicted, μ", "σ", f"μ − {k}σ"]
+
+
+def _cells(name: str, arms: Mapping[str, Any], n_predicted: int) -> list[str]:
     kind, arm = ENVIRONMENTS[name], arms[name]
     symbol = kind.symbol.replace("*", r"\*")
-    cells = [f"{kind.label}, *{symbol}*"]
-    cells += [
-        _mean(arm.get(quantity)) if (name, quantity) != ("true_slush", "predicted") else "" for quantity in _MEASURED
-    ]
+    cells = [f"{kind.label}, *{symbol}*", _mean(arm.get("predicted")) if name != "true_slush" else ""]
+    if n_predicted > 1:
+        of_members = ("predicted_sd", "fitness") if "predicted_sd" in arm else ()
+        cells += [_signed(f"{arm[quantity]['mean']:z.1f}") for quantity in of_members] or ["", ""]
+    cells += [_mean(arm.get(quantity)) for quantity in ("zero_shot", "adapted")]
     best = arms.get("true_slush", {})
     for reference in ("zero_shot", "adapted"):
         shares = [_share(arm.get(quantity), best.get(reference)) for quantity in ("zero_shot", "adapted")]
@@ -329,7 +373,7 @@ def with_part(results: Mapping[str, Any], part: Mapping[str, Any], study: str) -
             [*(row for row in results.get(name, ()) if row["depth"] not in depths), *part[name]],
             key=lambda row: row["depth"],
         )
-        for name in ("arms", "champions")
+        for name in ("arms", "champions", "variance")
     }
     about = {name: part[name] for name in ("source", "made_with", "core_seconds", "digests")}
     assessed = paper.DEPTH in depths or not results.get("accuracy")
@@ -338,8 +382,11 @@ def with_part(results: Mapping[str, Any], part: Mapping[str, Any], study: str) -
         "version": part["version"],
         "study": study,
         "parts": {**results.get("parts", {}), part["study"]: about},
+        "n_replicates": part["n_replicates"],
+        "penalty": part["penalty"],
         "arms": joined["arms"],
         "accuracy": part["accuracy"] if assessed else results["accuracy"],
+        "variance": joined["variance"],
         "champions": joined["champions"],
     }
 

@@ -47,7 +47,7 @@ def against_paper(findings: Findings) -> str:
     title = "The comparison with the paper"
     if not findings.against_paper:
         return absent(title, findings.why("against_paper", "the study has not been analysed yet"))
-    if all(row.verdict == "not comparable" for row in findings.against_paper):
+    if all(row.this_run == "-" for row in findings.against_paper):
         return ""
     of_numbers = [row for row in findings.against_paper if not _is_test(row)]
     shown = [row for row in of_numbers if row.this_run != "-"]
@@ -135,9 +135,10 @@ def contrasts(findings: Findings) -> str:
     stated = [statement for _, statement in judged if statement]
     verdicts = f": {count_verdicts(row.verdict for row in stated)}" if stated else ""
     rule = (
-        " “Less” and “greater” agree with the paper if the whole 95 % interval of the difference has that direction. "
+        " “Less” and “greater” agree with the paper if the whole interval of the difference has that direction. "
         "“No difference” agrees if that interval lies within ± 20 % of the displacement of the designs evolved in True "
-        "Slush: a large p-value shows nothing."
+        "Slush: a large p-value shows nothing. The paper’s tests are one family: their intervals hold jointly with "
+        "95 % (Bonferroni)."
     )
     return (
         f'<div id="contrasts"><h3>{len(ranked)} t tests, by p-value{verdicts}</h3>{content}{links("contrasts.csv")}'

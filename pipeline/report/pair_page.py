@@ -16,6 +16,7 @@ from pipeline.report.drawing import INK, Missing, NothingToDraw, finish, legend,
 from pipeline.report.moving import document
 from pipeline.report.page import inline_svg
 from pipeline.report.page_tables import count_verdicts, typeset, verdict_mark
+from pipeline.report.transfer_table import members_line
 from pipeline.report.wording import NONE, absent, interval, number, p_value, table
 from pipeline.text import escape
 from tasks.analysis.comparison import Quantity
@@ -216,8 +217,8 @@ def _transfer(pair: StudyPair) -> str:
     ]
     note = (
         "Displacement of the root link: mean over n trials ± 1 SD. Predicted is where the champion evolved (for an "
-        "ensemble, the mean μ over its members); zero-shot in True Slush; adapted in True Slush with a controller that "
-        "evolved there."
+        "ensemble, the mean μ over its members, and below it their standard deviation σ and what evolution maximised); "
+        "zero-shot in True Slush; adapted in True Slush with a controller that evolved there."
     )
     return f'{"".join(tables)}<p class="small">{note}</p>'
 
@@ -230,7 +231,8 @@ def _transfer_rows(pair: StudyPair, depth: float) -> list[list[str]]:
             if trials:
                 name = f"{_swatch(environment)} <i>{escape(style.symbol)}</i>, <b>{letter}</b>"
                 head = f"{name}<small>n = {len(trials)}</small>"
-                rows.append([head, *(_spread(trials, quantity) for quantity in QUANTITY_WORDS)])
+                predicted, *others = (_spread(trials, quantity) for quantity in QUANTITY_WORDS)
+                rows.append([head, predicted + members_line(trials, OBJECTIVES[study.objective]), *others])
     return rows
 
 

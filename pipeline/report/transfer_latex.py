@@ -19,10 +19,12 @@ _ACCENTS = {
 _HEAD = r"""% Transfer results of study {name}. Needs \usepackage{{booktabs}}.
 % Displacement of the root link [m], mean over n trials +- sample standard deviation. "% of E": the mean divided by the
 % zero-shot mean of the designs evolved in True Slush at the same depth / by their adapted mean.
+% Predicted: where the design evolved; in an ensemble mu is the mean over its members, sigma their standard deviation.
+% Fitness: what evolution maximised in an ensemble, which is mu - k sigma of the objective.
 % Designs and adapted controllers were selected for: {selected_for}.
-\begin{{tabular}}{{@{{}}l*{{6}}{{@{{\hspace{{8pt}}}}r}}@{{}}}}
+\begin{{tabular}}{{@{{}}l*{{8}}{{@{{\hspace{{8pt}}}}r}}@{{}}}}
 \toprule
-evolved in & $n$ & predicted & zero-shot & \% of $E$ & adapted & \% of $E$ \\
+evolved in & $n$ & predicted $\mu$ & $\sigma$ & fitness & zero-shot & \% of $E$ & adapted & \% of $E$ \\
 """
 
 
@@ -39,7 +41,7 @@ def transfer_latex(name: str, trials: Sequence[TrialResult], *, selected_for: st
     """
     lines = [_HEAD.format(name=name, selected_for=selected_for)]
     for depth in depths(trials):
-        lines.append(f"\\midrule\n\\multicolumn{{7}}{{@{{}}l}}{{\\textit{{{depth:g}\\,m deep}}}} \\\\\n")
+        lines.append(f"\\midrule\n\\multicolumn{{9}}{{@{{}}l}}{{\\textit{{{depth:g}\\,m deep}}}} \\\\\n")
         of_true_slush = arm(trials, "true_slush", depth)
         best = [trial_mean(of_true_slush, measure) for measure in _TRANSFERRED]
         for environment, style in ENVIRONMENTS.items():
@@ -54,6 +56,7 @@ def transfer_latex(name: str, trials: Sequence[TrialResult], *, selected_for: st
                 f"{_text(style.label)} {_symbol(style.symbol)}",
                 str(len(chosen)),
                 _mean(chosen, "predicted"),
+                *(_plain_mean(chosen, measure) for measure in _OF_MEMBERS),
                 _mean(chosen, "zero_shot"),
                 zero_shot,
                 _mean(chosen, "adapted"),
@@ -63,6 +66,7 @@ def transfer_latex(name: str, trials: Sequence[TrialResult], *, selected_for: st
     return "".join([*lines, "\\bottomrule\n\\end{tabular}\n"])
 
 
+_OF_MEMBERS: tuple[Measure, Measure] = ("predicted_sd", "fitness")
 _TRANSFERRED: tuple[Measure, Measure] = ("zero_shot", "adapted")
 
 
@@ -71,6 +75,12 @@ def _mean(trials: Sequence[TrialResult], measure: Measure) -> str:
     if found is None:
         return _NONE
     return f"${found.mean:z.1f}" + (rf"\,{{\pm}}\,{found.sd:.1f}$" if found.sd is not None else "$")
+
+
+def _plain_mean(trials: Sequence[TrialResult], measure: Measure) -> str:
+    """Write a mean that only ensembles have."""
+    found = trial_mean(trials, measure)
+    return _NONE if found is None or trial_mean(trials, "predicted_sd") is None else f"${found.mean:z.1f}$"
 
 
 def _shares(shares: Sequence[float | None]) -> str:

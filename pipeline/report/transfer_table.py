@@ -82,12 +82,20 @@ def _cell(
         lines += f"<small>{len(found.values)} of {len(trials)} trials</small>"
     if com is not None and (found_com := trial_mean(trials, com)):
         lines += f"<small>CoM {_spread(found_com)}</small>"
-    if measure == "predicted" and (sd := trial_mean(trials, "predicted_sd")) and (own := trial_mean(trials, "fitness")):
-        fitness = "μ − kσ" if objective.name == PAPERS_OBJECTIVE else f"fitness [{objective.unit}]"
-        lines += f"<small>σ {number(sd.mean)}, {fitness} {number(own.mean)}</small>"
+    if measure == "predicted":
+        lines += members_line(trials, objective)
     if (stated := paper_mean(environment, measure, depth)) is not None:
         lines += f'<small class="paper">paper {number(stated)}</small>'
     return f"<td>{lines}</td>"
+
+
+def members_line(trials: Sequence[TrialResult], objective: Objective) -> str:
+    """Return the means of σ over members and of the fitness as a line of a cell; empty for arms without an ensemble."""
+    sd, own = trial_mean(trials, "predicted_sd"), trial_mean(trials, "fitness")
+    if sd is None or own is None:
+        return ""
+    fitness = "μ − kσ" if objective.name == PAPERS_OBJECTIVE else f"fitness [{objective.unit}]"
+    return f"<small>σ {number(sd.mean)}, {fitness} {number(own.mean)}</small>"
 
 
 def _share(

@@ -16,22 +16,26 @@ from tasks.analysis.equivalence import VERDICTS
 from tasks.analysis.prediction import mean_less_deviations
 
 SCHEMA = "puddle.results"
-VERSION = 1
-_QUANTITIES = ("predicted", "zero_shot", "adapted")
+VERSION = 2
+_QUANTITIES = ("predicted", "predicted_sd", "fitness", "zero_shot", "adapted")
 _SHARES_OUTSIDE = (0.0, 0.1, 0.3, 0.6, 1.01)  # limits of groups of champions; the last includes 1
 _DIGITS = 4  # decimals of a displacement [m]
 
 
 def results_of(study: Study) -> dict[str, Json]:
-    """Return a study's results: its champions, each arm's means and deviations, accuracy, coverage, times and digests.
+    """Return a study's results: champions, each arm's means and deviations, what they are compared with, and digests.
 
-    Displacements are in metres, of the root; times in core-seconds; t tests are the paper's, counted by verdict. A
-    stage's digest is the SHA-256 of the digests of its items, ordered by label.
+    Displacements are in metres, of the root: ``predicted`` where a champion evolved, for an ensemble the mean μ over
+    its members; ``predicted_sd`` is their deviation σ, and ``fitness`` what evolution maximised, μ - kσ, with
+    ``penalty`` as k. ``comparison`` has the paper's numbers and statements beside the study's, and ``verdicts`` counts
+    them. ``variance`` splits the deviation of each arm of several replicates. Times are in core-seconds. A stage's
+    digest is the SHA-256 of the digests of its items, ordered by label.
     """
     upstream = study.upstream
     seconds: dict[str, Json] = {stage.name: round(upstream[stage.name].seconds) for stage in STAGES}
     digests: dict[str, Json] = {stage.name: _digest(study, stage.name) for stage in STAGES}
     champions = study.table(CHAMPIONS).to_pylist() if CHAMPIONS in study.tables else []
+    comparison = _comparison(study)
     known = [
         {name: _rounded(row.get(name)) for name in ("environment", "depth", "trial", *_QUANTITIES)} for row in champions
     ]
@@ -43,6 +47,8 @@ def results_of(study: Study) -> dict[str, Json]:
         "made_with": dict(provenance()),
         "core_seconds": seconds,
         "digests": digests,
+        "n_replicates": study.settings.replicates,
+        "penalty": study.settings.ensemble.disagreement_penalty,
         "arms": [
             {
                 "environment": arm.environment,
@@ -52,7 +58,9 @@ def results_of(study: Study) -> dict[str, Json]:
             for arm in arms_of(trials_of(study.settings, "transfer"))
         ],
         "accuracy": _accuracy(study),
-        "t_tests": _t_tests(study),
+        "verdicts": _verdicts(comparison),
+        "comparison": list(comparison),
+        "variance": _variance(study),
         "coverage": _coverage(study, champions),
         "champions": list(known),
     }
@@ -85,11 +93,34 @@ def _accuracy(study: Study) -> list[Json]:
     ]
 
 
-def _t_tests(study: Study) -> dict[str, Json]:
-    """Count the paper's t tests by the verdict of this study."""
-    rows = study.table("paper").to_pylist() if "paper" in study.tables else []
-    tests = [row["verdict"] for row in rows if row["what"].startswith("Student")]
-    return {verdict: tests.count(verdict) for verdict in VERDICTS}
+def _comparison(study: Study) -> list[dict[str, Json]]:
+    """Return the paper's numbers and statements, what this study has instead, and the verdicts."""
+    if "paper" not in study.tables:
+        return []
+    shown = ("what", "paper", "this_run", "interval", "p", "verdict")
+    return [{name: _rounded(row[name]) for name in shown} for row in study.table("paper").to_pylist()]
+
+
+def _verdicts(comparison: Sequence[Mapping[str, Json]]) -> dict[str, Json]:
+    """Count the paper's t tests and its other results by the verdict of this study."""
+    found: dict[str, Json] = {}
+    for name, is_test in (("t_tests", True), ("other", False)):
+        verdicts = [row["verdict"] for row in comparison if str(row["what"]).startswith("Student") == is_test]
+        found[name] = {verdict: verdicts.count(verdict) for verdict in VERDICTS}
+    return found
+
+
+def _variance(study: Study) -> list[Json]:
+    """Return the deviations between and within the replicates of arms that have several [m]."""
+    if "variance" not in study.tables:
+        return []
+    share = ("share_between", "share_between_low", "share_between_high")
+    shown = ("depth", "quantity", "n", "n_replicates", "sd_between", "sd_within", *share)
+    return [
+        {"environment": row["environment"], **{name: _rounded(row[name]) for name in shown}}
+        for row in study.table("variance").to_pylist()
+        if row["n_replicates"] > 1
+    ]
 
 
 def _coverage(study: Study, champions: Sequence[Mapping[str, Json]]) -> list[Json]:

@@ -30,7 +30,8 @@ stated otherwise.
     paper.parquet        a row per number of the paper: what, paper, source, this_run, verdict ("agrees", "differs",
                          "cannot tell", "not comparable"), why, value, interval (in words: 95 %, for a range those of
                          its ends), low, high (ends of the 95 % interval of value), p; value is the median for a range,
-                         and the difference of the means for a t test; p is Student's, as the paper's
+                         and the difference of the means for a t test; p is Student's, as the paper's, and the
+                         intervals of all t tests hold jointly
     variance.parquet     a row per arm, depth and quantity ("predicted", "zero_shot", "adapted"): evolved_in, depth,
                          quantity, n, n_replicates; variances between (replicates: throws and training, which change
                          together) and within (evolution) [m²], and as deviations sd_between, sd_within; the estimate

@@ -370,7 +370,7 @@ def _films_of_trials(settings: Settings, results: Results, files: Files) -> dict
 
 REPORT = Stage(
     name="report",
-    version=16,
+    version=17,
     unit="pictures",
     reads=_reads,
     plan=_plan,

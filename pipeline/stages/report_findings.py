@@ -32,7 +32,7 @@ from pipeline.stages.proposed_design import ANALYSED
 from pipeline.store.encoding import decode_table
 from pipeline.workflow.identity import TrialId, deepest_first, trials_of
 from pipeline.workflow.stage import Files, Inputs
-from tasks.analysis.against_paper import Row
+from tasks.analysis.against_paper import Row, with_tank_tests
 from tasks.analysis.attribution import Attribution
 from tasks.analysis.comparison import Contrast
 from tasks.analysis.coverage import CoverageRow
@@ -81,6 +81,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         missing["family"] = "every design of the trial diverged"
     tests = read_rows(analysed.get(PartId(specs.MATRIX)), "tests", MatrixTestRow)
     thrusts = read_rows(analysed.get(PartId(specs.MEMBERS)), "phantom_thrust", ThrustRow)
+    tank_tests = {words: read_rows(files, "tank", TankRow) for words, files in tanks.items()}
     return Findings(
         throws=_throws(throws_among(inputs), settings),
         coverage=_coverage(inputs),
@@ -88,7 +89,7 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         other_regressions=[
             row for row in read_rows(statistics, "regressions", Regression) if not _is_main(row, settings)
         ],
-        against_paper=read_rows(statistics, "paper", Row),
+        against_paper=_against_paper(statistics, tank_tests),
         contrasts=read_rows(statistics, "contrasts", Contrast),
         attributions=read_rows(statistics, "attribution", Attribution),
         variances=read_rows(statistics, "variance", VarianceRow),
@@ -106,9 +107,18 @@ def findings(inputs: Inputs, settings: Settings, family: TrialId | None) -> Find
         tank=settings.tank,
         objective=settings.evolution.objective,
         selected_for=settings.selected_for,
-        tank_tests={words: read_rows(files, "tank", TankRow) for words, files in tanks.items()},
+        tank_tests=tank_tests,
         missing=missing,
     )
+
+
+def _against_paper(statistics: Files, tank_tests: Mapping[str, Sequence[TankRow]]) -> Sequence[Row]:
+    """Return the comparison with the paper, with the tank tests of the first arm that proposes a robot to build."""
+    rows = read_rows(statistics, "paper", Row)
+    proposed = next((row for of_arm in tank_tests.values() for row in of_arm if row.proposed), None)
+    if proposed is None:
+        return rows
+    return with_tank_tests(rows, wet=proposed.wet_trials, dry=proposed.dry_trials, dry_servo=proposed.dry_servo_trials)
 
 
 _SOURCES: Mapping[str, tuple[str, str]] = {

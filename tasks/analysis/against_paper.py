@@ -11,6 +11,8 @@ Every row is judged by :mod:`tasks.analysis.equivalence`, with bounds that :mod:
   the replicate's mean, because the paper has one replicate.
 - "No difference" agrees if the difference of the means is shown to be negligible, a fifth of the displacement of the
   designs evolved in True Slush. "Less" and "greater" agree if the whole interval of the difference has that direction.
+  The statements that a run can judge are one family: with 95 % each, one of the paper's 25 would be misjudged by
+  chance. So their intervals hold jointly with 95 %, each of n with 1 - 0.05 / n (Bonferroni).
 
 Intervals include the variance between replicates (:mod:`tasks.analysis.replicates`), and numbers of trials that would
 tell are of as many more replicates. The p-values are of Student's t test, which treats trials as independent.
@@ -20,16 +22,25 @@ Anything that this run did not measure, or that has too few values for an interv
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.random import Generator
 
-from tasks.analysis.comparison import BEST, ScoredArm, Scores, nested_difference, nested_ratio, student
+from tasks.analysis.comparison import (
+    BEST,
+    ScoredArm,
+    Scores,
+    SignificanceTest,
+    nested_difference,
+    nested_ratio,
+    student,
+)
 from tasks.analysis.equivalence import Judgement, Verdict, judge_direction, judge_equivalence
 from tasks.analysis.paper import (
     AGGREGATES,
+    CROSSES_THE_TANK,
     DEPTH,
     INSIGNIFICANT,
     MEANS,
@@ -43,6 +54,7 @@ from tasks.analysis.paper import (
     RATIOS,
     SIGNIFICANT,
     STATEMENTS,
+    STAYS_ON_DRY_LAND,
     Statement,
     name_of,
 )
@@ -57,7 +69,8 @@ from tasks.analysis.replicates import (
     nested,
     terms_of_ratio,
 )
-from tasks.analysis.uncertainty import RESOLUTION, Estimate, bootstrap, is_constant
+from tasks.analysis.tank import TankTrials
+from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, is_constant
 from tasks.arrays import Float64
 
 _METRES = "{:z.1f} m"
@@ -77,7 +90,7 @@ class Row:
     """This run's value in the unit of ``what``: a range's median, or the difference a - b of a t test's means [m]."""
     interval: str = ""  # text of the 95 % interval, for a range those of its two ends; empty if there is none
     low: float | None = None
-    high: float | None = None  # ends of the 95 % interval of ``value``; None if there is none
+    high: float | None = None  # ends of the 95 % interval of ``value``, joint for t tests; None if there is none
     p: float | None = None  # p of a t test
 
 
@@ -97,12 +110,31 @@ def against_paper(
     rows += [_variation_row(scores, rng)]
     rows += [_range_row(ranges.get(figure), figure, *stated) for figure, stated in RANGES.items()]
     rows += [_aggregate_row(accuracy, *key, *stated) for key, stated in AGGREGATES.items()]
-    rows += [_statement_row(scores, statement, depth) for statement in STATEMENTS for depth in statement.depths]
+    rows += _statement_rows(scores)
     rows += [
-        Row(f"the built robot {what}", paper, source, "-", "not comparable", "it takes a robot")
-        for what, paper, source in PHYSICAL
+        Row(what, paper, source, "-", "not comparable", "it takes a robot")
+        for what, (paper, source) in PHYSICAL.items()
     ]
     return tuple(rows)
+
+
+def with_tank_tests(rows: Sequence[Row], *, wet: TankTrials, dry: TankTrials, dry_servo: TankTrials) -> tuple[Row, ...]:
+    """Return the comparison with the simulated tank tests of a robot beside those of the paper's built one.
+
+    Args:
+        rows: the comparison.
+        wet: trials in the filled tank.
+        dry: trials on its dry floor with the simulation's motors.
+        dry_servo: the same with the torque of the servo at scale.
+    """
+    found = {
+        CROSSES_THE_TANK: f"in simulation {wet.n_crossed} of {wet.n} trials by Froude's law, "
+        f"{wet.n_crossed_at_kept_frequencies} of {wet.n} at the simulation's frequencies",
+        STAYS_ON_DRY_LAND: f"in simulation it stays in {dry.n_immobile} of {dry.n} trials, and in "
+        f"{dry_servo.n_immobile} of {dry_servo.n} with the torque of its servo",
+    }
+    why = "no robot was built: these are trials of the proposed one in the virtual tank"
+    return tuple(replace(row, this_run=found[row.what], why=why) if row.what in found else row for row in rows)
 
 
 def _mean_row(scores: Scores, arm: ScoredArm, stated: float, source: str) -> Row:
@@ -246,14 +278,27 @@ def _deviations_ratio(corrections: tuple[float, float], single: Float64, ensembl
     return np.sqrt(x / np.where(y > 0, y, np.nan))[..., None]
 
 
-def _statement_row(scores: Scores, statement: Statement, depth: float) -> Row:
+def _statement_rows(scores: Scores) -> list[Row]:
+    stated = [(statement, depth) for statement in STATEMENTS for depth in statement.depths]
+    n_comparable = sum(_test_of(scores, *of)[1].low is not None for of in stated)
+    level = 1 - (1 - LEVEL) / max(n_comparable, 1)
+    return [_statement_row(scores, *of, level) for of in stated]
+
+
+def _test_of(
+    scores: Scores, statement: Statement, depth: float, level: float = LEVEL
+) -> tuple[SignificanceTest, Estimate]:
+    """Return the paper's test and the difference of the means that it is about."""
+    samples = [scores.sample(*arm, depth) for arm in (statement.a, statement.b)]
+    return student(*(sample.values for sample in samples)), nested_difference(*samples, level=level)
+
+
+def _statement_row(scores: Scores, statement: Statement, depth: float, level: float) -> Row:
     what = f"Student's t at {depth:g} m: {name_of(statement.a)} against {name_of(statement.b)}"
     threshold = f"p > {INSIGNIFICANT:g}" if statement.claim == "no difference" else f"p < {SIGNIFICANT:g}"
     paper = f"{statement.claim} ({threshold})"
-    samples = [scores.sample(*arm, depth) for arm in (statement.a, statement.b)]
-    gap = nested_difference(*samples)
-    a, b, best = (sample.values for sample in (*samples, scores.sample(*BEST, depth)))
-    test = student(a, b)
+    a, b, best = (scores.sample(*arm, depth).values for arm in (statement.a, statement.b, BEST))
+    test, gap = _test_of(scores, statement, depth, level)
     if test.p is None or gap.low is None:
         return Row(what, paper, statement.source, "-", "not comparable", test.reason or gap.reason or "")
     bound = NEGLIGIBLE * abs(float((best if len(best) else b).mean()))

@@ -170,15 +170,16 @@ def welch(x: Float64, y: Float64) -> SignificanceTest:
     return _test(_no_spread(x, y), lambda: _t_test(x, y, equal_variances=False))
 
 
-def difference(x: Float64, y: Float64, *, equal_variances: bool = True) -> Estimate:
+def difference(x: Float64, y: Float64, *, equal_variances: bool = True, level: float = LEVEL) -> Estimate:
     """Estimate the difference of two means with the interval of Student's or Welch's t test.
 
-    The interval contains 0 exactly where that test's p is above 1 - LEVEL.
+    The interval contains 0 exactly where that test's p is above 1 - level.
 
     Args:
         x: (n_x,) finite values.
         y: (n_y,) finite values.
         equal_variances: True for Student's interval, False for Welch's.
+        level: confidence level of the interval.
 
     Returns:
         Mean of x minus mean of y.
@@ -195,7 +196,7 @@ def difference(x: Float64, y: Float64, *, equal_variances: bool = True) -> Estim
         parts = [v.var(ddof=1) / len(v) for v in (x, y)]
         freedom = sum(parts) ** 2 / sum(part**2 / (len(v) - 1) for part, v in zip(parts, (x, y), strict=True))
         error = math.sqrt(sum(parts))
-    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, freedom)) * error
+    half = float(scipy.stats.t.ppf((1 + level) / 2, freedom)) * error
     return Estimate(value, value - half, value + half)
 
 
@@ -211,20 +212,23 @@ def clustered(x: NestedSample, y: NestedSample) -> SignificanceTest:
     return SignificanceTest(t, float(2 * scipy.stats.t.sf(abs(t), error.freedom)))
 
 
-def nested_difference(x: NestedSample, y: NestedSample, *, equal_variances: bool = True) -> Estimate:
+def nested_difference(
+    x: NestedSample, y: NestedSample, *, equal_variances: bool = True, level: float = LEVEL
+) -> Estimate:
     """Estimate the difference of two means, with the interval of the clustered test.
 
     Args:
         x: a group.
         y: the group that is subtracted.
         equal_variances: whether the interval is Student's if no group has several replicates; otherwise Welch's.
+        level: confidence level of the interval.
 
     Returns:
         Mean of x minus mean of y.
     """
     if nested(x, y):
-        return sum_of_means(x, y.scaled(-1))
-    return difference(x.values, y.values, equal_variances=equal_variances)
+        return sum_of_means(x, y.scaled(-1), level=level)
+    return difference(x.values, y.values, equal_variances=equal_variances, level=level)
 
 
 def _pooled_deviation(x: Float64, y: Float64) -> float:

@@ -76,10 +76,12 @@ STATEMENTS = (
 )
 """For the sweep over depths the paper does not name the controllers; its Fig. 4B shows the adapted ones."""
 
-PHYSICAL = (
-    ("crosses the tank of slush", "8 of 8 trials", "Fig. 5"),
-    ("moves on dry land", "a few centimetres in 150 s, in 6 of 6 trials", "Fig. 5"),
-)
+CROSSES_THE_TANK = "the built robot crosses the tank of slush"
+STAYS_ON_DRY_LAND = "the built robot moves on dry land"
+PHYSICAL: Mapping[str, tuple[str, str]] = {
+    CROSSES_THE_TANK: ("8 of 8 trials", "Fig. 5"),
+    STAYS_ON_DRY_LAND: ("a few centimetres in 150 s, in 6 of 6 trials", "Fig. 5"),
+}
 """Results of the built robot."""
 
 _QUANTITIES: Mapping[str, str] = {"predicted": "predicted", "zero_shot": "zero-shot", "adapted": "adapted"}

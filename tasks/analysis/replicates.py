@@ -127,8 +127,13 @@ def mean_of(sample: NestedSample) -> Estimate:
     return sum_of_means(sample) if nested(sample) else mean(sample.values)
 
 
-def sum_of_means(*samples: NestedSample) -> Estimate:
-    """Estimate the sum of the means of independent groups; a difference is the sum with a group scaled by -1."""
+def sum_of_means(*samples: NestedSample, level: float = LEVEL) -> Estimate:
+    """Estimate the sum of the means of independent groups; a difference is the sum with a group scaled by -1.
+
+    Args:
+        *samples: the groups.
+        level: confidence level of the interval.
+    """
     sizes = [len(sample.values) for sample in samples]
     if min(sizes) == 0:
         return Estimate.missing(f"{_listed(sizes)} finite values, expected 1 or more in each group")
@@ -138,7 +143,7 @@ def sum_of_means(*samples: NestedSample) -> Estimate:
     if all(is_constant(sample.values, resolution=RESOLUTION) for sample in samples):
         return Estimate(value, reason="no interval, since the values have no spread")
     error = error_of(*samples)
-    half = float(scipy.stats.t.ppf((1 + LEVEL) / 2, error.freedom)) * math.sqrt(error.variance)
+    half = float(scipy.stats.t.ppf((1 + level) / 2, error.freedom)) * math.sqrt(error.variance)
     return Estimate(value, value - half, value + half)
 
 

@@ -21,7 +21,7 @@ def test_an_arm_has_the_mean_and_deviation_of_its_champions(results):
     }
     for arm in results["arms"]:
         rows = [row for row in results["champions"] if row["environment"] == arm["environment"]]
-        for quantity in {"predicted", "zero_shot", "adapted"} & arm.keys():
+        for quantity in {"predicted", "predicted_sd", "fitness", "zero_shot", "adapted"} & arm.keys():
             values = [row[quantity] for row in rows if row["depth"] == arm["depth"] and row[quantity] is not None]
             assert arm[quantity]["n"] == len(values)
             assert arm[quantity]["mean"] == pytest.approx(np.mean(values), abs=1e-4)
@@ -45,11 +45,21 @@ def test_champions_of_networks_are_grouped_by_what_the_throws_cover(results, rec
         assert row["n"] == ((whole.share_outside >= low) & (whole.share_outside < (high if high < 1 else 2))).sum()
 
 
-def test_the_papers_t_tests_are_counted_by_verdict(results, recorded):
+def test_the_papers_results_are_counted_by_verdict(results, recorded):
     rows = open_study("tiny", recorded).table("paper").to_pandas()
-    tests = rows[rows.what.str.startswith("Student")]
-    assert sum(results["t_tests"].values()) == len(tests) > 0
-    assert results["t_tests"]["not comparable"] == (tests.verdict == "not comparable").sum()
+    is_test = rows.what.str.startswith("Student")
+    for name, chosen in (("t_tests", rows[is_test]), ("other", rows[~is_test])):
+        counts = results["verdicts"][name]
+        assert sum(counts.values()) == len(chosen) > 0
+        assert counts["not comparable"] == (chosen.verdict == "not comparable").sum()
+    assert [row["what"] for row in results["comparison"]] == list(rows.what)
+
+
+def test_an_ensembles_prediction_has_its_deviation_and_its_fitness(results):
+    found = [row for row in results["champions"] if row["predicted_sd"] is not None]
+    assert {row["environment"] for row in found} and results["penalty"] == 1
+    for row in found:
+        assert row["fitness"] == pytest.approx(row["predicted"] - row["predicted_sd"], abs=2e-4)
 
 
 def test_it_is_small_and_has_the_accuracy_of_the_ensemble(results):

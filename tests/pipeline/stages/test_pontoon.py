@@ -183,6 +183,9 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     text = " ".join(re.sub(r"<[^>]+>", " ", page).split())
     assert f"✓ trial {trial}" in text
     assert "Residual Slush, 2 m: 0 of 3 cross the tank, 0 the dry floor, 0 with the servo’s torque" in text
+    beside_paper = "8 of 8 trials in simulation 0 of 8 trials by Froude’s law, 0 of 8 at the simulation’s frequencies"
+    assert beside_paper in text
+    assert f"in simulation it stays in {n_immobile} of 8 trials, and in {n_with_servo} of 8 with the torque" in text
     assert "To build: evolved in Residual Slush" in page  # its films
     assert re.search(r"rejected and drawn again: 100 % of [\d,]+ from random, \d+ % of [\d,]+ from mutation", text)
     assert "as far to the right as they can in 1 seconds" in text

@@ -5,11 +5,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis.against_paper import against_paper
+from tasks.analysis.against_paper import against_paper, with_tank_tests
 from tasks.analysis.comparison import Scores, nested_difference, nested_ratio
-from tasks.analysis.paper import AGGREGATES, MEANS, PHYSICAL, RANGES, RATIOS, STATEMENTS
+from tasks.analysis.paper import (
+    AGGREGATES,
+    CROSSES_THE_TANK,
+    MEANS,
+    PHYSICAL,
+    RANGES,
+    RATIOS,
+    STATEMENTS,
+    STAYS_ON_DRY_LAND,
+)
 from tasks.analysis.prediction import MembersRange, Regression
 from tasks.analysis.replicates import NestedSample, components
+from tasks.analysis.tank import TankTrials
 from tasks.analysis.uncertainty import Estimate
 
 NAN = float("nan")
@@ -134,7 +144,7 @@ def test_intervals_include_the_variance_between_replicates():
     expected = {
         "Residual Slush zero-shot / True Slush at 9 m": nested_ratio(*samples, rng=rng()),
         "Student's t at 3 m: Residual Slush adapted against True Slush": nested_difference(
-            scores.sample("residual_slush", "adapted", 3.0), scores.sample("true_slush", "zero_shot", 3.0)
+            scores.sample("residual_slush", "adapted", 3.0), scores.sample("true_slush", "zero_shot", 3.0), level=JOINT
         ),
     }
     for what, estimate in expected.items():
@@ -194,6 +204,7 @@ def test_nothing_measured_is_not_comparable_and_says_why():
         assert row.verdict == "not comparable" and row.why and row.this_run == "-", row
 
 
+JOINT = 1 - 0.05 / 25  # level of each interval of the paper's 25 t tests, which hold jointly with 95 %
 STATED = {
     "same": "Student's t at 0.5 m: Dry Land adapted against True Slush",
     "less": "Student's t at 4 m: Dry Land adapted against True Slush",
@@ -213,10 +224,10 @@ def with_arm(scores, arm, depth, **values):
 @pytest.mark.parametrize(
     ("n", "dry_land", "verdict"),
     [
-        (10, (13.5, 1.0), "agrees"),  # bound 2.72 m, half width t(18) √(2 / 10) = 0.94 m
+        (10, (13.5, 1.0), "agrees"),  # bound 2.72 m, half width 3.61 √(2 / 10) = 1.61 m: t(18) at JOINT
         (10, (11.5, 1.0), "cannot tell"),  # p = 0.0002: a difference, but perhaps a negligible one
         (10, (8.0, 1.0), "differs"),
-        (4, (13.5, 1.0), "agrees"),  # half width 1.73 m
+        (4, (13.6, 0.1), "agrees"),  # half width 5.21 √((1² + 0.1²) / 4) = 2.62 m
         (4, (13.5, 3.0), "cannot tell"),  # p = 0.9 shows nothing
         (4, (3.0, 1.0), "differs"),
     ],
@@ -231,7 +242,8 @@ def test_a_statement_of_no_difference(n, dry_land, verdict):
     [
         (10, (4.8, 1.0), "agrees"),
         (4, (4.8, 1.0), "agrees"),  # fewer trials, and yet p < 0.0001
-        (10, (12.0, 1.0), "agrees"),  # p = 0.002
+        (10, (11.9, 1.0), "agrees"),  # p = 0.0013
+        (10, (12.1, 1.0), "cannot tell"),  # p = 0.0035, one of 25
         (10, (14.0, 1.0), "differs"),  # no more than negligibly less, or greater
         (4, (12.0, 1.0), "cannot tell"),
         (4, (14.0, 3.0), "cannot tell"),
@@ -265,12 +277,48 @@ def test_a_range_has_the_intervals_of_its_ends_and_of_the_median_that_judges_it(
 
 
 def test_a_t_test_has_the_interval_of_the_difference_that_it_is_of():
-    """-8.8 m, and ± t(18) · 1 · √(2 / 10) of deviations of 1 and ten trials each."""
+    """-8.8 m, and ± t(18) · 1 · √(2 / 10) of deviations of 1 and ten trials each, at the joint level."""
     row = rows_of(like_the_paper())[STATED["less"]]
-    half = stats.t.ppf(0.975, 18) * math.sqrt(2 / 10)
+    half = stats.t.ppf((1 + JOINT) / 2, 18) * math.sqrt(2 / 10)
     assert (row.low, row.value, row.high) == pytest.approx((4.8 - 13.6 - half, 4.8 - 13.6, 4.8 - 13.6 + half))
-    assert row.interval == "difference -9.7 to -7.9 m"
+    assert row.interval == "difference -10.4 to -7.2 m"
     assert row.p < 1e-4 and f"p = {row.p:.2g}" in row.this_run
+
+
+def test_the_family_is_of_the_t_tests_that_a_run_can_judge():
+    """At 9 m the paper states three."""
+    scores = like_the_paper()
+    deep = scores.depth == 9.0
+    row = rows_of(Scores(**{name: column[deep] for name, column in vars(scores).items()}))[STATED["greater"]]
+    half = stats.t.ppf(1 - 0.05 / 3 / 2, 18) * math.sqrt(2 / 10)
+    assert (row.low, row.high) == pytest.approx((row.value - half, row.value + half))
+
+
+def test_one_of_25_t_tests_is_misjudged_in_5_percent_of_runs_without_any_difference():
+    """Arms are alike, so that to find one less or greater is an error. Tests share arms, so 5 % is the most."""
+    draw, n_runs, n_wrong = rng(7), 100, 0
+    scores = like_the_paper()
+    for _ in range(n_runs):
+        values = draw.normal(10, 4, (2, len(scores.depth)))
+        rows = rows_of(replace(scores, zero_shot=values[0], adapted=values[1])).values()
+        n_wrong += any(row.p is not None and not row.low <= 0 <= row.high for row in rows)
+    assert n_wrong / n_runs < 0.05 + 3 * math.sqrt(0.05 * 0.95 / n_runs)
+
+
+def test_a_robots_tank_tests_stand_beside_those_of_the_built_one():
+    crossed, stayed = TankTrials(8, 7, 5, 0), TankTrials(8, 1, 0, 6)
+    rows = against_paper(nothing(), (), {}, rng=rng())
+    found = {row.what: row for row in with_tank_tests(rows, wet=crossed, dry=stayed, dry_servo=TankTrials(8, 8, 8, 2))}
+    assert found[CROSSES_THE_TANK].this_run == (
+        "in simulation 7 of 8 trials by Froude's law, 5 of 8 at the simulation's frequencies"
+    )
+    assert found[STAYS_ON_DRY_LAND].this_run == (
+        "in simulation it stays in 6 of 8 trials, and in 2 of 8 with the torque of its servo"
+    )
+    assert found[CROSSES_THE_TANK].verdict == "not comparable" and "no robot was built" in found[CROSSES_THE_TANK].why
+    assert [row for row in rows if row.what not in PHYSICAL] == [
+        found[row.what] for row in rows if row.what not in PHYSICAL
+    ]
 
 
 @pytest.mark.parametrize(("n_trials", "half"), [(20, 0.02 * math.sqrt(2)), (80, 0.02 * math.sqrt(5))])
