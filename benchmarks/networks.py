@@ -17,10 +17,11 @@ from numba.extending import intrinsic
 
 from benchmarks.engines import N_ROUNDS, N_STEPS, designs
 from benchmarks.measure import Figure, seconds
-from tasks.residual import Architecture, Training
+from tasks.residual import OBSERVATION, Architecture, Training
 from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
 from tasks.residual.network import initial_weights
+from tasks.residual.observation import Observed
 from tasks.residual.torch_descent import TorchDescent
 from tasks.simulation import simulate
 from tasks.simulation.networks.tiles import N_LANES
@@ -75,13 +76,15 @@ def peak_gflops() -> float:
     return 2 * N_CHAINS * N_LANES * n / seconds(lambda: _peak(n)) / 1e9
 
 
-def ensemble(hidden_layers: int, width: int) -> Ensemble:
-    """Create untrained networks of a shape."""
+def ensemble(
+    hidden_layers: int, width: int, n_members: int = N_MEMBERS, inputs: tuple[Observed, ...] = OBSERVATION
+) -> Ensemble:
+    """Create untrained networks of a shape, whose outputs are too small to move a robot."""
     rng = np.random.default_rng(1)
-    sizes = (6, *[width] * hidden_layers, 3)
-    weights = [(rng.normal(size=(N_MEMBERS, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
+    sizes = (len(inputs), *[width] * hidden_layers, 3)
+    weights = [(rng.normal(size=(n_members, a, b)) / np.sqrt(a)).astype(np.float32) for a, b in pairwise(sizes)]
     weights[-1] *= np.float32(0.01)
-    return Ensemble(tuple(weights), tuple(np.zeros((N_MEMBERS, b), np.float32) for b in sizes[1:]))
+    return Ensemble(tuple(weights), tuple(np.zeros((n_members, b), np.float32) for b in sizes[1:]), inputs)
 
 
 def inference() -> list[Figure]:

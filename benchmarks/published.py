@@ -26,6 +26,7 @@ from benchmarks import recorded_tables, tracks_tables
 from benchmarks.page_sentences import SENTENCES
 from benchmarks.sentences import complaints, with_figures
 from tasks.analysis import paper
+from tasks.design.genes import N_LINKS
 from tasks.world import ENVIRONMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -133,6 +134,23 @@ def errors(results: Mapping[str, Any]) -> str:
         size = f"{row['n_throws']:,} × {row['n_steps']}"
         cells = [row["throws"], size, row["network"], str(row["inputs"]), f"{row['seconds']:.0f}"]
         cells += [" ".join(f"{error:.2f}" for error in row["error"][depth]) for depth in depths]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def inference(results: Mapping[str, Any]) -> str:
+    """Tabulate what a generation takes with ensembles of several sizes."""
+    of = results["inference"]
+    n_designs, n_members = of["n_designs"], of["n_members"]
+    lines = [
+        f"| networks, {n_members} members | inputs | a generation of {n_designs} designs | evaluations of a network |",
+        "|---|--:|--:|--:|",
+    ]
+    n_evaluations = n_members * n_designs * N_LINKS * of["n_steps"]
+    for row in of["rows"]:
+        network = (row["network"], str(row["inputs"])) if row["inputs"] else ("none, in True Slush", "")
+        rate = f"{n_evaluations / row['seconds'] / 1e6:.1f} million/s" if row["inputs"] else ""
+        cells = (*network, f"{1e3 * row['seconds']:.0f} ms", rate)
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
@@ -272,6 +290,7 @@ _TABLES = {
     "variance": variance,
     "coverage": coverage,
     "errors": errors,
+    "inference": inference,
     "video": video,
     "digests": digests,
     "made-with": made_with,

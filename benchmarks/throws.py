@@ -1,11 +1,13 @@
 """Measure what networks get wrong along the paths of robots, by throws and networks: `python -m benchmarks.throws`.
 
-Writes docs/results/throws.json, which docs/throws.md shows. It takes a quarter of an hour on one core.
+Writes docs/results/throws.json, which docs/throws.md shows. It takes a quarter of an hour on one core. `python -m
+benchmarks.throws inference` measures the time of inference alone, and takes a minute.
 """
 
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -13,22 +15,28 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.engines import N_STEPS
+from benchmarks.measure import seconds
+from benchmarks.networks import ensemble
 from benchmarks.published import RESULTS
 from pipeline.store.provenance import environment as provenance
 from tasks.arrays import Float32, Float64
+from tasks.design import random_designs
 from tasks.design.genes import concatenate
 from tasks.evolution import EMPTY_POPULATION, PAPERS_OBJECTIVE, Afpo, Trial, evaluate, evolve
 from tasks.residual import OBSERVATION, Architecture, Throws, Training, initial_states, simulate_throws
 from tasks.residual.ensemble import Ensemble
+from tasks.residual.observation import Observed
 from tasks.residual.training import train_member
 from tasks.seeding import generator
 from tasks.simulation import simulate
 from tasks.simulation.free_links import FreeLinks
-from tasks.world import LinkStates, Physics, Slush, TrueSlush
+from tasks.world import Environment, LinkStates, Physics, ResidualSlush, Slush, TrueSlush
 
 DEPTHS = (1.0, 2.0, 4.0, 9.0)
 _N_TRIALS, _N_GENERATIONS, _EVERY, _N_NETWORKS = 3, 400, 7, 2
-_MAGNITUDES = (*OBSERVATION, "speed", "abs_omega", "abs_sin_angle")
+_N_DESIGNS, _N_MEMBERS, _N_TIMED, _DEPTH_OF_INFERENCE = 16, 4, 12, 9.0
+_MAGNITUDES: tuple[Observed, ...] = (*OBSERVATION, "speed", "abs_omega", "abs_sin_angle")
 _TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
 
 THROWS = {
@@ -117,8 +125,35 @@ def row(
     }
 
 
+def inference() -> dict[str, Any]:
+    """Return what a generation takes with ensembles of several sizes, beside one in True Slush, on one core."""
+    designs = random_designs(_N_DESIGNS, generator(1, "inference"))
+    environments: dict[tuple[str, int], Environment] = {("none", 0): TrueSlush(depth=_DEPTH_OF_INFERENCE)}
+    for layers, width, inputs in NETWORKS:
+        of = ensemble(layers, width, _N_MEMBERS, inputs)
+        environments[f"{layers} × {width}", len(inputs)] = ResidualSlush(_DEPTH_OF_INFERENCE, of)
+    rows = []
+    for (network, n_inputs), environment in environments.items():
+        simulate(designs, environment, n_settle=1, n_measure=1)
+        fastest = min(seconds(lambda of=environment: simulate(designs, of)) for _ in range(_N_TIMED))
+        rows.append({"network": network, "inputs": n_inputs, "seconds": round(fastest, 4)})
+        print(rows[-1], flush=True)
+    return {
+        "made_with": dict(provenance()),
+        "n_designs": _N_DESIGNS,
+        "n_members": _N_MEMBERS,
+        "n_steps": N_STEPS,
+        "rows": rows,
+    }
+
+
 def main() -> None:
     """Measure every row and write the file."""
+    file = RESULTS / "throws.json"
+    if sys.argv[1:] == ["inference"]:
+        document = {**json.loads(file.read_text(encoding="utf-8")), "inference": inference()}
+        file.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
+        return
     at = {depth: robots(depth) for depth in DEPTHS}
     cases = [(design, *size, NETWORKS[0]) for design, sizes in THROWS.items() for size in sizes]
     cases += [("paper", 500, 200, NETWORKS[1]), *(("robots", 3400, 29, network) for network in NETWORKS[1:])]
@@ -126,9 +161,14 @@ def main() -> None:
     for case in cases:
         rows.append(row(*case, at))
         print(rows[-1], flush=True)
-    document = {"schema": "puddle.throws", "version": 1, "made_with": dict(provenance()), "errors": rows}
-    text = json.dumps(document, indent=1, ensure_ascii=False)
-    (RESULTS / "throws.json").write_text(f"{text}\n", encoding="utf-8")
+    document = {
+        "schema": "puddle.throws",
+        "version": 1,
+        "made_with": dict(provenance()),
+        "errors": rows,
+        "inference": inference(),
+    }
+    file.write_text(f"{json.dumps(document, indent=1, ensure_ascii=False)}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
