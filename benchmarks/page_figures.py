@@ -25,9 +25,10 @@ def _moments(study: Results, environment: str, quantity: str, depth: float) -> R
     return moments
 
 
-def _mean(study: Results, environment: str, quantity: str, depth: float = paper.DEPTH) -> float:
-    mean: float = _moments(study, environment, quantity, depth)["mean"]
-    return mean
+def mean(study: Results, environment: str, quantity: str, depth: float = paper.DEPTH) -> float:
+    """Return the mean of an arm [m]."""
+    found: float = _moments(study, environment, quantity, depth)["mean"]
+    return found
 
 
 def spread(study: Results, environment: str, quantity: str) -> str:
@@ -38,17 +39,17 @@ def spread(study: Results, environment: str, quantity: str) -> str:
 
 def share(study: Results, environment: str, quantity: str = "zero_shot", of: str = "zero_shot") -> float:
     """Return an arm's share of *E* at 9 m."""
-    return _mean(study, environment, quantity) / _mean(study, "true_slush", of)
+    return mean(study, environment, quantity) / mean(study, "true_slush", of)
 
 
-def kept(study: Results, environment: str, depth: float = paper.DEPTH) -> float:
-    """Return how much of its prediction an arm travels."""
-    return _mean(study, environment, "zero_shot", depth) / _mean(study, environment, "predicted", depth)
+def kept(study: Results, environment: str, depth: float = paper.DEPTH, of: str = "predicted") -> float:
+    """Return how much of its prediction an arm travels, or of another quantity."""
+    return mean(study, environment, "zero_shot", depth) / mean(study, environment, of, depth)
 
 
 def shortfall(study: Results, environment: str) -> float:
     """Return how far an arm stays behind its prediction at 9 m [m]."""
-    return _mean(study, environment, "predicted") - _mean(study, environment, "zero_shot")
+    return mean(study, environment, "predicted") - mean(study, environment, "zero_shot")
 
 
 def percent(share: float) -> str:
@@ -73,7 +74,7 @@ def _of_data_sets(desk: Results) -> list[list[Results]]:
 
 def shares_of_data_sets(desk: Results) -> Mapping[str, str]:
     """Return the shares of *E* of the robots of each data set."""
-    best = _mean(desk, "true_slush", "zero_shot")
+    best = mean(desk, "true_slush", "zero_shot")
     shares = [percent(fmean(row["zero_shot"] for row in rows) / best) for rows in _of_data_sets(desk)]
     return dict(zip(("first", "second"), shares, strict=True))
 
@@ -88,14 +89,14 @@ def desk_holds(desk: Results) -> bool:
 def papers_order_holds(laptop: Results) -> bool:
     """Whether arms are in the paper's order in slush: Dry Land, the paper's throws, True Slush."""
     order = ("dry_land", "residual_slush", "true_slush")
-    ordered = [[_mean(laptop, name, "zero_shot", depth) for name in order] for depth in _depths(laptop) if depth > 0]
+    ordered = [[mean(laptop, name, "zero_shot", depth) for name in order] for depth in _depths(laptop) if depth > 0]
     return all(means == sorted(means) for means in ordered)
 
 
 def ahead(laptop: Results) -> Mapping[str, str]:
     """Return at how many depths robots of designed throws are ahead of those of the paper's throws."""
     depths = _depths(laptop)
-    arms = [[_mean(laptop, name, "zero_shot", of) for of in depths] for name in ("designed_throws", "residual_slush")]
+    arms = [[mean(laptop, name, "zero_shot", of) for of in depths] for name in ("designed_throws", "residual_slush")]
     return {"ahead": str(sum(one > other for one, other in zip(*arms, strict=True))), "depths": str(len(depths))}
 
 
@@ -120,7 +121,7 @@ def t_tests(laptop: Results) -> Mapping[str, str]:
 def magnitudes_hold(laptop: Results, magnitudes: Results) -> bool:
     """Whether magnitudes take robots of the paper's throws less far, and those of designed throws no farther."""
     papers, designed = (
-        [_mean(study, name, "zero_shot") for study in (laptop, magnitudes)]
+        [mean(study, name, "zero_shot") for study in (laptop, magnitudes)]
         for name in ("residual_slush", "designed_throws")
     )
     return papers[1] < papers[0] and math.isclose(*designed, rel_tol=EQUAL)

@@ -319,9 +319,9 @@ def _papers_figures(name: str) -> str:
 
 
 def _predicted_headings(results: Mapping[str, Any]) -> list[str]:
-    """Return the headings of the prediction; results of the first version have μ - kσ alone."""
-    if "predicted_is" in results:
-        return [f"predicted ({results['predicted_is']})"]
+    """Return the headings of the prediction; results of the first version have μ alone, or μ - kσ."""
+    if results["version"] == 1:
+        return [f"predicted, {results.get('predicted_is', 'μ')}"]
     k = "" if results["penalty"] == 1 else f"{results['penalty']:g}"
     return ["predicted, μ", "σ", f"μ − {k}σ"]
 

@@ -137,8 +137,8 @@ def contrasts(findings: Findings) -> str:
     rule = (
         " “Less” and “greater” agree with the paper if the whole interval of the difference has that direction. "
         "“No difference” agrees if that interval lies within ± 20 % of the displacement of the designs evolved in True "
-        "Slush: a large p-value shows nothing. The paper’s tests are one family: their intervals hold jointly with "
-        "95 % (Bonferroni)."
+        "Slush: a large p-value shows nothing. The paper’s tests are one family, judged by Holm’s procedure: with 95 % "
+        "none is misjudged by chance."
     )
     return (
         f'<div id="contrasts"><h3>{len(ranked)} t tests, by p-value{verdicts}</h3>{content}{links("contrasts.csv")}'

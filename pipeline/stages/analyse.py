@@ -31,7 +31,7 @@ stated otherwise.
                          "cannot tell", "not comparable"), why, value, interval (in words: 95 %, for a range those of
                          its ends), low, high (ends of the 95 % interval of value), p; value is the median for a range,
                          and the difference of the means for a t test; p is Student's, as the paper's, and the
-                         intervals of all t tests hold jointly
+                         interval is that of Holm's procedure, which judges all t tests together
     variance.parquet     a row per arm, depth and quantity ("predicted", "zero_shot", "adapted"): evolved_in, depth,
                          quantity, n, n_replicates; variances between (replicates: throws and training, which change
                          together) and within (evolution) [m²], and as deviations sd_between, sd_within; the estimate

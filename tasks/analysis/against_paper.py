@@ -12,7 +12,8 @@ Every row is judged by :mod:`tasks.analysis.equivalence`, with bounds that :mod:
 - "No difference" agrees if the difference of the means is shown to be negligible, a fifth of the displacement of the
   designs evolved in True Slush. "Less" and "greater" agree if the whole interval of the difference has that direction.
   The statements that a run can judge are one family: with 95 % each, one of the paper's 25 would be misjudged by
-  chance. So their intervals hold jointly with 95 %, each of n with 1 - 0.05 / n (Bonferroni).
+  chance. They are judged by Holm's step-down procedure, so that with 95 % none is: with n not yet decided, each by an
+  interval of 1 - 0.05 / n, until no other is decided. A row has the interval that judged it.
 
 Intervals include the variance between replicates (:mod:`tasks.analysis.replicates`), and numbers of trials that would
 tell are of as many more replicates. The p-values are of Student's t test, which treats trials as independent.
@@ -88,9 +89,9 @@ class Row:
     why: str
     value: float | None = None
     """This run's value in the unit of ``what``: a range's median, or the difference a - b of a t test's means [m]."""
-    interval: str = ""  # text of the 95 % interval, for a range those of its two ends; empty if there is none
+    interval: str = ""  # text of the interval, for a range those of its two ends; empty if there is none
     low: float | None = None
-    high: float | None = None  # ends of the 95 % interval of ``value``, joint for t tests; None if there is none
+    high: float | None = None  # ends of the interval of ``value``, 95 % except for t tests; None if there is none
     p: float | None = None  # p of a t test
 
 
@@ -279,10 +280,17 @@ def _deviations_ratio(corrections: tuple[float, float], single: Float64, ensembl
 
 
 def _statement_rows(scores: Scores) -> list[Row]:
+    """Judge all statements by Holm's step-down procedure."""
     stated = [(statement, depth) for statement in STATEMENTS for depth in statement.depths]
     n_comparable = sum(_test_of(scores, *of)[1].low is not None for of in stated)
-    level = 1 - (1 - LEVEL) / max(n_comparable, 1)
-    return [_statement_row(scores, *of, level) for of in stated]
+    decided: dict[int, Row] = {}
+    while True:
+        level = 1 - (1 - LEVEL) / max(n_comparable - len(decided), 1)
+        judged = {i: _statement_row(scores, *of, level) for i, of in enumerate(stated) if i not in decided}
+        found = {i: row for i, row in judged.items() if row.verdict in ("agrees", "differs")}
+        decided |= found
+        if not found or len(found) == len(judged):
+            return [row for _, row in sorted((judged | decided).items())]
 
 
 def _test_of(
