@@ -142,7 +142,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         Sentence(
             "{same} of the paper's {all} t tests come out as the paper claims, {other} otherwise, and {untold} are "
-            "undecided, judged together by Holm's procedure.",
+            "undecided, judged together by Holm's procedure",
             (LAPTOP,),
             figures.t_tests,
             lambda laptop: not laptop["verdicts"]["t_tests"]["not comparable"],

@@ -5,21 +5,35 @@ import json
 
 import pytest
 
-from benchmarks.published import PICTURES, few_throws, made_with, members, record_pictures, rounds, with_part
+from benchmarks.published import (
+    PICTURES,
+    comparison,
+    few_throws,
+    made_with,
+    members,
+    record_pictures,
+    rounds,
+    transfer,
+    variance,
+    with_part,
+)
 
 
 def export(name, depth, zero_shot, accuracy=()):
     rows = {"environment": "true_slush", "depth": depth}
     return {
         "schema": "puddle.results",
-        "version": 1,
+        "version": 2,
         "study": name,
         "source": "configs/desk.yaml",
         "made_with": {"python": "3.11"},
         "core_seconds": {"evolve": 1.0},
         "digests": {"evolve": name},
         "arms": [{**rows, "zero_shot": {"n": 1, "mean": zero_shot, "sd": None}}],
+        "n_replicates": 2,
+        "penalty": 1.0,
         "accuracy": list(accuracy),
+        "variance": [{**rows, "quantity": "zero_shot", "sd_within": 1.0}],
         "champions": [{**rows, "trial": 0, "zero_shot": zero_shot}],
     }
 
@@ -30,7 +44,48 @@ def test_depths_are_added_in_order_and_replaced_where_they_were_run_again():
     assert [arm["depth"] for arm in found["arms"]] == [2.0, 9.0] and found["accuracy"] == ["of 9 m"]
     found = with_part(found, export("desk-2m", 2.0, 26.0), "desk")
     assert [champion["zero_shot"] for champion in found["champions"]] == [26.0, 17.0]
+    assert [row["depth"] for row in found["variance"]] == [2.0, 9.0] and found["n_replicates"] == 2
     assert list(found["parts"]) == ["desk-9m", "desk-2m"] and found["study"] == "desk"
+
+
+def test_predictions_of_ensembles_have_their_deviation_and_what_evolution_maximised():
+    def moments(mean, sd=0.5):
+        return {"n": 10, "mean": mean, "sd": sd}
+
+    rows = {"depth": 2.0, "zero_shot": moments(-4.0), "adapted": moments(5.0)}
+    arms = [
+        {"environment": "true_slush", **rows, "predicted": moments(5.0), "zero_shot": moments(5.0)},
+        {"environment": "single_member", **rows, "predicted": moments(9.0), "fitness": moments(9.0)},
+        {
+            "environment": "residual_slush",
+            **rows,
+            **{"predicted": moments(6.0), "predicted_sd": moments(1.25), "fitness": moments(3.5)},
+        },
+    ]
+    heading, _, best, ensemble, single = transfer({"version": 2, "penalty": 2.0, "arms": arms}, "2m").splitlines()
+    assert heading.startswith("| evolved in | predicted, μ | σ | μ − 2σ | zero-shot | adapted |")
+    assert best.startswith("| True Slush, *E* |  |  |  | 5.0 ± 0.5 |")
+    assert ensemble.startswith(
+        "| Residual Slush, *Ê* | 6.0 ± 0.5 | 1.2 | 3.5 | −4.0 ± 0.5 | 5.0 ± 0.5 | −80 %, 100 % |"
+    )
+    assert single.startswith("| Single member, *Ê₁* | 9.0 ± 0.5 |  |  | −4.0")
+
+
+def test_the_papers_results_stand_beside_the_studys():
+    row = {"what": "a ratio", "paper": "-6%", "this_run": "-1%", "interval": "-3% to 2%", "verdict": "agrees"}
+    test = {**row, "what": "Student's t at 9 m"}
+    table = comparison({"comparison": [row, test, {**row, "this_run": "-"}]}).splitlines()
+    assert table[2:] == ["| a ratio | −6 % | −1 % (−3 % to 2 %) | agrees |"]
+
+
+def test_the_variance_between_replicates_has_its_share():
+    share = {"share_between": 0.25, "share_between_low": 0.0, "share_between_high": 0.98}
+    row = {"environment": "residual_slush", "depth": 9.0, "quantity": "zero_shot", "n": 10, "n_replicates": 2}
+    known, unknown = ({**row, "sd_between": x, "sd_within": x, **share} for x in (1.5, None))
+    unknown["share_between"] = None
+    lines = variance({"variance": [known, unknown]}).splitlines()
+    assert lines[2] == "| Residual Slush | 9 | zero-shot | 10 | 2 | 1.5 | 1.5 | 25 % (0 % to 98 %) |"
+    assert lines[3].endswith("| 2 |  |  |  |")
 
 
 @pytest.fixture
