@@ -118,13 +118,16 @@ def t_tests(laptop: Results) -> Mapping[str, str]:
     return {name: f"{count}" for name, count in counts.items()}
 
 
-def magnitudes_hold(laptop: Results, magnitudes: Results) -> bool:
-    """Whether magnitudes take robots of the paper's throws less far, and those of designed throws no farther."""
-    papers, designed = (
-        [mean(study, name, "zero_shot") for study in (laptop, magnitudes)]
-        for name in ("residual_slush", "designed_throws")
-    )
-    return papers[1] < papers[0] and math.isclose(*designed, rel_tol=EQUAL)
+def magnitudes(laptop: Results, magnitudes: Results) -> Mapping[str, str]:
+    """Return how much less far magnitudes take robots of the paper's throws, how much farther others, and Welch's p."""
+    found = {}
+    for name, arm, sign in (("less", "residual_slush", -1), ("farther", "designed_throws", 1)):
+        of = [_moments(study, arm, "zero_shot", paper.DEPTH) for study in (magnitudes, laptop)]
+        test = scipy.stats.ttest_ind_from_stats(
+            *(one[key] for one in of for key in ("mean", "sd", "n")), equal_var=False
+        )
+        found |= {name: f"{sign * (of[0]['mean'] - of[1]['mean']):.1f}", f"p_{name}": f"{test.pvalue:.2f}"}
+    return found
 
 
 # -- why our E goes farther ------------------------------------------------------------------------------------------
@@ -194,6 +197,27 @@ def sensitivity_holds(sensitivity: Results) -> bool:
     return all(-bound < low and high < bound for low, high in within) and all(
         high < -bound or low > bound for low, high in beyond
     )
+
+
+def spans_the_bound(sensitivity: Results, variant: str) -> bool:
+    """Whether the interval of a variant's difference, in means of the base, contains a bound of what is negligible."""
+    (row,) = (row for row in sensitivity["rows"] if row["name"] == variant)
+    low, high = _interval(row)
+    return any(low < bound < high for bound in (-paper.NEGLIGIBLE, paper.NEGLIGIBLE))
+
+
+def mutation_at_two_scales(sensitivity: Results, choices: Results) -> Mapping[str, str]:
+    """Return what resampled genes and steps of 0.5 change at two scales of evolution [m]."""
+    there = {row["name"]: fmean(row["displacement"]) - fmean(row["base"]) for row in sensitivity["rows"]}
+    ours = choices["rows"][0]["mean"]
+    (longer,) = (row for row in choices["rows"] if row["setting"] == "evolution.afpo.mutation.step=0.5")
+    found = {
+        "redrawn_there": -there["redraw"],
+        "redrawn_here": ours - _redrawn(choices)["mean"],
+        "longer_there": there["longer-steps"],
+        "longer_here": ours - longer["mean"],
+    }
+    return {name: f"{metres:.1f}" for name, metres in found.items()}
 
 
 def _interval(row: Results) -> tuple[float, float]:

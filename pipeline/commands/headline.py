@@ -58,6 +58,9 @@ def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[s
         columns = {name: [score.get(name) for score in arm] for name in ("predicted", "zero_shot", "adapted")}
         cells = [segments.mean_and_deviation([value for value in of if value is not None]) for of in columns.values()]
         yield f"  {style.label:<28} " + " ".join(f"{cell:>14}" for cell in cells)
+        sd, fitness = (_mean([score.get(name) for score in arm]) for name in ("predicted_sd", "fitness"))
+        if sd is not None and fitness is not None:
+            yield f"  {'  σ over members, fitness':<28} {f'{sd:.2f}, {fitness:z.2f}':>14}"
         for words, whole in best.items() if environment != "true_slush" else ():
             if whole is not None and whole > 0:
                 parts = [_mean(columns[name]) for name in ("zero_shot", "adapted")]

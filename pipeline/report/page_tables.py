@@ -63,7 +63,8 @@ def against_paper(findings: Findings) -> str:
         "number agrees if the 95 % interval of its difference from the paper’s lies within the bounds given under "
         "“Why”, and differs if it lies outside; that interval includes the uncertainty of the paper’s own trials. A "
         "range over members agrees if it contains the interval of this run’s median member, and the ratio of "
-        f"deviations if its whole interval is above 1.{left_out}</p></div>"
+        "deviations if its whole interval is above 1. Each verdict is of its row alone, without a correction for the "
+        f"number of rows.{left_out}</p></div>"
     )
 
 
@@ -137,8 +138,8 @@ def contrasts(findings: Findings) -> str:
     rule = (
         " “Less” and “greater” agree with the paper if the whole interval of the difference has that direction. "
         "“No difference” agrees if that interval lies within ± 20 % of the displacement of the designs evolved in True "
-        "Slush: a large p-value shows nothing. The paper’s tests are one family, judged by Holm’s procedure: with 95 % "
-        "none is misjudged by chance."
+        "Slush: a large p-value shows nothing. The paper’s tests are one family, judged by Holm’s procedure, so that "
+        "with a probability of about 95 % none is misjudged; the interval that judged each is in brackets."
     )
     return (
         f'<div id="contrasts"><h3>{len(ranked)} t tests, by p-value{verdicts}</h3>{content}{links("contrasts.csv")}'
@@ -170,7 +171,9 @@ def _statement(row: Contrast, a: ScoredArm, b: ScoredArm) -> str:
 
 
 def _statement_cell(row: Row | None) -> str:
-    return NONE if row is None else f"{verdict_mark(row.verdict)}<small>{typeset(row.paper)}</small>"
+    if row is None:
+        return NONE
+    return f"{verdict_mark(row.verdict)}<small>{typeset(row.paper)}</small><small>{typeset(row.why)}</small>"
 
 
 def _contrast_cells(row: Contrast) -> list[str]:

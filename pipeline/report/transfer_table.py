@@ -28,7 +28,7 @@ def transfer_table(trials: Sequence[TrialResult], findings: Findings) -> str:
         "ensemble, the prediction is the mean μ over the members; σ is their standard deviation, and evolution "
         f"maximises {maximised}. “of <i>E</i>” is the mean divided by that of the designs evolved in True Slush at the "
         "same depth, as they are, which is the paper’s reference. Below it (“adapted”), the mean is divided by theirs "
-        "after adaptation: adapted designs were searched twice as long, so only that comparison is between equals."
+        "after adaptation: adapted designs had a second search, so only the adapted ones of both compare equals."
     )
     best = paper_mean("true_slush", "zero_shot", paper.DEPTH)
     if paper.DEPTH in depths(trials) and best is not None:

@@ -4,16 +4,18 @@ Every row is judged by :mod:`tasks.analysis.equivalence`, with bounds that :mod:
 
 - A number agrees if the difference from the paper's is shown to be negligible. The interval of the difference is this
   run's 95 % interval widened by √(1 + n / n_paper), because the paper's number comes from a sample too: variances add
-  and are proportional to 1/n, where n counts what was resampled, such as trials. The paper has one data set and one
-  ensemble. Where this run has several, its variance between them counts in full for the paper, and n_paper is smaller.
+  and are proportional to 1/n, where n counts what was resampled, such as trials. The paper's deviation, which it does
+  not give, is taken to be this run's. The paper has one data set and one ensemble. Where this run has several, its
+  variance between them counts in full for the paper, and n_paper is smaller.
 - A range over members agrees if it contains the interval of this run's median member.
 - The statement that single members vary more agrees if the whole interval of the ratio is above 1. Deviations are from
   the replicate's mean, because the paper has one replicate.
 - "No difference" agrees if the difference of the means is shown to be negligible, a fifth of the displacement of the
   designs evolved in True Slush. "Less" and "greater" agree if the whole interval of the difference has that direction.
-  The statements that a run can judge are one family: with 95 % each, one of the paper's 25 would be misjudged by
-  chance. They are judged by Holm's step-down procedure, so that with 95 % none is: with n not yet decided, each by an
-  interval of 1 - 0.05 / n, until no other is decided. A row has the interval that judged it.
+  The statements that a run can judge are one family: at 95 % each, about one of the paper's 25 would be misjudged by
+  chance. They are judged by Holm's step-down procedure: with n not yet decided, each by an interval of 1 - 0.05 / n,
+  until no other is decided. A row has the interval that judged it. None is misjudged with a probability of about 95 %:
+  as the verdict is on a direction, that is proven for independent tests (Shaffer 1980), and these share arms.
 
 Intervals include the variance between replicates (:mod:`tasks.analysis.replicates`), and numbers of trials that would
 tell are of as many more replicates. The p-values are of Student's t test, which treats trials as independent.
@@ -318,7 +320,7 @@ def _statement_row(scores: Scores, statement: Statement, depth: float, level: fl
     direction = "greater" if a.mean() > b.mean() else "less"
     this_run = f"{direction}, p = {test.p:.2g}, n = {len(a)} and {len(b)}"
     words, low, high = _interval(gap, "{:z.1f}")
-    interval = f"difference {words} m"
+    interval = f"difference {words} m, at {level:.1%}"
     return Row(
         what, paper, statement.source, this_run, judged.verdict, judged.why, gap.value, interval, low, high, test.p
     )

@@ -6,7 +6,7 @@ that evolved in True Slush mark the best possible displacement. So the gap has t
     best - zero_shot  =  (adapted - zero_shot)  +  (best - adapted)
       the gap             lost to the controller     lost to the body
 
-Adapted designs were searched twice as long as zero-shot ones: their bodies for one evolution and their controllers for
+Adapted designs were searched longer than zero-shot ones: their bodies for one evolution and their controllers for
 another. So the paper's share, adapted / best, favours them. Against designs of True Slush that were adapted too
 (best_adapted), both sides are equally searched; every share is given against both.
 

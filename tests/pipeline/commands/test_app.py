@@ -74,7 +74,9 @@ def check_headline(said: str, page: Path, store: str) -> None:
     assert heading.startswith("Champions of study tiny in True Slush, 1 m deep")
     assert objective == "selected for: displacement"
     assert columns.split() == ["evolved", "in", "predicted", "zero-shot", "adapted"]
-    assert [arm.split("  ")[1] for arm in arms if "share" not in arm] == ["True Slush", "Dry Land", "Residual Slush"]
+    assert [arm.split("  ")[1] for arm in arms if arm[2] != " "] == ["True Slush", "Dry Land", "Residual Slush"]
+    (of_members,) = (arm for arm in arms if "σ over members, fitness" in arm)
+    assert arms[arms.index(of_members) - 1].startswith("  Residual Slush")
     assert opened == f"Open: {page.as_uri()}"
     assert max(len(line) for line in (heading, columns, *arms)) <= 80
     advised = [line.strip() for line in said.partition("\nNext:\n")[2].splitlines()]

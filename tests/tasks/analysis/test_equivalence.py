@@ -105,6 +105,18 @@ def test_a_planted_equivalence_is_found_and_a_planted_difference_never_taken_for
     )
 
 
+@pytest.mark.parametrize(("side", "at_most"), [(1, 0.04), (-1, 0.025)])
+def test_a_bound_that_is_estimated_is_passed_a_little_more_often(side, at_most):
+    """*E* travels 7.5 ± 1 m, and the bound is a fifth of its mean, 1.5 m if that is exact."""
+    rng = np.random.default_rng(23)
+    n_agree = 0
+    for _ in range(N_STUDIES):
+        x, best = rng.normal(7.5 + side * BOUND, 1, N), rng.normal(7.5, 1, N)
+        judged = judge_equivalence(difference(x, best), 0.2 * best.mean(), n=N, form=METRES)
+        n_agree += judged.verdict == "agrees"
+    assert n_agree / N_STUDIES < at_most + DEVIATIONS / 3
+
+
 def test_a_planted_direction_is_found_as_often_as_the_t_test_finds_it():
     """The interval excludes 0 exactly where p < 0.05, so the rates are those of the t test."""
     noncentrality = 1.5 / math.sqrt(2 / N)
