@@ -101,8 +101,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             figures.sensitivity_holds,
         ),
         Sentence(
-            "Nor can they tell of resampled genes, which take {redrawn_there} m off *E* there in place of {redrawn_here} "
-            "m; and steps of 0.5 add {longer_there} m there, where they take {longer_here} m off here.",
+            "Nor can they tell of resampled genes, which take {redrawn_there} m off *E* there in place of "
+            "{redrawn_here} m; and steps of 0.5 add {longer_there} m there, where they take {longer_here} m off here.",
             (SENSITIVITY, CHOICES),
             figures.mutation_at_two_scales,
             lambda sensitivity, _: figures.spans_the_bound(sensitivity, "redraw"),

@@ -56,15 +56,16 @@ def test_the_readme_says_how_the_preset_paper_decides_what_the_paper_leaves_open
     readings = {
         "joints have no limits": physics.joint_limits == "none",
         "the range of motion is an amplitude": physics.range_of_motion == "amplitude",
-        "they run while a robot settles": physics.motors_while_settling,
-        "Its lowest corner begins at the surface": physics.spawn == "lowest_corner",
+        "they run while a robot settles, too": physics.motors_while_settling,
+        "joints without a motor swing": physics.passive_joints == "swing",
+        "a robot's lowest corner is at the surface": physics.spawn == "lowest_corner",
         "drag opposes the velocity": settings.slush.drag == "vector",
         "is integrated exactly over a step": settings.slush.drag_integration == "exact",
         "in adaptation each gene changes as often": settings.transfer.mutation_rate == "per_gene",
         "parents are chosen uniformly": afpo.parent_selection == "uniform",
         "σ over members is the population's": settings.ensemble.deviation == "population",
         "inputs and targets are standardised": training.standardise_targets,
-        "Ten are trained, where the paper has eight members": (settings.grid.n_trials, settings.ensemble.n_members)
+        "Ten are trained; the first eight are the ensemble": (settings.grid.n_trials, settings.ensemble.n_members)
         == (10, 8),
     }
     assert [words for words, is_so in readings.items() if not is_so or words not in text] == []
