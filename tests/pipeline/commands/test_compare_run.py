@@ -130,20 +130,43 @@ def test_lags_are_the_simulations_own(run, robot, tmp_path, capsys):
     assert lag(later, 2) == pytest.approx(lag(said, 2), abs=2)
 
 
+def test_an_unknown_start_is_where_the_joints_lag_as_simulated(run, tmp_path, capsys, monkeypatch):
+    """The figure of the joints would otherwise show all of them ahead of their simulation."""
+    seen = []
+    monkeypatch.setattr("pipeline.commands.run_comparison.render_run", lambda of, name: seen.append(of) or "")
+    assert compared(run, tmp_path, capsys)[0] == 0
+    (of,) = seen
+    ahead = [real.phase - expected.phase for real, expected in zip(of.measured.gaits, of.simulated.gaits, strict=True)]
+    assert np.mean(ahead) == pytest.approx(0.0, abs=np.radians(0.5))
+
+
 @pytest.mark.parametrize(
     ("off", "verdict"), [(0.0, "The robot did what was promised"), (0.02, "The robot did not do what was promised")]
 )
 def test_the_last_line_says_whether_the_promise_held(run, tmp_path, capsys, off, verdict):
     code, said, _ = compared(run, tmp_path, capsys, kit=promising(run, tmp_path, run[2] + off, 0.003))
     assert code == 0 and said.splitlines()[-1].startswith(verdict)
-    assert "the ensemble that the kit records promised" in said and ("less than" in said) == (off > 0)
+    assert ("less than the +" in said) == (off > 0) and said.endswith("mm/s that the kit's ensemble promised.\n")
     assert "lag relative to the other joints" in said
 
 
+def test_a_promise_that_leaves_the_direction_open_is_not_praised(run, tmp_path, capsys):
+    """Tenths, so that a speed just outside of an interval does not read as its limit."""
+    _, said, _ = compared(run, tmp_path, capsys, kit=promising(run, tmp_path, run[2], 0.1))
+    promised = re.escape(f"{1000 * run[2] - 200:+.1f} to {1000 * run[2] + 200:+.1f} mm/s")
+    assert re.fullmatch(
+        r"The robot did what was promised, but the promise leaves the direction open: it went [+-]\d+\.\d mm/s, within "
+        rf"the {promised} that the kit's ensemble promised\.",
+        said.splitlines()[-1],
+    )
+
+
 def test_a_study_predicts_the_path_of_every_member(run, recorded, tmp_path, capsys):
+    """The study's robots do not collide; the kit's do."""
     code, said, page = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
-    assert code == 0 and "the ensemble of study tiny promised" in said
-    assert "promised" in page.read_text()
+    assert code == 0 and said.endswith("mm/s that the ensemble of study tiny promised.\n")
+    note = "study tiny promised it of robots with "
+    assert note in said and note in page.read_text() and "link_collisions False (built: True)" in said
 
 
 def test_tracks_of_something_else(run, robot, tmp_path, capsys):
@@ -167,7 +190,8 @@ def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):
     kit = promising(run, tmp_path, 0.0, 1.0)
     faster = replace(robot, frequency=robot.frequency / 1.5)
     (kit / "design.json").write_text(json.dumps(design_document(faster)))
-    assert "is this the kit of another" in compared(run, tmp_path, capsys, "--start", BEGAN, kit=kit)[1]
+    for start in ((), ("--start", BEGAN)):
+        assert "is this the kit of another" in compared(run, tmp_path, capsys, *start, kit=kit)[1]
     assert "expected a kit of `puddle fabricate`" in compared(run, tmp_path, capsys, kit=tmp_path)[1]
     (kit / "timeline.json").unlink()
     assert "has no timeline.json" in compared(run, tmp_path, capsys, kit=kit)[1]
