@@ -9,14 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from command_line import call as called
 
+from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
 from pipeline.fabrication.kit_folder import write_kit
 from pipeline.fabrication.timeline_file import timeline_json
 from pipeline.store.design_file import design_document
+from pipeline.vision.kit_markers import markers_of
+from pipeline.vision.markers_file import RobotTags
+from tasks.analysis.built_run import steady_speed
 from tasks.fabrication.calibration import Calibration
-from tasks.fabrication.kit_settings import FabricationSettings
+from tasks.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
+from tasks.fabrication.throwing_bars import throwing_bars
 from tasks.fabrication.timeline import Playback, timeline_of
 from tasks.simulation import simulate
 from tasks.world import Physics, Slush, TrueSlush, froude_time
@@ -197,3 +203,37 @@ def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):
     assert "has no timeline.json" in compared(run, tmp_path, capsys, kit=kit)[1]
     video = tmp_path / "run.mp4"
     assert "a video needs --markers" in compared(run, tmp_path, capsys, tracks=video)[1]
+
+
+def test_a_filmed_robot_that_is_slower_than_its_simulation_is_found_to_be(run, tmp_path, capsys):
+    """It goes half as far. Speeds are between means over the first and the last period of the steady gait.
+
+    A pixel is 1 mm, and a corner is found to half of one. If all corners of a period were off by that, in opposite
+    directions at the start and at the end, the way between would be wrong by 1 mm.
+    """
+    pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
+    from benchmarks.synthetic_run import film_run
+    from benchmarks.synthetic_tank import Camera, Scene
+
+    folder, _, speed = run
+    tank = ThrowingKit(tank_length=0.64, tank_height=0.46, waterline=0.12)
+    markers = markers_of(tank, throwing_bars(tank, KitSettings(), 1000.0))
+    markers = markers.model_copy(update={"robot": RobotTags(tag_size=0.025)})  # 4 px for each of its squares
+    (tmp_path / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json")))
+    camera = Camera(width=800, height=592, field=0.82, distance=1.1, rate=12, exposure=0.004)
+    video, seconds, period = tmp_path / "run.mp4", 6.2, TIME / 0.2
+    truth = film_run(video, Scene(camera, markers), read_kit(folder / "kit"), seconds, slower=0.5)
+    steady = (truth["throw"] == 0) & (truth["time"] >= 1.0 + Playback().ramp)  # the servos begin after a second
+
+    kit = promising(run, tmp_path, speed, 0.1 * speed)
+    code, said, _ = compared(run, tmp_path, capsys, "--markers", tmp_path / "markers.yaml", tracks=video, kit=kit)
+    assert code == 0 and "5 links, lost in 0 of" in said  # the tag of link 1 is behind that of the root
+    lasted = float(re.search(r"crane: ([\d.]+) s of steady gait", said)[1])
+    assert lasted == pytest.approx(np.ptp(truth["time"][steady]), abs=0.2)
+    measured, simulated = (float(word) / 1000 for word in re.findall(r"speed: (\S+) mm/s, simulated (\S+) mm", said)[0])
+    slow = steady_speed(truth["time"][steady], truth["x"][steady], period)
+    assert measured == pytest.approx(slow, abs=0.001 / (lasted - period)) and slow == pytest.approx(speed / 2, rel=0.1)
+    assert simulated == pytest.approx(speed, rel=0.05)
+    assert said.splitlines()[-1].startswith(
+        f"The robot did not do what was promised: it went {1000 * measured:+.1f} mm/s, less"
+    )
