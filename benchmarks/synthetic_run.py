@@ -1,13 +1,15 @@
 """A synthetic camera before a robot: `python -m benchmarks.synthetic_run --kit KIT --out DIR` films a run of its robot.
 
-The robot does what it does in the simulation that the kit records. Beside the video come the printed board, the markers
-file and the tracks that are true, so that `puddle compare-run` can be tried without a robot, with a robot that swims
-slower than its simulation (--slower), and with tags at the waterline (--waterline-tags).
+The robot does what it does in the simulation that the kit records, but its joints rise from rest as the servos' do.
+Beside the video come the printed board, the markers file and the tracks that are true, so that `puddle compare-run` can
+be tried without a robot, with a robot that swims slower than its simulation (--slower), and with tags at the waterline
+(--waterline-tags).
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +21,12 @@ from pipeline.store.tables import Columns, csv_of
 from pipeline.vision.kit_markers import markers_of
 from pipeline.vision.markers_file import Markers, TaggedBar
 from pipeline.vision.video import film
+from tasks.analysis.built_run import joint_angles
 from tasks.arrays import Float64
-from tasks.design import N_LINKS
+from tasks.design import N_LINKS, rest_pose
 from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
 from tasks.fabrication.throwing_bars import throwing_bars
+from tasks.fabrication.timeline import envelope
 from tasks.seeding import generator
 from tasks.simulation import simulate
 
@@ -60,9 +64,30 @@ def motion_of(robot: RobotKit, seconds: float, slower: float) -> tuple[Float64, 
     )
     assert rollout.trace is not None
     poses = rollout.trace[0, :, :, :3].astype(np.float64) * (robot.scale, robot.scale, 1.0)
+    time = step * (1 + np.arange(n_steps))
+    poses = _risen(robot, time, poses)
     root = poses[:, :1, 0] - poses[0, 0, 0]
     poses[:, :, 0] += (slower - 1) * root
-    return step * (1 + np.arange(n_steps)), poses
+    return time, poses
+
+
+def _risen(robot: RobotKit, time: Float64, poses: Float64) -> Float64:
+    """Lower the angles of the joints by the timeline's envelope while it rises. The root's path stays."""
+    line, ramp = robot.timeline, robot.choices.playback.ramp
+    rising = np.flatnonzero(time < ramp)
+    seen = poses[rising]
+    share = envelope(time[rising], duration=float(line.time[-1]), ramp=ramp)[:, None]
+    angle = joint_angles(robot.design, line.joints, {link: seen[:, link, 2] for link in range(N_LINKS)})
+    bodies = robot.design[np.zeros(len(rising), dtype=int)]
+    turned = bodies.rest_angle.copy()
+    turned[:, list(line.joints)] += share * angle
+    x, y, angles = rest_pose(replace(bodies, rest_angle=turned))
+    cosine, sine = np.cos(seen[:, :1, 2]), np.sin(seen[:, :1, 2])
+    risen = poses.copy()
+    risen[rising, :, 0] = seen[:, :1, 0] + robot.scale * (cosine * x - sine * y)
+    risen[rising, :, 1] = seen[:, :1, 1] + robot.scale * (sine * x + cosine * y)
+    risen[rising, :, 2] = seen[:, :1, 2] + angles
+    return risen
 
 
 def parts_of(robot: RobotKit, markers: Markers) -> list[tuple[int, TaggedBar]]:

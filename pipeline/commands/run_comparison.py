@@ -105,25 +105,32 @@ class RunComparison:
     members: Float64 | None  # (n_members, n_frames) x of each member's root at ``simulated.time`` [m]
     promise: Promise | None  # of the speed [m/s]
     promised_by: str
+    note: str  # on what was promised, or ""
     lags: Float64  # (2, n_joints) measured and simulated, behind the command [rad]
     start_known: bool
 
     @property
+    def same_way(self) -> bool:
+        """Whether the robot and its simulation went the same way."""
+        return self.measured.speed * self.simulated.speed > 0
+
+    @property
     def verdict(self) -> str:
         """Whether the robot did what was promised, in a sentence."""
-        went = f"it went {1000 * self.measured.speed:+.0f} mm/s"
+        went = f"it went {_mm(self.measured.speed)} mm/s"
         if self.promise is None:
-            share = self.measured.speed / self.simulated.speed if self.simulated.speed else float("nan")
+            share = f"{self.measured.speed / self.simulated.speed:.0%} of" if self.same_way else "against"
             return (
-                f"No ensemble promised anything: {went}, {share:.0%} of the {1000 * self.simulated.speed:+.0f} mm/s of "
-                f"its simulation. Name the study that it comes from with --study."
+                f"No ensemble promised anything: {went}, {share} the {_mm(self.simulated.speed)} mm/s of its "
+                f"simulation. Name the study that it comes from with --study."
             )
-        low, high = 1000 * self.promise.low, 1000 * self.promise.high
-        promised = f"{self.promised_by} promised {low:+.0f} to {high:+.0f} mm/s"
-        if self.promise.holds(self.measured.speed):
-            return f"The robot did what was promised: {went}, and {promised}."
-        than = "less" if self.measured.speed < self.promise.low else "more"
-        return f"The robot did not do what was promised: {went}, {than} than {promised}."
+        low, high = self.promise.low, self.promise.high
+        promised = f"the {_mm(low)} to {_mm(high)} mm/s that {self.promised_by} promised"
+        if not self.promise.holds(self.measured.speed):
+            than = "less" if self.measured.speed < low else "more"
+            return f"The robot did not do what was promised: {went}, {than} than {promised}."
+        vague = ", but the promise leaves the direction open" if low < 0 < high else ""
+        return f"The robot did what was promised{vague}: {went}, within {promised}."
 
 
 def compare_built_run(source: RunSource, kit: Path, study: str | None, store: Path, out: Path) -> list[str]:
@@ -239,36 +246,65 @@ def _compared(
     check_robot(robot.design, {link: pose[:, :2] for link, pose in poses.items()}, robot.scale)
     joints, line = robot.timeline.joints, robot.timeline
     angle = joint_angles(robot.design, joints, {link: pose[:, 2] for link, pose in poses.items()})
+    if start is None:
+        check_frequency(time, angle, robot.frequency)  # first, because a start is found in any gait of this frequency
     began = start_of_run(time, angle, line.time, line.angle) if start is None else start
+    measured, simulated, lags = _beside_simulation(robot, time - began, root, angle)
+    if start is None:  # what all joints share is not known: let it be the simulation's
+        shared = lags.mean(axis=1)
+        began -= (shared[1] - shared[0]) / (2 * np.pi * robot.frequency)
+        measured, simulated, lags = _beside_simulation(robot, time - began, root, angle)
+        lags = lags - lags.mean(axis=1, keepdims=True)
+    members, promise, promised_by, note = None, None, "", ""
+    if study is not None:
+        environment = ResidualSlush(depth=robot.environment.depth, ensemble=study.ensemble())
+        promised_by, note = f"the ensemble of study {study.name}", _other_physics(robot, study)
+        _, members = _simulated(robot, environment, study.settings.physics, measured, f"under {promised_by}")
+        speeds = [steady_speed(simulated.time, of, 1 / robot.frequency) for of in members]
+        promise = promise_of(np.array(speeds))
+    elif robot.predicted is not None:
+        seconds = robot.rollout.n_measure * robot.physics.time_step * robot.time_scale
+        promise, promised_by = promise_of(robot.predicted * robot.scale / seconds), "the kit's ensemble"
+    return RunComparison(robot, measured, simulated, members, promise, promised_by, note, lags, start is not None)
+
+
+def _beside_simulation(
+    robot: RobotKit, time: Float64, root: Float64, angle: Float64
+) -> tuple[RobotMotion, RobotMotion, Float64]:
+    """Return the steady part of a run, as long a one of its simulation, and the lags of both.
+
+    Args:
+        robot: the robot.
+        time: (n_frames,) since the timeline began [s].
+        root: (n_frames, 3) poses of the root.
+        angle: (n_frames, n_joints) of the joints from rest [rad].
+    """
+    line = robot.timeline
     ramp = min(robot.choices.playback.ramp, float(line.time[-1]) / 2)
-    steady = (time - began >= ramp) & (time - began <= line.time[-1] - ramp)
+    steady = (time >= ramp) & (time <= line.time[-1] - ramp)
     if steady.sum() < 3:
         raise RunError(
             f"the gait is steady in {steady.sum()} frames: expected a video of the run between {ramp:g} and "
-            f"{line.time[-1] - ramp:g} s after the servos began; it shows {time[0] - began:.1f} to "
-            f"{time[-1] - began:.1f} s"
+            f"{line.time[-1] - ramp:g} s after the servos began; it shows {time[0]:.1f} to {time[-1]:.1f} s"
         )
     check_frequency(time[steady], angle[steady], robot.frequency)
-    measured = _motion(time[steady] - began, root[steady, :2], angle[steady], robot)
-    simulated, _ = _simulated(robot, robot.environment, robot.physics, measured)
-    members, promise, promised_by = None, None, ""
-    if study is not None:
-        environment = ResidualSlush(depth=robot.environment.depth, ensemble=study.ensemble())
-        of_study = study.settings.physics
-        _, members = _simulated(robot, environment, of_study, measured)
-        speeds = [steady_speed(simulated.time, of, 1 / robot.frequency) for of in members]
-        promise, promised_by = promise_of(np.array(speeds)), f"the ensemble of study {study.name}"
-    elif robot.predicted is not None:
-        seconds = robot.rollout.n_measure * robot.physics.time_step * robot.time_scale
-        promise, promised_by = promise_of(robot.predicted * robot.scale / seconds), "the ensemble that the kit records"
-    commanded = robot.design.phase[0, list(joints)]
+    measured = _motion(time[steady], root[steady, :2], angle[steady], robot)
+    simulated, _ = _simulated(robot, robot.environment, robot.physics, measured, "in True Slush")
+    commanded = robot.design.phase[0, list(line.joints)]
     lags = np.array(
         [[at - of.phase for at, of in zip(commanded, run.gaits, strict=True)] for run in (measured, simulated)]
     )
-    lags = (lags + np.pi) % (2 * np.pi) - np.pi
-    if start is None:
-        lags = lags - lags.mean(axis=1, keepdims=True)
-    return RunComparison(robot, measured, simulated, members, promise, promised_by, lags, start is not None)
+    return measured, simulated, (lags + np.pi) % (2 * np.pi) - np.pi
+
+
+def _other_physics(robot: RobotKit, study: Study) -> str:
+    """Say in what a study simulates another robot than the kit's, if it does."""
+    built, evolved = (of.model_dump(mode="json") for of in (robot.physics, study.settings.physics))
+    other = [f"{name} {evolved[name]} (built: {built[name]})" for name in built if built[name] != evolved[name]]
+    if not other:
+        return ""
+    listed = ", ".join(other)
+    return f"study {study.name} promised it of robots with {listed}; a difference need not be the networks' error"
 
 
 def _motion(time: Float64, position: Float64, angle: Float64, robot: RobotKit) -> RobotMotion:
@@ -278,7 +314,7 @@ def _motion(time: Float64, position: Float64, angle: Float64, robot: RobotKit) -
 
 
 def _simulated(
-    robot: RobotKit, environment: Environment, physics: Physics, measured: RobotMotion
+    robot: RobotKit, environment: Environment, physics: Physics, measured: RobotMotion, where: str
 ) -> tuple[RobotMotion, Float64]:
     """Simulate as long a run after settling, from the same phase of the gait on.
 
@@ -291,7 +327,7 @@ def _simulated(
     n_settle += round(((measured.time[0] - step * (n_settle + 1)) % period) / step)
     rollouts = simulate(robot.design, environment, n_settle=n_settle, n_measure=n_steps, trace=True, physics=physics)
     if rollouts.trace is None or not (rollouts.status == OK).all():
-        raise RunError("its simulation diverged, so there is nothing to compare with")
+        raise RunError(f"its simulation {where} diverged, so there is nothing to compare with")
     trace = rollouts.trace.reshape(-1, *rollouts.trace.shape[-3:])[:, n_settle:].astype(np.float64)
     time = np.asarray(step * (n_settle + 1 + np.arange(n_steps)), dtype=np.float64)
     angles = {link: trace[0, :, link, Column.ANGLE] for link in range(N_LINKS)}
@@ -308,13 +344,15 @@ def _lines(of: RunComparison) -> list[str]:
     seconds = measured.time[-1] - measured.time[0]
     lines = [
         f"{of.kit.name}: {seconds:.1f} s of steady gait at {of.kit.frequency:.2f} Hz",
-        f"path: {1000 * measured.x[-1]:+.0f} mm along the tank, simulated {1000 * simulated.x[-1]:+.0f} mm; the root "
-        f"is at {1000 * measured.y.mean():+.0f} mm over the water, simulated {1000 * simulated.y.mean():+.0f} mm",
-        f"speed: {1000 * measured.speed:+.1f} mm/s, simulated {1000 * simulated.speed:+.1f} mm/s",
+        f"path: {1000 * measured.x[-1]:+.0f} mm along the tank, simulated {1000 * simulated.x[-1]:+.0f} mm",
+        f"mean height of the root over the water: {1000 * measured.y.mean():+z.0f} mm, simulated "
+        f"{1000 * simulated.y.mean():+z.0f} mm",
+        f"speed: {_mm(measured.speed)} mm/s, simulated {_mm(simulated.speed)} mm/s",
     ]
-    if of.promise is not None:
-        low, mean, high = (1000 * value for value in (of.promise.low, of.promise.mean, of.promise.high))
-        lines.append(f"promised: {mean:+.1f} mm/s, within {low:+.1f} to {high:+.1f}")
+    if (promise := of.promise) is not None:
+        lines.append(f"promised: {_mm(promise.mean)} mm/s, within {_mm(promise.low)} to {_mm(promise.high)}")
+    if of.note:
+        lines.append(f"note: {of.note}")
     lag = "lag behind the command" if of.start_known else "lag relative to the other joints"
     for column, joint in enumerate(of.kit.timeline.joints):
         (real, expected), gait = of.lags[:, column], measured.gaits[column]
@@ -324,3 +362,8 @@ def _lines(of: RunComparison) -> list[str]:
             f"({turn * real:+z.0f} ms), simulated {np.degrees(expected):+z.0f}°"
         )
     return lines
+
+
+def _mm(speed: float) -> str:
+    """Write a speed [m/s] in mm/s."""
+    return f"{1000 * speed:+z.1f}"

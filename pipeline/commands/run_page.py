@@ -34,6 +34,7 @@ def render_run(of: RunComparison, run: str) -> str:
         rows.append((f"joint {joint}: {lag} [°]", *(f"{np.degrees(value):+z.0f}" for value in of.lags[:, column]), ""))
     cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     shown = "".join(_figure(figure) for figure in figures)
+    note = f" But {escape(of.note)}." if of.note else ""
     body = f"""<main>
 <header><p class="study">puddle · {escape(run)}</p><h1>The run of {escape(of.kit.name)}</h1>
 <p class="finding">{escape(of.verdict)}</p></header>
@@ -42,7 +43,7 @@ def render_run(of: RunComparison, run: str) -> str:
 <tbody>{cells}</tbody></table></div>
 <p class="small">The gait was steady for {of.measured.time[-1] - of.measured.time[0]:.1f} s. Simulated: the true
 slush of the kit's settings. Promised: the mean of the ensemble's members, two standard deviations to either side. The
-members' disagreement is a lower bound on the uncertainty.</p>
+members' disagreement is a lower bound on the uncertainty.{note}</p>
 </main>"""
     return document(title=f"Run of {escape(of.kit.name)}", policy="img-src data:", body=body)
 

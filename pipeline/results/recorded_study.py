@@ -230,9 +230,12 @@ class Study:
             MissingInputs: a network is not trained yet.
         """
         known = data_sets(self.settings)
+        if not known:
+            arms = ", ".join(self.settings.grid.environments)
+            raise PuddleError(f"study {self.name} has no networks: none of {arms} needs them")
         wanted = [of for of in known if of.group == (throws or known[0].group) and of.replicate == replicate]
         if not wanted:
-            listed = ", ".join(of.words for of in known) or "none"
+            listed = ", ".join(of.words for of in known)
             raise PuddleError(
                 f"study {self.name} has no ensemble of replicate {replicate} of {throws or 'any throws'}: expected one "
                 f"of {listed}"

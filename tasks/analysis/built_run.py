@@ -15,6 +15,9 @@ from tasks.design import N_LINKS, Designs, rest_pose
 
 _FREQUENCIES = np.linspace(0.5, 2.0, 151)  # shares of the gait's that are tried
 _MOST_OFF = 0.1  # share by which the frequency of a gait, or a distance of links, may differ
+_LEAST_SWING = 0.5  # share of the joints' motion that a gait must explain
+_CLEARLY = 0.5  # share of the misfit that a start before the video may have
+_LEAST_FOLLOWED = 0.25  # share of the joints' angles that the timeline must explain; servos are mounted a tooth off
 _DEVIATIONS = 2.0  # of the ensemble, that its interval has to either side
 
 
@@ -119,9 +122,18 @@ def check_frequency(time: Float64, angle: Float64, frequency: float) -> None:
         frequency: expected [Hz].
 
     Raises:
-        RunError: they do not.
+        RunError: they do not, or do not swing at all.
     """
-    left = [np.mean([fit_gait(time, of, frequency * share).left for of in angle.T]) for share in _FREQUENCIES]
+    variance = np.maximum(angle.var(axis=0), 1e-12)
+    left = [
+        np.average([fit_gait(time, of, frequency * share).left for of in angle.T], weights=variance)
+        for share in _FREQUENCIES
+    ]
+    if min(left) > 1 - _LEAST_SWING:
+        raise RunError(
+            f"its joints do not swing, expected a gait of {frequency:.2f} Hz: do its servos turn, and is this the kit "
+            f"of another robot?"
+        )
     found = float(_FREQUENCIES[int(np.argmin(left))])
     slack = max(_MOST_OFF, 0.5 / (frequency * float(time[-1] - time[0])))
     if abs(found - 1) > slack:
@@ -134,21 +146,37 @@ def check_frequency(time: Float64, angle: Float64, frequency: float) -> None:
 def start_of_run(time: Float64, angle: Float64, commanded_time: Float64, commanded: Float64) -> float:
     """Return the time at which a timeline began [s], as the joints' angles show it.
 
+    It is in the video, unless an earlier one fits clearly better. The command is scaled to the range through which each
+    joint swings: a weak servo does not reach its command, and the closest shift would be the one that commands nothing.
+
     Args:
         time: (n_frames,) times of the frames [s].
         angle: (n_frames, n_joints) angles of joints from rest [rad].
         commanded_time: (n_commands,) times of the timeline [s].
         commanded: (n_commands, n_joints) commanded angles from rest [rad].
+
+    Raises:
+        RunError: the joints do not follow the timeline.
     """
+    reached, asked = (np.ptp(np.quantile(of, (0.02, 0.98), axis=0), axis=0) for of in (angle, commanded))
+    scaled = commanded * (reached / np.maximum(asked, 1e-9))
 
     def misfit(start: float) -> float:
-        columns = [np.interp(time - start, commanded_time, of, left=0.0, right=0.0) for of in commanded.T]
+        columns = [np.interp(time - start, commanded_time, of, left=0.0, right=0.0) for of in scaled.T]
         return float(np.square(angle - np.stack(columns, axis=1)).mean())
 
     coarse = np.arange(time[0] - commanded_time[-1], time[-1], 0.04)
-    best = float(coarse[int(np.argmin([misfit(start) for start in coarse]))])
+    misfits = np.array([misfit(start) for start in coarse])
+    filmed = np.where(coarse >= time[0], misfits, np.inf)
+    best = float(coarse[int(np.argmin(misfits if misfits.min() < _CLEARLY * filmed.min() else filmed))])
     fine = best + np.linspace(-0.04, 0.04, 41)
-    return float(fine[int(np.argmin([misfit(start) for start in fine]))])
+    best = float(fine[int(np.argmin([misfit(start) for start in fine]))])
+    if misfit(best) > (1 - _LEAST_FOLLOWED) * float(np.square(angle).mean()):
+        raise RunError(
+            "its joints do not follow the kit's timeline wherever it may begin: film the run from before the servos "
+            "start, check that this is its kit, or give --start"
+        )
+    return best
 
 
 @dataclass(frozen=True)

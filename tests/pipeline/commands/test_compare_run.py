@@ -9,14 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from command_line import call as called
 
+from pipeline.commands.run_comparison import read_kit
 from pipeline.config.settings import RolloutSettings
 from pipeline.fabrication.kit_folder import write_kit
 from pipeline.fabrication.timeline_file import timeline_json
 from pipeline.store.design_file import design_document
+from pipeline.vision.kit_markers import markers_of
+from pipeline.vision.markers_file import RobotTags
+from tasks.analysis.built_run import steady_speed
 from tasks.fabrication.calibration import Calibration
-from tasks.fabrication.kit_settings import FabricationSettings
+from tasks.fabrication.kit_settings import FabricationSettings, KitSettings, ThrowingKit
+from tasks.fabrication.throwing_bars import throwing_bars
 from tasks.fabrication.timeline import Playback, timeline_of
 from tasks.simulation import simulate
 from tasks.world import Physics, Slush, TrueSlush, froude_time
@@ -130,20 +136,43 @@ def test_lags_are_the_simulations_own(run, robot, tmp_path, capsys):
     assert lag(later, 2) == pytest.approx(lag(said, 2), abs=2)
 
 
+def test_an_unknown_start_is_where_the_joints_lag_as_simulated(run, tmp_path, capsys, monkeypatch):
+    """The figure of the joints would otherwise show all of them ahead of their simulation."""
+    seen = []
+    monkeypatch.setattr("pipeline.commands.run_comparison.render_run", lambda of, name: seen.append(of) or "")
+    assert compared(run, tmp_path, capsys)[0] == 0
+    (of,) = seen
+    ahead = [real.phase - expected.phase for real, expected in zip(of.measured.gaits, of.simulated.gaits, strict=True)]
+    assert np.mean(ahead) == pytest.approx(0.0, abs=np.radians(0.5))
+
+
 @pytest.mark.parametrize(
     ("off", "verdict"), [(0.0, "The robot did what was promised"), (0.02, "The robot did not do what was promised")]
 )
 def test_the_last_line_says_whether_the_promise_held(run, tmp_path, capsys, off, verdict):
     code, said, _ = compared(run, tmp_path, capsys, kit=promising(run, tmp_path, run[2] + off, 0.003))
     assert code == 0 and said.splitlines()[-1].startswith(verdict)
-    assert "the ensemble that the kit records promised" in said and ("less than" in said) == (off > 0)
+    assert ("less than the +" in said) == (off > 0) and said.endswith("mm/s that the kit's ensemble promised.\n")
     assert "lag relative to the other joints" in said
 
 
+def test_a_promise_that_leaves_the_direction_open_is_not_praised(run, tmp_path, capsys):
+    """Tenths, so that a speed just outside of an interval does not read as its limit."""
+    _, said, _ = compared(run, tmp_path, capsys, kit=promising(run, tmp_path, run[2], 0.1))
+    promised = re.escape(f"{1000 * run[2] - 200:+.1f} to {1000 * run[2] + 200:+.1f} mm/s")
+    assert re.fullmatch(
+        r"The robot did what was promised, but the promise leaves the direction open: it went [+-]\d+\.\d mm/s, within "
+        rf"the {promised} that the kit's ensemble promised\.",
+        said.splitlines()[-1],
+    )
+
+
 def test_a_study_predicts_the_path_of_every_member(run, recorded, tmp_path, capsys):
+    """The study's robots do not collide; the kit's do."""
     code, said, page = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
-    assert code == 0 and "the ensemble of study tiny promised" in said
-    assert "promised" in page.read_text()
+    assert code == 0 and said.endswith("mm/s that the ensemble of study tiny promised.\n")
+    note = "study tiny promised it of robots with "
+    assert note in said and note in page.read_text() and "link_collisions False (built: True)" in said
 
 
 def test_tracks_of_something_else(run, robot, tmp_path, capsys):
@@ -167,9 +196,44 @@ def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):
     kit = promising(run, tmp_path, 0.0, 1.0)
     faster = replace(robot, frequency=robot.frequency / 1.5)
     (kit / "design.json").write_text(json.dumps(design_document(faster)))
-    assert "is this the kit of another" in compared(run, tmp_path, capsys, "--start", BEGAN, kit=kit)[1]
+    for start in ((), ("--start", BEGAN)):
+        assert "is this the kit of another" in compared(run, tmp_path, capsys, *start, kit=kit)[1]
     assert "expected a kit of `puddle fabricate`" in compared(run, tmp_path, capsys, kit=tmp_path)[1]
     (kit / "timeline.json").unlink()
     assert "has no timeline.json" in compared(run, tmp_path, capsys, kit=kit)[1]
     video = tmp_path / "run.mp4"
     assert "a video needs --markers" in compared(run, tmp_path, capsys, tracks=video)[1]
+
+
+def test_a_filmed_robot_that_is_slower_than_its_simulation_is_found_to_be(run, tmp_path, capsys):
+    """It goes half as far. Speeds are between means over the first and the last period of the steady gait.
+
+    A pixel is 1 mm, and a corner is found to half of one. If all corners of a period were off by that, in opposite
+    directions at the start and at the end, the way between would be wrong by 1 mm.
+    """
+    pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
+    from benchmarks.synthetic_run import film_run
+    from benchmarks.synthetic_tank import Camera, Scene
+
+    folder, _, speed = run
+    tank = ThrowingKit(tank_length=0.64, tank_height=0.46, waterline=0.12)
+    markers = markers_of(tank, throwing_bars(tank, KitSettings(), 1000.0))
+    markers = markers.model_copy(update={"robot": RobotTags(tag_size=0.025)})  # 4 px for each of its squares
+    (tmp_path / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json")))
+    camera = Camera(width=800, height=592, field=0.82, distance=1.1, rate=12, exposure=0.004)
+    video, seconds, period = tmp_path / "run.mp4", 6.2, TIME / 0.2
+    truth = film_run(video, Scene(camera, markers), read_kit(folder / "kit"), seconds, slower=0.5)
+    steady = (truth["throw"] == 0) & (truth["time"] >= 1.0 + Playback().ramp)  # the servos begin after a second
+
+    kit = promising(run, tmp_path, speed, 0.1 * speed)
+    code, said, _ = compared(run, tmp_path, capsys, "--markers", tmp_path / "markers.yaml", tracks=video, kit=kit)
+    assert code == 0 and "5 links, lost in 0 of" in said  # the tag of link 1 is behind that of the root
+    lasted = float(re.search(r"crane: ([\d.]+) s of steady gait", said)[1])
+    assert lasted == pytest.approx(np.ptp(truth["time"][steady]), abs=0.2)
+    measured, simulated = (float(word) / 1000 for word in re.findall(r"speed: (\S+) mm/s, simulated (\S+) mm", said)[0])
+    slow = steady_speed(truth["time"][steady], truth["x"][steady], period)
+    assert measured == pytest.approx(slow, abs=0.001 / (lasted - period)) and slow == pytest.approx(speed / 2, rel=0.1)
+    assert simulated == pytest.approx(speed, rel=0.05)
+    assert said.splitlines()[-1].startswith(
+        f"The robot did not do what was promised: it went {1000 * measured:+.1f} mm/s, less"
+    )

@@ -42,6 +42,33 @@ def test_the_start_of_a_run_is_found_by_its_ramp(crane):
     assert start_of_run(time, angle, line.time, line.angle) == pytest.approx(19.213, abs=0.002)
 
 
+def test_the_start_of_weak_servos_is_found_too(crane):
+    """Where joints swing by less than half of the command, no command at all would be the closest one."""
+    line = timeline_of(crane, Playback(duration=10.0), time_scale=np.sqrt(0.07))
+    angle = np.column_stack([np.interp(TIME - 1.1, line.time, of, left=0, right=0) for of in line.angle.T])
+    angle *= (0.3, 0.4)
+    assert start_of_run(TIME, angle, line.time, line.angle) == pytest.approx(1.1, abs=0.005)
+
+
+def test_a_run_that_is_filmed_from_its_start_did_not_begin_before_the_video(crane):
+    """Its joints meet their stops and have no ramp, so that whole periods before fit a little better."""
+    line = timeline_of(crane, Playback(duration=60.0), time_scale=np.sqrt(0.07))
+    time = np.arange(0, 12, 1 / 60)
+    steady = np.column_stack([np.interp(time + 20.0, line.time, of) for of in line.angle.T])
+    angle = np.where(time[:, None] < 0.6, 0.0, np.clip(steady, -0.15, 2.0) - 0.1)
+    period = np.sqrt(0.07) / 0.2
+    assert start_of_run(time, angle, line.time, line.angle) == pytest.approx(-20.0 % period, abs=0.1)
+    cut = start_of_run(time, steady, line.time, line.angle)
+    assert cut < -2 and (cut + 20.0 + period / 2) % period == pytest.approx(period / 2, abs=0.02)
+
+
+def test_joints_that_do_not_follow_the_timeline_have_no_start(crane):
+    line = timeline_of(crane, Playback(duration=10.0), time_scale=np.sqrt(0.07))
+    jammed = np.column_stack((np.full(len(TIME), 0.4), np.where(TIME < 1, 0.0, -0.9)))
+    with pytest.raises(RunError, match=r"follow the kit's timeline .* or give --start"):
+        start_of_run(TIME, jammed, line.time, line.angle)
+
+
 def test_links_of_one_part_are_as_far_apart_as_at_rest(crane):
     x, y, _ = rest_pose(crane)
     links = {link: np.tile(0.07 * np.array([x[0, link], y[0, link]]), (5, 1)) for link in (0, 2, 3)}
@@ -59,6 +86,14 @@ def test_a_gait_of_another_frequency_is_not_of_this_kit(frequency, right):
     else:
         with pytest.raises(RunError, match=r"Hz, expected 0\.80 Hz"):
             check_frequency(TIME, angle, 0.8)
+
+
+def test_a_joint_that_is_stuck_hides_no_gait_and_joints_that_do_not_swing_have_none():
+    noise = 0.01 * np.random.default_rng(0).normal(size=(len(TIME), 2))
+    stuck = noise + np.column_stack((np.sin(2 * np.pi * 0.8 * TIME), np.full(len(TIME), 0.3)))
+    check_frequency(TIME, stuck, 0.8)
+    with pytest.raises(RunError, match=r"joints do not swing, expected a gait of 0\.80 Hz"):
+        check_frequency(TIME, noise, 0.8)
 
 
 def test_the_swing_of_the_gait_does_not_count_as_speed():
