@@ -245,7 +245,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             "Positions are off by a quarter of a millimetre, most of it constant", (VIDEO,), holds=figures.video_holds
         ),
         Sentence(
-            "The stated uncertainty, which knows of noise only, is right within a fifth of it below 0.6 m/s with a "
+            "The stated uncertainty, which knows of noise only, is right within a fifth below 0.6 m/s with a "
             "board. For fast bars it is {board} % too small, and {share} % without a board.",
             (VIDEO,),
             figures.too_small,

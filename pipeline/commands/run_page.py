@@ -25,7 +25,7 @@ def render_run(of: RunComparison, run: str) -> str:
     """Return the page of a comparison; ``run`` is the name of the video or tracks."""
     figures = (finish("path", "Path of the root", partial(_path, of)), finish("joints", "Joints", partial(_joints, of)))
     rows: list[tuple[str, ...]] = [
-        ("speed [mm/s]", f"{1000 * of.measured.speed:+.1f}", f"{1000 * of.simulated.speed:+.1f}", _promised(of))
+        ("speed [mm/s]", f"{1000 * of.measured.speed:+z.1f}", f"{1000 * of.simulated.speed:+z.1f}", _promised(of))
     ]
     lag = "lag behind the command" if of.start_known else "lag relative to the mean of the joints"
     for column, joint in enumerate(of.kit.timeline.joints):
@@ -51,7 +51,8 @@ members' disagreement is a lower bound on the uncertainty.{note}</p>
 def _promised(of: RunComparison) -> str:
     if of.promise is None:
         return ""
-    return f"{1000 * of.promise.low:+.1f} to {1000 * of.promise.high:+.1f}"
+    mean, low, high = (f"{1000 * speed:+z.1f}" for speed in (of.promise.mean, of.promise.low, of.promise.high))
+    return f"{mean} ({low} to {high})"
 
 
 def _figure(drawn: Drawing | Missing) -> str:

@@ -171,6 +171,8 @@ def test_a_study_predicts_the_path_of_every_member(run, recorded, tmp_path, caps
     """The study's robots do not collide; the kit's do."""
     code, said, page = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
     assert code == 0 and said.endswith("mm/s that the ensemble of study tiny promised.\n")
+    mean, low, high = re.search(r"promised: (\S+) mm/s, within (\S+) to (\S+)", said).groups()
+    assert f"<td>{mean} ({low} to {high})</td>" in page.read_text()
     note = "study tiny promised it of robots with "
     assert note in said and note in page.read_text() and "link_collisions False (built: True)" in said
 
