@@ -7,10 +7,14 @@ import math
 from collections.abc import Mapping
 from statistics import fmean
 
+import numpy as np
 import scipy
 
 from benchmarks.sentences import Results
 from tasks.analysis import paper
+from tasks.analysis.comparison import nested_difference
+from tasks.analysis.replicates import NestedSample, nested_sample
+from tasks.world import ENVIRONMENTS
 
 EQUAL = 0.1  # relative difference of means that count as equal
 
@@ -54,7 +58,7 @@ def shortfall(study: Results, environment: str) -> float:
 
 def percent(share: float) -> str:
     """Write a share in percent."""
-    return f"{100 * share:.0f}".replace("-", "−")
+    return f"{100 * share:z.0f}".replace("-", "−")
 
 
 def _fit(study: Results, learned_from: str) -> Results:
@@ -67,16 +71,46 @@ def _fit(study: Results, learned_from: str) -> Results:
 # -- studies ---------------------------------------------------------------------------------------------------------
 
 
-def _of_data_sets(desk: Results) -> list[list[Results]]:
-    rows = [row for row in desk["champions"] if row["environment"] == "designed_throws"]
-    return [[row for row in rows if row["trial"] % 2 == k] for k in (0, 1)]
+def _of_data_sets(study: Results, environment: str = "designed_throws", n: int = 2) -> list[list[Results]]:
+    rows = [row for row in study["champions"] if row["environment"] == environment]
+    return [[row for row in rows if row["trial"] % n == k] for k in range(n)]
+
+
+def _shares_of_data_sets(study: Results, environment: str, n: int) -> list[str]:
+    best = mean(study, "true_slush", "zero_shot")
+    of_each = _of_data_sets(study, environment, n)
+    return [percent(fmean(row["zero_shot"] for row in rows) / best) for rows in of_each]
 
 
 def shares_of_data_sets(desk: Results) -> Mapping[str, str]:
-    """Return the shares of *E* of the robots of each data set."""
-    best = mean(desk, "true_slush", "zero_shot")
-    shares = [percent(fmean(row["zero_shot"] for row in rows) / best) for rows in _of_data_sets(desk)]
-    return dict(zip(("first", "second"), shares, strict=True))
+    """Return the shares of *E* of the robots of each of two data sets."""
+    return dict(zip(("first", "second"), _shares_of_data_sets(desk, "designed_throws", 2), strict=True))
+
+
+def shares_of_five(replicates: Results) -> Mapping[str, str]:
+    """Return the shares of *E* of the robots of each of five data sets, of the paper's and of designed throws."""
+    return {
+        f"{name}_{k}": share
+        for name, environment in (("papers", "residual_slush"), ("designed", "designed_throws"))
+        for k, share in enumerate(_shares_of_data_sets(replicates, environment, 5))
+    }
+
+
+def _sample(study: Results, environment: str) -> NestedSample:
+    rows = [row for row in study["champions"] if row["environment"] == environment]
+    learned = ENVIRONMENTS[environment].networks != "none"
+    replicate = [row["trial"] % study["n_replicates"] if learned else 0 for row in rows]
+    return nested_sample(np.array([row["zero_shot"] for row in rows]), np.array(replicate))
+
+
+def differences(replicates: Results) -> Mapping[str, str]:
+    """Return how much farther robots of designed throws travel, with intervals that include that between replicates."""
+    found = {}
+    for name, other in (("papers", "residual_slush"), ("best", "true_slush"), ("randomised", "randomised_slush")):
+        gap = nested_difference(*(_sample(replicates, of) for of in ("designed_throws", other)), equal_variances=False)
+        ends = (("", gap.value), ("_low", gap.low), ("_high", gap.high))
+        found |= {f"{name}{end}": f"{metres:z.1f}".replace("-", "−") for end, metres in ends}
+    return found
 
 
 def desk_holds(desk: Results) -> bool:
@@ -84,6 +118,18 @@ def desk_holds(desk: Results) -> bool:
     first, _ = _of_data_sets(desk)
     n_short = sum(row["zero_shot"] < 0.6 * row["predicted"] for row in first)
     return (len(first), n_short) == (5, 2) and share(desk, "designed_throws", "adapted", "adapted") > 1 - EQUAL
+
+
+def first_is_luckiest(replicates: Results) -> bool:
+    """Whether robots of the paper's throws keep most with the first of five data sets."""
+    of_each = [fmean(row["zero_shot"] for row in rows) for rows in _of_data_sets(replicates, "residual_slush", 5)]
+    return max(of_each) == of_each[0]
+
+
+def differences_hold(replicates: Results) -> bool:
+    """Whether robots of designed throws are ahead of those of the paper's throws, and perhaps not of the others."""
+    found = {name: float(metres.replace("−", "-")) for name, metres in differences(replicates).items()}
+    return found["papers_low"] > 0 > max(found["best_low"], found["randomised_low"])
 
 
 def papers_order_holds(laptop: Results) -> bool:

@@ -103,6 +103,16 @@ def comparison(results: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def t_tests(results: Mapping[str, Any]) -> str:
+    """Tabulate the paper's t tests with a study's differences, the intervals that judged them, and the verdicts."""
+    lines = ["| Student's t test | paper | this study | interval | verdict |", "|---|---|---|---|---|"]
+    for row in results["comparison"]:
+        if row["what"].startswith("Student"):
+            cells = (row["what"].partition(" t ")[2], row["paper"], row["this_run"], row["interval"], row["verdict"])
+            lines.append(f"| {' | '.join(_signed_words(cell) for cell in cells)} |")
+    return "\n".join(lines)
+
+
 def _signed_words(text: str) -> str:
     """Write minus signs and percents in running text."""
     return re.sub(r"(?<!\S)(\(?)-(?=\d)", r"\1−", text).replace("%", " %")
@@ -181,7 +191,9 @@ def digests(results: Mapping[str, Any]) -> str:
 
 
 def made_with(results: Mapping[str, Any]) -> str:
-    """Say with which code and on which processor results were measured."""
+    """Say with which code and on which processor results were measured, part by part if there are several."""
+    if "parts" in results:
+        return " ".join(f"{part}: {made_with(of)}" for part, of in results["parts"].items())
     made = results["made_with"]
     commit, dirty, _ = made["commit"].partition("-dirty")
     measured = f"Measured at commit {commit[:7]}{' with changes' if dirty else ''}"
@@ -287,6 +299,7 @@ _TABLES = {
     "robots": tracks_tables.robots,
     "accuracy": accuracy,
     "comparison": comparison,
+    "t-tests": t_tests,
     "variance": variance,
     "coverage": coverage,
     "errors": errors,

@@ -13,6 +13,7 @@ from benchmarks.published import (
     members,
     record_pictures,
     rounds,
+    t_tests,
     transfer,
     variance,
     with_part,
@@ -76,6 +77,8 @@ def test_the_papers_results_stand_beside_the_studys():
     test = {**row, "what": "Student's t at 9 m"}
     table = comparison({"comparison": [row, test, {**row, "this_run": "-"}]}).splitlines()
     assert table[2:] == ["| a ratio | −6 % | −1 % (−3 % to 2 %) | agrees |"]
+    table = t_tests({"comparison": [row, {**test, "interval": "difference -1.0 to 2.0 m, at 99.8%"}]}).splitlines()
+    assert table[2:] == ["| at 9 m | −6 % | −1 % | difference −1.0 to 2.0 m, at 99.8 % | agrees |"]
 
 
 def test_the_variance_between_replicates_has_its_share():

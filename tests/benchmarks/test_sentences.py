@@ -7,7 +7,19 @@ import operator
 import pytest
 
 from benchmarks import sentences
-from benchmarks.page_sentences import CHOICES, DESK, LAPTOP, ROW, SENSITIVITY, SENTENCES, SHALLOW, THROWS, TRACKS, VIDEO
+from benchmarks.page_sentences import (
+    CHOICES,
+    DESK,
+    LAPTOP,
+    REPLICATES,
+    ROW,
+    SENSITIVITY,
+    SENTENCES,
+    SHALLOW,
+    THROWS,
+    TRACKS,
+    VIDEO,
+)
 from benchmarks.sentences import ROOT, Sentence, complaints, with_figures, without_sentences
 
 
@@ -76,7 +88,7 @@ def test_a_claim_about_arms_needs_its_results(page, words, study, arm, quantity,
     assert sentence.holds(first, *others) and not sentence.holds(other, *others)
 
 
-@pytest.mark.parametrize("study", [CHOICES, SENSITIVITY, THROWS, TRACKS, VIDEO])
+@pytest.mark.parametrize("study", [CHOICES, REPLICATES, SENSITIVITY, THROWS, TRACKS, VIDEO])
 def test_other_claims_need_their_results(study):
     """They fail if every measurement is 1.3 times as large as the one before it."""
     for sentence in (of for known in SENTENCES.values() for of in known if of.of == (study,)):
