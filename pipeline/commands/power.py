@@ -79,8 +79,9 @@ def power_lines(study: "Study", differences: Sequence[float], power: float) -> I
     yield f"{'depth':>7}  {'evolved in':<16} {'':<9} {'n':>4} {'SD [m]':>7}{heading}"
     yield from rows
     if any_nested:
+        n_replicates = study.settings.replicates
+        caution = " From two replicates that variance is hardly known: take three to five." if n_replicates == 2 else ""
         yield (
-            f"Trials of arms with networks belong to {study.settings.replicates} replicates. Their SD includes the "
-            "variance between replicates, and more trials are those of more replicates, each with as many trials as "
-            "here."
+            f"Trials of arms with networks belong to {n_replicates} replicates. Their SD includes the variance between "
+            f"replicates, and more trials are those of more replicates, each with as many trials as here.{caution}"
         )

@@ -41,7 +41,7 @@ def test_variance_between_replicates_counts_in_arms_with_networks(recorded, monk
     sd = np.sqrt((4 + 24) / 5)  # squares within replicates, and of their means
     assert true.split() == ["1", "m", "true_slush", "zero-shot", "6", f"{sd:.2f}", str(n_trials_for(difference, sd))]
     assert residual.split()[-3:] == ["6", f"{np.sqrt(24):.2f}", "78"]
-    assert "belong to 2 replicates" in note and "independent" not in note
+    assert "belong to 2 replicates" in note and "independent" not in note and "take three to five" in note
     assert len(list(power_lines(opened, [difference], 0.8))) == 4  # without a note where there is one replicate
 
 
