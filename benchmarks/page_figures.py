@@ -164,6 +164,13 @@ def t_tests(laptop: Results) -> Mapping[str, str]:
     return {name: f"{count}" for name, count in counts.items()}
 
 
+def key_claim_is_undecided(laptop: Results) -> bool:
+    """Whether all t tests can be judged, and that on zero-shot robots of Residual Slush at 9 m is undecided."""
+    key = "Student's t at 9 m: Residual Slush zero-shot against Dry Land adapted"
+    (verdict,) = (row["verdict"] for row in laptop["comparison"] if row["what"] == key)
+    return bool(verdict == "cannot tell" and not laptop["verdicts"]["t_tests"]["not comparable"])
+
+
 def magnitudes(laptop: Results, magnitudes: Results) -> Mapping[str, str]:
     """Return how much less far magnitudes take robots of the paper's throws, how much farther others, and Welch's p."""
     found = {}
