@@ -68,14 +68,13 @@ def claim(page, words, study):
     ("page", "words", "study", "arm", "quantity", "mean"),
     [
         ("README.md", "stay where they are", LAPTOP, ("single_member", 9.0), "zero_shot", 2.0),
-        ("README.md", "close most of the gap", LAPTOP, ("designed_throws", 9.0), "zero_shot", 3.5),
         ("docs/results.md", "as far as its μ − σ", ROW, ("residual_slush", 9.0), "zero_shot", 10.0),
         ("docs/results.md", "reach *E* adapted", DESK, ("designed_throws", 9.0), "adapted", 15.0),
         ("docs/results.md", "as its μ − σ. At 0.5 m", SHALLOW, ("residual_slush", 3.0), "zero_shot", 10.0),
         ("docs/results.md", "In slush the order", LAPTOP, ("residual_slush", 2.0), "zero_shot", 19.0),
         ("docs/results.md", "In slush the order", LAPTOP, ("dry_land", 0.5), "zero_shot", 30.0),
         ("docs/results.md", "predict what robots do", LAPTOP, ("designed_throws", 9.0), "predicted", 15.0),
-        ("docs/throws.md", "almost as far as those", LAPTOP, ("single_member", 9.0), "zero_shot", 3.0),
+        ("docs/throws.md", "as far as the ensemble predicts", LAPTOP, ("single_member", 9.0), "zero_shot", 3.0),
         ("docs/throws.md", "observe magnitudes", LAPTOP, ("residual_slush", 9.0), "zero_shot", 9.0),
     ],
 )

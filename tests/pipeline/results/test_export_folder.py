@@ -207,5 +207,8 @@ def test_champions_are_ranked_by_what_they_do_in_true_slush(recorded, capsys):
     assert [row[0] for row in rows] == [str(rank) for rank in range(1, len(champions) + 1)]
     ranked = sorted(champions, key=lambda row: -row["zero_shot"])
     assert [row[1:3] for row in rows] == [[row["environment"], str(row["trial"])] for row in ranked]
-    assert [row[4] for row in rows] == [f"{row['zero_shot']:z.2f}" for row in ranked]
+    assert [row[6] for row in rows] == [f"{row['zero_shot']:z.2f}" for row in ranked]
+    of_members = [row[4:6] for row, of in zip(rows, ranked, strict=True) if of["predicted_sd"] is not None]
+    expected = [of for of in ranked if of["predicted_sd"] is not None]
+    assert of_members == [[f"{of['predicted_sd']:.2f}", f"{of['fitness']:z.2f}"] for of in expected] != []
     assert all(len(line) <= 80 for line in printed.splitlines())
