@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.report.findings import Findings, TankRow
 from pipeline.report.lineage import main_line
-from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, tank_tests
+from pipeline.report.page_tables import against_paper, contrasts, exploiters, lineage, retried, tank_tests, typeset
 from pipeline.report.transfer_table import variance_table
 from pipeline.report.wording import interval, p_value
 from tasks.analysis.tank import Crossing, Tank, TankTrials
@@ -91,6 +91,7 @@ def test_every_contrast_and_depth_is_in_one_table_ranked_by_p(findings):
     assert known == sorted(known) and tests[len(known) :] == ["–"] * (len(tests) - len(known))
     judged = [row for row in findings.against_paper if is_test(row) and row.verdict != "not comparable"]
     assert len(judged) > 2 and len(re.findall(r'class="verdict', html)) == len(judged)
+    assert all(typeset(row.why) in html for row in judged)
 
 
 def test_a_robot_in_a_table_is_linked_to_the_viewer_that_shows_it(findings):
