@@ -32,19 +32,19 @@ def champion_lines(study: "Study") -> Iterator[str]:
     yield f"study {study.name}: champions by zero-shot displacement in True Slush [m]"
     yield f"selected for: {study.settings.selected_for}"
     for depth in sorted({row["depth"] for row in rows}, reverse=True):
-        yield f"\n{f'{depth:g} m':>6}  {'evolved in':<16} trial  predicted      σ  fitness  zero-shot    adapted"
+        yield f"\n{f'{depth:g} m':>6}  {'evolved in':<22} trial predicted     σ fitness zero-shot  adapted"
         here = [row for row in rows if row["depth"] == depth]
         ranked = sorted(here, key=lambda row: -(row["zero_shot"] if row["zero_shot"] is not None else -float("inf")))
         for rank, row in enumerate(ranked, 1):
-            values = "  ".join(_number(row[name], width) for name, width in _COLUMNS.items())
-            yield f"{rank:>6}  {row['environment']:<16} {row['trial']:>5}  {values}"
+            values = " ".join(_number(row[name], width) for name, width in _COLUMNS.items())
+            yield f"{rank:>6}  {row['environment']:<22} {row['trial']:>5} {values}"
     n_without = len(study.settings.grid.trials()) - len(rows)
     if n_without:
         yield f"\n{n_without} of {len(rows) + n_without} trials have no champion yet, or every design diverged."
     yield f"\n`puddle export {study.name} --out DIR` writes the design file of each."
 
 
-_COLUMNS = {"predicted": 9, "predicted_sd": 5, "fitness": 7, "zero_shot": 9, "adapted": 9}  # and their widths
+_COLUMNS = {"predicted": 9, "predicted_sd": 5, "fitness": 7, "zero_shot": 9, "adapted": 8}  # and their widths
 
 
 def _number(value: float | None, width: int) -> str:

@@ -68,15 +68,15 @@ def power_lines(study: "Study", differences: Sequence[float], power: float) -> I
             n = len(sample.values)
             if n > 1:
                 needed = (n_nested_trials_for(difference, sample, power=power) for difference in differences)
-                cells = "".join(f"{'> 100,000' if k is None else f'{k:,}':>10}" for k in needed)
+                cells = "".join(f"{'>100,000' if k is None else f'{k:,}':>9}" for k in needed)
                 sd = effective_deviation(sample)
-                rows.append(f"{f'{depth:g} m':>7}  {environment:<16} {words:<9} {n:>4} {sd:>7.2f}{cells}")
+                rows.append(f"{f'{depth:g} m':>6}  {environment:<22} {words:<9} {n:>4} {sd:>7.2f}{cells}")
                 any_nested |= nested(sample)
     if not rows:
         raise PuddleError(f"study {study.name} has no arm with two champions, so no deviation over trials is known")
     yield f"study {study.name}: trials of each arm that show a difference of means with a probability of {power:.0%}"
-    heading = "".join(f"{f'{difference:g} m':>10}" for difference in differences)
-    yield f"{'depth':>7}  {'evolved in':<16} {'':<9} {'n':>4} {'SD [m]':>7}{heading}"
+    heading = "".join(f"{f'{difference:g} m':>9}" for difference in differences)
+    yield f"{'depth':>6}  {'evolved in':<22} {'':<9} {'n':>4} {'SD [m]':>7}{heading}"
     yield from rows
     if any_nested:
         n_replicates = study.settings.replicates
