@@ -43,14 +43,7 @@ class Variant:
 
 
 def variants() -> Iterator[Variant]:
-    """Yield all studies, series by series."""
-    for n in (25, 50, 100, 250, 500):
-        size = {"throws.n_throws": str(n), "designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
-        yield Variant("few throws", f"few-{n}", f"{n} × 200", size)
-    for n in (25, 100, 500):
-        size = {"designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
-        observed = {"network.observation": _MAGNITUDES, "grid.environments": "[true_slush,designed_throws]"}
-        yield Variant("few throws, magnitudes", f"few-{n}-magnitudes", f"{n} × 200", size | observed)
+    """Yield all studies, series by series; those that share networks come first."""
     for k in (0, 0.5, 1, 2, 3):
         yield Variant(
             "penalty", f"penalty-{k:g}".replace(".", "_"), f"{k:g}", {"ensemble.disagreement_penalty": str(k)}
@@ -59,6 +52,13 @@ def variants() -> Iterator[Variant]:
         yield Variant("members", f"members-{n}", str(n), {"ensemble.n_members": str(n)})
     alone = {"grid.environments": "[true_slush,single_member,designed_single_member]"}
     yield Variant("members", "members-1", "1", alone | {"ensemble.n_members": "2"})
+    for n in (25, 50, 100, 250, 500):
+        size = {"throws.n_throws": str(n), "designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
+        yield Variant("few throws", f"few-{n}", f"{n} × 200", size)
+    for n in (25, 100, 500):
+        size = {"designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
+        observed = {"network.observation": _MAGNITUDES, "grid.environments": "[true_slush,designed_throws]"}
+        yield Variant("few throws, magnitudes", f"few-{n}-magnitudes", f"{n} × 200", size | observed)
 
 
 def run(variant: Variant, store: Path) -> None:
