@@ -48,10 +48,10 @@ def variants() -> Iterator[Variant]:
         yield Variant(
             "penalty", f"penalty-{k:g}".replace(".", "_"), f"{k:g}", {"ensemble.disagreement_penalty": str(k)}
         )
-    for n in (2, 8):
-        yield Variant("members", f"members-{n}", str(n), {"ensemble.n_members": str(n)})
     alone = {"grid.environments": "[true_slush,single_member,designed_single_member]"}
     yield Variant("members", "members-1", "1", alone | {"ensemble.n_members": "2"})
+    for n in (2, 8):
+        yield Variant("members", f"members-{n}", str(n), {"ensemble.n_members": str(n)})
     for n in (25, 50, 100, 250, 500):
         size = {"throws.n_throws": str(n), "designed_throws.n_throws": str(n), "designed_throws.n_steps": "200"}
         yield Variant("few throws", f"few-{n}", f"{n} × 200", size)
@@ -62,10 +62,10 @@ def variants() -> Iterator[Variant]:
 
 
 def run(variant: Variant, store: Path) -> None:
-    """Compute a study up to its analysis, or resume it."""
+    """Compute a study, or resume it."""
     given = {**_BASE, **variant.settings, "name": variant.name}
     options = [part for name, value in given.items() for part in ("--set", f"{name}={value}")]
-    command = [sys.executable, "-m", "pipeline", "analyse", "--preset", "laptop", "--store", str(store), *options]
+    command = [sys.executable, "-m", "pipeline", "study", "--preset", "laptop", "--store", str(store), *options]
     subprocess.run(command, check=True)
 
 
