@@ -320,6 +320,30 @@ def tracks_hold(tracks: Results) -> bool:
     return all(math.isclose(share, 0.75, abs_tol=0.05) for share in quarter) and max(half) < 0.5
 
 
+def throws_matter_most(studies: Results) -> bool:
+    """Whether robots of the paper's throws keep little whatever the ensemble.
+
+    Also whether the prediction falls towards the truth with k, and whether a single network's robots of designed throws
+    go about as far as an ensemble's, but unevenly.
+    """
+    by_name = {of["study"]: of for of in studies["studies"]}
+    papers = [share(of, arm) for of in by_name.values() for arm in _arms(of) & {"residual_slush", "single_member"}]
+    gaps = [shortfall(by_name[f"penalty-{k}"], "residual_slush") for k in ("0", "3")]
+    single = _moments(by_name["members-1"], "designed_single_member", "zero_shot", paper.DEPTH)
+    ensembles = [
+        _moments(of, "designed_throws", "zero_shot", paper.DEPTH)
+        for of in by_name.values()
+        if "designed_throws" in _arms(of)
+    ]
+    far = math.isclose(single["mean"], fmean(of["mean"] for of in ensembles), rel_tol=2 * EQUAL)
+    uneven = single["sd"] > 1.5 * max(of["sd"] for of in ensembles)
+    return max(papers) < 1 / 3 and gaps[1] < gaps[0] and far and uneven
+
+
+def _arms(study: Results) -> set[str]:
+    return {of["environment"] for of in study["arms"]}
+
+
 def _bars(video: Results, case: str) -> list[Results]:
     return [row for row in video["cases"] if row["case"] == case]
 
