@@ -242,8 +242,7 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         Sentence(
             "With the paper's throws no k and no number of members lets robots keep a third of *E* on average. A "
             "larger k brings the prediction closer to the truth, but by robots that dare less, not by robots that go "
-            "farther. With designed throws a single network's robots go about as far as an ensemble's, but unevenly: "
-            "their deviation is more than one and a half times as large.",
+            "farther. With designed throws a single network's robots go about as far as an ensemble's.",
             (STUDIES,),
             holds=figures.throws_matter_most,
         ),
