@@ -5,19 +5,8 @@ import json
 
 import pytest
 
-from benchmarks.published import (
-    PICTURES,
-    comparison,
-    few_throws,
-    made_with,
-    members,
-    record_pictures,
-    rounds,
-    t_tests,
-    transfer,
-    variance,
-    with_part,
-)
+from benchmarks.published import PICTURES, record_pictures, with_part
+from benchmarks.results_tables import comparison, few_throws, made_with, members, rounds, t_tests, transfer, variance
 
 
 def export(name, depth, zero_shot, accuracy=()):

@@ -1,0 +1,343 @@
+"""Tables of results in Markdown, as README.md and docs show them, from the contents of results files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from statistics import fmean
+from typing import Any
+
+from benchmarks import recorded_tables, tracks_tables
+from tasks.analysis import paper
+from tasks.design.genes import N_LINKS
+from tasks.world import ENVIRONMENTS
+
+_HEADINGS = ("zero-shot", "adapted", "share of *E*", "of *E* adapted")
+
+
+def transfer(results: Mapping[str, Any], what: str) -> str:
+    """Tabulate the champions of a study: at one depth, such as "9m", or at all of them, "all"."""
+    depths = dict.fromkeys(arm["depth"] for arm in results["arms"])
+    chosen = list(depths) if what == "all" else [float(what.removesuffix("m"))]
+    with_paper, several = chosen == [paper.DEPTH], len(chosen) > 1
+    predicted = _predicted_headings(results)
+    headings = ["depth [m]"] * several + ["evolved in", *predicted, *_HEADINGS] + ["paper"] * with_paper
+    left = 2 if several else 1
+    lines = [f"| {' | '.join(headings)} |", f"|{'---|' * left}{'--:|' * (len(headings) - left)}"]
+    for depth in chosen:
+        arms = {arm["environment"]: arm for arm in results["arms"] if arm["depth"] == depth}
+        for name in [name for name in ENVIRONMENTS if name in arms]:
+            cells = [f"{depth:g}"] * several + _cells(name, arms, len(predicted)) + [_papers(name)] * with_paper
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def accuracy(results: Mapping[str, Any]) -> str:
+    """Tabulate how well ensembles predict, beside the paper's figures."""
+    ensembles = {kind.learns_from: kind.label for kind in ENVIRONMENTS.values() if kind.networks == "all"}
+    several = len({row.get("learned_from") for row in results["accuracy"]}) > 1
+    headings = ["ensemble"] * several + ["predicted by", "Pearson's R", "slope", "paper: R, slope"]
+    left = 2 if several else 1
+    lines = [f"| {' | '.join(headings)} |", f"|{'---|' * left}{'--:|' * (len(headings) - left)}"]
+    for row in results["accuracy"]:
+        name = _PREDICTORS.get(row["name"], row["name"])
+        figures = (_figure(row[figure]) for figure in ("r", "slope"))
+        cells = [ensembles.get(row.get("learned_from"), "")] * several + [name, *figures, _papers_figures(row["name"])]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def comparison(results: Mapping[str, Any]) -> str:
+    """Tabulate the paper's numbers, other than t tests, beside a study's and their verdicts."""
+    lines = ["| | paper | this study (95 %) | verdict |", "|---|--:|--:|---|"]
+    for row in results["comparison"]:
+        if not row["what"].startswith("Student") and row["this_run"] != "-":
+            own = f"{row['this_run']} ({row['interval']})" if row["interval"] else row["this_run"]
+            cells = (row["what"], row["paper"], own, row["verdict"])
+            lines.append(f"| {' | '.join(_signed_words(cell) for cell in cells)} |")
+    return "\n".join(lines)
+
+
+def t_tests(results: Mapping[str, Any]) -> str:
+    """Tabulate the paper's t tests with a study's differences, the intervals that judged them, and the verdicts."""
+    lines = ["| Student's t test | paper | this study | interval | verdict |", "|---|---|---|---|---|"]
+    for row in results["comparison"]:
+        if row["what"].startswith("Student"):
+            cells = (row["what"].partition(" t ")[2], row["paper"], row["this_run"], row["interval"], row["verdict"])
+            lines.append(f"| {' | '.join(_signed_words(cell) for cell in cells)} |")
+    return "\n".join(lines)
+
+
+def _signed_words(text: str) -> str:
+    """Write minus signs and percents in running text."""
+    return re.sub(r"(?<!\S)(\(?)-(?=\d)", r"\1−", text).replace("%", " %")
+
+
+def variance(results: Mapping[str, Any]) -> str:
+    """Tabulate the deviation of each arm between replicates and within."""
+    lines = [
+        "| evolved in | depth [m] | quantity | n | replicates | SD between [m] | SD within [m] "
+        "| variance between (95 %) |",
+        "|---|--:|---|--:|--:|--:|--:|--:|",
+    ]
+    for row in results["variance"]:
+        deviations = [f"{row[name]:.1f}" if row[name] is not None else "" for name in ("sd_between", "sd_within")]
+        shares = [row[f"share_between{end}"] for end in ("", "_low", "_high")]
+        share = "" if None in shares else f"{shares[0]:.0%} ({shares[1]:.0%} to {shares[2]:.0%})".replace("%", " %")
+        words = row["quantity"].replace("_", "-")
+        cells = [ENVIRONMENTS[row["environment"]].label, f"{row['depth']:g}", words, f"{row['n']}"]
+        lines.append(f"| {' | '.join([*cells, str(row['n_replicates']), *deviations, share])} |")
+    return "\n".join(lines)
+
+
+def errors(results: Mapping[str, Any]) -> str:
+    """Tabulate the errors of networks along the paths of robots, by the throws that they learned from."""
+    depths = list(results["errors"][0]["error"])
+    headings = ["throws", "× steps", "networks", "inputs", "training [s]", *(f"at {depth} m" for depth in depths)]
+    lines = [f"| {' | '.join(headings)} |", "|---|--:|---|" + "--:|" * (len(headings) - 3)]
+    for row in results["errors"]:
+        size = f"{row['n_throws']:,} × {row['n_steps']}"
+        cells = [row["throws"], size, row["network"], str(row["inputs"]), f"{row['seconds']:.0f}"]
+        cells += [" ".join(f"{error:.2f}" for error in row["error"][depth]) for depth in depths]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def inference(results: Mapping[str, Any]) -> str:
+    """Tabulate what a generation takes with ensembles of several sizes."""
+    of = results["inference"]
+    n_designs, n_members = of["n_designs"], of["n_members"]
+    lines = [
+        f"| networks, {n_members} members | inputs | a generation of {n_designs} designs | evaluations of a network |",
+        "|---|--:|--:|--:|",
+    ]
+    n_evaluations = n_members * n_designs * N_LINKS * of["n_steps"]
+    for row in of["rows"]:
+        network = (row["network"], str(row["inputs"])) if row["inputs"] else ("none, in True Slush", "")
+        rate = f"{n_evaluations / row['seconds'] / 1e6:.1f} million/s" if row["inputs"] else ""
+        cells = (*network, f"{1e3 * row['seconds']:.0f} ms", rate)
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def video(results: Mapping[str, Any]) -> str:
+    """Tabulate what tracking makes of a synthetic camera's videos, by the speed of the bars."""
+    headings = ("video, lens", "speed [m/s]", "frames", "lost", "position [mm]", "in a throw [mm]", "stated [mm]")
+    headings += ("angle [°]", "stated [°]", "residual: vx, vy, ω")
+    lines = [f"| {' | '.join(headings)} |", f"|---|---|{'--:|' * (len(headings) - 2)}"]
+    for row in results["cases"]:
+        low, high = row["band"]
+        cells = [row["case"], f"{low:g} to {high:g}", str(row["frames"]), f"{row['lost']:.1%}".replace("%", " %")]
+        cells += [f"{row[name]:.2f}" for name in ("position_mm", "jitter_mm", "stated_mm", "angle_deg", "stated_deg")]
+        cells.append(" ".join(f"{share:.2f}" for share in row["residual"]))
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def digests(results: Mapping[str, Any]) -> str:
+    """Tabulate the digests of a study's results, part by part if it was run one depth at a time."""
+    parts = results.get("parts", {"": results})
+    rows = [
+        f"| {f'{part}: ' if part else ''}{name} | `{digest}` |"
+        for part, of in parts.items()
+        for name, digest in of["digests"].items()
+    ]
+    return "\n".join(["| result | digest |", "|---|---|", *rows])
+
+
+def made_with(results: Mapping[str, Any]) -> str:
+    """Say with which code and on which processor results were measured, part by part if there are several."""
+    if "parts" in results:
+        return " ".join(f"{part}: {made_with(of)}" for part, of in results["parts"].items())
+    made = results["made_with"]
+    commit, dirty, _ = made["commit"].partition("-dirty")
+    measured = f"Measured at commit {commit[:7]}{' with changes' if dirty else ''}"
+    parts = [f"Recorded at commit {made['recorded at']}" if "recorded at" in made else measured]
+    parts += [f"with the preset as it is at {made['preset at']}"] if "preset at" in made else []
+    parts += [f"on {made['cpu']}"] if "cpu" in made else []
+    parts += [f"{name} {made[key]}" for key, name in (("python", "Python"), ("torch", "torch")) if key in made]
+    return f"{', '.join(parts)}."
+
+
+def coverage(results: Mapping[str, Any]) -> str:
+    """Tabulate what champions keep of their predictions, by how much of what they do lies outside the throws."""
+    lines = ["| states outside the throws | champions | predicted | zero-shot | kept |", "|--:|--:|--:|--:|--:|"]
+    for row in results["coverage"]:
+        low, high = row["share_outside"]
+        kept = row["zero_shot"] / row["predicted"]
+        cells = [f"{low:.0%} to {high:.0%}", str(row["n"]), f"{row['predicted']:.1f}", f"{row['zero_shot']:.1f}"]
+        lines.append(f"| {' | '.join([*cells, f'{kept:.0%}'])} |".replace("%", " %"))
+    return "\n".join(lines)
+
+
+def few_throws(results: Mapping[str, Any]) -> str:
+    """Tabulate how far robots get with few throws, by the throws and the inputs of the networks."""
+    lines = [
+        "| throws × steps | of | inputs | predicted | zero-shot | adapted | share of *E*, of each data set | adapted |",
+        "|--:|---|--:|--:|--:|--:|--:|--:|",
+    ]
+    for study in _series(results, "few throws", "few throws, magnitudes"):
+        inputs = "9" if "magnitudes" in study["series"] else "6"
+        for environment, of in (("residual_slush", "paper"), ("designed_throws", "robots")):
+            if cells := _of_arm(study, environment):
+                lines.append(f"| {' | '.join([study['variant'], of, inputs, *cells])} |")
+    return "\n".join(lines)
+
+
+def penalty(results: Mapping[str, Any]) -> str:
+    """Tabulate how far robots get by the weight of the members' disagreement."""
+    return _by_variant(results, "penalty", "k", ("residual_slush", "designed_throws"))
+
+
+def members(results: Mapping[str, Any]) -> str:
+    """Tabulate how far robots get by the number of members."""
+    arms = ("residual_slush", "designed_throws", "single_member", "designed_single_member")
+    return _by_variant(results, "members", "members", arms)
+
+
+def rounds(results: Mapping[str, Any]) -> str:
+    """Tabulate what throws in rounds are worth beside as many throws at once, by data set."""
+    lines = [
+        "| throws | in rounds | error: vx, vy, ω | zero-shot [m], of each data set | share of *E* |",
+        "|--:|--:|---|--:|--:|",
+    ]
+    best, groups = fmean(results["in_true_slush"]), [(row["n_throws"], row["n_rounds"]) for row in results["rows"]]
+    for group in sorted(set(groups)):
+        rows = [row for row, of in zip(results["rows"], groups, strict=True) if of == group]
+        error = " ".join(f"{fmean(of):.2f}" for of in zip(*(row["error"] for row in rows), strict=True))
+        means = [fmean(row["zero_shot"]) for row in rows]
+        each = ", ".join(_signed(f"{mean:z.1f}") for mean in means)
+        share = _share({"mean": fmean(means)}, {"mean": best})
+        lines.append(f"| {group[0]} | {group[1]} | {error} | {each} | {share} |")
+    return "\n".join(lines)
+
+
+def _by_variant(results: Mapping[str, Any], series: str, heading: str, arms: Sequence[str]) -> str:
+    lines = [
+        f"| {heading} | evolved in | predicted | zero-shot | adapted | share of *E*, of each data set | adapted "
+        "| R | slope |",
+        "|--:|---|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for study in _series(results, series):
+        fits = {row["learned_from"]: row for row in study["accuracy"] if row["name"] == "mean"}
+        for environment in arms:
+            if cells := _of_arm(study, environment):
+                fit = fits.get(ENVIRONMENTS[environment].learns_from, {})
+                shown = [_figure(fit[name]) if name in fit else "" for name in ("r", "slope")]
+                label = ENVIRONMENTS[environment].label
+                lines.append(f"| {' | '.join([study['variant'], label, *cells, *shown])} |")
+    return "\n".join(lines)
+
+
+def _series(results: Mapping[str, Any], *names: str) -> list[Mapping[str, Any]]:
+    return [study for study in results["studies"] if study["series"] in names]
+
+
+def _of_arm(study: Mapping[str, Any], environment: str) -> list[str]:
+    """Return an arm's displacements, its share of *E* zero-shot with each data set, and adapted with all."""
+    arms = {arm["environment"]: arm for arm in study["arms"]}
+    if environment not in arms:
+        return []
+    arm, best = arms[environment], arms["true_slush"]["zero_shot"]
+    by_data_set: dict[int, list[float]] = {}
+    for champion in study["champions"]:
+        if champion["environment"] == environment and champion["zero_shot"] is not None:
+            by_data_set.setdefault(champion["trial"] % study["n_replicates"], []).append(champion["zero_shot"])
+    shares = [_share({"mean": fmean(values)}, best) for _, values in sorted(by_data_set.items())]
+    return [*(_mean(arm.get(name)) for name in _MEASURED), ", ".join(shares), _share(arm.get("adapted"), best)]
+
+
+TABLES = {
+    "residuals": tracks_tables.residuals,
+    "studies": tracks_tables.studies,
+    "fluids": tracks_tables.fluids,
+    "robots": tracks_tables.robots,
+    "accuracy": accuracy,
+    "comparison": comparison,
+    "t-tests": t_tests,
+    "variance": variance,
+    "coverage": coverage,
+    "errors": errors,
+    "inference": inference,
+    "video": video,
+    "digests": digests,
+    "made-with": made_with,
+    "few": few_throws,
+    "penalty": penalty,
+    "rounds": rounds,
+    "members": members,
+    "open-choices": recorded_tables.open_choices,
+    "tank": recorded_tables.tank,
+    "torques": recorded_tables.torques,
+    "intervals-of-means": recorded_tables.intervals_of_means,
+    "intervals-of-accuracy": recorded_tables.intervals_of_accuracy,
+}
+_PREDICTORS = {"mean": "mean μ over members", "mean - 1 sd": "μ − σ"}
+
+
+def _figure(value: float | list[float]) -> str:
+    return " to ".join(_signed(f"{number:.2f}") for number in (value if isinstance(value, list) else [value]))
+
+
+def _papers_figures(name: str) -> str:
+    figures = ("r", "slope")
+    if name == "single members":
+        return ", ".join(_figure(list(paper.RANGES[figure][:2])) for figure in figures)
+    return ", ".join(_figure(paper.AGGREGATES[name, figure][0]) for figure in figures)
+
+
+def _predicted_headings(results: Mapping[str, Any]) -> list[str]:
+    """Return the headings of the prediction; results of the first version have μ alone, or μ - kσ."""
+    if results["version"] == 1:
+        return [f"predicted, {results.get('predicted_is', 'μ')}"]
+    k = "" if results["penalty"] == 1 else f"{results['penalty']:g}"
+    return ["predicted, μ", "σ", f"μ − {k}σ"]
+
+
+def _cells(name: str, arms: Mapping[str, Any], n_predicted: int) -> list[str]:
+    kind, arm = ENVIRONMENTS[name], arms[name]
+    symbol = kind.symbol.replace("*", r"\*")
+    cells = [f"{kind.label}, *{symbol}*", _mean(arm.get("predicted")) if name != "true_slush" else ""]
+    if n_predicted > 1:
+        of_members = ("predicted_sd", "fitness") if "predicted_sd" in arm else ()
+        cells += [_signed(f"{arm[quantity]['mean']:z.1f}") for quantity in of_members] or ["", ""]
+    cells += [_mean(arm.get(quantity)) for quantity in ("zero_shot", "adapted")]
+    best = arms.get("true_slush", {})
+    for reference in ("zero_shot", "adapted"):
+        shares = [_share(arm.get(quantity), best.get(reference)) for quantity in ("zero_shot", "adapted")]
+        cells.append("" if name == "true_slush" else ", ".join(share for share in shares if share))
+    return cells
+
+
+_MEASURED = ("predicted", "zero_shot", "adapted")
+
+
+def _mean(of: Mapping[str, float] | None) -> str:
+    return "" if of is None else _signed(f"{of['mean']:z.1f}") + (f" ± {of['sd']:.1f}" if of["sd"] is not None else "")
+
+
+def _share(of: Mapping[str, float] | None, best: Mapping[str, float] | None) -> str:
+    return (
+        ""
+        if of is None or best is None or best["mean"] <= 0
+        else _signed(f"{of['mean'] / best['mean']:z.0%}").replace("%", " %")
+    )
+
+
+def _papers(name: str) -> str:
+    """Return the paper's mean for True Slush, and its shares of it for other environments."""
+    best = paper.MEANS[("true_slush", "zero_shot")][0]
+    if name == "true_slush":
+        return f"{best:g} m"
+    shares = [_papers_share((name, quantity), best) for quantity in ("zero_shot", "adapted")]
+    return ", ".join(_signed(f"{share:.0%}").replace("%", " %") for share in shares if share is not None)
+
+
+def _papers_share(arm: Any, best: float) -> float | None:
+    if arm in paper.RATIOS:
+        return paper.RATIOS[arm][0]
+    return paper.MEANS[arm][0] / best if arm in paper.MEANS else None
+
+
+def _signed(text: str) -> str:
+    return text.replace("-", "−")
