@@ -1,0 +1,97 @@
+"""Tables that are written from results files."""
+
+import pytest
+
+from benchmarks.results_tables import comparison, few_throws, made_with, members, rounds, t_tests, transfer, variance
+
+
+def test_predictions_of_ensembles_have_their_deviation_and_what_evolution_maximised():
+    def moments(mean, sd=0.5):
+        return {"n": 10, "mean": mean, "sd": sd}
+
+    rows = {"depth": 2.0, "zero_shot": moments(-4.0), "adapted": moments(5.0)}
+    arms = [
+        {"environment": "true_slush", **rows, "predicted": moments(5.0), "zero_shot": moments(5.0)},
+        {"environment": "single_member", **rows, "predicted": moments(9.0), "fitness": moments(9.0)},
+        {
+            "environment": "residual_slush",
+            **rows,
+            **{"predicted": moments(6.0), "predicted_sd": moments(1.25), "fitness": moments(3.5)},
+        },
+    ]
+    heading, _, best, ensemble, single = transfer({"version": 2, "penalty": 2.0, "arms": arms}, "2m").splitlines()
+    assert heading.startswith("| evolved in | predicted, μ | σ | μ − 2σ | zero-shot | adapted |")
+    assert best.startswith("| True Slush, *E* |  |  |  | 5.0 ± 0.5 |")
+    assert ensemble.startswith(
+        "| Residual Slush, *Ê* | 6.0 ± 0.5 | 1.2 | 3.5 | −4.0 ± 0.5 | 5.0 ± 0.5 | −80 %, 100 % |"
+    )
+    assert single.startswith("| Single member, *Ê₁* | 9.0 ± 0.5 |  |  | −4.0")
+
+
+def test_the_papers_results_stand_beside_the_studys():
+    row = {"what": "a ratio", "paper": "-6%", "this_run": "-1%", "interval": "-3% to 2%", "verdict": "agrees"}
+    test = {**row, "what": "Student's t at 9 m"}
+    table = comparison({"comparison": [row, test, {**row, "this_run": "-"}]}).splitlines()
+    assert table[2:] == ["| a ratio | −6 % | −1 % (−3 % to 2 %) | agrees |"]
+    table = t_tests({"comparison": [row, {**test, "interval": "difference -1.0 to 2.0 m, at 99.8%"}]}).splitlines()
+    assert table[2:] == ["| at 9 m | −6 % | −1 % | difference −1.0 to 2.0 m, at 99.8 % | agrees |"]
+
+
+def test_the_variance_between_replicates_has_its_share():
+    share = {"share_between": 0.25, "share_between_low": 0.0, "share_between_high": 0.98}
+    row = {"environment": "residual_slush", "depth": 9.0, "quantity": "zero_shot", "n": 10, "n_replicates": 2}
+    known, unknown = ({**row, "sd_between": x, "sd_within": x, **share} for x in (1.5, None))
+    unknown["share_between"] = None
+    lines = variance({"variance": [known, unknown]}).splitlines()
+    assert lines[2] == "| Residual Slush | 9 | zero-shot | 10 | 2 | 1.5 | 1.5 | 25 % (0 % to 98 %) |"
+    assert lines[3].endswith("| 2 |  |  |  |")
+
+
+@pytest.fixture
+def studies():
+    def arm(environment, zero_shot):
+        moments = {name: {"n": 6, "mean": zero_shot, "sd": 1.0} for name in ("predicted", "zero_shot", "adapted")}
+        return {"environment": environment, "depth": 9.0, **moments}
+
+    champions = [{"environment": "designed_throws", "trial": k, "zero_shot": 5.0 + k % 3} for k in range(6)]
+    study = {"arms": [arm("true_slush", 10.0), arm("designed_throws", 6.0)], "champions": champions, "n_replicates": 3}
+    fit = {"learned_from": "designed_throws", "name": "mean", "r": 0.9, "slope": 1.1}
+    few = {**study, "series": "few throws", "variant": "25 × 200", "accuracy": []}
+    return {"studies": [few, {**study, "series": "members", "variant": "2", "accuracy": [fit]}]}
+
+
+def test_shares_are_of_each_data_set(studies):
+    row = few_throws(studies).splitlines()[2]
+    assert row == "| 25 × 200 | robots | 6 | 6.0 ± 1.0 | 6.0 ± 1.0 | 6.0 ± 1.0 | 50 %, 60 %, 70 % | 60 % |"
+
+
+def test_accuracy_stands_beside_the_arm_whose_ensemble_it_is_of(studies):
+    assert members(studies).splitlines()[2].endswith("| 50 %, 60 %, 70 % | 60 % | 0.90 | 1.10 |")
+
+
+def test_rounds_are_means_over_data_sets():
+    rows = [
+        {"n_throws": 100, "n_rounds": 2, "error": [0.1 + 0.2 * k, 0.5, 0.5], "zero_shot": [4.0, 6.0 + k]}
+        for k in (0, 1)
+    ]
+    (row,) = rounds({"in_true_slush": [10.0, 11.0], "rows": rows}).splitlines()[2:]
+    assert row == "| 100 | 2 | 0.20 0.50 0.50 | 5.0, 5.5 | 50 % |"
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (
+            {"commit": f"0123456{'f' * 33}", "cpu": "A", "python": "3.11.7"},
+            "Measured at commit 0123456, on A, Python 3.11.7.",
+        ),
+        ({"commit": "0123456-dirty"}, "Measured at commit 0123456 with changes."),
+        ({"commit": "0123456-dirty", "recorded at": "789abcd"}, "Recorded at commit 789abcd."),
+        (
+            {"commit": "0123456", "preset at": "789abcd"},
+            "Measured at commit 0123456, with the preset as it is at 789abcd.",
+        ),
+    ],
+)
+def test_pages_say_what_results_were_made_with(made, words):
+    assert made_with({"made_with": made}) == words
