@@ -10,11 +10,11 @@ from __future__ import annotations
 import argparse
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 from benchmarks.synthetic_tank import Camera, Scene, film_board, render, throws_for_bars
-from benchmarks.tracks import DEPTH, PHYSICS, SECONDS, TIME, Measurement, measure_missing, study
+from benchmarks.tracks import DEPTH, N_DATA_SETS, PHYSICS, SECONDS, TIME, Measurement, measure_missing, study
 from pipeline.store.track_file import bars_of, read_track_columns, track_table
 from pipeline.vision.kit_markers import markers_of
 from pipeline.vision.markers_file import Markers
@@ -82,10 +82,12 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--work", type=Path, required=True)
     folder: Path = options.parse_args().work
-    true, row = TrueSlush(DEPTH), {"n_throws": _N_VIDEOS * _N_THROWS}
+    row = {"n_throws": _N_VIDEOS * _N_THROWS}
+    learn = partial(study, true=TrueSlush(DEPTH), n_data_sets=N_DATA_SETS)  # ensembles, all of them of these throws
+    exact_states, seen = cache(exact), cache(filmed)
     measurements: list[Measurement] = [
-        (row | {"learned_from": "exact states of filmed throws"}, lambda: study(exact, true)),
-        (row | {"learned_from": "video", "rate": _CAMERA.rate}, lambda: study(lambda: filmed(folder), true)),
+        (row | {"learned_from": "exact states of filmed throws"}, lambda: learn(lambda _: exact_states())),
+        (row | {"learned_from": "video", "rate": _CAMERA.rate}, lambda: learn(lambda _: seen(folder))),
     ]
     measure_missing("studies", measurements)
 

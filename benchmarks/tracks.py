@@ -1,9 +1,8 @@
 """Measure what tracked throws are worth: `python -m benchmarks.tracks [residuals] [robots] [studies] [fluids]`.
 
 Writes docs/results/tracks-rollouts.json, which docs/your-own-tank.md shows; without arguments, all parts of it. A
-simulation with steps of 1/960 s stands in for the tank, and exact poses, with noise or without, for the camera. All of
-it takes one and a half hours on one core. Rows that the file has are not measured again. tracks.json has what was
-measured before rollouts were the default.
+simulation with steps of 1/960 s stands in for the tank, and exact poses, with noise or without, for the camera. Rows
+that the file has are not measured again. tracks.json has what was measured before rollouts were the default.
 """
 
 from __future__ import annotations
@@ -41,6 +40,7 @@ TIME = froude_time(LENGTH)
 SECONDS = 1.0  # each throw is followed for [s of simulation]
 _FINE = 960  # steps of the tank in a second of simulation
 _N_MEMBERS, _N_TRIALS, _N_GENERATIONS = 4, 16, 300
+N_DATA_SETS = 8  # of a study: sets of throws with an ensemble each, in which as many of its trials evolve
 DEPTH, _FLUIDS_DEPTH = 9.0, 2.0  # [m]
 _TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
 _AFPO = Afpo.model_validate({"population_size": 16, "mutation": {"step": 0.2}})
@@ -57,16 +57,21 @@ class Camera:
     noise_deg: float = 0.0
 
 
-def starts(n_throws: int) -> Starts:
-    """Return starts that are designed for robots."""
+def starts(n_throws: int, data_set: int = 0) -> Starts:
+    """Return starts that are designed for robots, others in each data set."""
     designed = Throws(design="robots", n_throws=n_throws, n_steps=None)
-    return initial_states(designed, generator(1, "throws"), PHYSICS)
+    return initial_states(designed, generator(1, "throws", *_unless_first(data_set)), PHYSICS)
+
+
+def _unless_first(data_set: int) -> tuple[int, ...]:
+    """Return what a data set adds to its seeds. The first adds nothing: its rows were measured as the only one."""
+    return (data_set,) if data_set else ()
 
 
 @cache
-def paths(n_throws: int, medium: Medium) -> Float64:
+def paths(n_throws: int, medium: Medium, data_set: int = 0) -> Float64:
     """Return (n_throws, n_fine + 1, 3) poses of bars in the tank, in units of the simulation."""
-    thrown = starts(n_throws)
+    thrown = starts(n_throws, data_set)
     links = FreeLinks(thrown.length_scale, Physics(time_step=1 / _FINE))
     now, poses = thrown.state, [thrown.state[:, :3]]
     for _ in range(round(SECONDS * _FINE)):
@@ -75,36 +80,38 @@ def paths(n_throws: int, medium: Medium) -> Float64:
     return np.stack(poses, axis=1).astype(np.float64)
 
 
-def tracked(camera: Camera, medium: Medium) -> tuple[TrackTable, Bars]:
+def tracked(camera: Camera, medium: Medium, data_set: int = 0) -> tuple[TrackTable, Bars]:
     """Film the throws; return the tracks in units of the bench."""
-    path = paths(camera.n_throws, medium)
+    path = paths(camera.n_throws, medium, data_set)
     time_seen = np.arange(int(SECONDS * TIME * camera.rate) + 1) / camera.rate
     fine = time_seen / TIME * _FINE
     before = np.minimum(fine.astype(int), path.shape[1] - 2)
     after = (fine - before)[:, None]
     seen = path[:, before] * (1 - after) + path[:, before + 1] * after
-    rng = generator(1, "camera", camera.rate, camera.noise_mm, camera.noise_deg)
+    rng = generator(1, "camera", camera.rate, camera.noise_mm, camera.noise_deg, *_unless_first(data_set))
     scale = np.array([LENGTH, LENGTH, 1.0])
     noise = np.array([camera.noise_mm / 1000, camera.noise_mm / 1000, np.radians(camera.noise_deg)])
     pose = seen * scale + rng.normal(size=seen.shape) * noise
     pose[..., 2] = np.remainder(pose[..., 2] + np.pi, 2 * np.pi) - np.pi
     n, n_frames = pose.shape[:2]
-    length = starts(n).length_scale * LENGTH
+    length = starts(n, data_set).length_scale * LENGTH
     table = TrackTable(np.repeat(np.arange(n), n_frames), np.tile(time_seen, n), *pose.reshape(-1, 3).T)
     return table, Bars(np.arange(n), length, LENGTH**2 / length, np.full(n, 0.098))
 
 
-def learned(transitions: Transitions, inputs: tuple[Observed, ...] = OBSERVATION) -> Ensemble:
-    """Train an ensemble of the laptop's networks."""
+def learned(transitions: Transitions, inputs: tuple[Observed, ...] = OBSERVATION, *, seed: int = 1) -> Ensemble:
+    """Train an ensemble of networks of 2 × 32."""
     architecture = Architecture(hidden_layers=2, width=32, observation=inputs)
-    members = [train_member(transitions, architecture, _TRAINING, seed=1, member=k) for k in range(_N_MEMBERS)]
+    members = [train_member(transitions, architecture, _TRAINING, seed=seed, member=k) for k in range(_N_MEMBERS)]
     return Ensemble.from_members([member.arrays() for member in members])
 
 
-def displacements(evolved_in: Environment, tested_in: Environment, *, n_trials: int = _N_TRIALS) -> list[float]:
+def displacements(
+    evolved_in: Environment, tested_in: Environment, *, n_trials: int = _N_TRIALS, first_trial: int = 0
+) -> list[float]:
     """Evolve the trials of a small study; return where the champions get in another environment [m]."""
     found = evolve(
-        [Trial(partial(generator, 7, "tracks", k), EMPTY_POPULATION) for k in range(n_trials)],
+        [Trial(partial(generator, 7, "tracks", first_trial + k), EMPTY_POPULATION) for k in range(n_trials)],
         lambda designs: evaluate(simulate(designs, evolved_in), disagreement_penalty=1.0, objective=PAPERS_OBJECTIVE),
         first_generation=0,
         n_generations=_N_GENERATIONS,
@@ -114,9 +121,9 @@ def displacements(evolved_in: Environment, tested_in: Environment, *, n_trials: 
     return [round(float(of), 2) for of in np.ravel(simulate(champions, tested_in).displacement)]
 
 
-def exact(n_throws: int, medium: Medium) -> Transitions:
+def exact(n_throws: int, medium: Medium, data_set: int = 0) -> Transitions:
     """Return the same throws as a study simulates them."""
-    return simulate_throws(starts(n_throws), round(SECONDS * 60), medium, PHYSICS)
+    return simulate_throws(starts(n_throws, data_set), round(SECONDS * 60), medium, PHYSICS)
 
 
 def residual_errors(transitions: Transitions, medium: Medium) -> dict[str, list[float]]:
@@ -135,9 +142,7 @@ def residual_errors(transitions: Transitions, medium: Medium) -> dict[str, list[
 CAMERAS = (
     Camera(),
     Camera(noise_mm=0.3, noise_deg=0.5),
-    Camera(rate=120.0),
     Camera(rate=120.0, noise_mm=0.3, noise_deg=0.5),
-    Camera(noise_mm=0.1, noise_deg=0.2),
     Camera(noise_mm=1.0, noise_deg=1.0),
     Camera(noise_mm=2.0, noise_deg=2.0),
 )
@@ -149,9 +154,9 @@ Measurement = tuple[Row, Callable[[], Row]]  # what identifies a row, and what m
 
 
 @cache
-def measured(camera: Camera, medium: Medium, fit: Fit = "rollouts") -> Transitions:
+def measured(camera: Camera, medium: Medium, fit: Fit = "rollouts", data_set: int = 0) -> Transitions:
     """Return the transitions of filmed throws."""
-    return residual_transitions(*tracked(camera, medium), Tracks(file="tracks", fit=fit), PHYSICS)[0]
+    return residual_transitions(*tracked(camera, medium, data_set), Tracks(file="tracks", fit=fit), PHYSICS)[0]
 
 
 def residuals() -> Iterator[Measurement]:
@@ -168,31 +173,45 @@ def robots() -> Iterator[Measurement]:
         return {"error": throws.errors(learned(transitions), *at())}
 
     yield {"learned_from": "exact states", "n_throws": 500}, lambda: errors(exact(500, Slush()))
-    for camera in (CAMERAS[0], CAMERAS[1], CAMERAS[3]):
+    for camera in CAMERAS[:3]:
         for fit in get_args(Fit):
             row = {"learned_from": "tracks", "fit": fit, **dataclasses.asdict(camera)}
             yield row, lambda of=camera, fit=fit: errors(measured(of, Slush(), fit))
 
 
-def study(transitions: Callable[[], Transitions], true: Environment, inputs: tuple[Observed, ...] = OBSERVATION) -> Row:
+def study(
+    transitions: Callable[[int], Transitions],
+    true: Environment,
+    inputs: tuple[Observed, ...] = OBSERVATION,
+    *,
+    n_data_sets: int = 1,
+) -> Row:
     """Evolve in networks, and return where the champions get in the environment that they were learned from.
 
     Args:
-        transitions: returns what the networks learn from.
+        transitions: returns what the networks of a data set learn from, by the data set's number.
         true: the environment.
         inputs: what the networks observe.
+        n_data_sets: data sets, each with an ensemble of its own, over which the trials are spread evenly.
     """
-    return {"displacement": displacements(ResidualSlush(true.depth, learned(transitions(), inputs)), true)}
+    displacement, n_trials = [], _N_TRIALS // n_data_sets
+    for data_set in range(n_data_sets):
+        ensemble = learned(transitions(data_set), inputs, seed=1 + data_set)
+        home = ResidualSlush(true.depth, ensemble)
+        displacement += displacements(home, true, n_trials=n_trials, first_trial=data_set * n_trials)
+    return {"data_sets": n_data_sets, "displacement": displacement}
 
 
 def studies() -> Iterator[Measurement]:
     """Yield where champions of a small study get in True Slush, by what its networks learned from."""
     true = TrueSlush(DEPTH)
+    learn = partial(study, true=true, n_data_sets=N_DATA_SETS)
     yield {"learned_from": "nothing"}, lambda: {"displacement": displacements(true, true)}
-    yield {"learned_from": "exact states", "n_throws": 500}, lambda: study(lambda: exact(500, Slush()), true)
+    exact_states = {"learned_from": "exact states", "n_throws": 500}
+    yield exact_states, lambda: learn(lambda of: exact(500, Slush(), of))
     for camera in CAMERAS + FEWER:
         row = {"learned_from": "tracks", **dataclasses.asdict(camera)}
-        yield row, lambda of=camera: study(lambda: measured(of, Slush()), true)
+        yield row, lambda seen=camera: learn(lambda of: measured(seen, Slush(), data_set=of))
 
 
 def fluids() -> Iterator[Measurement]:
@@ -202,7 +221,7 @@ def fluids() -> Iterator[Measurement]:
         row = {"fluid": name, "learned_from": "nothing"}
         yield row, lambda at=true: {"displacement": displacements(at, at)}
         row = {"fluid": name, "learned_from": "tracks"}
-        yield row, lambda at=true: study(lambda: measured(camera, at.medium), at, inputs)
+        yield row, lambda at=true: study(lambda _: measured(camera, at.medium), at, inputs)
 
 
 PARTS: dict[str, Callable[[], Iterator[Measurement]]] = {
