@@ -5,6 +5,9 @@ from collections.abc import Mapping, Sequence
 from statistics import fmean, stdev
 from typing import Any
 
+import numpy as np
+from scipy.stats import t
+
 
 def residuals(results: Mapping[str, Any]) -> str:
     """Tabulate the errors of residuals from tracks, by camera and speed of the bar."""
@@ -32,15 +35,15 @@ def robots(results: Mapping[str, Any]) -> str:
 def studies(results: Mapping[str, Any]) -> str:
     """Tabulate where champions get, by what their networks learned from."""
     lines = ["| learned from | throws | displacement [m] | share of exact states |", "|---|--:|--:|--:|"]
-    exact = {row["learned_from"]: row["displacement"] for row in results["studies"] if "rate" not in row}
+    exact = {row["learned_from"]: row for row in results["studies"] if "rate" not in row}
     for row in results["studies"]:
         words, share = row["learned_from"], ""
         if words == "tracks":
-            share = _share_of(row["displacement"], exact["exact states"])
+            share = share_of(row, exact["exact states"])
             noise = _noise(row) if row["noise_mm"] else "no noise"
             words = f"tracks, {row['rate']:g} frames/s, {noise}"
         elif words == "video":
-            share = _share_of(row["displacement"], exact["exact states of filmed throws"])
+            share = share_of(row, exact["exact states of filmed throws"])
             words = f"synthetic video, {row['rate']:g} frames/s"
         elif words == "nothing":
             words = "nothing: evolved in True Slush"
@@ -51,10 +54,10 @@ def studies(results: Mapping[str, Any]) -> str:
 def fluids(results: Mapping[str, Any]) -> str:
     """Tabulate where champions get in fluids that the learner does not know."""
     lines = ["| fluid | evolved in | displacement [m] | share |", "|---|---|--:|--:|"]
-    true = {row["fluid"]: row["displacement"] for row in results["fluids"] if row["learned_from"] == "nothing"}
+    true = {row["fluid"]: row for row in results["fluids"] if row["learned_from"] == "nothing"}
     for row in results["fluids"]:
         is_true = row["learned_from"] == "nothing"
-        share = "" if is_true else _share_of(row["displacement"], true[row["fluid"]])
+        share = "" if is_true else share_of(row, true[row["fluid"]])
         where = "the fluid" if is_true else "networks that learned from tracks of it"
         lines.append(f"| {row['fluid']} | {where} | {_mean_of(row['displacement'])} | {share} |")
     return "\n".join(lines)
@@ -64,12 +67,18 @@ def _noise(row: Mapping[str, Any]) -> str:
     return f"{row['noise_mm']:g} mm, {row['noise_deg']:g}°" if row["noise_mm"] else "none"
 
 
-def _share_of(displacement: Sequence[float], of: Sequence[float]) -> str:
-    """Write a ratio of means with its 95 % interval, by the delta method for its logarithm."""
-    share = fmean(displacement) / fmean(of)
-    deviation = math.hypot(*(stdev(group) / math.sqrt(len(group)) / fmean(group) for group in (displacement, of)))
-    low, high = (share * math.exp(sign * 1.96 * deviation) for sign in (-1, 1))
-    return f"{share:.0%} ({low:.0%} to {high:.0%})".replace("%", " %").replace("-", "−")
+def share_of(row: Mapping[str, Any], of: Mapping[str, Any]) -> str:
+    """Write a ratio of mean displacements with its 95 % interval, by linearising the ratio.
+
+    Trials of one data set share its throws and networks, so their mean counts as one value, which is paired with the
+    mean of the same data set in the other row. Without data sets, trials of the same number are pairs.
+    """
+    n_groups = row.get("data_sets", len(row["displacement"]))
+    ours, theirs = (np.reshape(one["displacement"], (n_groups, -1)).mean(axis=1) for one in (row, of))
+    share = ours.mean() / theirs.mean()
+    deviation = np.std((ours - share * theirs) / theirs.mean(), ddof=1) / math.sqrt(n_groups)
+    half = float(t.ppf(0.975, n_groups - 1) * deviation)
+    return f"{share:.0%} ({share - half:.0%} to {share + half:.0%})".replace("%", " %").replace("-", "−")
 
 
 def _mean_of(displacement: Sequence[float]) -> str:

@@ -110,7 +110,7 @@ def aggregates(report: StudyReport) -> tuple[Figure, str]:
         reason = next((fit.r.reason for fit in found if fit.r.reason), _NOT_ASSESSED)
         raise NothingToDraw(report.findings.why("accuracy", reason))
     beside_paper = accuracy.depth == paper.DEPTH
-    figure = Figure(figsize=(FIGURE_WIDTH, 0.24 * len(fits) + 1.3))
+    figure = Figure(figsize=(FIGURE_WIDTH, 0.24 * len(fits) + 1.3), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
     statistics: tuple[tuple[Statistic, str], ...] = (("r", "Pearson’s R"), ("slope", "slope"))
     for panel, (statistic, label) in zip(panels, statistics, strict=True):

@@ -48,7 +48,7 @@ def transfer_at_depth(report: StudyReport) -> tuple[Figure, str]:
     if depth is None:
         raise NothingToDraw(_why_not_scored(report))
     trials = [trial for trial in report.trials if trial.depth == depth]
-    figure = Figure(figsize=(FIGURE_WIDTH, 4.1))
+    figure = Figure(figsize=(FIGURE_WIDTH, 4.1), layout="constrained")
     axes = figure.add_subplot()
     ticks: dict[str, float] = {}
     center, adapted = 0.0, False
@@ -104,7 +104,7 @@ def transfer_across_depths(report: StudyReport) -> tuple[Figure, str]:
     listed = data.depths(report.trials)
     if len(listed) < 2:
         raise NothingToDraw("it compares depths, and all trials so far are at one depth" if listed else _NO_TRIALS)
-    figure = Figure(figsize=(FIGURE_WIDTH, 4.3))
+    figure = Figure(figsize=(FIGURE_WIDTH, 4.3), layout="constrained")
     axes = figure.add_subplot()
     handles: dict[str, Line2D] = {}
     for environment in data.environments(report.trials):

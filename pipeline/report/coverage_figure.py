@@ -21,7 +21,7 @@ def coverage(report: StudyReport) -> tuple[Figure, str]:
     found = report.findings.coverage
     if not found:
         raise NothingToDraw(report.findings.why("coverage", "no robots have been compared with the throws yet"))
-    figure = Figure(figsize=(FIGURE_WIDTH, 1.9 * len(found) + 0.7))
+    figure = Figure(figsize=(FIGURE_WIDTH, 1.9 * len(found) + 0.7), layout="constrained")
     panels = figure.subplots(len(found), 1, sharex=True, squeeze=False).ravel()
     for panel, (words, by_robots) in zip(panels, found.items(), strict=True):
         for number, (seen_in, rows) in enumerate(by_robots.items()):
@@ -48,7 +48,7 @@ def champion_coverage(report: StudyReport) -> tuple[Figure, str]:
     if not found:
         reason = "no champion that evolved with networks has been compared with the throws yet"
         raise NothingToDraw(report.findings.why("champion_coverage", reason))
-    figure = Figure(figsize=(FIGURE_WIDTH, 3.6))
+    figure = Figure(figsize=(FIGURE_WIDTH, 3.6), layout="constrained")
     axes = figure.add_subplot()
     trials = {(of.environment, of.depth, of.trial): of for of in report.trials}
     for environment in dict.fromkeys(environment for environment, _ in found):

@@ -51,7 +51,6 @@ _STYLE: dict[str, Any] = {
     "hatch.linewidth": 1.0,
     "lines.linewidth": 1.8,
     "figure.labelsize": 10.5,
-    "figure.constrained_layout.use": True,
     "figure.facecolor": "none",
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
@@ -109,9 +108,11 @@ def finish(name: str, title: str, draw: Callable[[], tuple[Figure, str]]) -> Dra
 
 
 def fix_layout(figure: Figure) -> None:
-    """Lay out a figure once, instead of once for each format in which it is encoded."""
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    """Lay out a figure once and for all; a figure with a layout engine is drawn twice for each of its formats."""
+    engine = figure.get_layout_engine()
+    assert engine is not None  # figures of a report are constrained
+    engine.execute(figure)
+    figure.set_layout_engine(None)
 
 
 def round_paths(svg: bytes) -> bytes:
@@ -130,7 +131,7 @@ def panel_grid(n_panels: int, n_columns: int, *, row_height: float, share_y: boo
     """
     n_columns = min(n_columns, n_panels)
     n_rows = -(-n_panels // n_columns)
-    figure = Figure(figsize=(FIGURE_WIDTH * max(1.0, n_columns / 2), row_height * n_rows + 0.75))
+    figure = Figure(figsize=(FIGURE_WIDTH * max(1.0, n_columns / 2), row_height * n_rows + 0.75), layout="constrained")
     panels = figure.subplots(n_rows, n_columns, sharex=True, sharey=share_y, squeeze=False).ravel()
     for panel in panels[n_panels:]:
         panel.set_visible(False)

@@ -32,7 +32,7 @@ def data_set(report: StudyReport) -> tuple[Figure, str]:
     if throws is None or len(throws.length_scale) == 0:
         raise NothingToDraw(report.findings.why("throws", "no link has been thrown yet, or the study needs no throws"))
     titles, group = _sizes(throws.length_scale)
-    figure = Figure(figsize=(FIGURE_WIDTH, 2.5 * len(titles) + 0.5))
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.5 * len(titles) + 0.5), layout="constrained")
     panels = figure.subplots(len(titles), 1, sharex=True, sharey=True, squeeze=False).ravel()
     for number, (panel, title) in enumerate(zip(panels, titles, strict=True)):
         of_size = group == number
@@ -102,7 +102,7 @@ def member_error(report: StudyReport) -> tuple[Figure, str]:
     components, bands, immersions = (
         list(dict.fromkeys(getattr(row, name) for row in rows)) for name in ("component", "band", "immersion")
     )
-    figure = Figure(figsize=(FIGURE_WIDTH, 1.75 * len(components) + 0.9))
+    figure = Figure(figsize=(FIGURE_WIDTH, 1.75 * len(components) + 0.9), layout="constrained")
     grid = figure.subplots(len(components), len(immersions), sharex=True, sharey="row", squeeze=False)
     for (i, j), panel in np.ndenumerate(grid):
         chosen = [row for row in rows if (row.component, row.immersion) == (components[i], immersions[j])]
@@ -127,7 +127,7 @@ def residual_error(report: StudyReport) -> tuple[Figure, str]:
     if not rows:
         raise NothingToDraw("no member of the ensemble has been validated yet, or the study needs no networks")
     components, bands = (list(dict.fromkeys(getattr(row, name) for row in rows)) for name in ("component", "band"))
-    figure = Figure(figsize=(FIGURE_WIDTH, 1.75 * len(components) + 0.9))
+    figure = Figure(figsize=(FIGURE_WIDTH, 1.75 * len(components) + 0.9), layout="constrained")
     panels = figure.subplots(len(components), 1, sharex=True, squeeze=False).ravel()
     for panel, component in zip(panels, components, strict=True):
         _errors_by_speed(panel, bands, [row for row in rows if row.component == component])
@@ -170,7 +170,7 @@ def phantom_thrust(report: StudyReport) -> tuple[Figure, str]:
         reasons = (thrust.reason for thrust in thrusts if thrust.reason)
         reason = next(reasons, "no member has been tested at low speed yet")
         raise NothingToDraw(report.findings.why("phantom_thrust", reason))
-    figure = Figure(figsize=(FIGURE_WIDTH, 0.28 * len(found) + 1.1))
+    figure = Figure(figsize=(FIGURE_WIDTH, 0.28 * len(found) + 1.1), layout="constrained")
     axes = figure.add_subplot()
     axes.axvline(0, color=INK, lw=0.8)
     for row, (_, thrust) in enumerate(found):

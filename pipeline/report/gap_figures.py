@@ -25,7 +25,7 @@ def attribution(report: StudyReport) -> tuple[Figure, str]:
         raise NothingToDraw(report.findings.why("attributions", reason))
     arms = list(dict.fromkeys(row.evolved_in for row in rows))
     listed = sorted({row.depth for row in rows})
-    figure = Figure(figsize=(FIGURE_WIDTH, 2.0 * len(arms) + 0.9))
+    figure = Figure(figsize=(FIGURE_WIDTH, 2.0 * len(arms) + 0.9), layout="constrained")
     panels = figure.subplots(len(arms), 1, sharex=True, sharey=True, squeeze=False).ravel()
     for panel, arm in zip(panels, arms, strict=True):
         for row in rows:
@@ -94,7 +94,7 @@ def transfer_matrix(report: StudyReport) -> tuple[Figure, str]:
         reason = "no champion has been tested at another depth than its own yet"
         raise NothingToDraw(report.findings.why("transfer_matrices", reason))
     n_rows = [len(matrix.trained) for _, matrix in ordered]
-    figure = Figure(figsize=(FIGURE_WIDTH, sum(0.34 * n + 0.55 for n in n_rows) + 0.5))
+    figure = Figure(figsize=(FIGURE_WIDTH, sum(0.34 * n + 0.55 for n in n_rows) + 0.5), layout="constrained")
     panels = figure.subplots(len(ordered), 1, squeeze=False, gridspec_kw={"height_ratios": n_rows}).ravel()
     natives = _natives(dict(ordered).get("true_slush"))
     for panel, (name, matrix) in zip(panels, ordered, strict=True):

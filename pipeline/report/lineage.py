@@ -40,7 +40,7 @@ def family_tree(report: StudyReport) -> tuple[Figure, str]:
     places = {ancestor.identity: (ancestor.generation, ancestor.fitness) for ancestor in shown}
     line = main_line(family)
     on_line = {ancestor.identity for ancestor in line}
-    figure = Figure(figsize=(FIGURE_WIDTH, 4.2))
+    figure = Figure(figsize=(FIGURE_WIDTH, 4.2), layout="constrained")
     axes = figure.add_subplot()
     for on_it, color, width in ((False, FAINT, 0.7), (True, INK, 1.3)):
         strokes = [

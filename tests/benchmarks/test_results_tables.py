@@ -1,8 +1,12 @@
 """Tables that are written from results files."""
 
+import re
+
+import numpy as np
 import pytest
 
 from benchmarks.results_tables import comparison, few_throws, made_with, members, rounds, t_tests, transfer, variance
+from benchmarks.tracks_tables import share_of
 
 
 def test_predictions_of_ensembles_have_their_deviation_and_what_evolution_maximised():
@@ -35,6 +39,29 @@ def test_the_papers_results_stand_beside_the_studys():
     assert table[2:] == ["| a ratio | −6 % | −1 % (−3 % to 2 %) | agrees |"]
     table = t_tests({"comparison": [row, {**test, "interval": "difference -1.0 to 2.0 m, at 99.8%"}]}).splitlines()
     assert table[2:] == ["| at 9 m | −6 % | −1 % | difference −1.0 to 2.0 m, at 99.8 % | agrees |"]
+
+
+def test_a_share_is_of_the_means_of_data_sets_which_are_pairs():
+    rng = np.random.default_rng(1)
+    exact = rng.normal(8.0, 2.0, (8, 2))
+    assert share_of({"data_sets": 8, "displacement": (0.9 * exact).ravel()}, {"displacement": exact.ravel()}) == (
+        "90 % (90 % to 90 %)"
+    )
+    within = exact + np.array([-1.0, 1.0])  # what trials of a data set differ by does not count
+    assert share_of({"data_sets": 8, "displacement": within.ravel()}, {"displacement": exact.ravel()}) == (
+        "100 % (100 % to 100 %)"
+    )
+
+
+def test_19_of_20_intervals_of_a_share_hold_it():
+    rng, n_studies, n_held = np.random.default_rng(2), 400, 0
+    for _ in range(n_studies):
+        of_data_set = rng.normal(8.0, 2.0, (8, 1))  # throws and networks that both rows share
+        exact, tracks = (share * (of_data_set + rng.normal(0.0, 1.0, (8, 2))) for share in (1.0, 0.9))
+        words = share_of({"data_sets": 8, "displacement": tracks.ravel()}, {"displacement": exact.ravel()})
+        low, high = map(float, re.findall(r"\d+", words)[1:])
+        n_held += low - 0.5 <= 90 <= high + 0.5
+    assert n_held == pytest.approx(0.95 * n_studies, abs=4 * (0.95 * 0.05 * n_studies) ** 0.5)
 
 
 def test_the_variance_between_replicates_has_its_share():

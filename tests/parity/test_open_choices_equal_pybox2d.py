@@ -31,7 +31,7 @@ SLUSHES: dict[str, dict[str, Any]] = {
     "clamped euler by component": {"drag": "by_component", "drag_integration": "clamped_euler"},
 }
 
-N_DESIGNS = 17
+N_DESIGNS = widest() + 1
 """Designs for each way, drawn anew in each run: more than there are lanes."""
 
 LEAST_AMPLITUDE = 0.1  # of genes in their bounds, peak to peak [rad]; Box2D solves ranges below 0.07 rad otherwise
@@ -50,9 +50,9 @@ def collide(request: pytest.FixtureRequest) -> bool:
 def test_physics(changed: dict[str, Any], environment: Environment, collide: bool, same_libm: None, seed: int) -> None:
     designs = random_designs(N_DESIGNS, np.random.default_rng(seed))
     physics = Physics(link_collisions=collide, **changed)
-    motion = assert_equal(designs, environment, physics, n_settle=100, n_measure=300)
+    motion = assert_equal(designs, environment, physics, n_settle=60, n_measure=180)
     usual = Physics(link_collisions=collide)
-    otherwise = batch.roll_out(designs, environment, usual, n_settle=100, n_measure=300, trace=False)
+    otherwise = batch.roll_out(designs, environment, usual, n_settle=60, n_measure=180, trace=False)
     assert (motion.final != otherwise.final).any(axis=(0, 2, 3)).mean() > 0.5
 
 
@@ -61,8 +61,8 @@ def test_physics(changed: dict[str, Any], environment: Environment, collide: boo
 def test_slush(changed: dict[str, Any], depth: float, collide: bool, same_libm: None, seed: int) -> None:
     designs = random_designs(N_DESIGNS, np.random.default_rng(seed))
     physics, environment = Physics(link_collisions=collide), TrueSlush(depth, Slush(**changed))
-    motion = assert_equal(designs, environment, physics, n_settle=100, n_measure=400)
-    otherwise = batch.roll_out(designs, TrueSlush(depth), physics, n_settle=100, n_measure=400, trace=False)
+    motion = assert_equal(designs, environment, physics, n_settle=60, n_measure=240)
+    otherwise = batch.roll_out(designs, TrueSlush(depth), physics, n_settle=60, n_measure=240, trace=False)
     assert (motion.final != otherwise.final).any(axis=(0, 2, 3)).mean() > 0.9
 
 
