@@ -317,8 +317,17 @@ machines.shutdown()
 """
 
 
+IMPATIENT = {
+    "RAY_health_check_initial_delay_ms": "500",
+    "RAY_health_check_period_ms": "500",
+    "RAY_health_check_timeout_ms": "2000",
+    "RAY_health_check_failure_threshold": "2",
+}
+"""Ray's environment variables with which it misses a machine within seconds, and not after a quarter of a minute."""
+
+
 def test_another_machine_takes_over_the_calls_of_one_that_is_lost(tmp_path):
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")} | IMPATIENT
     words = [sys.executable, "-c", LOSES_A_MACHINE, str(tmp_path)]
     ran = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
     assert ran.stdout.splitlines()[-1:] == ["0 1 4"], ran.stdout + ran.stderr
