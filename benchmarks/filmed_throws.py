@@ -14,7 +14,17 @@ from functools import cache, partial
 from pathlib import Path
 
 from benchmarks.synthetic_tank import Camera, Scene, film_board, render, throws_for_bars
-from benchmarks.tracks import DEPTH, N_DATA_SETS, PHYSICS, SECONDS, TIME, Measurement, measure_missing, study
+from benchmarks.tracks import (
+    DEPTH,
+    N_DATA_SETS,
+    N_MORE_TRIALS,
+    PHYSICS,
+    SECONDS,
+    TIME,
+    Measurement,
+    measure_missing,
+    study,
+)
 from pipeline.store.track_file import bars_of, read_track_columns, track_table
 from pipeline.vision.kit_markers import markers_of
 from pipeline.vision.markers_file import Markers
@@ -83,7 +93,9 @@ def main() -> None:
     options.add_argument("--work", type=Path, required=True)
     folder: Path = options.parse_args().work
     row = {"n_throws": _N_VIDEOS * _N_THROWS}
-    learn = partial(study, true=TrueSlush(DEPTH), n_data_sets=N_DATA_SETS)  # ensembles, all of them of these throws
+    learn = partial(
+        study, true=TrueSlush(DEPTH), n_data_sets=N_DATA_SETS, n_trials=N_MORE_TRIALS
+    )  # all of these throws
     exact_states, seen = cache(exact), cache(filmed)
     measurements: list[Measurement] = [
         (row | {"learned_from": "exact states of filmed throws"}, lambda: learn(lambda _: exact_states())),

@@ -41,6 +41,7 @@ SECONDS = 1.0  # each throw is followed for [s of simulation]
 _FINE = 960  # steps of the tank in a second of simulation
 _N_MEMBERS, _N_TRIALS, _N_GENERATIONS = 4, 16, 300
 N_DATA_SETS = 8  # of a study: sets of throws with an ensemble each, in which as many of its trials evolve
+N_MORE_TRIALS = 48  # of the studies that show whether tracks without noise, and videos, are as good as exact states
 DEPTH, _FLUIDS_DEPTH = 9.0, 2.0  # [m]
 _TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
 _AFPO = Afpo.model_validate({"population_size": 16, "mutation": {"step": 0.2}})
@@ -185,6 +186,7 @@ def study(
     inputs: tuple[Observed, ...] = OBSERVATION,
     *,
     n_data_sets: int = 1,
+    n_trials: int = _N_TRIALS,
 ) -> Row:
     """Evolve in networks, and return where the champions get in the environment that they were learned from.
 
@@ -193,12 +195,13 @@ def study(
         true: the environment.
         inputs: what the networks observe.
         n_data_sets: data sets, each with an ensemble of its own, over which the trials are spread evenly.
+        n_trials: trials of evolution.
     """
-    displacement, n_trials = [], _N_TRIALS // n_data_sets
+    displacement, n_each = [], n_trials // n_data_sets
     for data_set in range(n_data_sets):
         ensemble = learned(transitions(data_set), inputs, seed=1 + data_set)
         home = ResidualSlush(true.depth, ensemble)
-        displacement += displacements(home, true, n_trials=n_trials, first_trial=data_set * n_trials)
+        displacement += displacements(home, true, n_trials=n_each, first_trial=data_set * n_each)
     return {"data_sets": n_data_sets, "displacement": displacement}
 
 
@@ -208,10 +211,11 @@ def studies() -> Iterator[Measurement]:
     learn = partial(study, true=true, n_data_sets=N_DATA_SETS)
     yield {"learned_from": "nothing"}, lambda: {"displacement": displacements(true, true)}
     exact_states = {"learned_from": "exact states", "n_throws": 500}
-    yield exact_states, lambda: learn(lambda of: exact(500, Slush(), of))
+    yield exact_states, lambda: learn(lambda of: exact(500, Slush(), of), n_trials=N_MORE_TRIALS)
     for camera in CAMERAS + FEWER:
         row = {"learned_from": "tracks", **dataclasses.asdict(camera)}
-        yield row, lambda seen=camera: learn(lambda of: measured(seen, Slush(), data_set=of))
+        n_trials = N_MORE_TRIALS if camera == CAMERAS[0] else _N_TRIALS
+        yield row, lambda seen=camera, n=n_trials: learn(lambda of: measured(seen, Slush(), data_set=of), n_trials=n)
 
 
 def fluids() -> Iterator[Measurement]:

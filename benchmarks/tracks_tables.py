@@ -34,7 +34,7 @@ def robots(results: Mapping[str, Any]) -> str:
 
 def studies(results: Mapping[str, Any]) -> str:
     """Tabulate where champions get, by what their networks learned from."""
-    lines = ["| learned from | throws | displacement [m] | share of exact states |", "|---|--:|--:|--:|"]
+    lines = ["| learned from | throws | trials | displacement [m] | share of exact states |", "|---|--:|--:|--:|--:|"]
     exact = {row["learned_from"]: row for row in results["studies"] if "rate" not in row}
     for row in results["studies"]:
         words, share = row["learned_from"], ""
@@ -47,7 +47,8 @@ def studies(results: Mapping[str, Any]) -> str:
             words = f"synthetic video, {row['rate']:g} frames/s"
         elif words == "nothing":
             words = "nothing: evolved in True Slush"
-        lines.append(f"| {words} | {row.get('n_throws', '')} | {_mean_of(row['displacement'])} | {share} |")
+        counts = f"{row.get('n_throws', '')} | {len(row['displacement'])}"
+        lines.append(f"| {words} | {counts} | {_mean_of(row['displacement'])} | {share} |")
     return "\n".join(lines)
 
 
