@@ -26,12 +26,12 @@ def _recorded(words: str, name: str) -> Sentence:
 SENTENCES: Mapping[str, Sequence[Sentence]] = {
     "README.md": (
         Sentence(
-            "With the paper's throws a single network's robots are promised {promised} m and stay where they are, and "
-            "the ensemble's travel {of_mean} % of μ and {of_fitness} % of μ − σ. With throws designed for robots they "
-            "travel {designed} % of μ.",
+            "Robots evolved under a single network that learned from the paper's throws are predicted to travel "
+            "{predicted} m and do not move; those of the ensemble travel {of_mean} % of μ and {of_fitness} % of μ − σ. "
+            "With throws designed for robots they travel {designed} % of μ.",
             (LAPTOP,),
             lambda laptop: {
-                "promised": f"{figures.mean(laptop, 'single_member', 'predicted'):.0f}",
+                "predicted": f"{figures.mean(laptop, 'single_member', 'predicted'):.0f}",
                 "of_mean": percent(kept(laptop, "residual_slush")),
                 "of_fitness": percent(kept(laptop, "residual_slush", of="fitness")),
                 "designed": percent(kept(laptop, "designed_throws")),
@@ -105,8 +105,9 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             figures.sensitivity_holds,
         ),
         Sentence(
-            "Nor can they tell of resampled genes, which take {redrawn_there} m off *E* there in place of "
-            "{redrawn_here} m; and steps of 0.5 add {longer_there} m there, where they take {longer_here} m off here.",
+            "38 trials are too few to judge slower motors or resampled genes, which reduce *E* by {redrawn_there} m "
+            "there, against {redrawn_here} m here; and steps of 0.5 add {longer_there} m there, where they take "
+            "{longer_here} m off here.",
             (SENSITIVITY, CHOICES),
             figures.mutation_at_two_scales,
             lambda sensitivity, _: figures.spans_the_bound(sensitivity, "redraw"),
@@ -241,8 +242,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         Sentence(
             "With the paper's throws no k and no number of members lets robots keep a third of *E* on average. A "
-            "larger k brings the prediction closer to the truth, but by robots that dare less, not by robots that go "
-            "farther. With designed throws a single network's robots go about as far as an ensemble's.",
+            "larger k brings the prediction closer to the truth, but only because predictions fall, not because robots "
+            "travel farther. With designed throws a single network's robots go about as far as an ensemble's.",
             (STUDIES,),
             holds=figures.throws_matter_most,
         ),
@@ -253,9 +254,9 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
         ),
         _recorded(
             "{papers} % of the states of robots evolved in 9 m of *E* are outside the paper's throws, and {designed} % "
-            "outside the designed ones; at 2 m, {papers_2m} % and {designed_2m} %. Without designed throws at |ω| "
-            "above 1 rad/s it would be {slow} % at 9 m, {spin} % of all because of their spin (2 m: {slow_2m} % and "
-            "{spin_2m} %).",
+            "outside the designed ones; at 2 m, {papers_2m} % and {designed_2m} %. If the designed throws had "
+            "no spins above 1 rad/s, {slow} % of the states would be outside at 9 m ({slow_2m} % at 2 m), most of them "
+            "because of their spin ({spin} % and {spin_2m} % of all states).",
             "states_outside",
         ),
     ),

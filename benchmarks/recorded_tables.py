@@ -6,7 +6,7 @@ from typing import Any
 
 
 def open_choices(results: Mapping[str, Any]) -> str:
-    """Tabulate how far robots of True Slush get if a choice that the paper leaves open is made otherwise."""
+    """Tabulate how far robots of True Slush get if a choice that the paper leaves open is made differently."""
     headings = ("decision", "instead", "root", "CoM", "n", "share of ours", "share of the paper's", "setting")
     lines = [f"| {' | '.join(headings)} |", "|---|---|--:|--:|--:|--:|--:|---|"]
     for group, rows in groupby(results["rows"], key=lambda row: row["group"]):

@@ -161,7 +161,10 @@ def made_with(results: Mapping[str, Any]) -> str:
 
 def coverage(results: Mapping[str, Any]) -> str:
     """Tabulate what champions keep of their predictions, by how much of what they do lies outside the throws."""
-    lines = ["| states outside the throws | champions | predicted | zero-shot | kept |", "|--:|--:|--:|--:|--:|"]
+    lines = [
+        "| states outside the throws | champions | predicted | zero-shot | zero-shot / predicted |",
+        "|--:|--:|--:|--:|--:|",
+    ]
     for row in results["coverage"]:
         low, high = row["share_outside"]
         kept = row["zero_shot"] / row["predicted"]

@@ -67,11 +67,13 @@ def check_page_path(out: Path) -> None:
         if out.suffix.lower() != ".html" or not out.parent.is_dir():
             raise PuddleError(f"--out: expected a file name that ends in .html, in an existing folder, got {out}")
         if not stat.S_ISREG(out.stat().st_mode):  # writing to a pipe would wait for its reader
-            raise PuddleError(f"--out: expected a new file or a page to replace, got {out}, which is no regular file")
+            raise PuddleError(
+                f"--out: expected a new file or a page to replace, got {out}, which is not a regular file"
+            )
         with out.open("rb") as file:
             start = file.read(len(_START_OF_A_PAGE))
         if start.lower() != _START_OF_A_PAGE:
-            raise PuddleError(f"--out: expected a new file or a page to replace, got {out}, which is no HTML page")
+            raise PuddleError(f"--out: expected a new file or a page to replace; {out} is not an HTML page")
     except FileNotFoundError:
         pass
     except OSError as error:

@@ -21,9 +21,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.commands.expected_time import batches_per_generation
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
-from pipeline.stages import STAGES, environments
+from pipeline.stages import STAGES
 from pipeline.store.manifest import Manifest, encode_manifest
 from pipeline.store.store import Store
 from pipeline.workflow.graph import StageRun, results_of
@@ -220,21 +221,14 @@ def forecast_stages(
     for stage in STAGES:
         own = [one for one in remaining if one.stage is stage]
         seconds = [costs[one.kind].seconds(one.sizes) for one in own]
-        longest = max((s / _n_batches(settings, one) for s, one in zip(seconds, own, strict=True)), default=0.0)
+        n_batches = (batches_per_generation(settings, one.chain) for one in own)
+        longest = max((s / n for s, n in zip(seconds, n_batches, strict=True)), default=0.0)
         n_bytes = sum(costs[one.kind].n_bytes(one.sizes) for one in own)
         found = {sources.get(one.kind, "store") for one in own}
         n_units = sum(sum(one.units) for one in own)
         source = " and ".join(sorted(found))
         forecasts.append(StageForecast(stage.name, stage.unit, n_units, sum(seconds), longest, n_bytes, source))
     return forecasts
-
-
-def _n_batches(settings: Settings, one: _Remaining) -> int:
-    """Return how many workers compute a generation of a chain at the same time."""
-    if one.stage.unit != "generations":
-        return 1
-    size = environments.execution_options(settings, one.chain.spec.environment).designs_per_batch
-    return math.ceil(settings.evolution.afpo.population_size / size) if size else 1
 
 
 _BYTES = {

@@ -45,13 +45,13 @@ def expected_seconds(settings: Settings, n_cores: float) -> dict[str, float]:
         for chain in stage.plan(settings):
             seconds = chain.n_items * fixed + sum(chain.units) * per_unit(settings, chain)
             core_seconds += seconds
-            longest = max(longest, seconds / _n_batches(settings, chain))
+            longest = max(longest, seconds / batches_per_generation(settings, chain))
         found[stage.name] = max(core_seconds / max(n_cores, 1.0), longest)
     found["evolve"] += seconds_to_compile(settings.physics)  # its workers wait for most kernels
     return found
 
 
-def _n_batches(settings: Settings, chain: Chain[Any]) -> int:
+def batches_per_generation(settings: Settings, chain: Chain[Any]) -> int:
     """Return how many workers compute a generation of a trial at the same time; 1 for other chains."""
     if not isinstance(chain.spec, TrialSpec):
         return 1

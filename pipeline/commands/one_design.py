@@ -140,7 +140,7 @@ def _kind_of(out: Path) -> str:
             suffixes = " or ".join((*_RENDERERS, _PAGE_SUFFIX))
             raise PuddleError(f"--out: expected a file name that ends in {suffixes}, in an existing folder, got {out}")
         if not stat.S_ISREG(out.stat().st_mode):  # writing to a pipe would wait for its reader
-            raise PuddleError(f"--out: expected a new file or one to replace, got {out}, which is no regular file")
+            raise PuddleError(f"--out: expected a new file or one to replace, got {out}, which is not a regular file")
     except FileNotFoundError:
         pass
     except OSError as error:

@@ -60,8 +60,7 @@ StudyArgument = Annotated[
     str, typer.Argument(metavar="NAME", autocompletion=names_of_studies, help="A study of the store.")
 ]
 SimulatedIn = Annotated[
-    str,
-    typer.Option("--environment", help="dry_land, true_slush, residual_slush, designed_throws or randomised_slush."),
+    str, typer.Option("--environment", help="The environment, such as true_slush; a wrong name lists them all.")
 ]
 GroundDepth = Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]
@@ -82,7 +81,7 @@ class StudyOptions:
         typer.Option(
             "--preset",
             autocompletion=_names_of_presets,
-            help="Settings in configs/: smoke, laptop (the default), row-small, row, desk, paper or pontoon.",
+            help="Settings in configs/, such as smoke; laptop by default. A wrong name lists them all.",
         ),
     ] = None
     settings_file: Annotated[Path | None, typer.Option("--settings", help="A settings file, not a preset.")] = None

@@ -353,7 +353,7 @@ def _lines(of: RunComparison) -> list[str]:
         lines.append(f"promised: {_mm(promise.mean)} mm/s, within {_mm(promise.low)} to {_mm(promise.high)}")
     if of.note:
         lines.append(f"note: {of.note}")
-    lag = "lag behind the command" if of.start_known else "lag relative to the other joints"
+    lag = "lag behind the command" if of.start_known else "lag relative to the mean of the joints"
     for column, joint in enumerate(of.kit.timeline.joints):
         (real, expected), gait = of.lags[:, column], measured.gaits[column]
         lines.append(

@@ -80,13 +80,8 @@ def _path(of: RunComparison) -> tuple[Figure, str]:
     elif of.promise is not None:
         edges = [1000 * speed * time for speed in (of.promise.low, of.promise.high)]
         axes.fill_between(time, *edges, color=_PROMISED, alpha=0.25, lw=0, label="promised")
-    for axis, values, of_simulation in ((axes, "x", True), (heights, "y", True)):
-        axis.plot(
-            simulated,
-            1000 * getattr(of.simulated, values),
-            color=_SIMULATED,
-            label="simulated" if of_simulation else "",
-        )
+    for axis, values in ((axes, "x"), (heights, "y")):
+        axis.plot(simulated, 1000 * getattr(of.simulated, values), color=_SIMULATED, label="simulated")
         axis.plot(time, 1000 * getattr(of.measured, values), color=INK, label="measured")
         axis.set(ylabel=f"{values} [mm]")
         axis.grid(True, color=FAINT)

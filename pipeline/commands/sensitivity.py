@@ -1,4 +1,4 @@
-"""puddle sensitivity: how far robots travel if what the paper leaves open is decided otherwise."""
+"""puddle sensitivity: how far robots travel if what the paper leaves open is decided differently."""
 
 import contextlib
 import functools
@@ -51,7 +51,7 @@ def sensitivity(
         "sensitivity.md"
     ),
 ) -> None:
-    """Decide otherwise what the paper leaves open, one choice at a time, and show whether robots travel as far.
+    """Vary the choices that the paper leaves open, one at a time, and test whether robots travel as far.
 
     Each variant is a study of the store, at the greatest depth of the settings; a run that is stopped resumes. First
     a pilot runs with the settings' trials; from its deviation follows how many trials all studies get.
@@ -167,7 +167,7 @@ def plan_of(settings: "Settings", names: Sequence[str]) -> SensitivityPlan:
 
 
 def _why_not(settings: "Settings", choice: "OpenChoice") -> str:
-    """Return why a choice can't be made otherwise in a study, or ""; raise PuddleError if settings contradict it."""
+    """Return why a choice can't be made differently in a study, or ""; raise PuddleError if settings contradict it."""
     environment, _ = choice.concerns
     if environment not in settings.grid.environments:
         return f"it concerns {environment}, which grid.environments lacks"

@@ -19,7 +19,7 @@ from pipeline.stages import STAGES
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import survey
-from pipeline.workflow.identity import ChainId
+from pipeline.workflow.identity import ChainId, item_label
 from pipeline.workflow.record import differences, settings_of
 from pipeline.workflow.stage import AnyStage, Chain, Results
 
@@ -38,7 +38,7 @@ class StageStatus:
     core_seconds: float
     failed: Mapping[str, str] = field(default_factory=dict)  # why, by chain
     diverged: Mapping[str, str] = field(default_factory=dict)  # what, by chain
-    n_other_code: int = 0  # items that other code than today's has made
+    n_other_code: int = 0  # items that a different version of the code made
 
     @property
     def line(self) -> str:
@@ -171,7 +171,7 @@ def _unreached(
     """Return the further items of a chain that the record lists and the store has, by their index in the chain."""
     manifests: dict[int, Manifest] = {}
     for index in range(found.n_done.get(chain.identity, 0), chain.n_items):
-        if (key := recorded.get((stage, f"{chain.label}#{index}"))) is not None:
+        if (key := recorded.get((stage, item_label(chain, index)))) is not None:
             with contextlib.suppress(PuddleError):  # damaged: not done
                 if manifest := store.manifest(stage, key):
                     manifests[index] = manifest

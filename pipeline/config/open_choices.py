@@ -10,7 +10,7 @@ from tasks.analysis.comparison import ScoredArm
 
 @dataclass(frozen=True)
 class OpenChoice:
-    """A choice that is made otherwise, by one setting."""
+    """An open choice that is made differently, by one setting."""
 
     name: str  # of the variant, which ends its study's name
     decided: str
@@ -19,7 +19,7 @@ class OpenChoice:
     concerns: ScoredArm = ("true_slush", "zero_shot")  # the champions and the score that show its effect
 
     def applied(self, settings: Settings, *assignments: str) -> Settings:
-        """Return settings with this choice made otherwise, and further assignments.
+        """Return settings with this choice made differently, and further assignments.
 
         Raises:
             PuddleError: the choice contradicts another setting.

@@ -25,7 +25,7 @@ from pipeline.report.drawing import (
 from pipeline.report.wording import signed
 from tasks.analysis import paper
 from tasks.analysis.prediction import Figure as Statistic
-from tasks.analysis.prediction import Regression, mean_less_deviations
+from tasks.analysis.prediction import Regression, is_member, mean_less_deviations
 from tasks.analysis.uncertainty import Estimate
 from tasks.evolution import PAPERS_OBJECTIVE
 from tasks.world import ENVIRONMENTS
@@ -142,7 +142,7 @@ def aggregates(report: StudyReport) -> tuple[Figure, str]:
 
 
 def _is_member(fit: Regression) -> bool:
-    return fit.name.startswith("member ")
+    return is_member(fit.name)
 
 
 def _symbols(predictor: str) -> str:

@@ -29,7 +29,9 @@ def _finding(trials: Sequence[TrialResult]) -> str:
     best = data.trial_mean(data.arm(trials, "true_slush", depth), "zero_shot")
     parts = []
     means = _means(trials, depth)
-    for environment, found in [row for row in means if row[0] != "single_member"] or means:  # the bars show all
+    for environment, found in [
+        row for row in means if ENVIRONMENTS[row[0]].networks != "one"
+    ] or means:  # the bars show all
         share = data.ratio(found, best) if environment != "true_slush" else None
         of_best = "" if share is None else f" ({percent(share)})"
         evolved = escape(ENVIRONMENTS[environment].evolved)

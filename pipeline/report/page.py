@@ -146,7 +146,7 @@ def _draws(draws: Sequence[Draws]) -> str:
     )
     return (
         '<p class="small" id="draws">Links that are not joined must not overlap at rest. Designs in which they did '
-        f"were rejected and drawn again: {shares}.</p>"
+        f"were rejected and resampled: {shares}.</p>"
     )
 
 

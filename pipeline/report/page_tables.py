@@ -12,9 +12,9 @@ from pipeline.report.lineage import main_line
 from pipeline.report.wording import NONE, absent, folded, interval, number, p_value, table
 from pipeline.text import escape
 from tasks.analysis.against_paper import Row
-from tasks.analysis.comparison import Contrast, ScoredArm, SignificanceTest
+from tasks.analysis.comparison import Contrast, SignificanceTest
 from tasks.analysis.equivalence import Verdict
-from tasks.analysis.paper import name_of
+from tasks.analysis.paper import is_t_test, name_of, t_test_words
 from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.evolution import OBJECTIVES
 
@@ -49,7 +49,7 @@ def against_paper(findings: Findings) -> str:
         return absent(title, findings.why("against_paper", "the study has not been analysed yet"))
     if all(row.this_run == "-" for row in findings.against_paper):
         return ""
-    of_numbers = [row for row in findings.against_paper if not _is_test(row)]
+    of_numbers = [row for row in findings.against_paper if not is_t_test(row.what)]
     shown = [row for row in of_numbers if row.this_run != "-"]
     n_left_out = len(of_numbers) - len(shown)
     left_out = f" {n_left_out} numbers that this study does not measure are left out." if n_left_out else ""
@@ -72,10 +72,6 @@ _REPLICATES = (
     " With several replicates, the intervals of means, ratios and regressions include the variance between these, and "
     "so does the variance of the paper’s own numbers, which come from a single replicate."
 )
-
-
-def _is_test(row: Row) -> bool:
-    return row.what.startswith("Student")
 
 
 def count_verdicts(verdicts: Iterable[Verdict]) -> str:
@@ -122,10 +118,11 @@ def contrasts(findings: Findings) -> str:
     title = "The table of tests"
     if not findings.contrasts:
         return absent(title, findings.why("contrasts", "no two arms have champions at the same depth yet"))
-    paper = {row.what: row for row in findings.against_paper if _is_test(row) and row.verdict != "not comparable"}
+    paper = {row.what: row for row in findings.against_paper if is_t_test(row.what) and row.verdict != "not comparable"}
     ranked = sorted(findings.contrasts, key=_by_p)
     judged = [
-        (row, paper.get(_statement(row, row.a, row.b)) or paper.get(_statement(row, row.b, row.a))) for row in ranked
+        (row, paper.get(t_test_words(row.depth, row.a, row.b)) or paper.get(t_test_words(row.depth, row.b, row.a)))
+        for row in ranked
     ]
     beside_paper = any(statement for _, statement in judged)
     columns = ("Arms", "Means [m]", "Ratio", "Student’s p", "Other p-values", "Hedges’ g", "Paper")
@@ -163,11 +160,6 @@ def _by_p(row: Contrast) -> tuple[float, float]:
     """Rank tests with a p-value before those without, and ties by the size of the effect."""
     p, g = row.comparison.student.p, row.comparison.hedges_g.value
     return 2.0 if p is None else p, -abs(g or 0.0)
-
-
-def _statement(row: Contrast, a: ScoredArm, b: ScoredArm) -> str:
-    """Name the test as the comparison with the paper does."""
-    return f"Student's t at {row.depth:g} m: {name_of(a)} against {name_of(b)}"
 
 
 def _statement_cell(row: Row | None) -> str:

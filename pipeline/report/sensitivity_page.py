@@ -106,10 +106,10 @@ def _verdict(effect: Effect) -> Verdict | Literal["some"]:
 def _page(found: Sensitivity) -> Iterator[str]:
     yield FIRST_LINE
     yield ""
-    yield "# How far robots travel if an open choice is made otherwise"
+    yield "# What changes when the paper's open choices are decided differently"
     yield ""
     yield from _wrapped(
-        f"The paper leaves choices open that a simulator has to make. Each is a setting, and each was made otherwise "
+        f"The paper leaves choices open that a simulator has to make. Each is a setting, and each was varied "
         f"alone, beside {found.source}: {found.scale}, in {found.depth:g} m of slush. Displacement of the champions "
         f"in True Slush [m], mean ± sample standard deviation over n trials; base and variants have the same seed."
     )

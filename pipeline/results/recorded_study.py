@@ -25,7 +25,7 @@ from pipeline.store.encoding import decode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store, StudyRecord
 from pipeline.workflow.graph import survey
-from pipeline.workflow.identity import ChainId, TrialId, trials_of
+from pipeline.workflow.identity import ChainId, TrialId, item_label, trials_of
 from pipeline.workflow.record import recorded_study, settings_of
 from pipeline.workflow.stage import AnyStage, Results, Upstream
 from tasks.design import Designs
@@ -87,7 +87,7 @@ class Study:
         for chain in stage.plan(self.settings):
             manifests = found.done.get(chain.identity, ())
             if not manifests:
-                listed = [self._manifest(stage.name, keys.get(f"{chain.label}#{i}")) for i in range(chain.n_items)]
+                listed = [self._manifest(stage.name, keys.get(item_label(chain, i))) for i in range(chain.n_items)]
                 manifests = tuple(one for one in listed if one is not None)
                 n_done[chain.identity] = max(len(manifests), n_done.get(chain.identity, 0))
             if len(manifests) == chain.n_items:

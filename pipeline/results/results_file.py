@@ -13,6 +13,7 @@ from pipeline.store.provenance import environment as provenance
 from pipeline.workflow.identity import arms_of, trials_of
 from tasks.analysis.coverage import EVERYTHING
 from tasks.analysis.equivalence import VERDICTS
+from tasks.analysis.paper import is_t_test
 from tasks.analysis.prediction import mean_less_deviations
 
 SCHEMA = "puddle.results"
@@ -105,7 +106,7 @@ def _verdicts(comparison: Sequence[Mapping[str, Json]]) -> dict[str, Json]:
     """Count the paper's t tests and its other results by the verdict of this study."""
     found: dict[str, Json] = {}
     for name, is_test in (("t_tests", True), ("other", False)):
-        verdicts = [row["verdict"] for row in comparison if str(row["what"]).startswith("Student") == is_test]
+        verdicts = [row["verdict"] for row in comparison if is_t_test(str(row["what"])) == is_test]
         found[name] = {verdict: verdicts.count(verdict) for verdict in VERDICTS}
     return found
 

@@ -20,15 +20,20 @@ class DataSetId:
     replicate: int
 
     @property
+    def parts(self) -> tuple[str, ...]:
+        """What tells it from the first replicate of the paper's throws: its group, and its replicate."""
+        group = () if self.group == PAPERS_GROUP else (self.group,)
+        return (*group, f"replicate-{self.replicate}") if self.replicate else group
+
+    @property
     def prefix(self) -> str:
         """Prefix of the labels of its parts; "" for the first replicate of the paper's throws."""
-        group = "" if self.group == PAPERS_GROUP else f"{self.group}/"
-        return f"{group}replicate-{self.replicate}/" if self.replicate else group
+        return "".join(f"{part}/" for part in self.parts)
 
     @property
     def words(self) -> str:
         """Name in messages and tables."""
-        return self.prefix.rstrip("/") or PAPERS_GROUP
+        return "/".join(self.parts) or PAPERS_GROUP
 
 
 @dataclass(frozen=True)

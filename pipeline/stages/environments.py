@@ -236,8 +236,7 @@ def number_of_members(settings: Settings, environment: EnvironmentName) -> int:
 
 def network_flops(settings: Settings) -> int:
     """Return the floating-point operations of one network for one link."""
-    width, n_hidden = settings.network.width, settings.network.hidden_layers
-    return 2 * (6 * width + (n_hidden - 1) * width**2 + width * 6)
+    return 2 * settings.network.n_weights
 
 
 def roll_out(

@@ -1,4 +1,4 @@
-"""Identity of a chain that is no trial: a member, a chunk of throws, an analysis, the page."""
+"""Identity of a chain that is not a trial: a member, a chunk of throws, an analysis, the page."""
 
 from dataclasses import dataclass
 

@@ -37,7 +37,7 @@ def with_tracks(settings: Settings, file: Path | None) -> Settings:
         Settings with whole paths, digests, and the number of throws.
 
     Raises:
-        PuddleError: a file can't be read, has changed, or is no file of tracks.
+        PuddleError: a file can't be read, has changed, or is not a tracks file.
     """
     tracks = settings.tracks
     if file is not None:
@@ -115,7 +115,7 @@ def read_tracks(inputs: Inputs) -> ReadTracks:
     """Return the tracks among an item's inputs.
 
     Raises:
-        PuddleError: they are no tracks.
+        PuddleError: they are not a tracks file.
     """
     ((name, content),) = inputs[TRACKED].items()
     columns = read_track_columns(content, name)

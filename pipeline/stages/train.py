@@ -53,7 +53,7 @@ class MemberSpec:
     member: int
     seed: int
     network: Architecture
-    training: Training  # it names the device: a GPU gives other low bits, so other networks
+    training: Training  # it names the device: on a GPU the last bits differ, so the networks differ too
 
 
 def _plan(settings: Settings) -> Sequence[Chain[MemberSpec]]:
@@ -160,7 +160,7 @@ def _ensemble(
     }
     listed = {name: digest(content) for name, content in weights.items()}
     return Model(
-        "-".join((settings.name, *data_set.prefix.split("/")[:-1], "ensemble")),
+        "-".join((settings.name, *data_set.parts, "ensemble")),
         digest(canonical_json(listed)),
         params={"n_members": len(weights), **params},
         metrics={name: float(np.mean([of.metrics[name] for of in trials])) for name in trials[0].metrics},

@@ -172,7 +172,11 @@ class Store(Items):
         body: dict[str, Json] = {"name": name, "settings": record.settings, "source": record.source, **rows}
         data = encode_sealed(body, schema=STUDY_SCHEMA, version=STUDY_VERSION)
         if len(data) > disk.MAX_DOCUMENT_BYTES:
-            raise PuddleError(f"study {name}: {len(record.items)} items are too many. Cut its work into larger ones.")
+            raise PuddleError(
+                f"study {name}: expected a record of at most {disk.MAX_DOCUMENT_BYTES:,} bytes, got {len(data):,} for "
+                f"{len(record.items):,} items. Use fewer, larger items: raise work.generations_per_item or "
+                f"work.throws_per_item."
+            )
         with disk.explained(f"writing the record of study {name}", self.root), disk.locked(self.root / "commit.lock"):
             disk.make_folders(self.root, folder)
             path = disk.inside(folder, "study.json")

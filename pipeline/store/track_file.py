@@ -31,7 +31,7 @@ def read_track_columns(content: bytes, name: str) -> TrackColumns:
         name: the file's name in messages.
 
     Raises:
-        PuddleError: it is neither, or a cell is no number; the message names the line or the column.
+        PuddleError: it is neither, or a cell is not a number; the message names the line or the column.
     """
     if len(content) > _MOST_BYTES:
         raise PuddleError(f"{name}: expected at most {_MOST_BYTES:,} bytes, got {len(content):,}. Split the throws")

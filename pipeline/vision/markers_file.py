@@ -9,9 +9,18 @@ from tasks.design.genes import N_LINKS
 from tasks.parameters import Parameters
 
 Dictionary = Literal[
-    "4x4_50", "4x4_100", "4x4_250", "5x5_50", "5x5_100", "5x5_250", "6x6_250",
-    "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",
-]  # fmt: skip
+    "4x4_50",
+    "4x4_100",
+    "4x4_250",
+    "5x5_50",
+    "5x5_100",
+    "5x5_250",
+    "6x6_250",
+    "apriltag_16h5",
+    "apriltag_25h9",
+    "apriltag_36h10",
+    "apriltag_36h11",
+]  # fmt: skip  (one line for each family of tags)
 
 
 class TankTag(Parameters):

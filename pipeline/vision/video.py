@@ -32,7 +32,7 @@ def frames(path: Path, *, colour: bool = False) -> Iterator[Frame]:
         colour: whether pictures have three channels, or are grey.
 
     Raises:
-        PuddleError: the file is missing, is no video, has an unknown codec, or is damaged; it names the frame.
+        PuddleError: the file is missing, is not a video, has an unknown codec, or is damaged; it names the frame.
     """
     import av  # takes a tenth of a second to load
 

@@ -48,7 +48,7 @@ def recorded_code(stage: AnyStage) -> dict[str, str]:
 
 
 def is_of_other_code(manifest: Manifest, stage: AnyStage) -> bool:
-    """Return whether other code than today's made an item; False if its record does not say, as in early stores."""
+    """Return whether a different version of the code made an item; False if its record has no digest of it."""
     code = manifest.record.get("code")
     if not isinstance(code, Mapping) or "stage" not in code or code.get("files") == _files_digest():
         return False

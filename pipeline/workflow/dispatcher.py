@@ -144,7 +144,7 @@ class _Dispatcher:
             raise PuddleError(
                 f"{item.stage} of {item.label} is to run on a GPU, and there is none here. Expected one that torch or "
                 f"Ray finds; give --address of a cluster that has one, or choose cores (--set training.device=cpu: "
-                f"other low bits, so other networks)."
+                f"the last bits differ, so the networks differ too)."
             )
         ticket = self._cluster.submit(
             _compute_items,

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from pipeline.config.settings import Settings
 from pipeline.errors import DamagedArtifact, PuddleError
 from pipeline.store.store import WRITTEN_ANEW, FailedChain, Store, StudyItem, StudyRecord
+from pipeline.workflow.identity import item_label
 from pipeline.workflow.progress import Bar, Work
 from pipeline.workflow.stage import Upstream
 
@@ -47,9 +48,9 @@ class DrivenStudy:
             changes = differences(before.settings, self._new.settings)
             listed = ", ".join(changes[:4]) + (f" and {len(changes) - 4} more" if len(changes) > 4 else "")
             say(
-                f"study {settings.name} had other settings until now ({listed}). Its report will be replaced. Its "
-                f"results stay: with the old settings, the old report is back in seconds, until `puddle gc`. To keep "
-                f"both reports, stop (Ctrl-C) before the first result, and add --set name=ANOTHER."
+                f"study {settings.name} is on record with different settings ({listed}). This run replaces its report. "
+                f"The old results stay in the store until `puddle gc`: a run with the old settings restores the old "
+                f"report within seconds. To keep both reports, stop now (Ctrl-C) and add --set name=ANOTHER."
             )
 
     def begin(self) -> None:
@@ -66,7 +67,7 @@ class DrivenStudy:
             return
         before = self._record or self._new
         items = [
-            StudyItem(name, f"{chain.label}#{index}", manifest.key)
+            StudyItem(name, item_label(chain, index), manifest.key)
             for name, results in upstream.items()
             for chain, manifests in results.done.items()
             for index, manifest in enumerate(manifests)

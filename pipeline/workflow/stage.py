@@ -150,16 +150,17 @@ class Results:
     n_done: Mapping[ChainId, int] = field(default_factory=dict)  # number of items done of every chain
     seconds: float = 0.0  # core-seconds that the items took, on the machines that made them
     diverged: Mapping[ChainId, str] = field(default_factory=dict)  # in complete chains; the driver fills it in
-    n_other_code: int = 0  # number of items done that other code than today's has made
+    n_other_code: int = 0  # number of items done that a different version of the code made
 
     @property
     def other_code(self) -> str:
-        """What to know if other code than today's has made items; empty otherwise."""
+        """What to know if a different version of the code made items; empty otherwise."""
         if not self.n_other_code:
             return ""
         return (
-            f"{self.stage}: other code than today's has made {self.n_other_code:,} of {sum(self.n_done.values()):,} "
-            f"items. If the change alters results, run it with --recompute {self.stage}, or raise the stage's version."
+            f"{self.stage}: {self.n_other_code:,} of {sum(self.n_done.values()):,} items were made by a different "
+            f"version of the code. If the change affects results, run again with --recompute {self.stage}, or raise "
+            f"the stage's version."
         )
 
     def chain(self, identity: ChainId) -> tuple[Manifest, ...]:

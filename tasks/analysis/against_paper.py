@@ -60,6 +60,7 @@ from tasks.analysis.paper import (
     STAYS_ON_DRY_LAND,
     Statement,
     name_of,
+    t_test_words,
 )
 from tasks.analysis.prediction import Figure, MembersRange, Regression
 from tasks.analysis.replicates import (
@@ -304,7 +305,7 @@ def _test_of(
 
 
 def _statement_row(scores: Scores, statement: Statement, depth: float, level: float) -> Row:
-    what = f"Student's t at {depth:g} m: {name_of(statement.a)} against {name_of(statement.b)}"
+    what = t_test_words(depth, statement.a, statement.b)
     threshold = f"p > {INSIGNIFICANT:g}" if statement.claim == "no difference" else f"p < {SIGNIFICANT:g}"
     paper = f"{statement.claim} ({threshold})"
     a, b, best = (scores.sample(*arm, depth).values for arm in (statement.a, statement.b, BEST))

@@ -92,3 +92,25 @@ def name_of(arm: ScoredArm) -> str:
     evolved_in, quantity = arm
     label = ENVIRONMENTS[evolved_in].label
     return label if arm == BEST else f"{label} {_QUANTITIES[quantity]}"
+
+
+_T_TEST = "Student's t at "
+
+
+def t_test_words(depth: float, a: ScoredArm, b: ScoredArm) -> str:
+    """Name a t test as the comparison with the paper lists it.
+
+    Args:
+        depth: depth of the ground below the surface [m].
+        a: the arm that the paper names first.
+        b: the other arm.
+
+    Returns:
+        The name, which no other result of the comparison has.
+    """
+    return f"{_T_TEST}{depth:g} m: {name_of(a)} against {name_of(b)}"
+
+
+def is_t_test(what: str) -> bool:
+    """Return whether a result of the comparison with the paper is a t test, by its name."""
+    return what.startswith(_T_TEST)

@@ -79,9 +79,17 @@ def mean_less_deviations(k: float) -> str:
     return f"mean - {k:g} sd" if k else "mean"
 
 
+_MEMBER = "member "
+
+
 def members(predicted: Floats) -> dict[str, Float64]:
     """Name each member's row of (n_members, n_designs) predictions."""
-    return {f"member {k}": np.asarray(row, dtype=np.float64) for k, row in enumerate(predicted)}
+    return {f"{_MEMBER}{k}": np.asarray(row, dtype=np.float64) for k, row in enumerate(predicted)}
+
+
+def is_member(name: str) -> bool:
+    """Return whether a prediction is that of one member, by its name."""
+    return name.startswith(_MEMBER)
 
 
 def aggregates(predicted: Floats, deviation: Deviation = "population") -> dict[str, Float64]:

@@ -2,8 +2,8 @@
 
 The main experiments do not constrain bodies. The robot that was built had two motors, and none of its links overlapped
 another at rest unless a joint connected them. The operators of variation produce the right number of motors directly.
-Overlap is avoided by rejection sampling (:func:`until_apart`), which preserves an operator's distribution over the
-allowed designs; moving links apart would favour the positions that they are moved to.
+Overlap is avoided by rejection sampling (:func:`sample_without_overlap`), which preserves an operator's distribution
+over the allowed designs; moving links apart would favour the positions that they are moved to.
 """
 
 from collections.abc import Callable
@@ -90,7 +90,7 @@ def separation(one: Float64, other: Float64) -> Float64:
     return gap
 
 
-def until_apart(
+def sample_without_overlap(
     first: DesignTable,
     draw: Callable[[Int64], DesignTable],
     *,

@@ -19,7 +19,7 @@ from tasks.arrays import Int64
 from tasks.compiled import compiled
 from tasks.design import variation_kernels
 from tasks.design.genes import COLUMNS, GENES, N_COLUMNS, N_GENES, Designs, DesignTable, Gene, GenePart
-from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, until_apart
+from tasks.design.morphology import ANY_BODY, MAX_DRAWS, Drawn, Morphology, sample_without_overlap
 from tasks.design.variation_kernels import ANY_NUMBER, BODY_STAYS, MOTOR, Numbers, Variation
 from tasks.parameters import Parameters, later_choice
 
@@ -171,7 +171,7 @@ class Sampler:
     ) -> Drawn:
         table = draw(np.arange(n_designs)) if first is None else first
         if self.apart:
-            return until_apart(table, draw, max_draws=max_draws, otherwise=otherwise)
+            return sample_without_overlap(table, draw, max_draws=max_draws, otherwise=otherwise)
         return Drawn(table, np.ones(n_designs, dtype=np.int64))
 
 

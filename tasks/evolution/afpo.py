@@ -179,11 +179,11 @@ def ask(
         n_draws=np.ones(n_children, dtype=np.int64),
     )
     if body is None and morphology.unjoined_links == "apart":
-        _draw_until_apart(children, population.table, parent, Sampler(rng, variation, apart=True))
+        _resample_overlapping(children, population.table, parent, Sampler(rng, variation, apart=True))
     return children
 
 
-def _draw_until_apart(children: Children, parents: DesignTable, parent: Int64, sampler: Sampler) -> None:
+def _resample_overlapping(children: Children, parents: DesignTable, parent: Int64, sampler: Sampler) -> None:
     """Replace, in place, children whose links overlap by further draws of the same operator from the same parents."""
     for code in range(len(OPERATORS)):
         chosen = np.flatnonzero(children.operator == code)

@@ -26,7 +26,7 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[int, float]:
     """Return the long axis of each throw's bar [m of simulation].
 
     Raises:
-        TrackError: a bar is no link of the simulation, or the bars differ in density.
+        TrackError: a bar is not a link of the simulation, or the bars differ in density.
     """
     for name in ("length", "width", "mass"):
         values = getattr(bars, name)

@@ -330,7 +330,7 @@ def test_a_page_that_differs_from_its_results_file_is_noticed():
     text = README.read_text(encoding="utf-8")
     assert "3.3 ± 1.9" in text and published.with_sections(text.replace("3.3 ± 1.9", "3.4 ± 1.9")) == text
     sentences = published.SENTENCES["README.md"]
-    assert "promised 14 m" in text and with_figures(text.replace("promised 14 m", "promised 15 m"), sentences) == text
+    assert "travel 14 m" in text and with_figures(text.replace("travel 14 m", "travel 15 m"), sentences) == text
 
 
 def test_sensitivity_is_that_of_its_result():

@@ -20,7 +20,8 @@ from pipeline.workflow.stage import Files
 from tasks.analysis.against_paper import Row
 from tasks.analysis.attribution import Attribution
 from tasks.analysis.equivalence import VERDICTS
-from tasks.analysis.prediction import Regression, mean_less_deviations
+from tasks.analysis.paper import is_t_test
+from tasks.analysis.prediction import Regression, is_member, mean_less_deviations
 from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.analysis.variance_split import VarianceRow
 from tasks.world import ENVIRONMENTS
@@ -51,9 +52,9 @@ def highlights(found: Mapping[ChainId, Files], tank: Tank | None) -> Highlights:
 def _statistics(files: Files) -> Highlights:
     """List the paper's numbers beside this run's; the metrics are ratios and regressions."""
     rows = read_rows(files, "paper", Row)
-    shown = [row for row in rows if not row.what.startswith(("Student", "the built robot"))]
+    shown = [row for row in rows if not is_t_test(row.what) and not row.what.startswith("the built robot")]
     lines = _table([(row.what, row.paper, f"{row.this_run}\n{_bracketed(row.interval)}", row.verdict) for row in shown])
-    tests = [row.verdict for row in rows if row.what.startswith("Student")]
+    tests = [row.verdict for row in rows if is_t_test(row.what)]
     counts = ", ".join(f"{verdict} {tests.count(verdict)}" for verdict in VERDICTS)
     lines.append(f"verdicts on the paper's {len(tests)} t tests: {counts}")
     lines += _variances(read_rows(files, "variance", VarianceRow))
@@ -66,7 +67,7 @@ def _statistics(files: Files) -> Highlights:
         metrics[f"ratio_to_true_slush.adapted.{arm}"] = gap.recovered_adapted.value
     fits = read_rows(files, "regressions", Regression)
     for fit in (fit for fit in fits if fit.learned_from == fits[0].learned_from):  # those of the main ensemble
-        if fit.name in _AGGREGATE_METRICS or fit.name.startswith("member"):
+        if fit.name in _AGGREGATE_METRICS or is_member(fit.name):
             name = _AGGREGATE_METRICS.get(fit.name, fit.name.replace(" ", "-"))
             metrics |= {f"accuracy.r.{name}": fit.r.value, f"accuracy.slope.{name}": fit.slope.value}
     return lines, _known(metrics)

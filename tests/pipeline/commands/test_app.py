@@ -249,9 +249,9 @@ def test_paths_that_cannot_be_written_are_refused_before_the_work(capsys, tmp_pa
     expected = {
         "film.mp5": "ends in .gif or .mp4 or .html",
         "none/film.gif": "in an existing folder",
-        "folder.gif": "no regular file",
-        "pipe.gif": "no regular file",
-        "device.gif": "no regular file",
+        "folder.gif": "not a regular file",
+        "pipe.gif": "not a regular file",
+        "device.gif": "not a regular file",
         "circle.gif": "Too many levels of symbolic links",
         f"{'a' * 300}.gif": "File name too long",
         f"{'a/' * 3000}film.gif": "File name too long",

@@ -212,9 +212,9 @@ def test_a_page_that_cannot_be_written(root, tmp_path, capsys):
     for name, message in (
         ("page.pdf", "expected a file name that ends in .html, in an existing folder"),
         ("missing/page.html", "expected a file name that ends in .html, in an existing folder"),
-        ("notes.html", "which is no HTML page"),
-        ("folder.html", "which is no regular file"),
-        ("pipe.html", "which is no regular file"),
+        ("notes.html", "is not an HTML page"),
+        ("folder.html", "is not a regular file"),
+        ("pipe.html", "is not a regular file"),
         ("x" * 300 + ".html", "can't write"),
     ):
         chosen = ("--store", str(root), "--out", str(tmp_path / name))

@@ -153,7 +153,7 @@ def test_the_last_line_says_whether_the_promise_held(run, tmp_path, capsys, off,
     code, said, _ = compared(run, tmp_path, capsys, kit=promising(run, tmp_path, run[2] + off, 0.003))
     assert code == 0 and said.splitlines()[-1].startswith(verdict)
     assert ("less than the +" in said) == (off > 0) and said.endswith("mm/s that the kit's ensemble promised.\n")
-    assert "lag relative to the other joints" in said
+    assert "lag relative to the mean of the joints" in said
 
 
 def test_a_promise_that_leaves_the_direction_open_is_not_praised(run, tmp_path, capsys):

@@ -35,7 +35,7 @@ def test_items_that_no_study_needs_are_listed_and_then_removed(options, store, c
     before = n_items(store)
     assert call("study", "--workers", "0", *options, "--set", "seed=2") == 0
     said = capsys.readouterr().err
-    assert "study tiny had other settings until now (seed: 1 → 2). Its report will be replaced" in said
+    assert "study tiny is on record with different settings (seed: 1 → 2). This run replaces its report" in said
     both = n_items(store)
     assert both > before
     half = store.root / "items" / "evolve" / "00" / ("0" * 64)

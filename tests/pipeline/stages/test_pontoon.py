@@ -187,7 +187,7 @@ def test_summary_page_and_design_file_name_the_robot_to_build(pontoon, built, ta
     assert beside_paper in text
     assert f"in simulation it stays in {n_immobile} of 8 trials, and in {n_with_servo} of 8 with the torque" in text
     assert "To build: evolved in Residual Slush" in page  # its films
-    assert re.search(r"rejected and drawn again: 100 % of [\d,]+ from random, \d+ % of [\d,]+ from mutation", text)
+    assert re.search(r"rejected and resampled: 100 % of [\d,]+ from random, \d+ % of [\d,]+ from mutation", text)
     assert "as far to the right as they can in 1 seconds" in text
     # The exported file is a design file like any other, and describes the champion itself.
     (champion,) = (store.read(labelled(upstream["transfer"].done)[f"{ARM}/trial-{trial}"][-1], "champion.json"),)

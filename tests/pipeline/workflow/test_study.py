@@ -85,7 +85,7 @@ def test_batches_of_designs_on_ray_give_the_same_bytes(serial_run, local_ray, tm
 
 
 def test_the_training_device_is_part_of_a_members_identity(serial_run):
-    """A GPU gives other low bits, so other members; its tasks ask for a GPU."""
+    """On a GPU the last bits differ, so the members differ too; its tasks ask for a GPU."""
     _, upstream = serial_run
     train = next(stage for stage in STAGES if stage.name == "train")
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from tasks.design import DesignError, Designs, Morphology, links_apart, random_designs, rest_pose
-from tasks.design.morphology import MAX_BATCH, until_apart
+from tasks.design.morphology import MAX_BATCH, sample_without_overlap
 
 
 def rectangles(designs: Designs, design: int) -> list[shapely.Polygon]:
@@ -87,7 +87,7 @@ def test_draws_go_on_until_every_design_is_apart() -> None:
         ok = numbers >= succeeds_at[which]
         return np.where(ok[:, None], good.table, bad.table)
 
-    drawn = until_apart(draw(np.arange(3)), draw)
+    drawn = sample_without_overlap(draw(np.arange(3)), draw)
     assert links_apart(drawn.designs).all()
     assert drawn.n_draws.tolist() == [1, 5, 40]
 
@@ -103,9 +103,9 @@ def test_draws_end() -> None:
         return bad.table[np.zeros(len(which), int)]
 
     with pytest.raises(DesignError, match="design 0: links that no joint connects overlap at rest in all 1000 samples"):
-        until_apart(draw(np.arange(2)), draw, max_draws=1000)
+        sample_without_overlap(draw(np.arange(2)), draw, max_draws=1000)
     assert n_asked == 2000
-    instead = until_apart(draw(np.arange(2)), draw, max_draws=1000, otherwise=good.table[[0, 0]])
+    instead = sample_without_overlap(draw(np.arange(2)), draw, max_draws=1000, otherwise=good.table[[0, 0]])
     assert links_apart(instead.designs).all()
     assert instead.n_draws.tolist() == [1001, 1001]
 
