@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, StorePath, StudyName, with_options
+from pipeline.commands.options import DEFAULT_STORE, MARKERS, LensVideo, Slowdown, StorePath, StudyName, with_options
 from pipeline.commands.output import to_stdout
 
 
@@ -14,11 +14,9 @@ def compare_run(
     run: Annotated[Path, typer.Argument(metavar="VIDEO-or-TRACKS", help="A video of the run, or its tracks (.csv).")],
     kit: Annotated[Path, typer.Option("--kit", help="The robot's kit, a folder of `puddle fabricate`.")],
     study: StudyName = None,
-    markers: Annotated[Path | None, typer.Option("--markers", help="For a video: which tag is where.")] = None,
-    lens: Annotated[Path | None, typer.Option("--lens", help="For a video: a video of the printed board.")] = None,
-    slowdown: Annotated[
-        float, typer.Option("--slowdown", min=0.01, help="How many times slower than life the video plays.")
-    ] = 1.0,
+    markers: Annotated[Path | None, MARKERS] = None,
+    lens: LensVideo = None,
+    slowdown: Slowdown = 1.0,
     start: Annotated[
         float | None,
         typer.Option(

@@ -63,6 +63,16 @@ SimulatedIn = Annotated[
     str, typer.Option("--environment", help="The environment, such as true_slush; a wrong name lists them all.")
 ]
 GroundDepth = Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")]
+MARKERS = typer.Option("--markers", help="Which tag is where: markers.yaml of a throwing kit.")
+LensVideo = Annotated[
+    Path | None, typer.Option("--lens", help="A video of the printed board, which calibrates the lens.")
+]
+Slowdown = Annotated[
+    float,
+    typer.Option(
+        "--slowdown", min=0.01, help="Factor by which the video is slowed down: 8 for 240 frames/s that play at 30."
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document, for programs.")]
 
 

@@ -5,22 +5,17 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import with_options
+from pipeline.commands.options import MARKERS, LensVideo, Slowdown, with_options
 from pipeline.commands.output import to_stdout
 
 
 @with_options
 def track(
     videos: Annotated[list[Path], typer.Argument(metavar="VIDEO...", help="Videos of the tank.")],
-    markers: Annotated[Path, typer.Option("--markers", help="Which tag is where: markers.yaml of a throwing kit.")],
+    markers: Annotated[Path, MARKERS],
     out: Annotated[Path, typer.Option("--out", help="The tracks file (.csv).")] = Path("tracks.csv"),
-    lens: Annotated[
-        Path | None, typer.Option("--lens", help="A video of the printed board, which calibrates the lens.")
-    ] = None,
-    slowdown: Annotated[
-        float,
-        typer.Option("--slowdown", min=0.01, help="How many times slower than life the videos play: 8 for 240/s."),
-    ] = 1.0,
+    lens: LensVideo = None,
+    slowdown: Slowdown = 1.0,
     robot: Annotated[
         bool, typer.Option("--robot", help="Track the links of a built robot, through the whole video.")
     ] = False,

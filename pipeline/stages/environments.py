@@ -25,7 +25,7 @@ from tasks.evolution import OBJECTIVES, Deviation, Evaluation, ObjectiveName, ev
 from tasks.parameters import Parameters
 from tasks.simulation import Rollouts, simulate
 from tasks.simulation.batch import n_that_fill_lanes
-from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics, RandomisedSlushes
+from tasks.world import ENVIRONMENTS, EnsembleMedium, Environment, EnvironmentName, Medium, Physics
 
 WEIGHTS, MEMBER_SCHEMA, MEMBER_VERSION = "weights.safetensors", "member", 1
 MEMBER = "member"  # role of the inputs that are networks of an ensemble, or of one single-member trial
@@ -47,11 +47,11 @@ class SimulationSpec:
 
 def media_of(settings: Settings, *environments: EnvironmentName) -> Media:
     """Select the settings of some environments' media; random ones get the study's seed."""
-    groups = (ENVIRONMENTS[environment].settings_group for environment in environments)
-    media = {group: getattr(settings, group) for group in groups if group is not None}
+    kinds = (ENVIRONMENTS[environment] for environment in environments)
     return {
-        group: medium.of_study(settings.seed) if isinstance(medium, RandomisedSlushes) else medium
-        for group, medium in media.items()
+        kind.settings_group: kind.for_study(getattr(settings, kind.settings_group), settings.seed)
+        for kind in kinds
+        if kind.settings_group is not None
     }
 
 
@@ -228,10 +228,9 @@ def relative_cost(settings: Settings, environment: EnvironmentName) -> float:
 def number_of_members(settings: Settings, environment: EnvironmentName) -> int:
     """Return how many members simulate each design in an environment, 1 without an ensemble."""
     kind = ENVIRONMENTS[environment]
-    if kind.networks == "all":
-        return settings.ensemble.n_members
-    medium = media_of(settings, environment).get(str(kind.settings_group))
-    return medium.n_members if isinstance(medium, RandomisedSlushes) else 1
+    if kind.networks != "none":
+        return settings.ensemble.n_members if kind.networks == "all" else 1
+    return kind.environment(0.0, media_of(settings, environment)).n_members
 
 
 def network_flops(settings: Settings) -> int:

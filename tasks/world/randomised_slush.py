@@ -112,6 +112,7 @@ register(
         build=RandomisedSlush,
         settings_group="randomised_slush",
         settings=RandomisedSlushes,
+        for_study=RandomisedSlushes.of_study,
         label="Randomised Slush",
         symbol="Ẽ",
         evolved="in Randomised Slush",

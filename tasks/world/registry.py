@@ -23,6 +23,7 @@ class EnvironmentKind:
     build: type[Environment]  # called with the depth [m] and the medium, if it has one
     settings_group: str | None = None  # group of settings that states the medium's parameters
     settings: type[Parameters] | None = None  # class of these settings, which is also the medium
+    for_study: Callable[[Any, int], Any] = lambda settings, seed: settings  # these settings in a study with a seed
     networks: Literal["none", "one", "all"] = "none"  # trained ensemble members that the medium consists of
     learns_from: str = "throws"  # settings group of the throws that these networks learn from
     label: str
