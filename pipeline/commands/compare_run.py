@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, MARKERS, LensVideo, Slowdown, StorePath, StudyName, with_options
+from pipeline.commands.options import (
+    DEFAULT_STORE,
+    MARKERS_OPTION,
+    LensVideo,
+    Slowdown,
+    StorePath,
+    StudyName,
+    with_options,
+)
 from pipeline.commands.output import to_stdout
 
 
@@ -14,7 +22,7 @@ def compare_run(
     run: Annotated[Path, typer.Argument(metavar="VIDEO-or-TRACKS", help="A video of the run, or its tracks (.csv).")],
     kit: Annotated[Path, typer.Option("--kit", help="The robot's kit, a folder of `puddle fabricate`.")],
     study: StudyName = None,
-    markers: Annotated[Path | None, MARKERS] = None,
+    markers: Annotated[Path | None, MARKERS_OPTION] = None,
     lens: LensVideo = None,
     slowdown: Slowdown = 1.0,
     start: Annotated[

@@ -63,7 +63,7 @@ SimulatedIn = Annotated[
     str, typer.Option("--environment", help="The environment, such as true_slush; a wrong name lists them all.")
 ]
 GroundDepth = Annotated[float, typer.Option("--depth", help="Depth of the ground below the surface [m].")]
-MARKERS = typer.Option("--markers", help="Which tag is where: markers.yaml of a throwing kit.")
+MARKERS_OPTION = typer.Option("--markers", help="Which tag is where: markers.yaml of a throwing kit.")
 LensVideo = Annotated[
     Path | None, typer.Option("--lens", help="A video of the printed board, which calibrates the lens.")
 ]

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import DEFAULT_STORE, MARKERS, StorePath, names_of_studies, with_options
+from pipeline.commands.options import DEFAULT_STORE, MARKERS_OPTION, StorePath, names_of_studies, with_options
 from pipeline.commands.output import to_stdout
 from pipeline.errors import PuddleError
 
@@ -34,7 +34,7 @@ def suggest_throws(
     heights: Annotated[
         tuple[float, float] | None, typer.Option("--heights", help="Lowest and highest start over the water [m].")
     ] = None,
-    markers: Annotated[Path | None, MARKERS] = None,
+    markers: Annotated[Path | None, MARKERS_OPTION] = None,
     sheet: Annotated[Path | None, typer.Option("--sheet", help="Write a page to print (.html).")] = None,
     store: StorePath = DEFAULT_STORE,
 ) -> None:

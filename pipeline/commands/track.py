@@ -5,14 +5,14 @@ from typing import Annotated
 
 import typer
 
-from pipeline.commands.options import MARKERS, LensVideo, Slowdown, with_options
+from pipeline.commands.options import MARKERS_OPTION, LensVideo, Slowdown, with_options
 from pipeline.commands.output import to_stdout
 
 
 @with_options
 def track(
     videos: Annotated[list[Path], typer.Argument(metavar="VIDEO...", help="Videos of the tank.")],
-    markers: Annotated[Path, MARKERS],
+    markers: Annotated[Path, MARKERS_OPTION],
     out: Annotated[Path, typer.Option("--out", help="The tracks file (.csv).")] = Path("tracks.csv"),
     lens: LensVideo = None,
     slowdown: Slowdown = 1.0,
