@@ -39,8 +39,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             lambda laptop: abs(figures.mean(laptop, "single_member", "zero_shot")) < 1,
         ),
         Sentence(
-            "*E* travels {best} m, and robots of the paper's throws keep {zero_shot} % of it zero-shot and {adapted} % "
-            "adapted, where the paper has 67 % and 87 %.",
+            "*E* travels {best} m, and *Ê*, whose networks learned from the paper's throws, retains {zero_shot} % of "
+            "it zero-shot and {adapted} % adapted, where the paper has 67 % and 87 %.",
             (ROW,),
             lambda row: {
                 "best": figures.spread(row, "true_slush", "zero_shot"),
@@ -49,8 +49,8 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             },
         ),
         Sentence(
-            "their robots keep {papers_0}, {papers_1}, {papers_2}, {papers_3} and {papers_4} % of *E* zero-shot, and "
-            "those of [throws designed for robots](docs/throws.md) {designed_0}, {designed_1}, {designed_2}, "
+            "*Ê* retains {papers_0}, {papers_1}, {papers_2}, {papers_3} and {papers_4} % of *E* zero-shot, and *Ê\\**, "
+            "with [throws designed for robots](docs/throws.md), {designed_0}, {designed_1}, {designed_2}, "
             "{designed_3} and {designed_4} %.",
             (REPLICATES,),
             figures.shares_of_five,
@@ -129,9 +129,9 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             lambda shallow: all(abs(kept(shallow, "residual_slush", depth) - 1) < EQUAL for depth in (1, 3)),
         ),
         Sentence(
-            "In slush the order of the zero-shot means is the paper's. At 9 m robots of the paper's throws keep "
-            "{zero_shot} % of *E* zero-shot and {adapted} % adapted, where the paper has 67 % and 87 %; the mean of "
-            "robots of designed throws is ahead of theirs at {ahead} of the {depths} depths.",
+            "In slush the order of the zero-shot means is the paper's. At 9 m *Ê* retains {zero_shot} % of *E* "
+            "zero-shot and {adapted} % adapted, where the paper has 67 % and 87 %; the mean of *Ê\\** is ahead of it "
+            "at {ahead} of the {depths} depths.",
             (LAPTOP,),
             lambda laptop: {
                 **{
@@ -143,10 +143,9 @@ SENTENCES: Mapping[str, Sequence[Sentence]] = {
             figures.papers_order_holds,
         ),
         Sentence(
-            "Robots of the paper's throws keep {papers_0}, {papers_1}, {papers_2}, {papers_3} and {papers_4} % of *E* "
-            "zero-shot, by data set, and those of designed throws {designed_0}, {designed_1}, {designed_2}, "
-            "{designed_3} and {designed_4} %. The first data set is that of `make study`: for the paper's throws it "
-            "is the luckiest of the five.",
+            "By data set, *Ê* retains {papers_0}, {papers_1}, {papers_2}, {papers_3} and {papers_4} % of *E* "
+            "zero-shot, and *Ê\\** {designed_0}, {designed_1}, {designed_2}, {designed_3} and {designed_4} %. The "
+            "first data set is that of `make study`: for the paper's throws it is the luckiest of the five.",
             (REPLICATES,),
             figures.shares_of_five,
             figures.first_is_luckiest,

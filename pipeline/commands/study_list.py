@@ -11,7 +11,7 @@ from pipeline.config.loading import load, preset_names, preset_path
 from pipeline.config.settings import Settings
 from pipeline.errors import PuddleError
 from pipeline.store.store import Store
-from pipeline.workflow.record import differences, settings_of
+from pipeline.workflow.record import differences, preset_of, settings_of
 
 _WIDTH = 80
 _MOST_DIFFERENCES = 6
@@ -47,7 +47,7 @@ def list_studies(store: Store) -> Iterator[ListedStudy]:
             yield ListedStudy(name, problem=str(problem))
             continue
         changes = {of: differences(_unnamed(preset), _unnamed(record.settings)) for of, preset in presets.items()}
-        preset = record.source.removeprefix("preset ")
+        preset = preset_of(record.source)
         if preset not in changes:
             preset = min(changes, key=lambda of: len(changes[of]))
         page = store.export_path(name) / "index.html"
@@ -82,7 +82,7 @@ def describe(one: ListedStudy) -> Iterator[str]:
         yield f"  {one.n_failed} chains failed; `puddle status --study {one.study}` names them"
     n_more = len(one.differences) - _MOST_DIFFERENCES
     shown = "; ".join(one.differences[:_MOST_DIFFERENCES]) + (f"; and {n_more} more" if n_more > 0 else "")
-    is_preset = one.source == f"preset {one.preset}"
+    is_preset = one.preset == preset_of(one.source)
     if one.source and not is_preset:
         yield f"  settings from {one.source}"
     what = f"preset {one.preset}" if is_preset else f"nearest preset {one.preset}"

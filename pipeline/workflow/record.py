@@ -119,6 +119,11 @@ def recorded_study(store: Store, name: str) -> StudyRecord:
     raise PuddleError(f"study {name!r}: {store.root} holds {', '.join(names)}{advice}")
 
 
+def preset_of(source: str) -> str:
+    """Return the preset that a study's settings come from, by its record; "" if they come from a file."""
+    return source.removeprefix("preset ") if source.startswith("preset ") else ""
+
+
 def settings_of(record: StudyRecord) -> Settings:
     """Return the settings of a recorded study; refuse those of another version of puddle, with other fields."""
     try:

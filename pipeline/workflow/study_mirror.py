@@ -19,6 +19,7 @@ from pipeline.tracking.run import CurvePart, CurvePoints, Run
 from pipeline.workflow.background import Background
 from pipeline.workflow.graph import ChainProgress
 from pipeline.workflow.identity import ChainId, TrialId
+from pipeline.workflow.record import preset_of
 from pipeline.workflow.stage import AnyStage, Results, Summary, TrialSummary, Upstream
 
 SECONDS_BETWEEN_UPDATES = 15.0  # so that a segment is in MLflow within 30 s of its commit
@@ -80,7 +81,7 @@ class StudyMirror:
         self._tracker, self._background = tracker, background
         self._chosen = settings.model_dump(mode="json")
         self._key = digest(canonical_json(self._chosen))
-        preset = source.removeprefix("preset ") if source.startswith("preset ") else Path(source).stem
+        preset = preset_of(source) or Path(source).stem
         self._tags = {"preset": preset} if preset else {}
         self._points: dict[str, Mapping[ChainId, int]] = {}
         self._ensembles: dict[str, str] = {}  # digest of the model that a trial evolves in, by its label
