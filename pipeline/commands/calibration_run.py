@@ -53,7 +53,10 @@ class _Run:
         """Compute item ``index`` of some chains as one batch; return the first manifest and the share of an item."""
         items = [stage.item(settings, chain, index, previous, self.upstream) for chain in chains]
         inputs = [
-            {name: {file: self.files[of.manifest.key][file] for file in of.files} for name, of in item.inputs.items()}
+            {
+                name: {file: self.files[source.manifest.key][file] for file in source.files}
+                for name, source in item.inputs.items()
+            }
             for item in items
         ]
         jobs = [item.job for item in items]
@@ -143,7 +146,7 @@ def _full_size(stage: str, settings: Settings) -> int:
     n_assessed = sum(environment in ASSESSED_ENVIRONMENTS for environment in settings.grid.environments) * n_trials
     return {
         "collect": max(
-            2, min([work.throws_per_item, *(settings.throws_of(of).n_throws for of in settings.throw_groups)])
+            2, min([work.throws_per_item, *(settings.throws_of(group).n_throws for group in settings.throw_groups)])
         ),
         "train": settings.training.n_iterations,
         "evolve": min(work.generations_per_item, settings.evolution.n_generations),

@@ -76,8 +76,8 @@ class Cost:
         sizes = [sample.size for sample in samples]
         least, most = min(sizes), max(sizes)
         small, large = ([one for one in samples if one.size == size] for size in (least, most))
-        seconds = [statistics.median(one.seconds for one in of) for of in (small, large)]
-        n_bytes = [statistics.median(one.n_bytes for one in of) for of in (small, large)]
+        seconds = [statistics.median(one.seconds for one in group) for group in (small, large)]
+        n_bytes = [statistics.median(one.n_bytes for one in group) for group in (small, large)]
         return cls(*_line(least, most, *seconds), *_line(least, most, *n_bytes))
 
     def seconds(self, sizes: Iterable[float]) -> float:
@@ -314,7 +314,7 @@ def forecast_study(
         sources |= dict.fromkeys(trained, "stated rate")
     if measured := {kind for kind, source in sources.items() if source == "calibration"}:
         samples |= calibrate(settings if gpu_tflops is None else _without_gpu(settings), measured, say=say)
-    costs = {kind: Cost.fit(of) for kind, of in samples.items()}
+    costs = {kind: Cost.fit(kind_samples) for kind, kind_samples in samples.items()}
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     stages = tuple(forecast_stages(settings, remaining, costs, sources))
     store_bytes = None if store is None else store.size_bytes()

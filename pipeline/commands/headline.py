@@ -56,7 +56,9 @@ def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[s
         if not arm:
             continue
         columns = {name: [score.get(name) for score in arm] for name in ("predicted", "zero_shot", "adapted")}
-        cells = [segments.mean_and_deviation([value for value in of if value is not None]) for of in columns.values()]
+        cells = [
+            segments.mean_and_deviation([value for value in values if value is not None]) for values in columns.values()
+        ]
         yield f"  {style.label:<28} " + " ".join(f"{cell:>14}" for cell in cells)
         sd, fitness = (_mean([score.get(name) for score in arm]) for name in ("predicted_sd", "fitness"))
         if sd is not None and fitness is not None:

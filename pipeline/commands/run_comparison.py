@@ -240,8 +240,8 @@ def _compared(
         raise RunError("no tag of link 0, the root, was tracked: expected it, because its path is compared")
     time, root = tracks[0]
     poses = {
-        link: np.column_stack([np.interp(time, of, path[:, i]) for i in range(3)])
-        for link, (of, path) in tracks.items()
+        link: np.column_stack([np.interp(time, link_time, path[:, i]) for i in range(3)])
+        for link, (link_time, path) in tracks.items()
     }
     check_robot(robot.design, {link: pose[:, :2] for link, pose in poses.items()}, robot.scale)
     joints, line = robot.timeline.joints, robot.timeline
@@ -260,7 +260,7 @@ def _compared(
         environment = ResidualSlush(depth=robot.environment.depth, ensemble=study.ensemble())
         promised_by, note = f"the ensemble of study {study.name}", _other_physics(robot, study)
         _, members = _simulated(robot, environment, study.settings.physics, measured, f"under {promised_by}")
-        speeds = [steady_speed(simulated.time, of, 1 / robot.frequency) for of in members]
+        speeds = [steady_speed(simulated.time, x, 1 / robot.frequency) for x in members]
         promise = promise_of(np.array(speeds))
     elif robot.predicted is not None:
         seconds = robot.rollout.n_measure * robot.physics.time_step * robot.time_scale
@@ -292,14 +292,14 @@ def _beside_simulation(
     simulated, _ = _simulated(robot, robot.environment, robot.physics, measured, "in True Slush")
     commanded = robot.design.phase[0, list(line.joints)]
     lags = np.array(
-        [[at - of.phase for at, of in zip(commanded, run.gaits, strict=True)] for run in (measured, simulated)]
+        [[at - gait.phase for at, gait in zip(commanded, run.gaits, strict=True)] for run in (measured, simulated)]
     )
     return measured, simulated, (lags + np.pi) % (2 * np.pi) - np.pi
 
 
 def _other_physics(robot: RobotKit, study: Study) -> str:
     """Say in what a study simulates another robot than the kit's, if it does."""
-    built, evolved = (of.model_dump(mode="json") for of in (robot.physics, study.settings.physics))
+    built, evolved = (physics.model_dump(mode="json") for physics in (robot.physics, study.settings.physics))
     other = [f"{name} {evolved[name]} (built: {built[name]})" for name in built if built[name] != evolved[name]]
     if not other:
         return ""
@@ -308,7 +308,7 @@ def _other_physics(robot: RobotKit, study: Study) -> str:
 
 
 def _motion(time: Float64, position: Float64, angle: Float64, robot: RobotKit) -> RobotMotion:
-    gaits = tuple(fit_gait(time, of, robot.frequency) for of in angle.T)
+    gaits = tuple(fit_gait(time, joint_angle, robot.frequency) for joint_angle in angle.T)
     speed = steady_speed(time, position[:, 0], 1 / robot.frequency)
     return RobotMotion(time, position[:, 0] - position[0, 0], position[:, 1], angle, speed, gaits)
 
@@ -338,24 +338,24 @@ def _simulated(
     return motion, x - x[:, :1]
 
 
-def _lines(of: RunComparison) -> list[str]:
+def _lines(comparison: RunComparison) -> list[str]:
     """Return what the terminal says of a comparison."""
-    measured, simulated, turn = of.measured, of.simulated, 1000 / (2 * np.pi * of.kit.frequency)
+    measured, simulated, turn = comparison.measured, comparison.simulated, 1000 / (2 * np.pi * comparison.kit.frequency)
     seconds = measured.time[-1] - measured.time[0]
     lines = [
-        f"{of.kit.name}: {seconds:.1f} s of steady gait at {of.kit.frequency:.2f} Hz",
+        f"{comparison.kit.name}: {seconds:.1f} s of steady gait at {comparison.kit.frequency:.2f} Hz",
         f"path: {1000 * measured.x[-1]:+.0f} mm along the tank, simulated {1000 * simulated.x[-1]:+.0f} mm",
         f"mean height of the root over the water: {1000 * measured.y.mean():+z.0f} mm, simulated "
         f"{1000 * simulated.y.mean():+z.0f} mm",
         f"speed: {_mm(measured.speed)} mm/s, simulated {_mm(simulated.speed)} mm/s",
     ]
-    if (promise := of.promise) is not None:
+    if (promise := comparison.promise) is not None:
         lines.append(f"promised: {_mm(promise.mean)} mm/s, within {_mm(promise.low)} to {_mm(promise.high)}")
-    if of.note:
-        lines.append(f"note: {of.note}")
-    lag = "lag behind the command" if of.start_known else "lag relative to the mean of the joints"
-    for column, joint in enumerate(of.kit.timeline.joints):
-        (real, expected), gait = of.lags[:, column], measured.gaits[column]
+    if comparison.note:
+        lines.append(f"note: {comparison.note}")
+    lag = "lag behind the command" if comparison.start_known else "lag relative to the mean of the joints"
+    for column, joint in enumerate(comparison.kit.timeline.joints):
+        (real, expected), gait = comparison.lags[:, column], measured.gaits[column]
         lines.append(
             f"joint {joint}: ±{np.degrees(gait.amplitude):.0f}°, simulated "
             f"±{np.degrees(simulated.gaits[column].amplitude):.0f}°; {lag} {np.degrees(real):+z.0f}° "

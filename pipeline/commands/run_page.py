@@ -21,37 +21,45 @@ _SIMULATED, _PROMISED = ENVIRONMENTS["true_slush"].color, ENVIRONMENTS["residual
 _PERIODS = 3.0  # of the gait that the figure of the joints shows
 
 
-def render_run(of: RunComparison, run: str) -> str:
+def render_run(comparison: RunComparison, run: str) -> str:
     """Return the page of a comparison; ``run`` is the name of the video or tracks."""
-    figures = (finish("path", "Path of the root", partial(_path, of)), finish("joints", "Joints", partial(_joints, of)))
+    figures = (
+        finish("path", "Path of the root", partial(_path, comparison)),
+        finish("joints", "Joints", partial(_joints, comparison)),
+    )
+    measured, simulated = comparison.measured, comparison.simulated
     rows: list[tuple[str, ...]] = [
-        ("speed [mm/s]", f"{1000 * of.measured.speed:+z.1f}", f"{1000 * of.simulated.speed:+z.1f}", _promised(of))
+        ("speed [mm/s]", f"{1000 * measured.speed:+z.1f}", f"{1000 * simulated.speed:+z.1f}", _promised(comparison))
     ]
-    lag = "lag behind the command" if of.start_known else "lag relative to the mean of the joints"
-    for column, joint in enumerate(of.kit.timeline.joints):
-        amplitudes = (f"±{np.degrees(run_.gaits[column].amplitude):.0f}" for run_ in (of.measured, of.simulated))
+    lag = "lag behind the command" if comparison.start_known else "lag relative to the mean of the joints"
+    for column, joint in enumerate(comparison.kit.timeline.joints):
+        amplitudes = (f"±{np.degrees(run_.gaits[column].amplitude):.0f}" for run_ in (measured, simulated))
         rows.append((f"joint {joint}: amplitude [°]", *amplitudes, ""))
-        rows.append((f"joint {joint}: {lag} [°]", *(f"{np.degrees(value):+z.0f}" for value in of.lags[:, column]), ""))
+        rows.append(
+            (f"joint {joint}: {lag} [°]", *(f"{np.degrees(value):+z.0f}" for value in comparison.lags[:, column]), "")
+        )
     cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     shown = "".join(_figure(figure) for figure in figures)
-    note = f" But {escape(of.note)}." if of.note else ""
+    note = f" But {escape(comparison.note)}." if comparison.note else ""
     body = f"""<main>
-<header><p class="study">puddle · {escape(run)}</p><h1>The run of {escape(of.kit.name)}</h1>
-<p class="finding">{escape(of.verdict)}</p></header>
+<header><p class="study">puddle · {escape(run)}</p><h1>The run of {escape(comparison.kit.name)}</h1>
+<p class="finding">{escape(comparison.verdict)}</p></header>
 <div class="figures">{shown}</div>
 <div class="scroll"><table><thead><tr><th></th><th>measured</th><th>simulated</th><th>promised</th></tr></thead>
 <tbody>{cells}</tbody></table></div>
-<p class="small">The gait was steady for {of.measured.time[-1] - of.measured.time[0]:.1f} s. Simulated: the true
+<p class="small">The gait was steady for {measured.time[-1] - measured.time[0]:.1f} s. Simulated: the true
 slush of the kit's settings. Promised: the mean of the ensemble's members, two standard deviations to either side. The
 members' disagreement is a lower bound on the uncertainty.{note}</p>
 </main>"""
-    return document(title=f"Run of {escape(of.kit.name)}", policy="img-src data:", body=body)
+    return document(title=f"Run of {escape(comparison.kit.name)}", policy="img-src data:", body=body)
 
 
-def _promised(of: RunComparison) -> str:
-    if of.promise is None:
+def _promised(comparison: RunComparison) -> str:
+    if comparison.promise is None:
         return ""
-    mean, low, high = (f"{1000 * speed:+z.1f}" for speed in (of.promise.mean, of.promise.low, of.promise.high))
+    mean, low, high = (
+        f"{1000 * speed:+z.1f}" for speed in (comparison.promise.mean, comparison.promise.low, comparison.promise.high)
+    )
     return f"{mean} ({low} to {high})"
 
 
@@ -61,13 +69,16 @@ def _figure(drawn: Drawing | Missing) -> str:
     return f'<figure id="{drawn.name}"><h3>{drawn.title}</h3>{inline_svg(drawn)}{caption}</figure>'
 
 
-def _path(of: RunComparison) -> tuple[Figure, str]:
+def _path(comparison: RunComparison) -> tuple[Figure, str]:
     """Draw x over time, with the promise as a band."""
     figure = Figure(figsize=(FIGURE_WIDTH, 4.4), layout="constrained")
     axes, heights = figure.subplots(2, sharex=True, height_ratios=(3, 1))
-    time, simulated = of.measured.time - of.measured.time[0], of.simulated.time - of.simulated.time[0]
-    if of.members is not None:
-        middle, spread = of.members.mean(axis=0), 2 * of.members.std(axis=0)
+    time, simulated = (
+        comparison.measured.time - comparison.measured.time[0],
+        comparison.simulated.time - comparison.simulated.time[0],
+    )
+    if comparison.members is not None:
+        middle, spread = comparison.members.mean(axis=0), 2 * comparison.members.std(axis=0)
         axes.fill_between(
             simulated,
             1000 * (middle - spread),
@@ -77,12 +88,12 @@ def _path(of: RunComparison) -> tuple[Figure, str]:
             lw=0,
             label="promised",
         )
-    elif of.promise is not None:
-        edges = [1000 * speed * time for speed in (of.promise.low, of.promise.high)]
+    elif comparison.promise is not None:
+        edges = [1000 * speed * time for speed in (comparison.promise.low, comparison.promise.high)]
         axes.fill_between(time, *edges, color=_PROMISED, alpha=0.25, lw=0, label="promised")
     for axis, values in ((axes, "x"), (heights, "y")):
-        axis.plot(simulated, 1000 * getattr(of.simulated, values), color=_SIMULATED, label="simulated")
-        axis.plot(time, 1000 * getattr(of.measured, values), color=INK, label="measured")
+        axis.plot(simulated, 1000 * getattr(comparison.simulated, values), color=_SIMULATED, label="simulated")
+        axis.plot(time, 1000 * getattr(comparison.measured, values), color=INK, label="measured")
         axis.set(ylabel=f"{values} [mm]")
         axis.grid(True, color=FAINT)
     heights.set(xlabel="time since the gait is steady [s]")
@@ -91,13 +102,16 @@ def _path(of: RunComparison) -> tuple[Figure, str]:
     return figure, "The root's position along the tank and over the waterline."
 
 
-def _joints(of: RunComparison) -> tuple[Figure, str]:
+def _joints(comparison: RunComparison) -> tuple[Figure, str]:
     """Draw the angles of the joints over a few periods of the gait."""
-    joints, frequency = of.kit.timeline.joints, of.kit.frequency
+    joints, frequency = comparison.kit.timeline.joints, comparison.kit.frequency
     figure = Figure(figsize=(FIGURE_WIDTH, 1.0 + 1.6 * len(joints)), layout="constrained")
     every = figure.subplots(len(joints), sharex=True, squeeze=False)[:, 0]
     for column, (axes, joint) in enumerate(zip(every, joints, strict=True)):
-        for run, color, name in ((of.simulated, _SIMULATED, "simulated"), (of.measured, INK, "measured")):
+        for run, color, name in (
+            (comparison.simulated, _SIMULATED, "simulated"),
+            (comparison.measured, INK, "measured"),
+        ):
             turns = run.time * frequency
             shown = (turns >= (first := np.ceil(turns[0]))) & (turns <= first + _PERIODS)
             style = "." if name == "measured" else "-"

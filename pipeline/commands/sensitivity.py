@@ -223,12 +223,12 @@ def _run(
                 choice.instead,
                 choice.setting,
                 *choice.concerns,
-                of.settings.name,
-                of.digest(),
-                of.displacement(choice.concerns),
+                variant.settings.name,
+                variant.digest(),
+                variant.displacement(choice.concerns),
                 base.displacement(choice.concerns),
             )
-            for choice, of in zip(plan.choices, of_variants, strict=True)
+            for choice, variant in zip(plan.choices, of_variants, strict=True)
         ),
     )
 
@@ -288,7 +288,11 @@ def _studies(
                 expected_seconds=functools.partial(expected_seconds, settings),
             )
             found = upstream.items()
-            failed = [f"{name}: {of.label}: {why}" for name, results in found for of, why in results.failed.items()]
+            failed = [
+                f"{name}: {identity.label}: {why}"
+                for name, results in found
+                for identity, why in results.failed.items()
+            ]
             if failed:
                 to_stderr("\n".join([f"{len(failed)} chains of {settings.name} failed; the rest is done:", *failed]))
                 raise typer.Exit(INCOMPLETE)

@@ -123,8 +123,10 @@ def run_stages(
         for line in headline_lines(settings, upstream, store, how_to_run=options.named(settings.name).command):
             to_stdout(line)
     found = upstream.items()
-    failed = [f"{name}: {of.label}: {why}" for name, results in found for of, why in results.failed.items()]
-    diverged = [f"{name}: {of.label}: {what}" for name, results in found for of, what in results.diverged.items()]
+    failed = [f"{name}: {identity.label}: {why}" for name, results in found for identity, why in results.failed.items()]
+    diverged = [
+        f"{name}: {identity.label}: {what}" for name, results in found for identity, what in results.diverged.items()
+    ]
     if failed:
         to_stderr("\n".join([f"{len(failed)} chains of work failed; the rest is done:", *failed]))
     if diverged:

@@ -46,10 +46,13 @@ def list_studies(store: Store) -> Iterator[ListedStudy]:
         except PuddleError as problem:
             yield ListedStudy(name, problem=str(problem))
             continue
-        changes = {of: differences(_unnamed(preset), _unnamed(record.settings)) for of, preset in presets.items()}
+        changes = {
+            preset_name: differences(_unnamed(preset), _unnamed(record.settings))
+            for preset_name, preset in presets.items()
+        }
         preset = preset_of(record.source)
         if preset not in changes:
-            preset = min(changes, key=lambda of: len(changes[of]))
+            preset = min(changes, key=lambda preset_name: len(changes[preset_name]))
         page = store.export_path(name) / "index.html"
         changed = (store.study_path(name) / "study.json").stat().st_mtime
         yield ListedStudy(

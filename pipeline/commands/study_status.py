@@ -116,7 +116,7 @@ def study_status(settings: Settings, store: Store, record: StudyRecord | None, *
     for stage in STAGES:
         chains, found = stage.plan(settings), upstream[stage.name]
         beyond = {one.identity: _unreached(store, stage.name, one, found, recorded) for one in chains}
-        done = {of: {*range(found.n_done.get(of, 0)), *manifests} for of, manifests in beyond.items()}
+        done = {identity: {*range(found.n_done.get(identity, 0)), *manifests} for identity, manifests in beyond.items()}
         n_done, n_items = sum(map(len, done.values())), sum(chain.n_items for chain in chains)
         unreached = [manifest for manifests in beyond.values() for manifest in manifests.values()]
         n_unreached += len(unreached)

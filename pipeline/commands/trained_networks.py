@@ -53,4 +53,6 @@ def trained_networks(
         inputs = environments.ensemble_inputs(settings, data_set, upstream)
         if throws:
             inputs |= throws_inputs(upstream["collect"], data_set)
-        return {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()}
+        return {
+            name: {file: store.read(source.manifest, file) for file in source.files} for name, source in inputs.items()
+        }

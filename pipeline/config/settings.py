@@ -125,7 +125,7 @@ class EvolutionSettings(Parameters):
         if self.objective_depths is None:
             return self
         if not OBJECTIVES[self.objective].over_depths:
-            over = " or ".join(name for name, of in OBJECTIVES.items() if of.over_depths)
+            over = " or ".join(name for name, objective in OBJECTIVES.items() if objective.over_depths)
             raise ValueError(
                 f"objective_depths are given, but objective is {self.objective}, which is measured at the depth of the "
                 f"trial: expected objective {over}, or objective_depths to be null"

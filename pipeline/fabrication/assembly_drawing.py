@@ -144,12 +144,12 @@ def _labelled(sheet: Axes, kit: Kit, put: Any, scale: float) -> Labels:
         labels.keep_off(arc.buffer(0.4))
     for name, rod in rods.items():
         sheet.add_patch(Circle(rod, max(kit.settings.rod_mm / 2 * scale, 0.5), fc="white", ec=INK, zorder=6))
-        labels.put(name, around(rod, (3.6, 5.0, 8.0, 12.0)), of=rod, fontsize=5.5)
+        labels.put(name, around(rod, (3.6, 5.0, 8.0, 12.0)), target=rod, fontsize=5.5)
     for servo_joint, joint in zip(kit.servo_joints, joints, strict=True):
         reach = max(servo_joint.recess_radius_mm * scale, 3.0) + 6.0
         places = around(joint, (reach, reach + 4, reach + 9, reach + 15))
         name = f"joint {servo_joint.joint.link}"
-        labels.put(name, places, of=joint, color=_RED, weight="bold", fontsize=7.0)
+        labels.put(name, places, target=joint, color=_RED, weight="bold", fontsize=7.0)
     for body in range(len(kit.profiles)):
         inside = [tuple(place) for place in put(_inside(kit, body))]
         labels.put(f"part {body + 1}", inside, weight="bold", fontsize=7.0)

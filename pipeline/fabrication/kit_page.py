@@ -88,11 +88,11 @@ def render_kit(
 def verdict(findings: Sequence[KitFinding]) -> str:
     """Say whether a kit should be built, and how many faults and warnings it has."""
     counts = {kind: sum(finding.severity == kind for finding in findings) for kind in ("fault", "warning")}
-    of = {kind: f"{n} {kind}{'s' * (n > 1)}" for kind, n in counts.items()}
+    counted = {kind: f"{n} {kind}{'s' * (n > 1)}" for kind, n in counts.items()}
     if counts["fault"]:
-        return f"Do not build this kit: {of['fault']}{' and ' + of['warning'] if counts['warning'] else ''}."
+        return f"Do not build this kit: {counted['fault']}{' and ' + counted['warning'] if counts['warning'] else ''}."
     if counts["warning"]:
-        return f"No fault, but {of['warning']}: read {'them' if counts['warning'] > 1 else 'it'} before you build."
+        return f"No fault, but {counted['warning']}: read {'them' if counts['warning'] > 1 else 'it'} before you build."
     return "No fault and no warning was found."
 
 

@@ -36,14 +36,14 @@ class Labels:
         self._marks += shapes
 
     def put(
-        self, text: str, places: Iterable[Place], *, of: Place | None = None, rotation: float = 0.0, **style: Any
+        self, text: str, places: Iterable[Place], *, target: Place | None = None, rotation: float = 0.0, **style: Any
     ) -> None:
         """Write a label at the best of some places.
 
         Args:
             text: The label.
             places: Candidates for its middle [mm]; the first of equally good ones is taken.
-            of: Its target; a leader line joins a distant label to it.
+            target: What it labels; a leader line joins a distant label to it.
             rotation: Rotation [°].
             style: Text properties of matplotlib, including fontsize.
         """
@@ -57,8 +57,8 @@ class Labels:
         best = min(costs, key=costs.__getitem__)
         where = affinity.translate(lying, *best)
         self.boxes.append(where)
-        if of is not None:
-            leader = LineString([of, where.boundary.interpolate(where.boundary.project(Point(of)))])
+        if target is not None:
+            leader = LineString([target, where.boundary.interpolate(where.boundary.project(Point(target)))])
             if leader.length > _LEADER_MM:
                 self._sheet.plot(*leader.xy, color=style.get("color", INK), lw=0.35, zorder=8)
                 self._marks.append(leader.buffer(0.3))

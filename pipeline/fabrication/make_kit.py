@@ -111,8 +111,8 @@ def fabricate(
             "depth": source.depth,
             "physics": physics.model_dump(mode="json"),
             "media": {
-                name: of.model_dump(mode="json")
-                for name, of in environments.media_of(source.settings, "true_slush").items()
+                name: medium.model_dump(mode="json")
+                for name, medium in environments.media_of(source.settings, "true_slush").items()
             },
             "rollout": source.settings.rollout.model_dump(mode="json"),
             "predicted": None if source.predicted is None else list(source.predicted),

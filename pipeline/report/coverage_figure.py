@@ -50,7 +50,7 @@ def champion_coverage(report: StudyReport) -> tuple[Figure, str]:
         raise NothingToDraw(report.findings.why("champion_coverage", reason))
     figure = Figure(figsize=(FIGURE_WIDTH, 3.6), layout="constrained")
     axes = figure.add_subplot()
-    trials = {(of.environment, of.depth, of.trial): of for of in report.trials}
+    trials = {(trial.environment, trial.depth, trial.trial): trial for trial in report.trials}
     for environment in dict.fromkeys(environment for environment, _ in found):
         style = ENVIRONMENTS[environment]
         points = [

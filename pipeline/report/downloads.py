@@ -47,10 +47,10 @@ def _scores(report: StudyReport) -> Columns:
     trials = report.trials
     scores = ("predicted", "zero_shot", "zero_shot_com", "adapted", "adapted_com", "predicted_sd", "fitness")
     return {
-        "environment": text([of.environment for of in trials]),
-        "depth": np.array([of.depth for of in trials]),
-        "trial": np.array([of.trial for of in trials]),
-        **{name: np.array([getattr(of, name) for of in trials], dtype=np.float64) for name in scores},
+        "environment": text([trial.environment for trial in trials]),
+        "depth": np.array([trial.depth for trial in trials]),
+        "trial": np.array([trial.trial for trial in trials]),
+        **{name: np.array([getattr(trial, name) for trial in trials], dtype=np.float64) for name in scores},
     }
 
 
@@ -60,13 +60,13 @@ def _by_arm(kind: type[_Row], rows: Mapping[str, Sequence[_Row]]) -> Columns:
 
 
 def _lineage(ancestors: Sequence[Ancestor]) -> Columns:
-    n_changed = [of.n_genes_changed for of in ancestors]
+    n_changed = [ancestor.n_genes_changed for ancestor in ancestors]
     return {
-        "identity": np.array([of.identity for of in ancestors]),
-        "generation": np.array([of.generation for of in ancestors]),
-        "age": np.array([of.age for of in ancestors]),
-        "operator": text([of.operator for of in ancestors]),
-        "parents": text(["/".join(map(str, of.parents)) for of in ancestors]),
-        "fitness": np.array([of.fitness for of in ancestors]),
+        "identity": np.array([ancestor.identity for ancestor in ancestors]),
+        "generation": np.array([ancestor.generation for ancestor in ancestors]),
+        "age": np.array([ancestor.age for ancestor in ancestors]),
+        "operator": text([ancestor.operator for ancestor in ancestors]),
+        "parents": text(["/".join(map(str, ancestor.parents)) for ancestor in ancestors]),
+        "fitness": np.array([ancestor.fitness for ancestor in ancestors]),
         "n_genes_changed": np.array(n_changed, dtype=np.float64),
     }

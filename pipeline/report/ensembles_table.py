@@ -22,6 +22,6 @@ def ensembles_table(findings: Findings) -> str:
 
 def _cells(row: Regression) -> Sequence[str]:
     ensembles = {kind.learns_from: kind for kind in ENVIRONMENTS.values() if kind.networks == "all"}
-    of = ensembles[row.learned_from]
+    ensemble = ensembles[row.learned_from]
     figures = (interval(figure, "{:.2f}") for figure in (row.r, row.slope))
-    return (f"{of.label} <i>{of.symbol}</i>", _AGGREGATES[row.name], *figures)
+    return (f"{ensemble.label} <i>{ensemble.symbol}</i>", _AGGREGATES[row.name], *figures)

@@ -66,7 +66,7 @@ def films(replays: Sequence[Replay], shown: Sequence[Replay]) -> str:
         replays: all replays of the page.
         shown: those to show.
     """
-    return "".join(_film(replay, index) for of in shown for index, replay in enumerate(replays) if replay is of)
+    return "".join(_film(replay, index) for wanted in shown for index, replay in enumerate(replays) if replay is wanted)
 
 
 def gallery(replays: Sequence[Replay], *, reason: str | None = None) -> str:
@@ -134,7 +134,9 @@ of the measurement, after the robot has settled.{notes}</p>"""
 def _choices(replays: Sequence[Replay]) -> str:
     """Lay out the two lists of robots, in groups; the robot for comparison may be the same one elsewhere."""
     # The viewer opens with the subject of the study: a robot evolved with residuals, at the greatest depth.
-    chosen = max(replays, key=lambda of: (of.environment == "residual_slush", of.in_true_slush, of.depth))
+    chosen = max(
+        replays, key=lambda replay: (replay.environment == "residual_slush", replay.in_true_slush, replay.depth)
+    )
     return f"""
 <div class="bar"><label class="grow">Robot <select id="choice">{_options(replays, chosen)}</select></label>
 <label class="grow">Compare with <select id="beside"><option value="">nothing</option>

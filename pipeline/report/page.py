@@ -142,7 +142,8 @@ def _draws(draws: Sequence[Draws]) -> str:
     if not draws:
         return ""
     shares = ", ".join(
-        f"{percent(of.n_rejected / of.n_drawn)} of {of.n_drawn:,} from {escape(of.operator)}" for of in draws
+        f"{percent(total.n_rejected / total.n_drawn)} of {total.n_drawn:,} from {escape(total.operator)}"
+        for total in draws
     )
     return (
         '<p class="small" id="draws">Links that are not joined must not overlap at rest. Designs in which they did '

@@ -30,9 +30,12 @@ _PLURAL: dict[Verdict, str] = {"agrees": "agree", "differs": "differ"}
 def robots_on(report: StudyReport) -> RobotsOnPage:
     """Return the addresses of the champions and exploiters that the viewer shows."""
     shown = {replay.robot for replay in report.replays if replay.robot}
-    who = [(of.environment, of.depth, of.trial, -1) for of in report.trials]
+    who = [(trial.environment, trial.depth, trial.trial, -1) for trial in report.trials]
     who += [(row.environment, row.depth, row.trial, row.identity) for row in report.findings.exploiters]
-    addresses = {(arm_words(of[0], of[1]), of[2], of[3]): robot_address(*of) for of in who}
+    addresses = {
+        (arm_words(environment, depth), trial, identity): robot_address(environment, depth, trial, identity)
+        for environment, depth, trial, identity in who
+    }
     return {key: address for key, address in addresses.items() if address in shown}
 
 
@@ -239,13 +242,13 @@ def retried(findings: Findings, robots: RobotsOnPage) -> str:
     title = "The table of luck and reach"
     rows = [
         [
-            _linked(f"{escape(arm)}, trial {of.trial}", robots, (arm, of.trial, -1)),
-            number(of.luck.claimed),
-            interval(of.luck.loss),
-            number(of.slush.reach),
+            _linked(f"{escape(arm)}, trial {champion.trial}", robots, (arm, champion.trial, -1)),
+            number(champion.luck.claimed),
+            interval(champion.luck.loss),
+            number(champion.slush.reach),
         ]
         for arm, champions in findings.champions.items()
-        for of in champions
+        for champion in champions
     ]
     if not rows:
         return absent(title, findings.why("champions", "no champion has been simulated again yet"))

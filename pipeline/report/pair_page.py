@@ -158,8 +158,10 @@ def _figure(pair: StudyPair) -> str:
 
 def _curves(pair: StudyPair, n_columns: int) -> tuple[Figure, str]:
     """Draw a panel for each arm of the greatest common depth."""
-    evolved = [[trial for trial in of.trials if np.isfinite(trial.curve).any()] for _, of in pair.studies]
-    common = {(of.environment, of.depth) for of in evolved[0]} & {(of.environment, of.depth) for of in evolved[1]}
+    evolved = [[trial for trial in study.trials if np.isfinite(trial.curve).any()] for _, study in pair.studies]
+    common = {(trial.environment, trial.depth) for trial in evolved[0]} & {
+        (trial.environment, trial.depth) for trial in evolved[1]
+    }
     if not common:
         raise NothingToDraw("no arm has fitness curves in both studies")
     depth = max(depth for _, depth in common)
@@ -167,7 +169,7 @@ def _curves(pair: StudyPair, n_columns: int) -> tuple[Figure, str]:
     figure, panels = panel_grid(len(arms), n_columns, row_height=2.9 if len(arms) == 1 else 2.1, share_y=False)
     n_of = []
     for panel, environment in zip(panels, arms, strict=True):
-        groups = [arm(of, environment, depth) for of in evolved]
+        groups = [arm(study_trials, environment, depth) for study_trials in evolved]
         for trials, dashed in zip(groups, (False, True), strict=True):
             draw_curve(panel, trials, ENVIRONMENTS[environment].color, dashed=dashed)
         panel.set_title(ENVIRONMENTS[environment].label)

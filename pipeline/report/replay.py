@@ -60,9 +60,9 @@ class Replay:
         shape = self.frames.shape[:2]
         expected = [(f"overlay {overlay.label!r}", overlay.values, shape) for overlay in self.overlays]
         expected += [] if self.push is None else [("push", self.push, (*shape, 2))]
-        for name, values, of in expected:
-            if values.shape != of:
-                raise ValueError(f"replay {self.title!r}: {name} has shape {values.shape}, expected {of}")
+        for name, values, expected_shape in expected:
+            if values.shape != expected_shape:
+                raise ValueError(f"replay {self.title!r}: {name} has shape {values.shape}, expected {expected_shape}")
 
     @property
     def has_medium(self) -> bool:

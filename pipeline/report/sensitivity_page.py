@@ -207,11 +207,11 @@ def _wrapped(text: str, indent: str = "") -> Iterator[str]:
     yield from textwrap.wrap(text, WIDTH, break_on_hyphens=False, subsequent_indent=indent)
 
 
-def _spread(of: Group) -> str:
-    if of.mean.value is None:
+def _spread(group: Group) -> str:
+    if group.mean.value is None:
         return NONE
-    mean = signed("{:.1f}", of.mean.value)
-    return mean if of.sd is None else f"{mean} ± {of.sd:.1f}"
+    mean = signed("{:.1f}", group.mean.value)
+    return mean if group.sd is None else f"{mean} ± {group.sd:.1f}"
 
 
 def _interval(effect: Effect) -> str:

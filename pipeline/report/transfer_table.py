@@ -17,11 +17,11 @@ def transfer_table(trials: Sequence[TrialResult], findings: Findings) -> str:
     """Tabulate the champions' displacement by depth and environment."""
     if not trials:
         return absent("The transfer table", "no trial has finished yet")
-    of = OBJECTIVES[findings.objective]
+    objective = OBJECTIVES[findings.objective]
     maximised = "μ − kσ"
-    if of.name != PAPERS_OBJECTIVE:
-        maximised += f" of the {escape(findings.selected_for)} [{escape(of.unit)}], the fitness"
-    bodies = "".join(_depth_rows(trials, depth, of) for depth in depths(trials))
+    if objective.name != PAPERS_OBJECTIVE:
+        maximised += f" of the {escape(findings.selected_for)} [{escape(objective.unit)}], the fitness"
+    bodies = "".join(_depth_rows(trials, depth, objective) for depth in depths(trials))
     note = (
         "Displacement [m]: mean over n trials ± 1 SD. The first line of a cell is the displacement of the root link. "
         "CoM is the displacement of the robot’s centre of mass, to which a swing of the root adds little. In an "

@@ -107,7 +107,7 @@ class Study:
             results, chains = self.upstream[stage.name], stage.plan(self.settings)
             labels = {one.label for one in self.record.failed if one.stage == stage.name}
             n_left = {chain.identity: chain.n_items - results.n_done.get(chain.identity, 0) for chain in chains}
-            n_failed = sum(n for of, n in n_left.items() if of.label in labels)
+            n_failed = sum(n for identity, n in n_left.items() if identity.label in labels)
             n_done = sum(chain.n_items for chain in chains) - sum(n_left.values())
             found[stage.name] = StageProgress(n_done, n_failed, sum(n_left.values()) - n_failed)
         return found
@@ -185,7 +185,7 @@ class Study:
 
         rows = self.champions().to_pydict()
         of_trials = zip(rows["environment"], rows["depth"], rows["trial"], strict=True)
-        trials = [TrialId("transfer", *of, self.settings.replicates) for of in of_trials]
+        trials = [TrialId("transfer", *trial, self.settings.replicates) for trial in of_trials]
         predicted, zero_shot, adapted = (
             np.array(rows[name], dtype=np.float64)
             for name in ("predicted", "zero_shot", "adapted")  # null becomes NaN
@@ -233,9 +233,13 @@ class Study:
         if not known:
             arms = ", ".join(self.settings.grid.environments)
             raise PuddleError(f"study {self.name} has no networks: none of {arms} needs them")
-        wanted = [of for of in known if of.group == (throws or known[0].group) and of.replicate == replicate]
+        wanted = [
+            data_set
+            for data_set in known
+            if data_set.group == (throws or known[0].group) and data_set.replicate == replicate
+        ]
         if not wanted:
-            listed = ", ".join(of.words for of in known)
+            listed = ", ".join(data_set.words for data_set in known)
             raise PuddleError(
                 f"study {self.name} has no ensemble of replicate {replicate} of {throws or 'any throws'}: expected one "
                 f"of {listed}"
@@ -243,7 +247,8 @@ class Study:
         with self.store.lock_to_read():
             inputs = environments.ensemble_inputs(self.settings, wanted[0], self.upstream)
             files = {
-                name: {file: self.store.read(of.manifest, file) for file in of.files} for name, of in inputs.items()
+                name: {file: self.store.read(source.manifest, file) for file in source.files}
+                for name, source in inputs.items()
             }
         return environments.ensemble_of(files)
 

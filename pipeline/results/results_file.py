@@ -136,8 +136,14 @@ def _coverage(study: Study, champions: Sequence[Mapping[str, Json]]) -> list[Jso
     }
     found: list[Json] = []
     for low, high in pairwise(_SHARES_OUTSIDE):
-        rows = [of for of in champions if low <= outside.get(tuple(of[key] for key in trial), np.nan) < high]
-        both = [(of["predicted"], of["zero_shot"]) for of in rows if None not in (of["predicted"], of["zero_shot"])]
+        rows = [
+            champion
+            for champion in champions
+            if low <= outside.get(tuple(champion[key] for key in trial), np.nan) < high
+        ]
+        both = [
+            (row["predicted"], row["zero_shot"]) for row in rows if None not in (row["predicted"], row["zero_shot"])
+        ]
         if both:
             predicted, zero_shot = np.array(both, dtype=np.float64).mean(axis=0).tolist()
             found.append(
@@ -159,5 +165,5 @@ def _rounded(value: Json) -> Json:
 
 def _digest(study: Study, stage: str) -> str:
     done = study.upstream[stage].done
-    digests = [part.digest for of in sorted(done, key=lambda of: of.label) for part in done[of]]
+    digests = [part.digest for identity in sorted(done, key=lambda identity: identity.label) for part in done[identity]]
     return hashlib.sha256("".join(digests).encode()).hexdigest()

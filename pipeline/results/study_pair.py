@@ -25,8 +25,8 @@ def pair_of(a: Study, b: Study) -> StudyPair:
     changes = _changes(a, b)
     _check_grids(a, b)
     trials = [_trials(study) for study in (a, b)]
-    for study, of in zip((a, b), trials, strict=True):
-        if not of:
+    for study, results in zip((a, b), trials, strict=True):
+        if not results:
             raise PuddleError(
                 f"study {study.name} has no champions: no trial has been transferred to True Slush yet, or every "
                 f"design diverged"
@@ -42,11 +42,11 @@ def pair_of(a: Study, b: Study) -> StudyPair:
         ComparedStudy(
             study.name,
             "" if same_store else str(study.store.root),
-            of,
+            results,
             study.settings.evolution.objective,
             study.settings.selected_for,
         )
-        for study, of in zip((a, b), trials, strict=True)
+        for study, results in zip((a, b), trials, strict=True)
     )
     return StudyPair(first, second, changes, differences, dict(provenance()))
 
@@ -79,10 +79,13 @@ def _check_grids(a: Study, b: Study) -> None:
     depths = [study.settings.grid.depths for study in (a, b)]
     common = set(depths[0]) & set(depths[1])
     if not common:
-        listed = [", ".join(f"{depth:g}" for depth in of) for of in depths]
+        listed = [", ".join(f"{depth:g}" for depth in study_depths) for study_depths in depths]
         name, what = "grid.depths", f"{listed[0]} m in study {a.name} and {listed[1]} m in study {b.name}"
     else:
-        listed = [", ".join(sorted({environment for environment, depth in of if depth in common})) for of in arms]
+        listed = [
+            ", ".join(sorted({environment for environment, depth in study_arms if depth in common}))
+            for study_arms in arms
+        ]
         name, what = "grid.environments", f"{listed[0]} in study {a.name} and {listed[1]} in study {b.name}"
     raise PuddleError(f"{name}: expected some in common, got {what}")
 
@@ -93,8 +96,8 @@ def _trials(study: Study) -> list[TrialResult]:
     curves: dict[tuple[str, float, int], list[float]] = {}
     if champions and "fitness_curves" in study.tables:
         table = study.table("fitness_curves").select(["environment", "depth", "trial", "best_fitness"])
-        for *of, best in zip(*table.to_pydict().values(), strict=True):
-            curves.setdefault((of[0], of[1], of[2]), []).append(best)
+        for environment, depth, trial, best in zip(*table.to_pydict().values(), strict=True):
+            curves.setdefault((environment, depth, trial), []).append(best)
     return [
         TrialResult(
             row["environment"],

@@ -71,7 +71,7 @@ def suggested_throws(study: Study, n: int, throws: str | None = None, limits: Th
     with study.store.lock_to_read():
         chunks = throws_inputs(study.upstream["collect"], data_set)
         transitions = read_transitions(
-            [{TRANSITIONS: study.store.read(of.manifest, TRANSITIONS)} for of in chunks.values()]
+            [{TRANSITIONS: study.store.read(chunk.manifest, TRANSITIONS)} for chunk in chunks.values()]
         )
         (pilots,) = study.upstream["pilot"].chain(PilotId(data_set))
         states = decode_table(study.store.read(pilots, STATES), schema="states", version=1, source=STATES)
@@ -153,4 +153,4 @@ def _rows(starts: Starts, bench: TankScale) -> list[tuple[float, ...]]:
     _, y, angle, vx, vy, omega = starts.state.astype(np.float64).T
     columns = (bench.scale * y, np.degrees(angle), bench.speed * vx, bench.speed * vy, omega / bench.time)
     lengths = (bench.scale * starts.length_scale).tolist()
-    return list(zip(lengths, *(of.tolist() for of in columns), strict=True))
+    return list(zip(lengths, *(column.tolist() for column in columns), strict=True))

@@ -214,7 +214,7 @@ def _networks(settings: Settings, upstream: Upstream, spec: specs.AnalysisSpec) 
             networks = environments.networks_inputs(settings, spec.trials, upstream)
             used = list(dict.fromkeys(data_set_of(trial, main.group) for trial in spec.trials))
         throws = [throws_inputs(upstream["collect"], data_set) for data_set in used]
-        return {of: given for inputs in (networks, *throws) for of, given in inputs.items()}, ""
+        return {name: given for inputs in (networks, *throws) for name, given in inputs.items()}, ""
     except MissingInputs as missing:
         return {}, str(missing)
 

@@ -145,10 +145,12 @@ def _history(parts: Sequence[Files]) -> Columns:
 
 def assessed_among(inputs: Inputs, group: str | None = None) -> list[Files]:
     """Select the inputs that are trials' predictions by ensembles of one group of throws, or of the first of them."""
-    shares = {of.chain: files for of, files in inputs.items() if of.role == ASSESSED}
-    groups = [of.data_set.group for of in shares if isinstance(of, AssessmentId)]
+    shares = {name.chain: files for name, files in inputs.items() if name.role == ASSESSED}
+    groups = [chain.data_set.group for chain in shares if isinstance(chain, AssessmentId)]
     chosen = group or next(iter(groups), None)
-    return [files for of, files in shares.items() if isinstance(of, AssessmentId) and of.data_set.group == chosen]
+    return [
+        files for chain, files in shares.items() if isinstance(chain, AssessmentId) and chain.data_set.group == chosen
+    ]
 
 
 def read_predictions(files: Sequence[Files]) -> Columns:

@@ -149,7 +149,9 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     lines, metrics = list[str](), dict[str, float]()
     for data_set in data_sets(settings):
         done = {
-            of: parts[0] for of, parts in results.done.items() if isinstance(of, ChunkId) and of.data_set == data_set
+            chunk: parts[0]
+            for chunk, parts in results.done.items()
+            if isinstance(chunk, ChunkId) and chunk.data_set == data_set
         }
         if not done:
             continue

@@ -133,7 +133,9 @@ def main_data_set_among(inputs: Inputs) -> DataSetId:
 def ensemble_among(inputs: Inputs, data_set: DataSetId) -> dict[InputName, Files]:
     """Select the members of one ensemble, in its order."""
     members = members_among(inputs).items()
-    return {of: files for of, files in members if isinstance(of.chain, NetworkId) and of.chain.data_set == data_set}
+    return {
+        name: files for name, files in members if isinstance(name.chain, NetworkId) and name.chain.data_set == data_set
+    }
 
 
 def home_networks_among(inputs: Inputs, trial: TrialId) -> dict[InputName, Files]:
@@ -158,7 +160,7 @@ def home_inputs(settings: Settings, trial: TrialId, upstream: Upstream) -> dict[
     Raises:
         MissingInputs: a network is not trained.
     """
-    return {InputName(MEMBER, of): _weights(of, upstream) for of in networks_of(settings, trial)}
+    return {InputName(MEMBER, network): _weights(network, upstream) for network in networks_of(settings, trial)}
 
 
 def ensemble_inputs(settings: Settings, data_set: DataSetId, upstream: Upstream) -> dict[InputName, Input]:
@@ -172,7 +174,7 @@ def ensemble_inputs(settings: Settings, data_set: DataSetId, upstream: Upstream)
     Raises:
         MissingInputs: a network is not trained.
     """
-    return {InputName(MEMBER, of): _weights(of, upstream) for of in ensemble_ids(settings, data_set)}
+    return {InputName(MEMBER, network): _weights(network, upstream) for network in ensemble_ids(settings, data_set)}
 
 
 def networks_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
@@ -188,10 +190,15 @@ def networks_inputs(settings: Settings, trials: Sequence[TrialId], upstream: Ups
     """
     main, inputs = main_data_set(settings).group, dict[InputName, Input]()
     served = dict.fromkeys(data_set_of(trial, main) for trial in trials)
-    for data_set in [of for of in data_sets(settings) if of in served]:
-        inputs |= ensemble_inputs(settings, data_set, upstream)
+    for data_set in data_sets(settings):
+        if data_set in served:
+            inputs |= ensemble_inputs(settings, data_set, upstream)
     own = dict.fromkeys(network for trial in trials for network in networks_of(settings, trial))
-    return inputs | {InputName(SINGLE, of): _weights(of, upstream) for of in own if InputName(MEMBER, of) not in inputs}
+    return inputs | {
+        InputName(SINGLE, network): _weights(network, upstream)
+        for network in own
+        if InputName(MEMBER, network) not in inputs
+    }
 
 
 def _weights(network: NetworkId, upstream: Upstream) -> Input:

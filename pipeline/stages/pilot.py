@@ -79,7 +79,7 @@ def _plan(settings: Settings) -> Sequence[Chain[PilotSpec]]:
         for data_set in data_sets(settings)
     }
     weight = environments.relative_cost(settings, "residual_slush")
-    return [Chain(PilotId(of), (1,), spec, weight=weight) for of, spec in specs.items()]
+    return [Chain(PilotId(data_set), (1,), spec, weight=weight) for data_set, spec in specs.items()]
 
 
 def _item(
@@ -147,25 +147,25 @@ def read_coverage(files: Files) -> dict[EnvironmentName, list[CoverageRow]]:
 
 def pilots_inputs(upstream: Upstream) -> dict[InputName, Input]:
     """Return the coverage of every data set whose pilots are done as inputs."""
-    return {InputName(PILOTED, of): Input(part, (COVERAGE,)) for of, (part,) in upstream["pilot"].done.items()}
+    return {InputName(PILOTED, pilot): Input(part, (COVERAGE,)) for pilot, (part,) in upstream["pilot"].done.items()}
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Say how much of what pilots do is outside the throws, and warn where it is too much."""
     lines, metrics = list[str](), dict[str, float]()
-    for of, (part,) in results.done.items():
+    for pilot, (part,) in results.done.items():
         for seen_in, rows in read_coverage({COVERAGE: store.read(part, COVERAGE)}).items():
             whole = next(row for row in rows if row.component == EVERYTHING)
             worst = max((row for row in rows if row.component != EVERYTHING), key=lambda row: row.share_outside)
             warned = seen_in == "residual_slush" and whole.share_outside > settings.pilot.most_outside
             prefix = "warning: " if warned else ""
             lines.append(
-                f"{prefix}{of.label}: {whole.share_outside:.0%} of the states of {_WORDS[seen_in]} are outside"
+                f"{prefix}{pilot.label}: {whole.share_outside:.0%} of the states of {_WORDS[seen_in]} are outside"
             )
             lines.append(f"    the throws, most by {worst.component} of {worst.low:z.1f} to {worst.high:z.1f}")
             if warned:
                 lines[-1] += ": predictions are extrapolated there"
-            metrics[f"share_outside.{of.label.replace('/', '.')}.{seen_in}"] = whole.share_outside
+            metrics[f"share_outside.{pilot.label.replace('/', '.')}.{seen_in}"] = whole.share_outside
     return Summary(lines=lines or ["no trial needs residual networks"], metrics=metrics)
 
 

@@ -96,10 +96,10 @@ def _plan(settings: Settings) -> Sequence[Chain[Settings | FilmsSpec]]:
     pictures = measured_seconds * FILM_FPS
     deepest = max(settings.grid.depths)
 
-    def films(identity: PartId, of: Sequence[TrialId], n_films: int) -> Chain[Settings | FilmsSpec]:
+    def films(identity: PartId, filmed: Sequence[TrialId], n_films: int) -> Chain[Settings | FilmsSpec]:
         listing = identity.label.replace("/", "-").replace(".", "_") + ".json"
-        simulation = environments.simulation_spec(settings, "true_slush", *(trial.environment for trial in of))
-        spec = FilmsSpec(simulation, tuple(of), identity.arm is None, listing)
+        simulation = environments.simulation_spec(settings, "true_slush", *(trial.environment for trial in filmed))
+        spec = FilmsSpec(simulation, tuple(filmed), identity.arm is None, listing)
         return Chain(identity, (n_films * pictures,), spec)
 
     whole = settings.model_copy(update={"work": WorkSettings()})
@@ -121,8 +121,8 @@ def _item(
         return Item(REPORT.name, REPORT.version, chain.label, chain.spec, inputs, execution)
     inputs = _film_inputs(settings, trials_of(settings, "transfer"), upstream)
     trained = upstream["train"].done
-    members = [of for of in _main_members(settings) if of in trained]
-    inputs |= {InputName(TRAINED, of): Input(trained[of][0], (MEMBER_ERRORS,)) for of in members}
+    members = [member for member in _main_members(settings) if member in trained]
+    inputs |= {InputName(TRAINED, member): Input(trained[member][0], (MEMBER_ERRORS,)) for member in members}
     for trial, evolved in upstream["evolve"].done.items():
         for number, segment in enumerate(evolved):
             inputs[InputName(EVOLUTION, trial, number)] = Input(segment, (segments.CURVE,))
@@ -131,8 +131,8 @@ def _item(
             inputs[InputName(ADAPTATION, trial, number)] = Input(segment, (segments.CURVE,))
     for trial, (share,) in upstream["assess"].done.items():
         inputs[InputName(ASSESSED, trial)] = Input(share, (PREDICTIONS,))
-    for of, (analysis,) in upstream["analyse"].done.items():
-        inputs[InputName(ANALYSED, of)] = Input(analysis, tuple(analysis.files))
+    for identity, (analysis,) in upstream["analyse"].done.items():
+        inputs[InputName(ANALYSED, identity)] = Input(analysis, tuple(analysis.files))
     inputs |= pilots_inputs(upstream) if "pilot" in upstream else {}
     if settings.needs_ensemble:
         with suppress(MissingInputs):  # the figure of the data set then gives a reason
@@ -140,15 +140,15 @@ def _item(
     if (family := _family_trial(settings, upstream["evolve"].done)) is not None:
         for number, segment in enumerate(upstream["evolve"].done[family]):
             inputs[InputName(HISTORIES, family, number)] = Input(segment, (segments.HISTORY,))
-    lost = [(f"{name}: {of.label} ", why) for name in upstream for of, why in upstream[name].failed.items()]
+    lost = [(f"{name}: {identity.label} ", why) for name in upstream for identity, why in upstream[name].failed.items()]
     spec = PageItemSpec(
         chain.spec,
         failed=tuple(what + why for what, why in lost if not why.startswith(NOT_POSSIBLE)),
         not_possible=tuple(what + why for what, why in lost if why.startswith(NOT_POSSIBLE)),
         digests=tuple(
-            (name, of.label, manifests[-1].digest)
+            (name, identity.label, manifests[-1].digest)
             for name in upstream
-            for of, manifests in upstream[name].done.items()
+            for identity, manifests in upstream[name].done.items()
             if name in REPORT.reads(settings)
         ),
         made_with=dict(provenance()),
@@ -172,7 +172,7 @@ def _family_trial(settings: Settings, evolved: Container[object]) -> TrialId | N
     """Return the trial whose champion's family is shown: the first that is done where residuals matter most."""
     trials = trials_of(settings, "evolve")
     done = [trial for trial in trials if trial in evolved]
-    return min(done, key=lambda of: (of.environment != "residual_slush", -of.depth, of.index), default=None)
+    return min(done, key=lambda trial: (trial.environment != "residual_slush", -trial.depth, trial.index), default=None)
 
 
 def _compute(job: Job[PageItemSpec | FilmsSpec], inputs: Inputs) -> Files:
@@ -262,7 +262,9 @@ def read_report(settings: Settings, upstream: Upstream, store: Store) -> StudyRe
     page = next(chain for chain in _plan(settings) if chain.identity == _PAGE_ID)
     item = _item(settings, page, 0, None, upstream)
     assert isinstance(item.spec, PageItemSpec)
-    inputs = {name: {file: store.read(of.manifest, file) for file in of.files} for name, of in item.inputs.items()}
+    inputs = {
+        name: {file: store.read(source.manifest, file) for file in source.files} for name, source in item.inputs.items()
+    }
     return _report(item.spec, inputs, [])
 
 
@@ -272,7 +274,7 @@ def _curves(role: str, inputs: Inputs) -> dict[ChainId, Columns]:
     for name, files in inputs.items():
         if name.role == role and name.chain:
             parts.setdefault(name.chain, {})[name.label] = files[segments.CURVE]
-    return {trial: segments.join_curves(of) for trial, of in parts.items()}
+    return {trial: segments.join_curves(curves) for trial, curves in parts.items()}
 
 
 def _trial_result(trial: TrialId, inputs: Inputs, evolved: Mapping[ChainId, Columns]) -> TrialResult | None:
@@ -301,7 +303,7 @@ def _draws(curves: Collection[Columns]) -> list[Draws]:
         )
         for operator in OPERATORS
     ]
-    return [of for of in totals if of.n_rejected]
+    return [total for total in totals if total.n_rejected]
 
 
 def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Columns]) -> list[str]:
@@ -316,9 +318,9 @@ def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Colu
             scores = decode_json(scored[SCORE], label)
             found.append((f"transfer: {label}", divergence.in_transfer(scores, adapted.get(trial))))
         for group in settings.throw_groups:
-            of = AssessmentId(trial.in_stage("assess"), DataSetId(group, trial.replicate))
-            if (share := inputs.get(InputName(ASSESSED, of))) is not None:
-                found.append((f"assess: {of.label}", divergence.in_assessment(read_predictions([share]))))
+            assessment = AssessmentId(trial.in_stage("assess"), DataSetId(group, trial.replicate))
+            if (share := inputs.get(InputName(ASSESSED, assessment))) is not None:
+                found.append((f"assess: {assessment.label}", divergence.in_assessment(read_predictions([share]))))
     return [f"{where}: {what}" for where, what in found if what is not None]
 
 

@@ -153,11 +153,11 @@ def _throws(chunks: Sequence[Files], settings: Settings) -> ThrowPaths | None:
 
 def _coverage(inputs: Inputs) -> dict[str, dict[EnvironmentName, list[CoverageRow]]]:
     """Return the coverage of the first replicate of each data set."""
-    pilots = {of.chain: files for of, files in inputs.items() if of.role == PILOTED}
+    pilots = {name.chain: files for name, files in inputs.items() if name.role == PILOTED}
     return {
-        of.data_set.words: read_coverage(files)
-        for of, files in pilots.items()
-        if isinstance(of, PilotId) and of.data_set.replicate == 0
+        pilot.data_set.words: read_coverage(files)
+        for pilot, files in pilots.items()
+        if isinstance(pilot, PilotId) and pilot.data_set.replicate == 0
     }
 
 

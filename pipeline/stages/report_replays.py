@@ -156,12 +156,12 @@ def _overlays(simulation: SimulationSpec, film: Filmed, instruments: Files) -> t
     }:
         return ()
     links = read_table(instruments, "links")
-    of = links["seen_in"] == film.seen_in
+    rows = links["seen_in"] == film.seen_in
     n_links = int(links["link"].max()) + 1
     return tuple(
-        Overlay(label, unit, at_frames(links[column][of].reshape(-1, n_links), simulation.rollout.n_settle), least)
+        Overlay(label, unit, at_frames(links[column][rows].reshape(-1, n_links), simulation.rollout.n_settle), least)
         for column, label, unit, least in _OVERLAYS
-        if np.isfinite(links[column][of]).any()
+        if np.isfinite(links[column][rows]).any()
     )
 
 

@@ -43,11 +43,13 @@ def in_true_slush(simulation: SimulationSpec, execution: Execution, arm: Sequenc
         execution: the engine.
         arm: champions of one arm.
     """
-    ranked = sorted((of for of in arm if np.isfinite(of.zero_shot)), key=lambda of: -of.zero_shot)
+    ranked = sorted(
+        (champion for champion in arm if np.isfinite(champion.zero_shot)), key=lambda champion: -champion.zero_shot
+    )
     if not ranked:
         return []
     environment = environments.true_slush(simulation.media, ranked[0].trial.depth)
-    designs = concatenate([of.design for of in ranked])
+    designs = concatenate([champion.design for champion in ranked])
     rollouts = environments.roll_out(simulation, execution, environment, designs, trace=True)
     assert rollouts.trace is not None
     return [

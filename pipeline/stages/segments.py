@@ -140,9 +140,12 @@ def compute_segments(jobs: Sequence[Job[SegmentSpec]], inputs: Sequence[Inputs])
         ValueError: the trials differ in more than their identities.
     """
     spec, execution = jobs[0].spec, jobs[0].execution
-    if any(_common(job, of, spec) != _common(jobs[0], inputs[0], spec) for job, of in zip(jobs, inputs, strict=True)):
+    if any(
+        _common(job, job_inputs, spec) != _common(jobs[0], inputs[0], spec)
+        for job, job_inputs in zip(jobs, inputs, strict=True)
+    ):
         raise ValueError(f"a batch of trials, from {spec.trial.identity.label} on, differs in more than identities")
-    trials = [_trial(job.spec.trial, of) for job, of in zip(jobs, inputs, strict=True)]
+    trials = [_trial(job.spec.trial, job_inputs) for job, job_inputs in zip(jobs, inputs, strict=True)]
     environment = spec.trial.at_home(inputs[0])
     unit = OBJECTIVES[spec.trial.objective].unit
     of_history = {**_HISTORY_UNITS, "fitness": unit}

@@ -120,7 +120,7 @@ def read_tracks(inputs: Inputs) -> ReadTracks:
     ((name, content),) = inputs[TRACKED].items()
     columns = read_track_columns(content, name)
     of_bars: Files = inputs.get(BARS, {})
-    bars = [bars_of(read_track_columns(data, of), of) for of, data in of_bars.items()]
+    bars = [bars_of(read_track_columns(data, file), file) for file, data in of_bars.items()]
     return ReadTracks(name, track_table(columns, name), bars[0] if bars else bars_of(columns, name))
 
 

@@ -129,7 +129,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     ]
     members = {data_set: ensemble_ids(settings, data_set) for data_set in data_sets(settings)}
     models = {
-        data_set: _ensemble(settings, data_set, [of for of in trials if of.chain in own], results, store)
+        data_set: _ensemble(settings, data_set, [trial for trial in trials if trial.chain in own], results, store)
         for data_set, own in members.items()
         if all(member in results.done for member in own)
     }
@@ -163,7 +163,7 @@ def _ensemble(
         "-".join((settings.name, *data_set.parts, "ensemble")),
         digest(canonical_json(listed)),
         params={"n_members": len(weights), **params},
-        metrics={name: float(np.mean([of.metrics[name] for of in trials])) for name in trials[0].metrics},
+        metrics={name: float(np.mean([trial.metrics[name] for trial in trials])) for name in trials[0].metrics},
         artifacts={**weights, "ensemble.json": encode_json({**params, "sha256": listed})},
     )
 

@@ -102,8 +102,8 @@ def _compute_batch(jobs: Sequence[Job[TransferSpec]], inputs: Sequence[Inputs]) 
     if adaptations:
         return segments.compute_segments(adaptations, inputs)
     return [
-        _score(job.spec, job.execution, of)
-        for job, of in zip(jobs, inputs, strict=True)
+        _score(job.spec, job.execution, job_inputs)
+        for job, job_inputs in zip(jobs, inputs, strict=True)
         if isinstance(job.spec, ScoreSpec)
     ]
 
@@ -150,7 +150,8 @@ def scores_inputs(trials: Sequence[TrialId], upstream: Upstream) -> dict[InputNa
     done = upstream["transfer"].done
     scored = {InputName(SCORED, trial): done[trial][-1] for trial in trials if trial in done}
     return {
-        name: Input(of, tuple(file for file in (SCORE, CHAMPION) if file in of.files)) for name, of in scored.items()
+        name: Input(manifest, tuple(file for file in (SCORE, CHAMPION) if file in manifest.files))
+        for name, manifest in scored.items()
     }
 
 

@@ -24,12 +24,12 @@ def columns_of(kind: type[Row], rows: Sequence[Row]) -> Columns:
     Fields are numbers, flags, texts, tuples of texts, tuples of equally many numbers, or dataclasses of these.
     """
     columns: Columns = {}
-    for field, of in _typed_fields(kind):
+    for field, field_type in _typed_fields(kind):
         values = [getattr(row, field.name) for row in rows]
-        if _is_nested(of):
-            columns |= {_column_name(field, name): column for name, column in columns_of(of, values).items()}
+        if _is_nested(field_type):
+            columns |= {_column_name(field, name): column for name, column in columns_of(field_type, values).items()}
         else:
-            columns[field.name] = _column(of, values)
+            columns[field.name] = _column(field_type, values)
     return columns
 
 
@@ -39,12 +39,12 @@ def rows_of(kind: type[Row], columns: Mapping[str, npt.NDArray[Any]]) -> list[Ro
     The inverse is exact, except where a field that may be None holds NaN or an empty text: both become None.
     """
     made: list[list[Any]] = []
-    for field, of in _typed_fields(kind):
-        if _is_nested(of):
-            inner = {name: columns[_column_name(field, name)] for name in columns_of(of, ())}
-            made.append(rows_of(of, inner))
+    for field, field_type in _typed_fields(kind):
+        if _is_nested(field_type):
+            inner = {name: columns[_column_name(field, name)] for name in columns_of(field_type, ())}
+            made.append(rows_of(field_type, inner))
         else:
-            made.append([_value(of, value) for value in columns[field.name].tolist()])
+            made.append([_value(field_type, value) for value in columns[field.name].tolist()])
     return [kind(*row) for row in zip(*made, strict=True)]
 
 
@@ -53,8 +53,8 @@ def _typed_fields(kind: type) -> Iterator[tuple[Field[Any], Any]]:
     return ((field, types[field.name]) for field in fields(kind))
 
 
-def _is_nested(of: Any) -> bool:  # not a TypeGuard, as is_dataclass is
-    return is_dataclass(of)
+def _is_nested(field_type: Any) -> bool:  # not a TypeGuard, as is_dataclass is
+    return is_dataclass(field_type)
 
 
 def _column_name(field: Field[Any], name: str) -> str:
@@ -63,11 +63,11 @@ def _column_name(field: Field[Any], name: str) -> str:
     return f"{field.name}_{name}" if field.metadata.get("prefix", True) else name
 
 
-def _column(of: Any, values: Sequence[Any]) -> npt.NDArray[Any]:
-    choices = {of, *get_args(of)}
-    if get_origin(of) is tuple and Ellipsis in choices:  # Parquet needs a width, even where there are no rows
+def _column(field_type: Any, values: Sequence[Any]) -> npt.NDArray[Any]:
+    choices = {field_type, *get_args(field_type)}
+    if get_origin(field_type) is tuple and Ellipsis in choices:  # Parquet needs a width, even where there are no rows
         return np.array(values or np.empty((0, 1)), dtype=np.float64 if float in choices else np.int64)
-    if get_origin(of) is tuple:
+    if get_origin(field_type) is tuple:
         return text(["/".join(value) for value in values])
     if float in choices:
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
@@ -76,11 +76,11 @@ def _column(of: Any, values: Sequence[Any]) -> npt.NDArray[Any]:
     return text(["" if value is None else value for value in values])
 
 
-def _value(of: Any, value: Any) -> Any:
-    if get_origin(of) is tuple:
+def _value(field_type: Any, value: Any) -> Any:
+    if get_origin(field_type) is tuple:
         return tuple(value if isinstance(value, list) else value.split("/"))
     missing = value == "" or value != value
-    return None if missing and type(None) in get_args(of) else value
+    return None if missing and type(None) in get_args(field_type) else value
 
 
 def text(values: Sequence[str]) -> npt.NDArray[np.str_]:
@@ -93,7 +93,9 @@ def csv_of(columns: Mapping[str, npt.NDArray[Any]]) -> bytes:
     flat: dict[str, list[Any]] = {}
     for name, column in columns.items():
         parts = {name: column} if column.ndim == 1 else {f"{name}_{i}": part for i, part in enumerate(column.T)}
-        flat |= {part: [None if value != value else value for value in of.tolist()] for part, of in parts.items()}
+        flat |= {
+            part: [None if value != value else value for value in values.tolist()] for part, values in parts.items()
+        }
     sheet = io.StringIO()
     writer = csv.writer(sheet, lineterminator="\n")
     writer.writerow(flat)

@@ -48,7 +48,7 @@ def _of_parquet(content: bytes, name: str) -> dict[str, Float64]:
         raise PuddleError(f"{name}: cannot be read as Parquet: {error}. Expected CSV or Parquet") from None
     known = [column for column in table.column_names if column in _KNOWN]
     try:
-        return {of: table[of].cast(pa.float64()).to_numpy() for of in known}
+        return {column: table[column].cast(pa.float64()).to_numpy() for column in known}
     except pa.ArrowException as error:
         raise PuddleError(f"{name}: expected numbers in {', '.join(known)}: {error}") from None
 
@@ -61,19 +61,19 @@ def _of_csv(content: bytes, name: str) -> dict[str, Float64]:
         lines = list(csv.reader(io.StringIO(content.decode("utf-8-sig"))))
     except (UnicodeDecodeError, csv.Error) as error:
         raise PuddleError(f"{name}: cannot be read: {error}. Expected CSV (UTF-8) or Parquet") from None
-    heading = [of.strip() for of in lines[0]] if lines else []
-    if repeated := sorted({of for of in heading if of in _KNOWN and heading.count(of) > 1}):
+    heading = [cell.strip() for cell in lines[0]] if lines else []
+    if repeated := sorted({column for column in heading if column in _KNOWN and heading.count(column) > 1}):
         raise PuddleError(f"{name}, line 1: the column {repeated[0]} appears twice, expected each once")
-    at = {of: heading.index(of) for of in _KNOWN if of in heading}
+    at = {column: heading.index(column) for column in _KNOWN if column in heading}
     rows = [(number, line) for number, line in enumerate(lines[1:], 2) if any(cell.strip() for cell in line)]
-    columns = {of: np.empty(len(rows)) for of in at}
+    columns = {column: np.empty(len(rows)) for column in at}
     for row, (number, line) in enumerate(rows):
         if len(line) != len(heading):
             raise PuddleError(
                 f"{name}, line {number}: expected {len(heading)} cells as in the first line, got {len(line)}"
             )
-        for of, column in at.items():
-            columns[of][row] = _number(line[column], f"{name}, line {number}: {of}")
+        for column, index in at.items():
+            columns[column][row] = _number(line[index], f"{name}, line {number}: {column}")
     return columns
 
 
@@ -91,20 +91,20 @@ def track_table(columns: TrackColumns, name: str) -> TrackTable:
         PuddleError: a column is missing.
     """
     _require(columns, TRACK_COLUMNS, name)
-    stated = [of for of in DEVIATION_COLUMNS if of in columns]
+    stated = [column for column in DEVIATION_COLUMNS if column in columns]
     if stated and len(stated) < len(DEVIATION_COLUMNS):
-        missing = [of for of in DEVIATION_COLUMNS if of not in columns]
+        missing = [column for column in DEVIATION_COLUMNS if column not in columns]
         raise PuddleError(f"{name}: has {', '.join(stated)} but no {', '.join(missing)}: expected all three or none")
     return TrackTable(
         _throws(columns["throw"], name),
-        *(columns[of] for of in TRACK_COLUMNS[1:]),
-        *(columns.get(of) for of in DEVIATION_COLUMNS),
+        *(columns[column] for column in TRACK_COLUMNS[1:]),
+        *(columns.get(column) for column in DEVIATION_COLUMNS),
     )
 
 
 def has_bars(columns: TrackColumns) -> bool:
     """Return whether a tracks file states the bars in its rows."""
-    return all(of in columns for of in BAR_COLUMNS)
+    return all(column in columns for column in BAR_COLUMNS)
 
 
 def bars_of(columns: TrackColumns, name: str) -> Bars:
@@ -117,20 +117,20 @@ def bars_of(columns: TrackColumns, name: str) -> Bars:
     throw = _throws(columns["throw"], name)
     numbers, first = np.unique(throw, return_index=True)
     bar_of_row = first[np.searchsorted(numbers, throw)]
-    for of in BAR_COLUMNS:
-        differs = np.flatnonzero(columns[of] != columns[of][bar_of_row])
-        differs = differs[np.isfinite(columns[of][differs])]
+    for column in BAR_COLUMNS:
+        differs = np.flatnonzero(columns[column] != columns[column][bar_of_row])
+        differs = differs[np.isfinite(columns[column][differs])]
         if len(differs):
             row = differs[0]
             raise PuddleError(
-                f"{name}: throw {throw[row]}: {of} is {columns[of][row]:g} and {columns[of][bar_of_row[row]]:g}: "
-                f"expected one bar for each throw"
+                f"{name}: throw {throw[row]}: {column} is {columns[column][row]:g} and "
+                f"{columns[column][bar_of_row[row]]:g}: expected one bar for each throw"
             )
-    return Bars(numbers, *(columns[of][first] for of in BAR_COLUMNS))
+    return Bars(numbers, *(columns[column][first] for column in BAR_COLUMNS))
 
 
 def _require(columns: TrackColumns, names: Sequence[str], name: str) -> None:
-    if missing := [of for of in names if of not in columns]:
+    if missing := [column for column in names if column not in columns]:
         raise PuddleError(
             f"{name}: expected the columns {', '.join(names)}, got none named {', '.join(missing)}: name the columns so"
         )

@@ -18,26 +18,26 @@ _WATER, _OUTLINES = (200, 120, 30), ((60, 60, 230), (40, 160, 40), (200, 60, 160
 _TRAIL = 40  # frames of the path that are drawn behind a bar
 
 
-def write_check_film(path: Path, of: VideoTracks) -> None:
+def write_check_film(path: Path, video: VideoTracks) -> None:
     """Write the film of a video as MP4."""
     import cv2
 
-    plane = of.plane
-    shrink = min(1.0, _WIDTH / of.size[0])
-    size = tuple(round(side * shrink / 2) * 2 for side in of.size)
-    edges = plane.metres(np.array([[0.0, 0.0], [0.0, of.size[1]], [of.size[0], 0.0], of.size]))[:, 0]
+    plane = video.plane
+    shrink = min(1.0, _WIDTH / video.size[0])
+    size = tuple(round(side * shrink / 2) * 2 for side in video.size)
+    edges = plane.metres(np.array([[0.0, 0.0], [0.0, video.size[1]], [video.size[0], 0.0], video.size]))[:, 0]
     water = np.column_stack((np.linspace(edges.min(), edges.max(), 100), np.zeros(100)))
-    rows = [{int(frame): i for i, frame in enumerate(track.frame)} for track in of.tracks]
+    rows = [{int(frame): i for i, frame in enumerate(track.frame)} for track in video.tracks]
 
     def line(picture: Picture, points: Float64, colour: tuple[int, ...], *, closed: bool, width: int = 1) -> None:
         at = np.round(plane.pixels(points) * shrink * 16).astype(np.int32)
         cv2.polylines(picture, [at], closed, colour, width, cv2.LINE_AA, 4)
 
-    with film(path, width=size[0], height=size[1], rate=of.rate) as add:
-        for frame in frames(of.path, colour=True):
+    with film(path, width=size[0], height=size[1], rate=video.rate) as add:
+        for frame in frames(video.path, colour=True):
             picture = cv2.resize(frame.picture, size, interpolation=cv2.INTER_AREA)
             line(picture, water, _WATER, closed=False)
-            for track, row in zip(of.tracks, rows, strict=True):
+            for track, row in zip(video.tracks, rows, strict=True):
                 if frame.index not in row:
                     continue
                 at, colour = row[frame.index], _OUTLINES[track.throw % len(_OUTLINES)]

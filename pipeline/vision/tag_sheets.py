@@ -50,7 +50,7 @@ def tag_sheets(markers: Markers, names: Sequence[str]) -> dict[str, bytes]:
     Raises:
         PuddleError: a number is not in the dictionary, or a label does not fit on the page.
     """
-    of = markers.dictionary
+    dictionary = markers.dictionary
     faces = []
     for bar, name in zip(markers.bars, names, strict=True):
         width, height = 1000 * bar.width, 1000 * bar.length
@@ -58,16 +58,19 @@ def tag_sheets(markers: Markers, names: Sequence[str]) -> dict[str, bytes]:
         for tag in bar.tags:
             size = 1000 * tag.size
             left, top = width / 2 + 1000 * tag.across - size / 2, height / 2 - 1000 * tag.along - size / 2
-            black += _squares(modules(of, tag.number), left, top, size)
+            black += _squares(modules(dictionary, tag.number), left, top, size)
         numbers = ", ".join(str(tag.number) for tag in bar.tags)
         faces.append(Label(f"{name}: {numbers}", width, height, tuple(black)))
     tank = [tag.number for tag in markers.tank.corners] + list(markers.tank.waterline_tags or ())
-    single = [_label(of, f"tank {n}", n, 1000 * markers.tank.tag_size, _TANK_BORDER) for n in tank]
+    single = [_label(dictionary, f"tank {n}", n, 1000 * markers.tank.tag_size, _TANK_BORDER) for n in tank]
     for link, bar in enumerate(markers.robot.bars()):
         number = bar.tags[0].number
-        single.append(_label(of, f"link {link}: {number}", number, 1000 * markers.robot.tag_size, _ROBOT_BORDER))
+        single.append(
+            _label(dictionary, f"link {link}: {number}", number, 1000 * markers.robot.tag_size, _ROBOT_BORDER)
+        )
     board = markers.board
-    n_px = 8 * (of_board := charuco_board(board, of)).getDictionary().markerSize  # per square, more than it has modules
+    of_board = charuco_board(board, dictionary)
+    n_px = 8 * of_board.getDictionary().markerSize  # per square, more than it has modules
     picture = of_board.generateImage((board.columns * n_px * 3, board.rows * n_px * 3), marginSize=0)
     upright = np.rot90(picture) == 0
     side = 1000 * board.square / (n_px * 3)
@@ -86,10 +89,10 @@ def tag_sheets(markers: Markers, names: Sequence[str]) -> dict[str, bytes]:
     return files
 
 
-def _label(of: Dictionary, text: str, number: int, size: float, border: float) -> Label:
+def _label(dictionary: Dictionary, text: str, number: int, size: float, border: float) -> Label:
     side = size * border
     at = (side - size) / 2
-    return Label(text, side, side, tuple(_squares(modules(of, number), at, at, size)))
+    return Label(text, side, side, tuple(_squares(modules(dictionary, number), at, at, size)))
 
 
 def _squares(black: Bools, left: float, top: float, size: float) -> list[Rectangle]:
@@ -115,7 +118,7 @@ def _runs(black: Bools, left: float, top: float, side: float) -> list[Rectangle]
 def _packed(labels: Sequence[Label]) -> list[_Page]:
     """Lay labels out in rows from the upper left, on as many pages as they need."""
     pages, x, y, deepest = [_Page()], _MARGIN_MM, _MARGIN_MM, 0.0
-    for label in sorted(labels, key=lambda of: -of.height):
+    for label in sorted(labels, key=lambda label: -label.height):
         width, height = label.width, label.height + _TEXT_MM + _GAP_MM
         if width > _PAGE_MM[0] - 2 * _MARGIN_MM or height > _PAGE_MM[1] - 2 * _MARGIN_MM:
             raise PuddleError(

@@ -57,7 +57,7 @@ class Detector:
             if number not in self.numbers:
                 continue
             if number in found:
-                at = " and ".join("({:.0f}, {:.0f})".format(*of.mean(axis=0)) for of in (found[number], four[0]))
+                at = " and ".join("({:.0f}, {:.0f})".format(*seen.mean(axis=0)) for seen in (found[number], four[0]))
                 raise PuddleError(
                     f"{where}: tag {number} is seen twice, at {at} px: expected every tag once. Remove the second one "
                     f"from the picture, or give it another number in the markers file."

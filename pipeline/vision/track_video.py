@@ -99,11 +99,11 @@ def track_videos(videos: Sequence[Path], markers: Markers, out: Path, options: T
         temporary = [path.with_name(f".{path.name}.new.mp4") for path in films]
         for path in temporary:
             unwanted.callback(path.unlink, missing_ok=True)
-        for of, path in zip(tracked, temporary, strict=True):
-            write_check_film(path, of)
+        for video, path in zip(tracked, temporary, strict=True):
+            write_check_film(path, video)
         for path, final in zip(temporary, films, strict=True):
             path.replace(final)
-        every = [track for of in tracked for track in of.tracks]
+        every = [track for video in tracked for track in video.tracks]
         disk.place(out, csv_of(tracks_table(every)))
         written = [out, *films]
         if not options.robot:
@@ -144,10 +144,10 @@ def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> t
                 f"{path}: its pictures have {film} px, those of {options.lens_video} {board}: film the board with the "
                 f"same camera, zoom and size as the throws"
             )
-        first = sum(len(of.tracks) for of in tracked)
+        first = sum(len(video.tracks) for video in tracked)
         tracked.append(_tracked(sightings, markers, lens, options, first))
         lines += tracked[-1].lines
-    if not any(of.tracks for of in tracked):
+    if not any(video.tracks for video in tracked):
         what = "link of a robot" if options.robot else "throw"
         advice = (
             f"Its tags have the numbers from {markers.robot.first} on, see `robot` in the markers file."
@@ -162,18 +162,20 @@ def follow(videos: Sequence[Path], markers: Markers, options: TrackOptions) -> t
 
 def tracks_table(tracks: Sequence[Track]) -> Columns:
     """Lay out tracks as the columns of a tracks file."""
-    pose, deviation = (np.concatenate([getattr(of, name) for of in tracks]) for name in ("pose", "deviation"))
+    pose, deviation = (np.concatenate([getattr(track, name) for track in tracks]) for name in ("pose", "deviation"))
     columns: Columns = {
-        "throw": np.concatenate([np.full(len(of.time), of.throw) for of in tracks]),
-        "time": np.concatenate([of.time for of in tracks]).round(7),
+        "throw": np.concatenate([np.full(len(track.time), track.throw) for track in tracks]),
+        "time": np.concatenate([track.time for track in tracks]).round(7),
     }
     columns |= {name: pose[:, i].round(8) for i, name in enumerate(("x", "y", "angle"))}
     return columns | {f"{name}_sd": deviation[:, i].round(8) for i, name in enumerate(("x", "y", "angle"))}
 
 
 def _bars_table(tracks: Sequence[Track]) -> Columns:
-    columns: Columns = {"throw": np.array([of.throw for of in tracks])}
-    return columns | {name: np.array([getattr(of.bar, name) for of in tracks]) for name in ("length", "width", "mass")}
+    columns: Columns = {"throw": np.array([track.throw for track in tracks])}
+    return columns | {
+        name: np.array([getattr(track.bar, name) for track in tracks]) for name in ("length", "width", "mass")
+    }
 
 
 def _sightings(path: Path, markers: Markers, slowdown: float) -> _Sightings:
@@ -203,7 +205,7 @@ def _tracked(
     n_dropped = int(np.maximum(np.round(np.diff(time) / interval) - 1, 0).sum())
     bars = markers.robot.bars() if options.robot else markers.bars
     fits = [_fits(sightings, plane, bar) for bar in bars]
-    found = [fit for of in fits for fit in of if fit is not None]
+    found = [fit for of_bar in fits for fit in of_bar if fit is not None]
     typical, noise = 0.0, np.zeros(0)
     if found:
         typical, noise = corner_noise(np.array([fit.chi2 for fit in found]), np.array([fit.freedom for fit in found]))
@@ -247,13 +249,13 @@ def _lines(
     robot: bool,
 ) -> list[str]:
     name = sightings.path.name
-    seen, lost = sum(len(of.time) for of in tracks), sum(of.n_lost for of in tracks)
+    seen, lost = sum(len(track.time) for track in tracks), sum(track.n_lost for track in tracks)
     lines = [
         f"{name}: {len(sightings.time)} frames, {1 / interval:.1f} per second, {n_dropped} dropped by the camera; the "
         f"tank's tags fit to {misfit:.2f} px"
     ]
     if tracks:
-        x, _, angle = np.median(np.concatenate([of.deviation for of in tracks]), axis=0)
+        x, _, angle = np.median(np.concatenate([track.deviation for track in tracks]), axis=0)
         what = f"{len(tracks)} links" if robot else f"{len(tracks)} throws"
         lines.append(
             f"{name}: {what}, lost in {lost} of {seen + lost} frames ({lost / (seen + lost):.1%}); corners to "
@@ -329,7 +331,7 @@ def _over_water(plane: SeenPlane, sightings: _Sightings, markers: Markers) -> tu
         to_water[1, 2] = -float(tank.waterline or 0.0)
     else:
         pixels = [_still(sightings, TankTag(number=n, x=0, y=0)) for n in tank.waterline_tags]
-        left, right = (plane.metres(of).mean(axis=0) for of in pixels)
+        left, right = (plane.metres(tag_pixels).mean(axis=0) for tag_pixels in pixels)
         if right[0] <= left[0]:
             raise PuddleError(
                 f"{sightings.path}: waterline_tags: expected the left tag first, got {tank.waterline_tags}"

@@ -252,7 +252,7 @@ def _compute_items(
     """
     start = time.perf_counter()
     left = iter(contents)
-    inputs = [dict(zip(of, itertools.islice(left, len(of)), strict=True)) for of in names]
+    inputs = [dict(zip(item_names, itertools.islice(left, len(item_names)), strict=True)) for item_names in names]
     if len(jobs) == 1 or compute_batch is None:
         return [compute(jobs[0], inputs[0])], time.perf_counter() - start
     return compute_batch(jobs, inputs), time.perf_counter() - start

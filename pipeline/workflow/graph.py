@@ -130,10 +130,10 @@ def results_of(stage: AnyStage, chains: Sequence[ChainProgress]) -> Results:
     by_id = {progress.chain.identity: progress for progress in chains}
     return Results(
         stage=stage.name,
-        done={identity: tuple(of.manifests) for identity, of in by_id.items() if of.finished},
-        failed={identity: of.failed for identity, of in by_id.items() if of.failed is not None},
-        unfinished=tuple(identity for identity, of in by_id.items() if of.open),
-        n_done={identity: len(of.manifests) for identity, of in by_id.items()},
+        done={identity: tuple(progress.manifests) for identity, progress in by_id.items() if progress.finished},
+        failed={identity: progress.failed for identity, progress in by_id.items() if progress.failed is not None},
+        unfinished=tuple(identity for identity, progress in by_id.items() if progress.open),
+        n_done={identity: len(progress.manifests) for identity, progress in by_id.items()},
         seconds=sum(float(m.record.get("seconds", 0.0)) for progress in chains for m in progress.manifests),
         n_other_code=sum(is_of_other_code(m, stage) for progress in chains for m in progress.manifests),
     )

@@ -25,9 +25,13 @@ def to_json(specification: object) -> Any:
 def _with_fields(value: object) -> Any:
     """Convert dataclasses to dictionaries, without the fields that are to be omitted."""
     if is_dataclass(value) and not isinstance(value, type):
-        named = [(of, getattr(value, of.name)) for of in fields(value)]
-        shown = [(of, inner) for of, inner in named if of.metadata != OMIT_DEFAULT or inner != of.default]
-        return {of.name: _with_fields(inner) for of, inner in shown}
+        named = [(attribute, getattr(value, attribute.name)) for attribute in fields(value)]
+        shown = [
+            (attribute, inner)
+            for attribute, inner in named
+            if attribute.metadata != OMIT_DEFAULT or inner != attribute.default
+        ]
+        return {attribute.name: _with_fields(inner) for attribute, inner in shown}
     if isinstance(value, Mapping):
         return {name: _with_fields(inner) for name, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -172,11 +172,12 @@ def _papers_trials(n: int, *samples: NestedSample) -> float:
 
 def _aggregate_row(accuracy: Sequence[Regression], predictor: str, figure: Figure, stated: float, source: str) -> Row:
     what = f"{_FIGURE[figure]} of the members' {predictor}, at {DEPTH:g} m"
-    of = next((row for row in accuracy if row.name == predictor), None)
-    if of is None:
+    regression = next((row for row in accuracy if row.name == predictor), None)
+    if regression is None:
         return Row(what, f"{stated:z.2f}", source, "-", "not comparable", "accuracy was not assessed")
-    found: Estimate = getattr(of, figure)
-    n, n_paper = of.n_resampled, N_ASSESSED / of.n_replicates  # of N replicates, the mean has at least 1/N the variance
+    found: Estimate = getattr(regression, figure)
+    n = regression.n_resampled
+    n_paper = N_ASSESSED / regression.n_replicates  # of N replicates, the mean has at least 1/N the variance
     return _number_row(what, stated, "{:z.2f}", source, found, NEGLIGIBLE_FIGURE[figure], n, n_paper)
 
 
@@ -285,11 +286,15 @@ def _deviations_ratio(corrections: tuple[float, float], single: Float64, ensembl
 def _statement_rows(scores: Scores) -> list[Row]:
     """Judge all statements by Holm's step-down procedure."""
     stated = [(statement, depth) for statement in STATEMENTS for depth in statement.depths]
-    n_comparable = sum(_test_of(scores, *of)[1].low is not None for of in stated)
+    n_comparable = sum(_test_of(scores, statement, depth)[1].low is not None for statement, depth in stated)
     decided: dict[int, Row] = {}
     while True:
         level = 1 - (1 - LEVEL) / max(n_comparable - len(decided), 1)
-        judged = {i: _statement_row(scores, *of, level) for i, of in enumerate(stated) if i not in decided}
+        judged = {
+            i: _statement_row(scores, statement, depth, level)
+            for i, (statement, depth) in enumerate(stated)
+            if i not in decided
+        }
         found = {i: row for i, row in judged.items() if row.verdict in ("agrees", "differs")}
         decided |= found
         if not found or len(found) == len(judged):

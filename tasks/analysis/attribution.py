@@ -136,13 +136,13 @@ def _undone(
     if arm == "dry_land":
         return Estimate.missing("it is the reference")
     groups = {"zero-shot": zero_shot, "True Slush": best, "Dry Land zero-shot": dry_land}
-    lacking = [name for name, of in groups.items() if len(of.values) == 0]
+    lacking = [name for name, sample in groups.items() if len(sample.values) == 0]
     if lacking:
         return Estimate.missing("no finite score of: " + ", ".join(lacking))
     if nested(*groups.values()):
         none, less = best.scaled(0), dry_land.scaled(-1)
         return ratio_of_sums((zero_shot, zero_shot.scaled(0)), (none, best), (less, less), undefined=_NO_GAP)
-    columns = (of.values[:, None] for of in groups.values())
+    columns = (sample.values[:, None] for sample in groups.values())
     return bootstrap(_share_of_gap, *columns, rng=rng, undefined=_NO_GAP)[0]
 
 

@@ -65,7 +65,7 @@ def joint_angles(design: Designs, joints: tuple[int, ...], angle: Mapping[int, F
     """
     body, rest = _bodies(design), rest_pose(design)[2][0]
 
-    def of(link: int) -> Float64:
+    def link_angle(link: int) -> Float64:
         known = [other for other in angle if body[other] == body[link]]
         if not known:
             same = " or ".join(str(other) for other in range(N_LINKS) if body[other] == body[link])
@@ -74,7 +74,7 @@ def joint_angles(design: Designs, joints: tuple[int, ...], angle: Mapping[int, F
         return np.asarray(angle[other] - rest[other] + rest[link])
 
     parent = design.parent[0]
-    turned = [of(j) - of(int(parent[j])) - design.rest_angle[0, j] for j in joints]
+    turned = [link_angle(j) - link_angle(int(parent[j])) - design.rest_angle[0, j] for j in joints]
     return np.asarray((np.stack(turned, axis=1) + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -126,7 +126,7 @@ def check_frequency(time: Float64, angle: Float64, frequency: float) -> None:
     """
     variance = np.maximum(angle.var(axis=0), 1e-12)
     left = [
-        np.average([fit_gait(time, of, frequency * share).left for of in angle.T], weights=variance)
+        np.average([fit_gait(time, joint_angle, frequency * share).left for joint_angle in angle.T], weights=variance)
         for share in _FREQUENCIES
     ]
     if min(left) > 1 - _LEAST_SWING:
@@ -158,11 +158,11 @@ def start_of_run(time: Float64, angle: Float64, commanded_time: Float64, command
     Raises:
         RunError: the joints do not follow the timeline.
     """
-    reached, asked = (np.ptp(np.quantile(of, (0.02, 0.98), axis=0), axis=0) for of in (angle, commanded))
+    reached, asked = (np.ptp(np.quantile(angles, (0.02, 0.98), axis=0), axis=0) for angles in (angle, commanded))
     scaled = commanded * (reached / np.maximum(asked, 1e-9))
 
     def misfit(start: float) -> float:
-        columns = [np.interp(time - start, commanded_time, of, left=0.0, right=0.0) for of in scaled.T]
+        columns = [np.interp(time - start, commanded_time, column, left=0.0, right=0.0) for column in scaled.T]
         return float(np.square(angle - np.stack(columns, axis=1)).mean())
 
     coarse = np.arange(time[0] - commanded_time[-1], time[-1], 0.04)

@@ -168,7 +168,7 @@ def _estimates(
         return np.where(is_r, np.arctanh(np.clip(figures, -_HIGHEST_R, _HIGHEST_R)), figures)
 
     found = of_means(on_fishers_scale, units.rows, units.replicate, undefined=undefined)
-    return tuple(_from_fishers_scale(of) if r else of for of, r in zip(found, is_r, strict=True))
+    return tuple(_from_fishers_scale(estimate) if r else estimate for estimate, r in zip(found, is_r, strict=True))
 
 
 def _from_fishers_scale(found: Estimate) -> Estimate:
@@ -299,7 +299,7 @@ def members_ranges(
 
     def ends(means: Float64) -> Float64:
         figures = lines(means)[..., (0, 2)]  # (..., n_members, 2): slope and R
-        return np.concatenate([of(figures, axis=-2) for of in (np.min, np.median, np.max)], axis=-1)
+        return np.concatenate([statistic(figures, axis=-2) for statistic in (np.min, np.median, np.max)], axis=-1)
 
     found = _estimates(ends, units, np.arange(6) % 2 == 1, rng)
     return {"slope": MembersRange(len(fit), *found[0::2]), "r": MembersRange(len(fit), *found[1::2])}

@@ -164,7 +164,7 @@ def ratio_of_sums(*groups: tuple[NestedSample, NestedSample], undefined: str) ->
         return whole
     if whole.value <= RESOLUTION:
         return Estimate.missing(undefined)
-    value = float(sum(of.values.mean() for of in above)) / whole.value
+    value = float(sum(sample.values.mean() for sample in above)) / whole.value
     if whole.low is not None and whole.low <= 0:
         return Estimate(value, reason=f"no interval, since within that of the reference {undefined}")
     error = sum_of_means(*linearised(*groups))
@@ -216,6 +216,6 @@ def terms_of_ratio(part: NestedSample, whole: NestedSample) -> tuple[tuple[Neste
 
 def linearised(*groups: tuple[NestedSample, NestedSample]) -> list[NestedSample]:
     """Return for each group of a ratio the values whose sum of means has the ratio's error, and is 0."""
-    ratio, below = (float(sum(of[i].values.mean() for of in groups)) for i in (0, 1))
+    ratio, below = (float(sum(group[i].values.mean() for group in groups)) for i in (0, 1))
     ratio /= below
-    return [replace(of, values=(of.values - ratio * under.values) / below) for of, under in groups]
+    return [replace(over, values=(over.values - ratio * under.values) / below) for over, under in groups]

@@ -74,12 +74,12 @@ def _differences(a: Scores, b: Scores) -> Iterator[StudyDifference]:
             for quantity in quantities:
                 if (evolved_in, quantity) == _AT_HOME:
                     continue
-                if all(len(finite(of.values(evolved_in, quantity, depth))) for of in (a, b)):
+                if all(len(finite(scores.values(evolved_in, quantity, depth))) for scores in (a, b)):
                     yield _difference(a, b, evolved_in, quantity, depth)
 
 
 def _difference(a: Scores, b: Scores, evolved_in: EvolvedIn, quantity: Quantity, depth: float) -> StudyDifference:
-    samples = [of.sample(evolved_in, quantity, depth) for of in (a, b)]
+    samples = [scores.sample(evolved_in, quantity, depth) for scores in (a, b)]
     x, y = (sample.values for sample in samples)
     gap, g, test = nested_difference(*samples, equal_variances=False), hedges_g(x, y), clustered(*samples)
     if _n_same(a, b, evolved_in, quantity, depth) == (n_least := min(len(x), len(y))):
@@ -91,7 +91,8 @@ def _difference(a: Scores, b: Scores, evolved_in: EvolvedIn, quantity: Quantity,
     n = 2 / (1 / len(x) + 1 / len(y))
     judged = judge_equivalence(gap, bound, n=n, form=_METRES)
     of_a, of_b = (
-        group(of.values(evolved_in, quantity, depth), of.replicate[of.rows(evolved_in, depth)]) for of in (a, b)
+        group(scores.values(evolved_in, quantity, depth), scores.replicate[scores.rows(evolved_in, depth)])
+        for scores in (a, b)
     )
     return StudyDifference(evolved_in, depth, quantity, of_a, of_b, gap, g, test, None, bound, judged)
 
@@ -99,7 +100,7 @@ def _difference(a: Scores, b: Scores, evolved_in: EvolvedIn, quantity: Quantity,
 def _n_same(a: Scores, b: Scores, evolved_in: EvolvedIn, quantity: Quantity, depth: float) -> int:
     """Count the trials with exactly the same value in both studies; robots that do not move at all are not counted."""
     of_a, of_b = (
-        dict(zip(of.trial[of.rows(evolved_in, depth)], of.values(evolved_in, quantity, depth), strict=True))
-        for of in (a, b)
+        dict(zip(scores.trial[scores.rows(evolved_in, depth)], scores.values(evolved_in, quantity, depth), strict=True))
+        for scores in (a, b)
     )
     return sum(of_b.get(trial) == value and abs(value) > RESOLUTION for trial, value in of_a.items())

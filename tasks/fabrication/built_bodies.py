@@ -164,8 +164,8 @@ def mechanism_of(design: Designs, settings: KitSettings) -> Mechanism:
             )
         )
     bodies = tuple(
-        RigidPart(index, tuple(of), depth[index], unary_union([links[link] for link in of]))
-        for index, of in enumerate(members)
+        RigidPart(index, tuple(body_links), depth[index], unary_union([links[link] for link in body_links]))
+        for index, body_links in enumerate(members)
     )
     return Mechanism(
         links=tuple(links),

@@ -54,7 +54,7 @@ def observe(quantities: Mapping[str, Floats], inputs: Sequence[Observed] = OBSER
 def _input(quantities: Mapping[str, Floats], name: Observed) -> Float32:
     """Compute one input in float32, with the roundings of the kernel in tasks/simulation/networks/coupled.py."""
     is_magnitude, fields = INPUTS[name]
-    of = [np.asarray(quantities[field]).astype(np.float32) for field in fields]
+    values = [np.asarray(quantities[field]).astype(np.float32) for field in fields]
     if not is_magnitude:
-        return of[0]
-    return np.abs(of[0]) if len(of) == 1 else np.sqrt(of[0] * of[0] + of[1] * of[1])
+        return values[0]
+    return np.abs(values[0]) if len(values) == 1 else np.sqrt(values[0] * values[0] + values[1] * values[1])

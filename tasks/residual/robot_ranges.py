@@ -53,7 +53,7 @@ def robot_ranges(physics: Physics) -> RobotRanges:
     assert rollouts.trace is not None
     _, _, _, vx, vy, omega = np.moveaxis(rollouts.trace[:, _N_SETTLE:].astype(np.float64), -1, 0)
     speed, spin = np.hypot(vx, vy), np.abs(omega)
-    max_velocity, max_omega = (float(np.quantile(of[np.isfinite(of)], QUANTILE)) for of in (speed, spin))
+    max_velocity, max_omega = (float(np.quantile(values[np.isfinite(values)], QUANTILE)) for values in (speed, spin))
     length = next(gene for gene in GENES if gene.name == "length_scale")
     return RobotRanges(
         length_scale=(length.low, length.high),

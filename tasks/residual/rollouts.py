@@ -126,7 +126,7 @@ class _Windows:
 
     def __init__(self, paths: SeenPaths, parts: Sequence[tuple[int, int, int]], model: MediumModel, dt: float) -> None:
         """Select frames: the throw, its first frame and their number for each window."""
-        throw, first, number = (np.array(of, dtype=np.int64) for of in zip(*parts, strict=True))
+        throw, first, number = (np.array(column, dtype=np.int64) for column in zip(*parts, strict=True))
         frame = first[:, None] + np.minimum(np.arange(number.max()), number[:, None] - 1)
         at = throw[:, None], frame
         interval = np.diff(paths.time, axis=1)[paths.seen[:, 1:]]
@@ -250,7 +250,7 @@ def _fit_steps(model: MediumModel, transitions: MeasuredTransitions, n_iteration
     update = weight_updates(parameters, weight_decay=0.01)
     for iteration in range(n_iterations):
         rows = torch.randint(len(residual), (_FIRST_BATCH,))
-        predicted = model(*(of[rows] for of in inputs))
+        predicted = model(*(values[rows] for values in inputs))
         loss = (weights[rows] * ((predicted - residual[rows]) / model.residual_deviation).square()).mean()
         _descend(loss, parameters)
         update(_FIRST_RATE * 0.01 ** (iteration / n_iterations))
@@ -326,16 +326,18 @@ def follow(model: MediumModel, paths: SeenPaths, times: Float64, physics: Physic
         windows.estimate_starts(model, physics.gravity, n_sweeps=15)
         since = paths.time[windows.throw, windows.first][:, None]
         at_frames, at_times = (
-            torch.from_numpy(np.maximum((of[windows.throw] - since) / dt, 0.0)) for of in (paths.time, times)
+            torch.from_numpy(np.maximum((time[windows.throw] - since) / dt, 0.0)) for time in (paths.time, times)
         )
         n_steps = max(_n_steps(at_frames), _n_steps(at_times))
         poses, velocities = _rollout(model, windows.length_scale, windows.start, n_steps, dt, physics.gravity)
-        rolled_out = [_at(of, at).numpy() for of, at in ((poses, at_frames), (poses, at_times), (velocities, at_times))]
+        rolled_out = [
+            _at(series, at).numpy() for series, at in ((poses, at_frames), (poses, at_times), (velocities, at_times))
+        ]
     found = np.empty_like(paths.pose), np.empty((*times.shape, 3)), np.empty((*times.shape, 3))
     for row, (throw, first, _) in enumerate(sections):  # each until the next one of the throw begins
         begin = paths.time[throw, first]
-        for whole, of, at in zip(found, rolled_out, (paths.time, times, times), strict=True):
-            whole[throw, at[throw] >= begin] = of[row, at[throw] >= begin]
-    if not all(np.isfinite(of).all() for of in found):
+        for whole, series, at in zip(found, rolled_out, (paths.time, times, times), strict=True):
+            whole[throw, at[throw] >= begin] = series[row, at[throw] >= begin]
+    if not all(np.isfinite(array).all() for array in found):
         raise TrainingDiverged("the model of the medium diverged: check the tracks, or set tracks.fit to steps")
     return found

@@ -136,13 +136,13 @@ class Transitions:
 
     def __getitem__(self, rows: Bools) -> Self:
         """Select transitions by a mask."""
-        return type(self)(**{name: of[rows] for name, of in self.columns().items()})
+        return type(self)(**{name: column[rows] for name, column in self.columns().items()})
 
     @staticmethod
     def concatenate(chunks: Sequence[Transitions]) -> Transitions:
         """Concatenate chunks in the given order."""
         columns = [chunk.columns() for chunk in chunks]
-        return type(chunks[0])(**{name: np.concatenate([of[name] for of in columns]) for name in columns[0]})
+        return type(chunks[0])(**{name: np.concatenate([part[name] for part in columns]) for name in columns[0]})
 
 
 @dataclass(frozen=True, eq=False)

@@ -192,8 +192,8 @@ def memory(transitions: MeasuredTransitions, time_step: float, frame_interval: f
     residual = transitions.residual[rows, 3:5].astype(np.float64) / time_step
     slopes, weights = [], []
     for centre in range(0, len(rows), max(len(rows) // 2000, 1)):
-        of = near[centre]
-        centred = [part[of] - part[of].mean(axis=0) for part in (features, before, residual)]
+        neighbours = near[centre]
+        centred = [part[neighbours] - part[neighbours].mean(axis=0) for part in (features, before, residual)]
         explained, *_ = np.linalg.lstsq(centred[0][:, 3:], np.hstack(centred[1:]), rcond=None)
         left = np.hstack(centred[1:]) - centred[0][:, 3:] @ explained
         slopes.append(np.sum(left[:, :2] * left[:, 2:]))

@@ -100,7 +100,7 @@ def residual_transitions(
         smoothed, in_range = _rolled_out(paths, long_axes, turned.any, transitions, time, physics, n_iterations)
         transitions = _transitions(paths, long_axes, smoothed, physics, usable & in_range)
     typical = np.median(transitions.residual_sd[:, 3:], axis=0)
-    where = [_where(paths, *of) for of in ((turned.left, 0), (turned.right, 0), (turned.floor, 1))]
+    where = [_where(paths, frames, axis) for frames, axis in ((turned.left, 0), (turned.right, 0), (turned.floor, 1))]
     report = TrackReport(
         n_throws=len(paths.throw),
         n_frames=int(paths.seen.sum()),
@@ -156,7 +156,7 @@ def _rolled_out(
     from tasks.residual.rollouts import SeenPaths, fit_medium, follow  # imports torch
 
     at_frames = _smoothed(paths, paths.pose, paths.time)
-    noise = np.array([of.noise.measurement for of in at_frames])
+    noise = np.array([coordinate.noise.measurement for coordinate in at_frames])
     begins = turned.copy()
     begins[:, 0] = True
     begins[:, 1:] |= np.diff(paths.time, axis=1) > _LONGEST_GAP * _typical_interval(paths)
@@ -164,7 +164,7 @@ def _rolled_out(
         time=paths.time,
         pose=paths.pose,
         sd=np.broadcast_to(noise, paths.pose.shape) if paths.sd is None else paths.sd,
-        velocity=np.stack([of.mean[..., 1] for of in at_frames], axis=-1),
+        velocity=np.stack([coordinate.mean[..., 1] for coordinate in at_frames], axis=-1),
         seen=paths.seen,
         begins=begins & paths.seen,
         length_scale=long_axes,
@@ -172,11 +172,11 @@ def _rolled_out(
     model = fit_medium(seen, transitions, physics, n_iterations=n_iterations)
     seen_pose, pose, velocity = follow(model, seen, time, physics)
     smoothed = _smoothed(paths, paths.pose - seen_pose, time)
-    for axis, of in enumerate(smoothed):
-        of.mean[..., 0] += pose[..., axis]
-        of.mean[..., 1] += velocity[..., axis]
+    for axis, coordinate in enumerate(smoothed):
+        coordinate.mean[..., 0] += pose[..., axis]
+        coordinate.mean[..., 1] += velocity[..., axis]
     fastest = np.abs(transitions.state[:, 3:]).max(axis=0)
-    found = np.stack([of.mean[:, :-1, 1] for of in smoothed], axis=-1)
+    found = np.stack([coordinate.mean[:, :-1, 1] for coordinate in smoothed], axis=-1)
     return smoothed, (np.abs(found) <= fastest).all(axis=-1)
 
 
@@ -213,7 +213,8 @@ def _transitions(
     paths: Paths, long_axes: Float64, smoothed: list[Smoothed], physics: Physics, chosen: Bools
 ) -> MeasuredTransitions:
     """Return the chosen (n_throws, n_steps) steps, each with the state before it."""
-    mean = np.stack([of.mean for of in smoothed], axis=-2)  # (n_throws, n_times, 3 coordinates, 3 derivatives)
+    # (n_throws, n_times, 3 coordinates, 3 derivatives)
+    mean = np.stack([coordinate.mean for coordinate in smoothed], axis=-2)
     now, after = mean[:, :-1], mean[:, 1:]
     throw, step = np.nonzero(chosen)
     state = np.concatenate([now[..., 0], now[..., 1]], axis=-1)[chosen].astype(np.float32)
@@ -221,7 +222,7 @@ def _transitions(
     velocity = after[..., 1][chosen].astype(np.float32)
     dt = np.float32(physics.time_step)
     reached = np.concatenate([state[:, :3] + dt * velocity, velocity], axis=1)
-    variance = np.stack([_variance_of_change(of) for of in smoothed], axis=-1)[chosen]
+    variance = np.stack([_variance_of_change(coordinate) for coordinate in smoothed], axis=-1)[chosen]
     sd = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
     _, y, angle, vx, vy, omega = state.T
     quantities = {"length_scale": long_axes[throw], "y": y, "cos": np.cos(angle), "vx": vx, "vy": vy, "omega": omega}
@@ -238,7 +239,7 @@ def _transitions(
     )
 
 
-def _variance_of_change(of: Smoothed) -> Float64:
+def _variance_of_change(coordinate: Smoothed) -> Float64:
     """Return the (n_throws, n_steps) variance of the difference of two successive velocities."""
-    velocity = of.covariance[..., 1, 1]
-    return velocity[:, :-1] + velocity[:, 1:] - 2 * of.with_next[:, :-1, 1, 1]
+    velocity = coordinate.covariance[..., 1, 1]
+    return velocity[:, :-1] + velocity[:, 1:] - 2 * coordinate.with_next[:, :-1, 1, 1]

@@ -80,19 +80,19 @@ def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
     if len(numbers) < 2:
         raise TrackError(f"{len(numbers)} throws, expected at least 2: networks are tested on throws that are held out")
     rows = [np.flatnonzero(table.throw == number) for number in numbers]
-    for number, of in zip(numbers, rows, strict=True):
-        _check_times(int(number), table.time[of])
+    for number, throw_rows in zip(numbers, rows, strict=True):
+        _check_times(int(number), table.time[throw_rows])
     n_frames = max(map(len, rows))
-    last = np.array([len(of) - 1 for of in rows])
+    last = np.array([len(throw_rows) - 1 for throw_rows in rows])
     frame = np.minimum(np.arange(n_frames), last[:, None])
-    at = np.stack([of[frame[k]] for k, of in enumerate(rows)])
+    at = np.stack([throw_rows[frame[k]] for k, throw_rows in enumerate(rows)])
     unit, turn = metres(tracks) / length_scale_of(tracks), np.pi / 180 if tracks.angle_unit == "deg" else 1.0
     scale = np.array([unit, unit, turn])
     sign = 1 - 2 * np.array([tracks.flip_x, tracks.flip_y, tracks.flip_angle])
     pose = np.stack([table.x, table.y, table.angle], axis=1)[at] * (scale * sign)
     pose[..., 2] = np.unwrap(pose[..., 2], axis=1)
     given = (table.x_sd, table.y_sd, table.angle_sd)
-    stated = [of for of in given if of is not None]
+    stated = [deviation for deviation in given if deviation is not None]
     sd = np.stack(stated, axis=1)[at] * scale if len(stated) == len(given) else None
     time = (table.time[at] - table.time[at[:, :1]]) / time_scale_of(tracks)
     paths = Paths(numbers, time, pose, sd, np.arange(n_frames) <= last[:, None])

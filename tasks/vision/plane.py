@@ -112,7 +112,7 @@ def fit_plane(metres: Float64, pixels: Float64, lens: Lens, *, radial: bool = Fa
         return SeenPlane(bent, np.append(values[:8], 1.0).reshape(3, 3))
 
     values = np.append(start[:8] / start[8], lens.distortion[:1] if radial else ())
-    found = _least_squares(lambda of: (plane(of).pixels(metres) - pixels).ravel(), values)
+    found = _least_squares(lambda guess: (plane(guess).pixels(metres) - pixels).ravel(), values)
     left = plane(found).pixels(metres) - pixels
     return plane(found), float(np.sqrt(np.square(left).sum() / max(left.size - len(values), 1)))
 

@@ -79,7 +79,9 @@ class RandomisedSlushes(DragLaw):
             slush.velocity_change(LinkStates(**{name: array[k] for name, array in vars(links).items()}), physics)
             for k, slush in enumerate(self.slushes())
         ]
-        return VelocityChange(*(np.stack([getattr(of, name) for of in changes]) for name in ("vx", "vy", "omega")))
+        return VelocityChange(
+            *(np.stack([getattr(change, name) for change in changes]) for name in ("vx", "vy", "omega"))
+        )
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,8 @@ FABRICATION = r"fabrication/|assembly|servo|bench|kit"
 """Where a part may be cut into pieces and lie beside another."""
 BOX2D = r"simulation/(test_)?reference|rigid_bodies|benchmarks/obvious|physics/test_pendulum"
 """Where a world is a b2World."""
+METHODS_CALLED_OF = r"residual/network|simulation/controller|simd/vectors|tracks/smoother"
+"""Where a class has a method that reads as in ``Controllers.of(designs)``."""
 
 WORDS = (
     Word("work item", r"pieces?", r"pieces?", except_in=FABRICATION),
@@ -67,6 +69,7 @@ WORDS = (
     Word("nothing, no one, or the passive voice", prose=r"nobody"),
     Word("that many, or the number", prose=r"(?<!not )so many(?! that)"),
     Word("remove", prose=r"tak(es?|en|ing) away"),
+    Word("the noun that it stands for", r"^of$", where=r"^(tasks|pipeline)/", except_in=METHODS_CALLED_OF),
     Word("a noun phrase without 'Of'", prose=r"^(?-i:Of)(?! course)"),
 )
 

@@ -43,16 +43,18 @@ def champion_coverage(
     """
     if job.spec.arm.environment not in RESIDUAL_ENVIRONMENTS:
         return ()
-    states = {of: found for of, found in _states(job, inputs, arm).items() if len(found)}
+    states = {trial: found for trial, found in _states(job, inputs, arm).items() if len(found)}
     if not states:
         return ()
     scale = deviations(np.concatenate(list(states.values())))
-    data_sets = {of: environments.data_set_among(inputs, of) for of in states}
-    thrown = {of: read_transitions(throws_among(inputs, of)).observation for of in set(data_sets.values())}
+    data_sets = {trial: environments.data_set_among(inputs, trial) for trial in states}
+    thrown = {
+        data_set: read_transitions(throws_among(inputs, data_set)).observation for data_set in set(data_sets.values())
+    }
     return [
-        ChampionCoverageRow(of.index, row)
-        for of, found in states.items()
-        for row in coverage(found, thrown[data_sets[of]], scale)
+        ChampionCoverageRow(trial.index, row)
+        for trial, found in states.items()
+        for row in coverage(found, thrown[data_sets[trial]], scale)
     ]
 
 
@@ -66,7 +68,7 @@ def _states(job: Job[InstrumentsSpec], inputs: Inputs, arm: Sequence[Champion]) 
     states: dict[TrialId, Float32] = {}
     for champions in by_home.values():
         home = home_of(spec.simulation, champions[0], networks)
-        designs = concatenate([of.design for of in champions])
+        designs = concatenate([champion.design for champion in champions])
         rollouts = environments.roll_out(spec.simulation, job.execution, home, designs, trace=True)
         assert rollouts.trace is not None
         for number, champion in enumerate(champions):
@@ -74,4 +76,4 @@ def _states(job: Job[InstrumentsSpec], inputs: Inputs, arm: Sequence[Champion]) 
             rng = generator(spec.seed, "analyse", "coverage", trial.environment, trial.depth, trial.index)
             own = replace(rollouts, trace=np.take(rollouts.trace, [number], axis=-4))
             states[trial] = observed_states(champion.design, own, n_settle=n_settle, rng=rng, n_most=_N_STATES)
-    return {of.trial: states[of.trial] for of in arm}
+    return {champion.trial: states[champion.trial] for champion in arm}

@@ -98,16 +98,18 @@ def compute_matrix(job: Job[MatrixSpec], inputs: Inputs) -> tuple[Tables, Reason
     tests: list[MatrixTestRow] = []
     for depth in spec.depths if entrants else ():
         true_slush = environments.true_slush(spec.simulation.media, depth)
-        designs = concatenate([of.design for of in entrants])
+        designs = concatenate([champion.design for champion in entrants])
         rollouts = environments.roll_out(spec.simulation, job.execution, true_slush, designs)
         tests += [
-            MatrixTestRow(of.trial.environment, of.trial.depth, of.trial.index, depth, float(root), float(whole))
-            for of, root, whole in zip(entrants, rollouts.displacement, rollouts.com_displacement, strict=True)
+            MatrixTestRow(
+                champion.trial.environment, champion.trial.depth, champion.trial.index, depth, float(root), float(whole)
+            )
+            for champion, root, whole in zip(entrants, rollouts.displacement, rollouts.com_displacement, strict=True)
         ]
     cells: list[CellRow] = []
     for environment, matrix in matrices_of(tests).items():
         for i, j in np.ndindex(matrix.mean.shape):
-            mean, sd, relative = (float(of[i, j]) for of in (matrix.mean, matrix.sd, matrix.relative))
+            mean, sd, relative = (float(statistic[i, j]) for statistic in (matrix.mean, matrix.sd, matrix.relative))
             depths = float(matrix.trained[i]), float(matrix.tested[j])
             cells.append(CellRow(environment, *depths, mean, sd, int(matrix.n[i, j]), relative))
     reasons = {}
@@ -148,30 +150,41 @@ def compute_exploiters(job: Job[ExploitersSpec], inputs: Inputs) -> tuple[Tables
     return {"exploiters": columns_of(ExploiterRow, rows)}, {"exploiters": reason} if reason else {}
 
 
-def _exploiter_row(row: Exploiter, of: Candidate) -> ExploiterRow:
+def _exploiter_row(row: Exploiter, candidate: Candidate) -> ExploiterRow:
     ranking = (row.predicted, row.true, row.excess, row.disagreement, row.ranked_by, row.reason)
-    who = (of.kind, of.environment, of.depth, of.trial, of.generation, of.identity)
-    return ExploiterRow(row.rank, *who, *ranking, by_member=tuple(of.by_member.tolist()))
+    who = (
+        candidate.kind,
+        candidate.environment,
+        candidate.depth,
+        candidate.trial,
+        candidate.generation,
+        candidate.identity,
+    )
+    return ExploiterRow(row.rank, *who, *ranking, by_member=tuple(candidate.by_member.tolist()))
 
 
 def _champions_under_members(job: Job[ExploitersSpec], inputs: Inputs) -> list[Candidate]:
     """Simulate champions of all environments under the members of an ensemble, at the depth where they evolved."""
     spec = job.spec
     entrants = champions(spec.trials, inputs)
-    data_sets = {of.trial: environments.data_set_among(inputs, of.trial) for of in entrants}
+    data_sets = {champion.trial: environments.data_set_among(inputs, champion.trial) for champion in entrants}
     suspects = []
-    for depth, data_set in dict.fromkeys((of.trial.depth, data_sets[of.trial]) for of in entrants):
-        here = [of for of in entrants if (of.trial.depth, data_sets[of.trial]) == (depth, data_set)]
+    for depth, data_set in dict.fromkeys((champion.trial.depth, data_sets[champion.trial]) for champion in entrants):
+        here = [
+            champion for champion in entrants if (champion.trial.depth, data_sets[champion.trial]) == (depth, data_set)
+        ]
         ensemble = environments.ensemble_of(environments.ensemble_among(inputs, data_set))
         environment = ResidualSlush(depth=depth, ensemble=ensemble)
-        designs = concatenate([of.design for of in here])
+        designs = concatenate([champion.design for champion in here])
         by_member = environments.roll_out(spec.simulation, job.execution, environment, designs).displacement.T
         predicted = by_member.mean(axis=1)  # NaN where a member's rollout diverged
-        for of, each, prediction in zip(here, by_member, predicted, strict=True):
-            trial = of.trial
-            own = of.predicted if ENVIRONMENTS[trial.environment].networks == "one" else prediction
+        for champion, each, prediction in zip(here, by_member, predicted, strict=True):
+            trial = champion.trial
+            own = champion.predicted if ENVIRONMENTS[trial.environment].networks == "one" else prediction
             suspects.append(
-                Candidate("champion", trial.environment, depth, trial.index, -1, -1, float(own), of.zero_shot, each)
+                Candidate(
+                    "champion", trial.environment, depth, trial.index, -1, -1, float(own), champion.zero_shot, each
+                )
             )
     return suspects
 

@@ -36,9 +36,9 @@ def best_of(arm: Sequence[Champion]) -> tuple[int, bool]:
 
     It is the best zero-shot, or the best where it evolved if none survives.
     """
-    scored = [of.zero_shot for of in arm]
+    scored = [champion.zero_shot for champion in arm]
     survives = bool(np.isfinite(scored).any())
-    return int(np.nanargmax(scored if survives else [of.fitness for of in arm])), survives
+    return int(np.nanargmax(scored if survives else [champion.fitness for champion in arm])), survives
 
 
 def film_arm(

@@ -101,13 +101,13 @@ def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reas
     if not arm:
         tables = _arm_tables([], [], [], [], 1)
         return tables, dict.fromkeys(tables, "no trial of this arm has a champion")
-    designs = concatenate([of.design for of in arm])
+    designs = concatenate([champion.design for champion in arm])
     true_slush = environments.true_slush(simulation.media, spec.arm.depth)
     in_slush = environments.roll_out(simulation, job.execution, true_slush, designs, trace=True)
     assert in_slush.trace is not None
     best, survives = best_of(arm)
     moved = _moved(in_slush.displacement, in_slush.com_displacement)
-    rows = [_champion_row(job, inputs, of, moved[i], best=i == best) for i, of in enumerate(arm)]
+    rows = [_champion_row(job, inputs, champion, moved[i], best=i == best) for i, champion in enumerate(arm)]
     if why := job.spec.no_networks:
         lacking = dict.fromkeys(("champion_coverage", "links", "films", "member_errors"), why)
         return _arm_tables(rows, [], [], [], 1), lacking
@@ -120,7 +120,7 @@ def compute_arm(job: Job[InstrumentsSpec], inputs: Inputs) -> tuple[Tables, Reas
     films = film_arm(simulation, job.execution, arm, networks_among(inputs))
     seen = [_measure(film, ensemble, index, physics) for film in films]
     lost = None if survives else "no champion of this arm stays finite in True Slush: shown where the best evolved"
-    remarks = [why for why in (lost, *(of.disagreement.reason for of in seen[:1]), index.reason) if why]
+    remarks = [why for why in (lost, *(measured.disagreement.reason for measured in seen[:1]), index.reason) if why]
     reasons = dict.fromkeys(("links", "films"), "; ".join(remarks)) if remarks else {}
     covered = champion_coverage(job, inputs, arm)
     return _arm_tables(rows, covered, errors, seen, ensemble.n_members), reasons
@@ -189,29 +189,29 @@ def _measure(film: Filmed, ensemble: EnsembleMedium, throws: Thrown, physics: Ph
 
 def _link_tables(seen: Sequence[MeasuredFilm], n_members: int) -> Tables:
     """Return a row per film, step and link, and a row per film."""
-    parts = [_links(of.row.seen_in, of.disagreement, of.novelty) for of in seen]
+    parts = [_links(measured.row.seen_in, measured.disagreement, measured.novelty) for measured in seen]
     if not parts:
         none, several = np.zeros((1, 0, 1)), np.zeros((n_members, 1, 0, 1), np.float32)
         undecided = Disagreement(none.astype(np.float32), several, several, None)
         parts = [_links("", undecided, Novelty(none, none, none.astype(np.int64)))]
     return {
         "links": {name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
-        "films": columns_of(FilmRow, [of.row for of in seen]),
+        "films": columns_of(FilmRow, [measured.row for measured in seen]),
     }
 
 
-def _links(seen_in: str, of: Disagreement, new: Novelty) -> Columns:
-    n_steps, n_links = of.magnitude.shape[1:]
-    n_members, n = len(of.departure), n_steps * n_links
+def _links(seen_in: str, along: Disagreement, new: Novelty) -> Columns:
+    n_steps, n_links = along.magnitude.shape[1:]
+    n_members, n = len(along.departure), n_steps * n_links
     names = np.array([*SPACE, ""])  # the last by index -1: unknown
     return {
         "seen_in": np.full(n, seen_in),
         "step": np.repeat(np.arange(n_steps), n_links),
         "link": np.tile(np.arange(n_links), n_steps),
-        "disagreement": of.magnitude.ravel(),
+        "disagreement": along.magnitude.ravel(),
         "novelty": new.novelty.ravel().astype(np.float32),
         "distance": new.distance.ravel().astype(np.float32),
         "component": names[new.component.ravel()],
-        "departure": of.departure.reshape(n_members, n).T,
-        "thrust": of.thrust.reshape(n_members, n).T,
+        "departure": along.departure.reshape(n_members, n).T,
+        "thrust": along.thrust.reshape(n_members, n).T,
     }

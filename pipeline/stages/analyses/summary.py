@@ -41,7 +41,7 @@ def highlights(found: Mapping[ChainId, Files], tank: Tank | None) -> Highlights:
         MEMBERS: _members,
         EXPLOITERS: _exploiters,
     }
-    parts = [summarise(found[of]) for kind, summarise in summaries.items() if (of := PartId(kind)) in found]
+    parts = [summarise(found[identity]) for kind, summarise in summaries.items() if (identity := PartId(kind)) in found]
     for analysis, files in found.items():
         if tank is not None and isinstance(analysis, PartId) and analysis.name == TANK and analysis.arm:
             parts.append(_tank(analysis.arm, files, tank))

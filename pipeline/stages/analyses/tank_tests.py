@@ -30,8 +30,8 @@ def compute(job: Job[TankSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     entrants = champions(spec.trials, inputs)
     if not entrants:
         return {"tank": columns_of(TankRow, [])}, {"tank": "no trial has a champion"}
-    chosen = nearest_the_mean(np.array([of.zero_shot for of in entrants]))
-    designs = concatenate([of.design for of in entrants])
+    chosen = nearest_the_mean(np.array([champion.zero_shot for champion in entrants]))
+    designs = concatenate([champion.design for champion in entrants])
     dry_land = environments.roll_out(spec.simulation, job.execution, DryLand(depth=spec.arm.depth), designs)
     filled = environments.true_slush(spec.simulation.media, spec.tank.simulated_depth)
     drained, physics = DryLand(depth=0.0), spec.simulation.physics
@@ -40,19 +40,21 @@ def compute(job: Job[TankSpec], inputs: Inputs) -> tuple[Tables, Reasons]:
     tests: tuple[tuple[Environment, Physics], ...] = ((filled, physics), (drained, physics), (drained, with_servo))
     root, whole = dry_land.displacement.tolist(), dry_land.com_displacement.tolist()
     rows = []
-    for i, of in enumerate(entrants):
-        tries = restarted(of.design, spec.tank.n_trials, _generator(spec, of))
+    for i, champion in enumerate(entrants):
+        tries = restarted(champion.design, spec.tank.n_trials, _generator(spec, champion))
         wet, dry, dry_servo = (_in_tank(spec, job.execution, at, under, tries) for at, under in tests)
         counts = (count_crossings(trials, spec.tank) for trials in (wet, dry, dry_servo))
-        moved = of.zero_shot, root[i], whole[i]
+        moved = champion.zero_shot, root[i], whole[i]
         limits = physics.max_motor_torque, with_servo.max_motor_torque
-        rows.append(TankRow(of.trial.index, i == chosen, *moved, wet[0], dry[0], dry_servo[0], *limits, *counts))
+        rows.append(TankRow(champion.trial.index, i == chosen, *moved, wet[0], dry[0], dry_servo[0], *limits, *counts))
     reasons = {} if chosen is not None else {"tank": "no champion survived True Slush: there is no mean to be near"}
     return {"tank": columns_of(TankRow, rows)}, reasons
 
 
-def _generator(spec: TankSpec, of: Champion) -> Generator:
-    return generator(spec.seed, "analyse", "tank", of.trial.environment, of.trial.depth, of.trial.index)
+def _generator(spec: TankSpec, champion: Champion) -> Generator:
+    return generator(
+        spec.seed, "analyse", "tank", champion.trial.environment, champion.trial.depth, champion.trial.index
+    )
 
 
 def _in_tank(

@@ -79,11 +79,11 @@ def evaluate(
     Raises:
         ValueError: an objective over depths has no depths, or another one has some.
     """
-    of = OBJECTIVES[objective]
-    if of.over_depths != bool(at_depths):
-        expected = "at least 1" if of.over_depths else "0"
-        raise ValueError(f"objective {of.name!r}: at_depths has length {len(at_depths)}, expected {expected}")
-    scores = _mean_over_depths(of, rollouts, at_depths) if of.over_depths else of.score(rollouts)
+    chosen = OBJECTIVES[objective]
+    if chosen.over_depths != bool(at_depths):
+        expected = "at least 1" if chosen.over_depths else "0"
+        raise ValueError(f"objective {chosen.name!r}: at_depths has length {len(at_depths)}, expected {expected}")
+    scores = _mean_over_depths(chosen, rollouts, at_depths) if chosen.over_depths else chosen.score(rollouts)
     by_member = np.atleast_2d(scores).T
     return Evaluation(
         fitness=penalised_mean(by_member, disagreement_penalty=disagreement_penalty, deviation=deviation),
@@ -92,9 +92,9 @@ def evaluate(
     )
 
 
-def _mean_over_depths(of: Objective, rollouts: Rollouts, at_depths: Sequence[Rollouts]) -> Float64:
+def _mean_over_depths(objective: Objective, rollouts: Rollouts, at_depths: Sequence[Rollouts]) -> Float64:
     """Return the mean score of each rollout over depths; NaN where it diverged at one of them or at its own."""
-    mean = np.mean([of.score(each) for each in at_depths], axis=0)
+    mean = np.mean([objective.score(each) for each in at_depths], axis=0)
     return np.where(rollouts.status == OK, mean, np.nan)
 
 

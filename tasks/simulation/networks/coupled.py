@@ -93,7 +93,9 @@ def couple(
     return Coupling(
         whole=copies(begins, N_LANES),
         single=copies(~is_whole, 1),
-        observed=np.array([_code(*of, quantities) for of in networks.inputs], np.int64),
+        observed=np.array(
+            [_code(is_magnitude, fields, quantities) for is_magnitude, fields in networks.inputs], np.int64
+        ),
         layers=networks.layers,
         sizes=networks.sizes,
         x=x,

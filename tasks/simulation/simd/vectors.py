@@ -92,16 +92,18 @@ def _splat(builder: ir.IRBuilder, number: ir.Value, vector: ir.VectorType) -> ir
     return builder.shuffle_vector(first, undefined, of_first)
 
 
-def _as_lanes(context: Any, builder: ir.IRBuilder, value: ir.Value, of: types.Type, lanes: _LanesType) -> ir.Value:
+def _as_lanes(
+    context: Any, builder: ir.IRBuilder, value: ir.Value, value_type: types.Type, lanes: _LanesType
+) -> ir.Value:
     """Convert a number, or lanes, to the type of some lanes."""
-    if isinstance(of, _LanesType):
+    if isinstance(value_type, _LanesType):
         return value
     scalar = _SCALARS[lanes.element]
-    return _splat(builder, context.cast(builder, value, of, scalar), _vector(lanes))
+    return _splat(builder, context.cast(builder, value, value_type, scalar), _vector(lanes))
 
 
-def _is_number(of: Any) -> bool:
-    return isinstance(of, types.Number | types.Boolean)
+def _is_number(operand: Any) -> bool:
+    return isinstance(operand, types.Number | types.Boolean)
 
 
 def _common(a: Any, b: Any) -> _LanesType | None:
@@ -128,7 +130,10 @@ def _binary(function: Any, emit: dict[str, _Emit], *, compares: bool = False) ->
     def lower(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
         lanes = _common(*signature.args)
         assert lanes is not None
-        left, right = (_as_lanes(context, builder, x, of, lanes) for x, of in zip(args, signature.args, strict=True))
+        left, right = (
+            _as_lanes(context, builder, x, value_type, lanes)
+            for x, value_type in zip(args, signature.args, strict=True)
+        )
         return emit[lanes.element](builder, left, right)
 
     type_callable(function)(lambda context: typer)
@@ -218,9 +223,9 @@ def _teaches(function: Any, *operands: Any, gives: Callable[..., Any]) -> Callab
     """
 
     @functools.wraps(gives)  # numba reads the names of the parameters
-    def typer(*of: Any) -> Any:
-        fits = all(kind is types.Any or isinstance(one, kind) for one, kind in zip(of, operands, strict=True))
-        return gives(*of) if fits else None
+    def typer(*arguments: Any) -> Any:
+        fits = all(kind is types.Any or isinstance(one, kind) for one, kind in zip(arguments, operands, strict=True))
+        return gives(*arguments) if fits else None
 
     type_callable(function)(lambda context: typer)
     return lower_builtin(function, *operands)
@@ -235,8 +240,8 @@ def _type_select(mask: Any, yes: Any, no: Any) -> Any:
 @_teaches(simd.select, _LanesType, types.Any, types.Any, gives=_type_select)
 def _lower_select(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     yes, no = (
-        _as_lanes(context, builder, value, of, signature.return_type)
-        for value, of in zip(args[1:], signature.args[1:], strict=True)
+        _as_lanes(context, builder, value, value_type, signature.return_type)
+        for value, value_type in zip(args[1:], signature.args[1:], strict=True)
     )
     return builder.select(args[0], yes, no)
 
@@ -254,7 +259,9 @@ def _type_fma(a: Any, b: Any, c: Any) -> Any:
 @_teaches(simd.fma, _LanesType, types.Any, types.Any, gives=_type_fma)
 def _lower_fma(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
     lanes = signature.return_type
-    values = [_as_lanes(context, builder, x, of, lanes) for x, of in zip(args, signature.args, strict=True)]
+    values = [
+        _as_lanes(context, builder, x, value_type, lanes) for x, value_type in zip(args, signature.args, strict=True)
+    ]
     return _call_intrinsic(builder, "fma", lanes, values)
 
 
@@ -280,14 +287,14 @@ def _align(n_lanes: int) -> int:
     return min(ALIGNMENT, n_bytes & -n_bytes)
 
 
-def _row(builder: ir.IRBuilder, of: _BlockType, block: ir.Value, row: ir.Value) -> ir.Value:
-    return builder.gep(block, [builder.mul(row, ir.Constant(row.type, of.apart))])
+def _row(builder: ir.IRBuilder, block_type: _BlockType, block: ir.Value, row: ir.Value) -> ir.Value:
+    return builder.gep(block, [builder.mul(row, ir.Constant(row.type, block_type.apart))])
 
 
 @_teaches(operator.getitem, _BlockType, types.Integer, gives=lambda block, row: _LanesType("float32", block.count))
 def _lower_load(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    of = signature.args[0]
-    return builder.load(_row(builder, of, *args), align=_align(of.count))
+    block_type = signature.args[0]
+    return builder.load(_row(builder, block_type, *args), align=_align(block_type.count))
 
 
 def _type_store(block: Any, row: Any, lanes: Any) -> Any:
@@ -296,9 +303,9 @@ def _type_store(block: Any, row: Any, lanes: Any) -> Any:
 
 @_teaches(operator.setitem, _BlockType, types.Integer, types.Any, gives=_type_store)
 def _lower_store(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-    of = signature.args[0]
-    value = _as_lanes(context, builder, args[2], signature.args[2], _LanesType("float32", of.count))
-    builder.store(value, _row(builder, of, *args[:2]), align=_align(of.count))
+    block_type = signature.args[0]
+    value = _as_lanes(context, builder, args[2], signature.args[2], _LanesType("float32", block_type.count))
+    builder.store(value, _row(builder, block_type, *args[:2]), align=_align(block_type.count))
     return context.get_dummy_value()
 
 
