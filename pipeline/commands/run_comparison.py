@@ -42,6 +42,8 @@ from tasks.simulation import OK, simulate
 from tasks.simulation.box2d import Column
 from tasks.world import ENVIRONMENTS, Environment, Physics, ResidualSlush, froude_time
 
+_MOST_SPEED = 5.0  # of a link in a tank [m/s]
+
 
 @dataclass(frozen=True)
 class RunSource:
@@ -229,6 +231,12 @@ def _read_tracks(path: Path) -> dict[int, LinkPath]:
         own = table[table[:, 0] == link]
         if (late := np.flatnonzero(np.diff(own[:, 1]) <= 0)).size:
             raise PuddleError(f"{path}: link {link}, frame {late[0] + 1}: expected a time later than the frame before")
+        speed = np.hypot(*np.diff(own[:, 2:4], axis=0).T) / np.diff(own[:, 1])
+        if (fast := np.flatnonzero(speed > _MOST_SPEED)).size:
+            raise PuddleError(
+                f"{path}: link {link}, frame {fast[0] + 1}: it moves at {speed[fast[0]]:.3g} m/s, expected at most "
+                f"{_MOST_SPEED:g}: x and y are in metres and times in seconds; remove frames that were tracked wrongly"
+            )
         found[link] = (own[:, 1], np.column_stack((own[:, 2:4], np.unwrap(own[:, 4]))))
     return found
 

@@ -199,6 +199,8 @@ def report_lines(report: Mapping[str, Any], settings: Settings, n_transitions: i
             f"warning: residuals depend on how bars accelerated before ({recalled.share:+.2f} ± "
             f"{recalled.sd:.2f} of it), not on their state alone: added mass or wakes, which networks cannot learn"
         )
+    elif not recalled.n_rows:
+        lines.append("    added mass and wakes: not tested, too few bars below the surface are known precisely enough")
     return lines
 
 

@@ -65,6 +65,11 @@ def _of_csv(content: bytes, name: str) -> dict[str, Float64]:
     if repeated := sorted({column for column in heading if column in _KNOWN and heading.count(column) > 1}):
         raise PuddleError(f"{name}, line 1: the column {repeated[0]} appears twice, expected each once")
     at = {column: heading.index(column) for column in _KNOWN if column in heading}
+    if heading and not at:
+        raise PuddleError(
+            f"{name}, line 1: expected names of columns, {', '.join(TRACK_COLUMNS)}, separated by commas, got "
+            f"{','.join(heading)[:80]}"
+        )
     rows = [(number, line) for number, line in enumerate(lines[1:], 2) if any(cell.strip() for cell in line)]
     columns = {column: np.empty(len(rows)) for column in at}
     for row, (number, line) in enumerate(rows):

@@ -20,7 +20,7 @@ Dictionary = Literal[
     "apriltag_25h9",
     "apriltag_36h10",
     "apriltag_36h11",
-]  # fmt: skip  (one line for each family of tags)
+]
 
 
 class TankTag(Parameters):
@@ -50,6 +50,12 @@ class TankTags(Parameters):
     def _one_waterline(self) -> Self:
         if (self.waterline is None) == (self.waterline_tags is None):
             raise ValueError("expected either waterline or waterline_tags")
+        heights = [tag.y for tag in self.corners]
+        if self.waterline is not None and not min(heights) < self.waterline < max(heights):
+            raise ValueError(
+                f"waterline is {self.waterline:g}, expected a height between those of the tank's tags, "
+                f"{min(heights):g} and {max(heights):g}"
+            )
         return self
 
 

@@ -23,6 +23,7 @@ from tasks.vision.plane import CalibrationError, Lens, SeenPlane, assumed_lens, 
 from tasks.vision.throw_spans import THROW_RULE, ThrowRule, throw_spans
 
 _MOST_MISFIT_PX = 2.0  # of the tank's corners; paper bends, but not by more
+_MOST_BAR_MISFIT_PX = 1.0  # of a bar's corners in its median frame; sharp ones are seen to a tenth of that
 _MOST_SHIFT_PX = 1.5  # of a tank tag between the halves of a video
 
 
@@ -205,6 +206,7 @@ def _tracked(
     n_dropped = int(np.maximum(np.round(np.diff(time) / interval) - 1, 0).sum())
     bars = markers.robot.bars() if options.robot else markers.bars
     fits = [_fits(sightings, plane, bar) for bar in bars]
+    _check_bars(sightings.path, bars, fits)
     found = [fit for of_bar in fits for fit in of_bar if fit is not None]
     typical, noise = 0.0, np.zeros(0)
     if found:
@@ -277,6 +279,19 @@ def _fits(sightings: _Sightings, plane: SeenPlane, bar: TaggedBar) -> list[BarPo
         corners = np.concatenate([own[number] for number in shown])
         fits.append(fit_bar(corners, plane.metres(pixels), plane.jacobian(pixels)))
     return fits
+
+
+def _check_bars(path: Path, bars: Sequence[TaggedBar], fits: Sequence[Sequence[BarPose | None]]) -> None:
+    """Refuse bars whose corners do not fit the markers file: the fits would take what is wrong there for noise."""
+    for bar, of_bar in zip(bars, fits, strict=True):
+        squares = [fit.chi2 / fit.freedom for fit in of_bar if fit is not None]
+        if squares and (misfit := float(np.sqrt(np.median(squares)))) > _MOST_BAR_MISFIT_PX:
+            numbers = " and ".join(str(tag.number) for tag in bar.tags)
+            raise PuddleError(
+                f"{path}: the bar with tag{'s' * (len(bar.tags) > 1)} {numbers}: its corners fit to {misfit:.1f} px, "
+                f"expected at most {_MOST_BAR_MISFIT_PX:g}: measure its tags (size, along, across) and the tank's (x, "
+                f"y, tag_size) again, and see that no two tags were exchanged"
+            )
 
 
 def _plane(sightings: _Sightings, markers: Markers, lens: Lens | None) -> tuple[SeenPlane, float]:

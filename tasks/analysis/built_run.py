@@ -15,6 +15,7 @@ from tasks.design import N_LINKS, Designs, rest_pose
 
 _FREQUENCIES = np.linspace(0.5, 2.0, 151)  # shares of the gait's that are tried
 _MOST_OFF = 0.1  # share by which the frequency of a gait, or a distance of links, may differ
+_LEAST_FRAMES = 3  # in which a gait can be seen
 _LEAST_SWING = 0.5  # share of the joints' motion that a gait must explain
 _CLEARLY = 0.5  # share of the misfit that a start before the video may have
 _LEAST_FOLLOWED = 0.25  # share of the joints' angles that the timeline must explain; servos are mounted a tooth off
@@ -124,6 +125,8 @@ def check_frequency(time: Float64, angle: Float64, frequency: float) -> None:
     Raises:
         RunError: they do not, or do not swing at all.
     """
+    if len(time) < _LEAST_FRAMES:
+        raise RunError(f"it is seen in {len(time)} frame{'s' * (len(time) != 1)}, expected at least {_LEAST_FRAMES}")
     variance = np.maximum(angle.var(axis=0), 1e-12)
     left = [
         np.average([fit_gait(time, joint_angle, frequency * share).left for joint_angle in angle.T], weights=variance)

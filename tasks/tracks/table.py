@@ -13,6 +13,8 @@ from tasks.world import froude_time
 MIN_FRAMES = 4  # of a throw: velocity and acceleration and one frame to judge them by
 _MAX_SPEED = 60.0  # between two frames [m/s of simulation]; the paper's throws begin at up to 28
 _MAX_TURN = 0.75 * np.pi  # between two frames; half a turn might have been either way [rad]
+_AWAY = 10.0  # times the usual change of velocity between frames, that a jump away and back is at least
+_UNLIKE = 0.15  # share of the changes of velocity around it that such a jump may leave unexplained
 _MIN_WAY, _MAX_WAY = 0.01, 500.0  # that throws cover [m of simulation]
 
 
@@ -157,6 +159,13 @@ def _check_jumps(paths: Paths, tracks: Tracks) -> None:
             f"file, expected at most {_MAX_SPEED * to_bench:.3g} m/s: remove frames that were tracked wrongly, give "
             f"each throw a number of its own, and check tracks.length_unit and the unit of time"
         )
+    if (away := _away_and_back(paths)) is not None:
+        k, frame, distance = away
+        unit = metres(tracks) / length_scale_of(tracks)
+        raise TrackError(
+            f"throw {paths.throw[k]}, frame {frame}: the bar jumps by {distance / unit:.3g} {tracks.length_unit} and "
+            f"back: remove frames that were tracked wrongly"
+        )
     turn = np.abs(step[..., 2])
     if len(at := np.argwhere(both & (turn > _MAX_TURN))):
         k, frame = at[0]
@@ -165,3 +174,31 @@ def _check_jumps(paths: Paths, tracks: Tracks) -> None:
             f"before, expected at most {_MAX_TURN:.3g}, or it might have turned the other way: film more frames a "
             f"second, split the throw at a gap, and check tracks.angle_unit (rad or deg)"
         )
+
+
+def _away_and_back(paths: Paths) -> tuple[int, int, float] | None:
+    """Find a frame in which a bar is elsewhere, and not before and after; None if there is none.
+
+    A frame that is off by d changes the velocity by d / h before it, by - d / h - d / h' at it and by d / h' after it,
+    where h and h' are the intervals before and after. A bar that bounces changes its velocity once.
+
+    Returns:
+        Index of the throw and of the frame, and how far off it is [m of simulation].
+    """
+    if paths.pose.shape[1] < MIN_FRAMES + 1:
+        return None
+    interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), 1.0)
+    velocity = np.diff(paths.pose[..., :2], axis=1) / interval[..., None]
+    change = np.diff(velocity, axis=1)  # at the frames 1 to n - 2
+    usual = float(np.median((np.hypot(change[..., 0], change[..., 1]) * interval[:, 1:])[paths.seen[:, 2:]]))
+    around = np.stack([change[:, :-2], change[:, 1:-1], change[:, 2:]], axis=-1)  # of the frames 2 to n - 3
+    before, after = 1 / interval[:, 1:-2], 1 / interval[:, 2:-1]
+    pattern = np.stack([before, -before - after, after], axis=-1)[:, :, None]
+    off = (around * pattern).sum(axis=-1, keepdims=True) / np.square(pattern).sum(axis=-1, keepdims=True)
+    unlike = np.square(around - off * pattern).sum(axis=(2, 3))
+    distance = np.hypot(off[:, :, 0, 0], off[:, :, 1, 0])
+    far = (distance > _AWAY * usual) & (unlike < _UNLIKE * np.square(around).sum(axis=(2, 3))) & paths.seen[:, 4:]
+    if not far.any():
+        return None
+    k, frame = np.argwhere(far)[0]
+    return int(k), int(frame) + 2, float(distance[k, frame])

@@ -192,6 +192,14 @@ def test_tracks_of_something_else(run, robot, tmp_path, capsys):
     assert "expected links of a robot, 0 to 5" in compared(run, tmp_path, capsys, tracks=tmp_path / "throws.csv")[1]
     (tmp_path / "bad.csv").write_text("throw,time,x\n0,0,0\n")
     assert "got none named y, angle" in compared(run, tmp_path, capsys, tracks=tmp_path / "bad.csv")[1]
+    (tmp_path / "still.csv").write_text("throw,time,x,y,angle\n0,1,0,0,0\n2,1,0,0.1,0\n4,1,0.1,0,0\n")
+    code, said, _ = compared(run, tmp_path, capsys, tracks=tmp_path / "still.csv")
+    assert code == 2 and "it is seen in 1 frame, expected at least 3" in said
+    head, *rows = (run[0] / "run.csv").read_text().splitlines()
+    rows = [",".join((a, t, str(1000 * float(x)), y, b)) for a, t, x, y, b in (row.split(",") for row in rows)]
+    (tmp_path / "mm.csv").write_text("\n".join([head, *rows]))
+    code, said, _ = compared(run, tmp_path, capsys, tracks=tmp_path / "mm.csv")
+    assert code == 2 and "m/s, expected at most 5: x and y are in metres" in said
 
 
 def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):

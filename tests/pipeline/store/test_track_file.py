@@ -36,6 +36,7 @@ def test_deviations_and_bars_may_be_columns() -> None:
     [
         (b"", "a.csv: expected a row for each frame, got none"),
         (b"throw,time,x,y,angle\n", "a.csv: expected a row for each frame, got none"),
+        (b"Throw;Time;X\n1;0;0\n", "a.csv, line 1: expected names of columns, throw, time, x, .* got Throw;Time;X"),
         (b"throw,time,x,y\n1,0,0,0\n", "a.csv: expected the columns .*, got none named angle: name the columns so"),
         (b"throw,time,x,x,y,angle\n1,0,0,0,0,0\n", "a.csv, line 1: the column x appears twice"),
         (b"throw,time,x,y,angle\n1,0,0,zero,0\n", "a.csv, line 2: y: expected a number, got 'zero'"),

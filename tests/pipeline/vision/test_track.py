@@ -101,6 +101,26 @@ def shared_number(document):
     document["bars"][0]["tags"][0]["number"] = 0
 
 
+def tags_of_a_bar_exchanged(document):
+    first, second = document["bars"][0]["tags"]
+    first["number"], second["number"] = second["number"], first["number"]
+
+
+def larger_tags(document):
+    for bar in document["bars"]:
+        for tag in bar["tags"]:
+            tag["size"] *= 1.3
+
+
+def stretched_tank(document):
+    for tag in document["tank"]["corners"]:
+        tag["x"] *= 1.1
+
+
+def high_water(document):
+    document["tank"]["waterline"] = 5.0
+
+
 def two_waterlines(document):
     document["tank"]["waterline_tags"] = [0, 1]
 
@@ -112,6 +132,10 @@ def two_waterlines(document):
         (wrong_place, "the tank's tags do not lie where the markers file says"),
         (shared_number, "tag 0 is on two things"),
         (two_waterlines, "expected either waterline or waterline_tags"),
+        (tags_of_a_bar_exchanged, "its corners fit to"),
+        (larger_tags, "see that no two tags were exchanged"),
+        (stretched_tank, "measure its tags (size, along, across) and the tank's"),
+        (high_water, "waterline is 5, expected a height between those of the tank's tags"),
         (
             lambda document: document.update(dictionary="apriltag_36h11"),
             "expected tags of the markers file, found none",

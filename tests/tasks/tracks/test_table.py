@@ -85,6 +85,23 @@ def test_a_turn_that_might_have_been_the_other_way_is_refused(table: TrackTable)
         paths_of(spinning, PLAIN)
 
 
+@pytest.mark.parametrize("away", [0.03, 0.15])
+def test_a_frame_in_which_the_bar_is_elsewhere_is_named(table: TrackTable, away: float) -> None:
+    """15 cm between two frames are 9 m/s, no more than the fastest throw of the paper."""
+    row = np.flatnonzero(table.throw == 2)[6]
+    with pytest.raises(TrackError, match=r"throw 2, frame 6: the bar jumps by 0\.\d+ m and back: remove frames"):
+        paths_of(changed(table, "x", row, table.x[row] + away), PLAIN)
+
+
+def test_a_bar_that_bounces_jumps_nowhere(table: TrackTable) -> None:
+    """It goes away from the wall as fast as it came."""
+    rows = np.flatnonzero(table.throw == 1)
+    at = table.time[rows] - table.time[rows[0]]
+    x = table.x.copy()
+    x[rows] = np.abs(at - at[len(at) // 2])  # m at 1 m/s
+    paths_of(replace(table, x=x), PLAIN)
+
+
 def test_one_frame_and_one_throw_are_too_few(table: TrackTable) -> None:
     rows = np.concatenate([np.flatnonzero(table.throw == 0), np.flatnonzero(table.throw == 1)[:1]])
     with pytest.raises(TrackError, match="throw 1 has 1 frame, expected at least 4: leave the throw out"):
