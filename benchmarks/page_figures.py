@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 
 from benchmarks.sentences import Results
+from benchmarks.tracks_tables import Share, share_of
 from tasks.analysis import paper
 from tasks.analysis.comparison import nested_difference
 from tasks.analysis.replicates import NestedSample, nested_sample
@@ -318,6 +319,32 @@ def tracks_hold(tracks: Results) -> bool:
     )
     half = (shares[500, 2.0], shares[100, 0.3])
     return all(math.isclose(share, 0.75, abs_tol=0.05) for share in quarter) and max(half) < 0.5
+
+
+def _shares_of_exact_states(tracks: Results) -> dict[str, Share]:
+    """Return what tracks at 60 frames a second without noise, and the synthetic video, give of exact states."""
+    by_source = {row["learned_from"]: row for row in tracks["studies"] if "rate" not in row}
+    (video,) = (row for row in tracks["studies"] if row["learned_from"] == "video")
+    (tracked,) = (
+        row
+        for row in tracks["studies"]
+        if row["learned_from"] == "tracks" and (row["rate"], row["noise_mm"], row["n_throws"]) == (60, 0, 500)
+    )
+    return {
+        "exact": share_of(tracked, by_source["exact states"]),
+        "video": share_of(video, by_source["exact states of filmed throws"]),
+    }
+
+
+def shares_of_exact_states(tracks: Results) -> dict[str, str]:
+    """Return the shares of exact states in percent."""
+    return {name: percent(found.value) for name, found in _shares_of_exact_states(tracks).items()}
+
+
+def intervals_contain_one(tracks: Results) -> bool:
+    """Whether neither share differs from that of exact states, nor rules out the loss of a fifth."""
+    found = _shares_of_exact_states(tracks).values()
+    return all(share.low < 0.85 and share.high > 1 for share in found)
 
 
 def throws_matter_most(studies: Results) -> bool:

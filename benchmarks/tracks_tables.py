@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from statistics import fmean, stdev
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import t
@@ -39,11 +39,11 @@ def studies(results: Mapping[str, Any]) -> str:
     for row in results["studies"]:
         words, share = row["learned_from"], ""
         if words == "tracks":
-            share = share_of(row, exact["exact states"])
+            share = share_of(row, exact["exact states"]).words
             noise = _noise(row) if row["noise_mm"] else "no noise"
             words = f"tracks, {row['rate']:g} frames/s, {noise}"
         elif words == "video":
-            share = share_of(row, exact["exact states of filmed throws"])
+            share = share_of(row, exact["exact states of filmed throws"]).words
             words = f"synthetic video, {row['rate']:g} frames/s"
         elif words == "nothing":
             words = "nothing: evolved in True Slush"
@@ -58,7 +58,7 @@ def fluids(results: Mapping[str, Any]) -> str:
     true = {row["fluid"]: row for row in results["fluids"] if row["learned_from"] == "nothing"}
     for row in results["fluids"]:
         is_true = row["learned_from"] == "nothing"
-        share = "" if is_true else share_of(row, true[row["fluid"]])
+        share = "" if is_true else share_of(row, true[row["fluid"]]).words
         where = "the fluid" if is_true else "networks that learned from tracks of it"
         lines.append(f"| {row['fluid']} | {where} | {_mean_of(row['displacement'])} | {share} |")
     return "\n".join(lines)
@@ -68,18 +68,31 @@ def _noise(row: Mapping[str, Any]) -> str:
     return f"{row['noise_mm']:g} mm, {row['noise_deg']:g}°" if row["noise_mm"] else "none"
 
 
-def share_of(row: Mapping[str, Any], of: Mapping[str, Any]) -> str:
-    """Write a ratio of mean displacements with its 95 % interval, by linearising the ratio.
+class Share(NamedTuple):
+    """A ratio of mean displacements, and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def words(self) -> str:
+        """The ratio and its interval, for a table."""
+        return f"{self.value:.0%} ({self.low:.0%} to {self.high:.0%})".replace("%", " %").replace("-", "−")
+
+
+def share_of(row: Mapping[str, Any], of: Mapping[str, Any]) -> Share:
+    """Return a ratio of mean displacements with its 95 % interval, by linearising the ratio.
 
     Trials of one data set share its throws and networks, so their mean counts as one value, which is paired with the
     mean of the same data set in the other row. Without data sets, trials of the same number are pairs.
     """
     n_groups = row.get("data_sets", len(row["displacement"]))
     ours, theirs = (np.reshape(one["displacement"], (n_groups, -1)).mean(axis=1) for one in (row, of))
-    share = ours.mean() / theirs.mean()
+    share = float(ours.mean() / theirs.mean())
     deviation = np.std((ours - share * theirs) / theirs.mean(), ddof=1) / math.sqrt(n_groups)
     half = float(t.ppf(0.975, n_groups - 1) * deviation)
-    return f"{share:.0%} ({share - half:.0%} to {share + half:.0%})".replace("%", " %").replace("-", "−")
+    return Share(share, share - half, share + half)
 
 
 def _mean_of(displacement: Sequence[float]) -> str:

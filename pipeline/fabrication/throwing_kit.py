@@ -61,6 +61,7 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
         made |= {f"print/{bar.name}.stl": stl(mesh), f"print/{bar.name}.3mf": three_mf([(bar.name, mesh)])}
     made["bars.csv"] = _bars_csv(bars)
     made[MARKERS] = (_HEADING + yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)).encode()
+    reach_mm = max(throwing.lengths) * settings.scale_mm_per_m  # twice as far as a link that touches the surface
     body = TEMPLATES.get_template("throwing_kit.html").render(
         bars=bars,
         kit=settings,
@@ -70,6 +71,8 @@ def make_throwing_kit(choices: FabricationSettings, out: Path) -> list[str]:
         speed=settings.scale_mm_per_m / 1000 / froude_time(settings.scale_mm_per_m / 1000),
         rod_length=settings.pitch_mm + settings.thickness_mm,
         smallest_module=min(bar.tag_mm for bar in bars) / 6,
+        highest_mm=min(1000 * (throwing.tank_height - throwing.waterline), reach_mm),
+        lowest_mm=min(1000 * throwing.waterline, reach_mm),
     )
     css = package_files("pipeline.fabrication").joinpath("kit.css").read_text("utf-8")
     made["index.html"] = document(title="Bars to throw", policy=_POLICY, body=body, css=f"\n{css}").encode()

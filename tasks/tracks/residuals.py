@@ -16,7 +16,7 @@ from tasks.tracks.smoother import Measured, Smoothed, smooth
 from tasks.tracks.table import Paths, TrackError, TrackTable, paths_of
 from tasks.world import Physics
 
-_LONGEST_GAP = 4.0  # typical intervals between frames; steps in a longer gap are left out
+_LONGEST_GAP = 4.0  # typical intervals between a throw's frames; steps in a longer gap are left out
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _rolled_out(
     noise = np.array([coordinate.noise.measurement for coordinate in at_frames])
     begins = turned.copy()
     begins[:, 0] = True
-    begins[:, 1:] |= np.diff(paths.time, axis=1) > _LONGEST_GAP * _typical_interval(paths)
+    begins[:, 1:] |= _gaps(paths)
     seen = SeenPaths(
         time=paths.time,
         pose=paths.pose,
@@ -184,10 +184,15 @@ def _typical_interval(paths: Paths) -> float:
     return float(np.median(np.diff(paths.time, axis=1)[paths.seen[:, 1:]]))
 
 
+def _gaps(paths: Paths) -> Bools:
+    """Return which of the (n_throws, n_frames - 1) intervals are long for their throw, which one camera filmed."""
+    interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), np.nan)
+    return np.asarray(interval > _LONGEST_GAP * np.nanmedian(interval, axis=1, keepdims=True))
+
+
 def _in_gaps(paths: Paths, time: Float64) -> tuple[Bools, int]:
     """Return which of the (n_throws, n_steps + 1) times begin a step inside a long gap, and the number of gaps."""
-    interval = np.diff(paths.time, axis=1)
-    gap = (interval > _LONGEST_GAP * _typical_interval(paths)) & paths.seen[:, 1:]
+    gap = _gaps(paths)
     inside = np.zeros((len(time), time.shape[1] - 1), dtype=bool)
     for throw, frame in np.argwhere(gap):
         begin, end = paths.time[throw, frame], paths.time[throw, frame + 1]

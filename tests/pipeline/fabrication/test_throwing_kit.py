@@ -31,6 +31,7 @@ def test_every_file_is_there_and_every_link_leads_somewhere(kit):
     page = (kit / "index.html").read_text()
     links = set(re.findall(r"""(?:href|src)=["']([^"'#:]+)["']""", page))
     assert len(links) >= 16 and links <= held
+    assert "120 mm above to 150 mm below the water" in page  # as far as the tank's tags reach
     rows = list(csv.DictReader(io.StringIO((kit / "bars.csv").read_text())))
     assert [row["mass_g"] for row in rows] == ["196.0"] * 4
 
