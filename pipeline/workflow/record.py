@@ -50,7 +50,8 @@ class DrivenStudy:
             say(
                 f"study {settings.name} is on record with different settings ({listed}). This run replaces its report. "
                 f"The old results stay in the store until `puddle gc`: a run with the old settings restores the old "
-                f"report within seconds. To keep both reports, stop now (Ctrl-C) and add --set name=ANOTHER."
+                f"report within seconds. To keep both reports, stop (Ctrl-C) before the first result, and add --set "
+                f"name=ANOTHER."
             )
 
     def begin(self) -> None:
