@@ -41,7 +41,12 @@ EXCEPTIONS = {
         *("networks of a twentieth of the weights and about 1/2,400 of the training", "any length from 1 to 3 m"),
         *("1/67 of the paper's weights and less than 1/10,000 of its training", "genes allow, 1 to 3 m"),
         *("the longest link, ± 3 m, of the surface", "links reach 210 mm to either side", "Every robot is 325 mm wide"),
-        *("70 mm per metre", "70 to 210 mm long, and 70 mm × 70 mm divided by its length", "scale by √0.07"),
+        *(
+            "70 mm per metre",
+            "140 mm of water",
+            "70 to 210 mm long, and 70 mm × 70 mm divided by its length",
+            "scale by √0.07",
+        ),
         *("80 % of the fluid that they displace", "1 m/s is 0.26 m/s on the bench", "20 kg·cm are 1.96 N·m"),
         *("standard deviation of 2 m, a mean is known to about ± 2.3 m", "jumps above 16 m/s"),
         *("weight decay 0.01", "a warm-up of 0.01 of the iterations"),
