@@ -93,9 +93,8 @@ def main() -> None:
     options.add_argument("--work", type=Path, required=True)
     folder: Path = options.parse_args().work
     row = {"n_throws": _N_VIDEOS * _N_THROWS}
-    learn = partial(
-        study, true=TrueSlush(DEPTH), n_data_sets=N_DATA_SETS, n_trials=N_MORE_TRIALS
-    )  # all of these throws
+    # As many ensembles as there are data sets elsewhere, all of which learn from these throws.
+    learn = partial(study, true=TrueSlush(DEPTH), n_data_sets=N_DATA_SETS, n_trials=N_MORE_TRIALS)
     exact_states, seen = cache(exact), cache(filmed)
     measurements: list[Measurement] = [
         (row | {"learned_from": "exact states of filmed throws"}, lambda: learn(lambda _: exact_states())),

@@ -94,7 +94,7 @@ def test_a_frame_in_which_the_bar_is_elsewhere_is_named(table: TrackTable, away:
 
 
 def test_a_bar_that_bounces_jumps_nowhere(table: TrackTable) -> None:
-    """It goes away from the wall as fast as it came."""
+    """It leaves the wall as fast as it reached it."""
     rows = np.flatnonzero(table.throw == 1)
     at = table.time[rows] - table.time[rows[0]]
     x = table.x.copy()
