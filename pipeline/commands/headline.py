@@ -1,6 +1,7 @@
 """What `puddle study` shows when it is done: the headline figures, where the page is, and what to do next."""
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import get_args
 
 import numpy as np
 
@@ -8,9 +9,11 @@ from pipeline.config.settings import Settings
 from pipeline.stages import segments
 from pipeline.stages.report import PAGE
 from pipeline.stages.transfer import read_scores
+from pipeline.stages.trial_scores import TrialScores, finite_scores
 from pipeline.store.store import Store
 from pipeline.workflow.stage import Upstream
-from tasks.world import ENVIRONMENTS
+from tasks.analysis.comparison import Quantity
+from tasks.world import ENVIRONMENTS, EnvironmentName
 
 
 def headline_lines(
@@ -42,25 +45,27 @@ def headline_lines(
 
 def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[str]:
     depth = max(settings.grid.depths)
-    scores = [score for score in read_scores(settings, upstream["transfer"], store) if score["depth"] == depth]
-    of_true_slush = [score for score in scores if score["environment"] == "true_slush"]
+    found = read_scores(settings, upstream["transfer"], store)
+    arms: dict[EnvironmentName, list[TrialScores | None]] = {}
+    for trial, scores in found.items():
+        if trial.depth == depth:
+            arms.setdefault(trial.environment, []).append(scores)
+    of_true_slush = arms.get("true_slush", [])
     best = {
-        "share of True Slush": _mean([score.get("zero_shot") for score in of_true_slush]),
-        "share of it adapted": _mean([score.get("adapted") for score in of_true_slush]),
+        "share of True Slush": _mean(finite_scores(of_true_slush, "zero_shot")),
+        "share of it adapted": _mean(finite_scores(of_true_slush, "adapted")),
     }
     yield f"Champions of study {settings.name} in True Slush, {depth:g} m deep: mean ± SD over trials [m]"
     yield f"selected for: {settings.selected_for}"
     yield f"  {'evolved in':<28} {'predicted':>14} {'zero-shot':>14} {'adapted':>14}"
     for environment, style in ENVIRONMENTS.items():
-        arm = [score for score in scores if score["environment"] == environment]
-        if not arm:
+        if environment not in arms:
             continue
-        columns = {name: [score.get(name) for score in arm] for name in ("predicted", "zero_shot", "adapted")}
-        cells = [
-            segments.mean_and_deviation([value for value in values if value is not None]) for values in columns.values()
-        ]
+        arm = arms[environment]
+        columns = {name: finite_scores(arm, name) for name in get_args(Quantity)}
+        cells = [segments.mean_and_deviation(values) for values in columns.values()]
         yield f"  {style.label:<28} " + " ".join(f"{cell:>14}" for cell in cells)
-        sd, fitness = (_mean([score.get(name) for score in arm]) for name in ("predicted_sd", "fitness"))
+        sd, fitness = _mean(finite_scores(arm, "predicted_sd")), _mean(finite_scores(arm, "fitness"))
         if sd is not None and fitness is not None:
             yield f"  {'  σ over members, fitness':<28} {f'{sd:.2f}, {fitness:z.2f}':>14}"
         for words, whole in best.items() if environment != "true_slush" else ():
@@ -70,6 +75,5 @@ def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[s
                 yield f"  {f'  {words}':<28} {'':>14} " + " ".join(f"{cell:>14}" for cell in percent)
 
 
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None

@@ -3,11 +3,11 @@
 import contextlib
 import functools
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from pipeline.config.open_choices import OpenChoice
     from pipeline.config.settings import Settings
     from pipeline.report.sensitivity_page import Sensitivity
+    from pipeline.stages.trial_scores import TrialScores
+    from pipeline.workflow.identity import TrialId
     from pipeline.workflow.stage import Upstream
     from tasks.analysis.comparison import ScoredArm
     from tasks.arrays import Float64
@@ -305,12 +307,13 @@ def _studies(
 class _FinishedStudy:
     settings: "Settings"
     upstream: "Upstream"
-    rows: Sequence[dict[str, Any]]  # scores of each trial
+    scores: "Mapping[TrialId, TrialScores | None]"
 
     def displacement(self, arm: "ScoredArm") -> tuple[float | None, ...]:
         """Displacement of each trial's champion of an arm [m], None where there is none."""
         environment, quantity = arm
-        return tuple(row.get(quantity) for row in self.rows if row["environment"] == environment)
+        of_arm = [scores for trial, scores in self.scores.items() if trial.environment == environment]
+        return tuple(None if scores is None else scores.finite(quantity) for scores in of_arm)
 
     def digest(self) -> str:
         """SHA-256 of the digests of the study's items, of evolution and transfer."""

@@ -16,7 +16,7 @@ from pipeline.store.design_file import design_from, read_design
 from pipeline.store.encoding import decode_json
 from pipeline.store.store import Store
 from pipeline.workflow.graph import survey
-from pipeline.workflow.identity import TrialId
+from pipeline.workflow.identity import TrialId, arms_of
 from pipeline.workflow.stage import Execution, MissingInputs, Results
 from tasks.analysis.tank import nearest_the_mean
 from tasks.design import Designs
@@ -71,36 +71,36 @@ def _proposed(settings: Settings, store: Store) -> DesignSource:
     upstream = survey(settings, STAGES, store, say=damage.append)
     if damage:  # a missing trial would shift the mean and select another champion
         raise PuddleError(damage[0])
-    rows = [row for row in read_scores(settings, upstream["transfer"], store) if row.get("zero_shot") is not None]
-    if not rows:
+    found = read_scores(settings, upstream["transfer"], store).items()
+    scored = {trial: scores for trial, scores in found if scores is not None and np.isfinite(scores.zero_shot)}
+    if not scored:
         raise PuddleError(
             f"study {settings.name!r}: no champion has a score in True Slush yet. Run `puddle study` first."
         )
-    arms = sorted({(row["environment"], row["depth"]) for row in rows}, key=lambda a: (a[0] != "residual_slush", -a[1]))
-    environment, depth = arms[0]
-    arm = [row for row in rows if (row["environment"], row["depth"]) == (environment, depth)]
-    scores = np.array([row["zero_shot"] for row in arm])
-    chosen = nearest_the_mean(scores)
+    arms = arms_of(list(scored))
+    arm = min(arms, key=lambda arm: (arm.environment != "residual_slush", -arm.depth, arm.environment))
+    trials = arms[arm]
+    zero_shot = np.array([scored[trial].zero_shot for trial in trials])
+    chosen = nearest_the_mean(zero_shot)
     if chosen is None:
         raise PuddleError(f"study {settings.name!r}: no champion survived True Slush")
-    row = arm[chosen]
-    trial = TrialId("transfer", environment, depth, row["trial"], settings.replicates)
+    trial = trials[chosen]
     design = design_from(
         decode_json(store.read(upstream["transfer"].chain(trial)[-1], CHAMPION), trial.label), trial.label
     )
     origin = (
-        f"Champion of trial {row['trial']} of study {settings.name}, evolved in {environment.replace('_', ' ')} at "
-        f"{depth:g} m. It scores {row['zero_shot']:+.2f} m in True Slush, nearest to the mean of {len(arm)} champions, "
-        f"{scores.mean():+.2f} m."
+        f"Champion of trial {trial.index} of study {settings.name}, evolved in {arm.environment.replace('_', ' ')} at "
+        f"{arm.depth:g} m. It scores {zero_shot[chosen]:+.2f} m in True Slush, nearest to the mean of {len(trials)} "
+        f"champions, {zero_shot.mean():+.2f} m."
     )
     return DesignSource(
         design,
-        f"{settings.name}-trial-{row['trial']}",
+        f"{settings.name}-trial-{trial.index}",
         origin,
         settings,
-        depth,
+        arm.depth,
         _predictions(settings, upstream, store, design, trial),
-        row["zero_shot"],
+        scored[trial].zero_shot,
     )
 
 

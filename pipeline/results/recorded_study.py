@@ -20,6 +20,7 @@ from pipeline.results.catalogue import CATALOGUE, KEYS
 from pipeline.stages import STAGES, environments
 from pipeline.stages.data_sets import data_sets, replicate_of
 from pipeline.stages.transfer import CHAMPION, SCORE
+from pipeline.stages.trial_scores import decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.manifest import Manifest
@@ -169,9 +170,10 @@ class Study:
         with self.store.lock_to_read():
             for trial in trials_of(self.settings, "transfer"):
                 if trial in transferred and CHAMPION in (scored := transferred[trial][-1]).files:
-                    scores = decode_json(self.store.read(scored, SCORE), trial.label)
+                    scores = decode_scores(self.store.read(scored, SCORE), trial.label)
                     design = self.store.read(scored, CHAMPION).decode()
-                    rows.append({**catalogue.keys_of(trial), **scores, "design_json": design})
+                    values = scores.by_name() if scores else {}
+                    rows.append({**catalogue.keys_of(trial), **values, "design_json": design})
         of_fitness = {"unit": OBJECTIVES[self.settings.evolution.objective].unit}
         last = len(_CHAMPION_FIELDS) - 1
         schema = _CHAMPION_FIELDS.set(last, _CHAMPION_FIELDS.field("fitness").with_metadata(of_fitness))

@@ -4,17 +4,13 @@ A rollout in a sound environment stays finite. So a design that diverges points 
 network. Evolution never lets it survive and figures leave it out, but the user must learn of it.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from pipeline.stages.segments import drawn_column, rejected_column
+from pipeline.stages.trial_scores import NO_CHAMPION, TrialScores
 from pipeline.store.tables import Columns
 from tasks.arrays import Bools
 from tasks.evolution import OPERATORS
-
-NO_CHAMPION = "no champion: every design of the trial diverged"  # status of a trial without survivors
 
 
 def in_trial(curve: Columns) -> str | None:
@@ -22,20 +18,20 @@ def in_trial(curve: Columns) -> str | None:
     return _in_generations(curve, "designs") if np.isfinite(curve["best_fitness"][-1]) else NO_CHAMPION
 
 
-def in_transfer(scores: Mapping[str, Any], adaptation: Columns | None) -> str | None:
+def in_transfer(scores: TrialScores | None, adaptation: Columns | None) -> str | None:
     """Describe which of a trial's champions and its adaptation's designs diverged in True Slush; None if none did.
 
     A trial without a champion is left to :func:`in_trial`. ``adaptation`` is the curve of the adaptation, if any.
     """
-    if scores["status"] != "ok":
+    if scores is None:
         return None
     parts = []
     if adaptation is not None and np.isfinite(adaptation["best_fitness"][-1]):
         parts.append(_in_generations(adaptation, "designs of the adaptation"))
     elif adaptation is not None:
         parts.append("not adapted: every design of the adaptation diverged")
-    for name, whose in (("zero_shot", "the champion"), ("adapted", "the adapted champion")):
-        if name in scores and scores[name] is None:
+    for score, whose in ((scores.zero_shot, "the champion"), (scores.adapted, "the adapted champion")):
+        if score is not None and np.isnan(score):
             parts.append(f"{whose} diverged in True Slush")
     return "; ".join(part for part in parts if part) or None
 

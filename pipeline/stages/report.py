@@ -29,6 +29,7 @@ from pipeline.stages.report_replays import EXPLOITERS, TOGETHER, replays_of, rep
 from pipeline.stages.report_robots import robot_files
 from pipeline.stages.train import MEMBER_ERRORS, read_errors
 from pipeline.stages.transfer import SCORE, SCORED, scores_inputs
+from pipeline.stages.trial_scores import decode_scores
 from pipeline.store.encoding import decode_json, encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.provenance import environment as provenance
@@ -282,15 +283,12 @@ def _trial_result(trial: TrialId, inputs: Inputs, evolved: Mapping[ChainId, Colu
     scored = inputs.get(InputName(SCORED, trial))
     if scored is None:
         return None
-    scores = decode_json(scored[SCORE], trial.label)
-    measured = {
-        name: np.nan if scores[name] is None else scores[name]
-        for name in ("zero_shot", "zero_shot_com", "adapted", "adapted_com", "predicted_sd", "fitness")
-        if name in scores
-    }
-    predicted = scores.get("predicted", np.nan)
     curve = evolved.get(trial.in_stage("evolve"), {"best_fitness": np.empty(0)})["best_fitness"]
-    return TrialResult(trial.environment, trial.depth, trial.index, predicted, **measured, curve=curve)
+    arm = trial.environment, trial.depth
+    scores = decode_scores(scored[SCORE], trial.label)
+    if scores is None:
+        return TrialResult(*arm, trial.index, predicted=np.nan, curve=curve)
+    return TrialResult(*arm, trial.index, **vars(scores), curve=curve)
 
 
 def _draws(curves: Collection[Columns]) -> list[Draws]:
@@ -315,7 +313,7 @@ def _diverged(settings: Settings, inputs: Inputs, evolved: Mapping[ChainId, Colu
         if (curve := evolved.get(trial.in_stage("evolve"))) is not None:
             found.append((f"evolve: {label}", divergence.in_trial(curve)))
         if (scored := inputs.get(InputName(SCORED, trial))) is not None:
-            scores = decode_json(scored[SCORE], label)
+            scores = decode_scores(scored[SCORE], label)
             found.append((f"transfer: {label}", divergence.in_transfer(scores, adapted.get(trial))))
         for group in settings.throw_groups:
             assessment = AssessmentId(trial.in_stage("assess"), DataSetId(group, trial.replicate))

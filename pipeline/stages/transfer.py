@@ -7,7 +7,7 @@ Slush: the gap that remains is the body's fault.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import get_args
 
 import numpy as np
 
@@ -15,12 +15,13 @@ from pipeline.config.settings import Settings
 from pipeline.stages import divergence, environments, segments
 from pipeline.stages.environments import SimulationSpec
 from pipeline.stages.segments import CHAMPION_OF, POPULATION, SegmentSpec, TrialSpec
+from pipeline.stages.trial_scores import TrialScores, decode_scores, encode_scores, finite_scores
 from pipeline.store.design_file import design_document
-from pipeline.store.encoding import decode_json, encode_json
+from pipeline.store.encoding import encode_json
 from pipeline.store.manifest import Manifest
 from pipeline.store.store import Store
 from pipeline.tracking.run import CurvePoints
-from pipeline.workflow.identity import OMIT_DEFAULT, ChainId, InputName, TrialId, trials_of
+from pipeline.workflow.identity import OMIT_DEFAULT, Arm, ChainId, InputName, TrialId, trials_of
 from pipeline.workflow.stage import (
     Chain,
     Execution,
@@ -35,6 +36,7 @@ from pipeline.workflow.stage import (
     TrialSummary,
     Upstream,
 )
+from tasks.analysis.comparison import Quantity
 from tasks.design import Designs, as_many_genes
 from tasks.evolution import Deviation, disagreement
 
@@ -114,35 +116,39 @@ def _score(spec: ScoreSpec, execution: Execution, inputs: Inputs) -> Files:
     evolved = segments.population_of(inputs[CHAMPION_OF])
     champion = segments.champion_of(evolved)
     if champion is None:
-        return {SCORE: encode_json({"status": divergence.NO_CHAMPION})}
+        return {SCORE: encode_scores(None)}
     files = {CHAMPION: encode_json(design_document(champion))}
-    scores: dict[str, Any] = {"status": "ok", "fitness": float(evolved.fitness[evolved.champion()])}
     at_home = environments.build_environment(home.media, trial.identity.environment, trial.identity.depth, inputs)
     by_member = np.atleast_2d(environments.roll_out(home, execution, at_home, champion).displacement)[:, 0]
-    scores["predicted"] = float(by_member.mean())
     has_sd = at_home.is_ensemble and len(by_member) > 1
-    scores["predicted_sd"] = float(disagreement(by_member[None], spec.deviation)[0]) if has_sd else None
-    scores |= _in_true_slush(trial, execution, champion, "zero_shot")
+    zero_shot, zero_shot_com = _in_true_slush(trial, execution, champion)
+    scores = TrialScores(
+        fitness=float(evolved.fitness[evolved.champion()]),
+        predicted=float(by_member.mean()),
+        predicted_sd=float(disagreement(by_member[None], spec.deviation)[0]) if has_sd else None,
+        zero_shot=zero_shot,
+        zero_shot_com=zero_shot_com,
+    )
     if _ADAPTED_TO in inputs:
         adapted = segments.champion_of(segments.population_of(inputs[_ADAPTED_TO]))
         if adapted is not None:
             files[ADAPTED] = encode_json(design_document(adapted))
-            scores |= _in_true_slush(trial, execution, adapted, "adapted")
-    return {**files, SCORE: encode_json(scores)}
+            root, whole = _in_true_slush(trial, execution, adapted)
+            scores = replace(scores, adapted=root, adapted_com=whole)
+    return {**files, SCORE: encode_scores(scores)}
 
 
-def _in_true_slush(trial: TrialSpec, execution: Execution, design: Designs, name: str) -> dict[str, float | None]:
-    """Return the displacement of a design's root and centre of mass [m]; None where it diverged.
+def _in_true_slush(trial: TrialSpec, execution: Execution, design: Designs) -> tuple[float, float]:
+    """Return the displacement of a design's root and centre of mass [m]; NaN where it diverged.
 
     Args:
         trial: of an adaptation, so that its environment is True Slush.
         execution: the engine.
         design: a single design.
-        name: name of the score.
     """
     rollouts = environments.roll_out(trial.simulation, execution, trial.at_home({}), design)
     root, whole = float(rollouts.displacement[0]), float(rollouts.com_displacement[0])
-    return {name: root, f"{name}_com": whole} if np.isfinite(root) else {name: None, f"{name}_com": None}
+    return (root, whole) if np.isfinite(root) else (np.nan, np.nan)
 
 
 def scores_inputs(trials: Sequence[TrialId], upstream: Upstream) -> dict[InputName, Input]:
@@ -155,29 +161,28 @@ def scores_inputs(trials: Sequence[TrialId], upstream: Upstream) -> dict[InputNa
     }
 
 
-def read_scores(settings: Settings, results: Results, store: Store) -> list[dict[str, Any]]:
-    """Return the scores of each complete trial [m], with its environment, depth [m] and number.
+def read_scores(settings: Settings, results: Results, store: Store) -> dict[TrialId, TrialScores | None]:
+    """Return the scores of each complete trial, in the order of the trials; None where a trial has no champion.
 
     Args:
         settings: the study's settings.
         results: what the store holds of this stage.
         store: where it is.
     """
-    return [
-        {
-            "environment": trial.environment,
-            "depth": trial.depth,
-            "trial": trial.index,
-            **decode_json(store.read(results.done[trial][-1], SCORE), trial.label),
-        }
+    return {
+        trial: _read_scores(store, trial, results.done[trial][-1])
         for trial in trials_of(settings, "transfer")
         if trial in results.done
-    ]
+    }
+
+
+def _read_scores(store: Store, trial: ChainId, scored: Manifest) -> TrialScores | None:
+    return decode_scores(store.read(scored, SCORE), trial.label)
 
 
 def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     """Tabulate champions in True Slush by depth and environment."""
-    rows = read_scores(settings, results, store)
+    scores = read_scores(settings, results, store)
     lines = [
         "displacement [m], mean ± standard deviation of n trials",
         f"{'depth':>7}  {'evolved in':<15} {'n':>3}  {'predicted':>14}  {'zero-shot':>14}  {'adapted':>14}",
@@ -185,10 +190,10 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
     metrics = {}
     for depth in settings.grid.depths:
         for environment in dict.fromkeys(e for e, d, _ in settings.grid.trials() if d == depth):
-            arm = [row for row in rows if row["environment"] == environment and row["depth"] == depth]
+            arm = [champion for trial, champion in scores.items() if trial.arm == Arm(environment, depth)]
             cells = []
-            for name in ("predicted", "zero_shot", "adapted"):
-                values = [row[name] for row in arm if row.get(name) is not None]
+            for name in get_args(Quantity):
+                values = finite_scores(arm, name)
                 cells.append(segments.mean_and_deviation(values))
                 if values:
                     metrics[f"{name}.{environment}.{depth:g}m"] = float(np.mean(values))
@@ -208,8 +213,9 @@ def _curves(store: Store, part: Manifest) -> CurvePoints:
 def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) -> TrialSummary:
     """Report a trial's scores and designs, and its adaptation where there was one."""
     *adaptation, scored = parts
-    scores = decode_json(store.read(scored, SCORE), trial.label)
-    metrics = {name: value for name, value in scores.items() if isinstance(value, float)}
+    scores = _read_scores(store, trial, scored)
+    known = scores.by_name() if scores is not None else {}
+    metrics = {name: value for name, value in known.items() if value is not None}
     if adaptation:
         metrics[_ADAPTED_DIVERGED] = float(segments.read_curve(store, adaptation)["n_diverged"].sum())
     designs = {name: store.read(scored, name) for name in (CHAMPION, ADAPTED) if name in scored.files}
@@ -219,7 +225,7 @@ def _summarise_trial(store: Store, trial: ChainId, parts: Sequence[Manifest]) ->
 def _diverged(settings: Settings, results: Results, store: Store) -> Mapping[ChainId, str]:
     messages = {}
     for trial, (*adaptation, scored) in results.done.items():
-        scores = decode_json(store.read(scored, SCORE), trial.label)
+        scores = _read_scores(store, trial, scored)
         curve = segments.read_curve(store, adaptation) if adaptation else None
         if message := divergence.in_transfer(scores, curve):
             messages[trial] = message

@@ -15,6 +15,7 @@ from pipeline.stages.analyses.analysis_tables import Reasons, Tables
 from pipeline.stages.analyses.specs import ExploitersSpec, MatrixSpec
 from pipeline.stages.assess import assessed_among, read_predictions
 from pipeline.stages.transfer import CHAMPION, SCORE, SCORED
+from pipeline.stages.trial_scores import decode_scores
 from pipeline.store.design_file import design_from
 from pipeline.store.encoding import decode_json
 from pipeline.store.tables import columns_of
@@ -45,11 +46,9 @@ def champions(trials: Sequence[TrialId], inputs: Inputs) -> list[Champion]:
     found = []
     for trial in trials:
         files, label = inputs.get(InputName(SCORED, trial), {}), trial.label
-        if CHAMPION in files:
-            scores = decode_json(files[SCORE], label)
+        if SCORE in files and (scores := decode_scores(files[SCORE], label)) is not None:
             design = design_from(decode_json(files[CHAMPION], label), label)
-            zero_shot = np.nan if scores["zero_shot"] is None else scores["zero_shot"]
-            found.append(Champion(trial, design, scores["fitness"], scores["predicted"], zero_shot))
+            found.append(Champion(trial, design, scores.fitness, scores.predicted, scores.zero_shot))
     return found
 
 

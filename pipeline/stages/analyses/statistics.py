@@ -13,7 +13,7 @@ from pipeline.stages.analyses.specs import StatisticsSpec
 from pipeline.stages.assess import assessed_among, read_predictions
 from pipeline.stages.data_sets import replicate_of
 from pipeline.stages.transfer import SCORE, SCORED
-from pipeline.store.encoding import decode_json
+from pipeline.stages.trial_scores import NO_CHAMPION, OK_STATUS, SCORE_NAMES, decode_scores
 from pipeline.store.tables import Columns, columns_of, text
 from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Files, Inputs, Job
@@ -61,9 +61,10 @@ def _score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, 
     rows = []
     for trial in trials:
         scored, label = inputs.get(InputName(SCORED, trial)), trial.label
-        scores = decode_json(scored[SCORE], label) if scored else {"status": failed.get(label, "not done")}
-        names = ("fitness", "predicted", "predicted_sd", "zero_shot", "zero_shot_com", "adapted", "adapted_com")
-        known = {name: np.nan if scores.get(name) is None else float(scores[name]) for name in names}
+        scores = decode_scores(scored[SCORE], label) if scored else None
+        status = OK_STATUS if scores else NO_CHAMPION if scored else failed.get(label, "not done")
+        values = scores.by_name() if scores else dict.fromkeys(SCORE_NAMES)
+        known: dict[str, float] = {name: np.nan if value is None else value for name, value in values.items()}
         reach = {f"{name}_reach": known[name] - known[f"{name}_com"] for name in ("zero_shot", "adapted")}
         rows.append(
             ScoreRow(
@@ -71,7 +72,7 @@ def _score_rows(trials: Sequence[TrialId], inputs: Inputs, failed: Mapping[str, 
                 depth=trial.depth,
                 trial=trial.index,
                 replicate=replicate_of(trial),
-                status=scores["status"],
+                status=status,
                 **known,
                 **reach,
             )

@@ -14,15 +14,17 @@ from pipeline.store.store import Store
 def test_the_proposed_champion_of_a_study(study, settings):
     store, upstream = study
     source = proposed(settings, store)
-    rows = [row for row in read_scores(settings, upstream["transfer"], store) if row["environment"] == "residual_slush"]
-    scores = np.array([row["zero_shot"] for row in rows])
-    nearest = rows[int(np.argmin(np.abs(scores - scores.mean())))]
-    assert source.name == f"tiny-trial-{nearest['trial']}" and source.depth == 1.0
+    found = read_scores(settings, upstream["transfer"], store)
+    trials = [trial for trial in found if trial.environment == "residual_slush"]
+    zero_shot = np.array([found[trial].zero_shot for trial in trials])
+    trial = trials[int(np.argmin(np.abs(zero_shot - zero_shot.mean())))]
+    nearest = found[trial]
+    assert source.name == f"tiny-trial-{trial.index}" and source.depth == 1.0
     assert len(source.predicted) == 2
     mean, deviation = np.mean(source.predicted), np.std(source.predicted)
     # The champion's fitness is μ - σ over the same members.
-    assert mean - deviation == pytest.approx(nearest["fitness"], abs=1e-6)
-    assert (mean, deviation) == pytest.approx((nearest["predicted"], nearest["predicted_sd"]), abs=1e-6)
+    assert mean - deviation == pytest.approx(nearest.fitness, abs=1e-6)
+    assert (mean, deviation) == pytest.approx((nearest.predicted, nearest.predicted_sd), abs=1e-6)
 
 
 @pytest.mark.parametrize("file", ["score.json", "champion.json"])

@@ -42,8 +42,8 @@ def predictions(study):
 @pytest.fixture(scope="module")
 def scores(study, settings):
     store, upstream = study
-    rows = read_scores(settings, upstream["transfer"], store)
-    return {(row["environment"], row["depth"], row["trial"]): row for row in rows}
+    found = read_scores(settings, upstream["transfer"], store)
+    return {(trial.environment, trial.depth, trial.index): scores for trial, scores in found.items()}
 
 
 def specified(stage, settings, upstream, label):
@@ -109,11 +109,11 @@ def test_champions_repeat_the_scores_of_evolution_and_transfer(analyses, scores)
     for (environment, depth, trial), of in scores.items():
         table = read_table(analyses[f"instruments/{environment}/{depth:g}m"], "champions")
         i = table["trial"].tolist().index(trial)
-        assert table["claimed"][i] == of["fitness"]
-        assert (table["slush_displacement"][i], table["slush_com"][i]) == (of["zero_shot"], of["zero_shot_com"])
-        assert at_home[environment, depth, trial] == (of["zero_shot"], of["zero_shot_com"])
+        assert table["claimed"][i] == of.fitness
+        assert (table["slush_displacement"][i], table["slush_com"][i]) == (of.zero_shot, of.zero_shot_com)
+        assert at_home[environment, depth, trial] == (of.zero_shot, of.zero_shot_com)
         if environment in ("residual_slush", "single_member"):
-            assert predicted[environment, depth, trial] == of["predicted"] == table["home_displacement"][i]
+            assert predicted[environment, depth, trial] == of.predicted == table["home_displacement"][i]
         assert table["n_tries"][i] == 32 and table["n_diverged"][i] == 0
         assert table["loss"][i] == pytest.approx(table["claimed"][i] - table["again"][i], abs=1e-12)
 
@@ -124,17 +124,17 @@ def test_links_cover_every_step_of_the_champion_that_the_page_films(settings, an
         files = analyses[f"instruments/{environment}/1m"]
         best = max(
             (trial for e, _, trial in scores if e == environment),
-            key=lambda trial: scores[environment, 1.0, trial]["zero_shot"],
+            key=lambda trial: scores[environment, 1.0, trial].zero_shot,
         )
         champions = read_table(files, "champions")
         assert champions["trial"][champions["best"]].tolist() == [best]
         links, films = read_table(files, "links"), read_table(files, "films")
         expected = ["true_slush"] if environment == "true_slush" else ["true_slush", environment]
         assert films["seen_in"].tolist() == expected and set(films["trial"]) == {best}
-        assert films["displacement"][0] == scores[environment, 1.0, best]["zero_shot"]
+        assert films["displacement"][0] == scores[environment, 1.0, best].zero_shot
         if environment == "single_member":
             assert films["member"].tolist() == [-1, best % settings.ensemble.n_members]
-            assert films["displacement"][1] == scores[environment, 1.0, best]["predicted"]
+            assert films["displacement"][1] == scores[environment, 1.0, best].predicted
         for seen_in, mean, novel in rows(films, "seen_in", "disagreement", "share_novel"):
             of = links["seen_in"] == seen_in
             assert links["step"][of].tolist() == [step for step in range(n_steps) for _ in range(6)]

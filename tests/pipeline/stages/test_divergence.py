@@ -1,10 +1,13 @@
 """Messages about designs that diverged, from tables made by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from pipeline.stages.divergence import NO_CHAMPION, in_assessment, in_transfer, in_trial, somewhere
+from pipeline.stages.divergence import in_assessment, in_transfer, in_trial, somewhere
 from pipeline.stages.segments import drawn_column, rejected_column
+from pipeline.stages.trial_scores import NO_CHAMPION, TrialScores
 from tasks.evolution import OPERATORS
 
 
@@ -35,26 +38,27 @@ def test_trials(n_diverged, best, said):
 @pytest.mark.parametrize(
     ("scores", "adaptation", "said"),
     [
-        ({"zero_shot": 1.0}, None, None),
-        ({"zero_shot": 1.0, "adapted": 2.0}, curve([0, 0]), None),
-        ({"zero_shot": None}, None, "the champion diverged in True Slush"),
+        ({}, None, None),
+        ({"adapted": 2.0}, curve([0, 0]), None),
+        ({"zero_shot": np.nan}, None, "the champion diverged in True Slush"),
         (
-            {"zero_shot": None, "adapted": 2.0},
+            {"zero_shot": np.nan, "adapted": 2.0},
             curve([0, 2]),
             "2 of 1,000 designs of the adaptation diverged and were discarded; the first in generation 8; "
             "the champion diverged in True Slush",
         ),
-        ({"zero_shot": 1.0, "adapted": None}, curve([0, 0]), "the adapted champion diverged in True Slush"),
-        ({"zero_shot": 1.0}, curve([500], best=-np.inf), "not adapted: every design of the adaptation diverged"),
+        ({"adapted": np.nan}, curve([0, 0]), "the adapted champion diverged in True Slush"),
+        ({}, curve([500], best=-np.inf), "not adapted: every design of the adaptation diverged"),
     ],
 )
 def test_transfers(scores, adaptation, said):
-    assert in_transfer({"status": "ok", **scores}, adaptation) == said
+    champion = TrialScores(fitness=1.0, predicted=1.0, predicted_sd=None, zero_shot=1.0, zero_shot_com=1.0)
+    assert in_transfer(replace(champion, **scores), adaptation) == said
 
 
 def test_a_trial_without_a_champion_is_left_to_evolution():
-    assert in_transfer({"status": NO_CHAMPION}, None) is None
-    assert in_transfer({"status": NO_CHAMPION}, curve([500], best=-np.inf)) is None
+    assert in_transfer(None, None) is None
+    assert in_transfer(None, curve([500], best=-np.inf)) is None
 
 
 def test_assessments_count_each_design_once():

@@ -136,8 +136,9 @@ def test_each_replay_is_a_gif_and_an_mp4_and_mlflow_gets_the_small_ones(study, s
     listed = [json.loads(path.read_text()) for path in folder.glob("films-*.json")]
     assert sorted(name for listing in listed for name in listing) == sorted(names)
     assert not any(name.startswith("films-") for name in summary.artifacts)
-    scores = [row for row in read_scores(settings, upstream["transfer"], store) if row["environment"] == "dry_land"]
-    best = max(scores, key=lambda row: row["zero_shot"])["trial"]
+    scores = read_scores(settings, upstream["transfer"], store)
+    of_dry_land = [trial for trial in scores if trial.environment == "dry_land"]
+    best = max(of_dry_land, key=lambda trial: scores[trial].zero_shot).index
     films = {trial: set(films) for trial, films in summary.films.items()}
     both = {"replay-dry_land-1m.mp4", "replay-dry_land-1m-at-home.mp4"}
     assert films[TrialId("evolve", "dry_land", 1.0, best)] == both | {"replay.html"}
@@ -146,12 +147,11 @@ def test_each_replay_is_a_gif_and_an_mp4_and_mlflow_gets_the_small_ones(study, s
 
 def test_every_trial_has_a_replay_of_its_champion(study, settings):
     store, upstream = study
-    rows = read_scores(settings, upstream["transfer"], store)
     films = REPORT.summarise(settings, upstream["report"], store).films
-    for row in rows:
-        page = films[TrialId("evolve", row["environment"], row["depth"], row["trial"])]["replay.html"].decode()
-        assert f"trial {row['trial']}</h1>" in page and "http" not in page.replace("http-equiv", "")
-        assert f"True Slush, 1 m deep: {wording.number(row['zero_shot'])} m in" in page
+    for trial, scores in read_scores(settings, upstream["transfer"], store).items():
+        page = films[trial.in_stage("evolve")]["replay.html"].decode()
+        assert f"trial {trial.index}</h1>" in page and "http" not in page.replace("http-equiv", "")
+        assert f"True Slush, 1 m deep: {wording.number(scores.zero_shot)} m in" in page
 
 
 def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings):

@@ -1,0 +1,66 @@
+"""The scores of a trial's champion, and the file in which the stage transfer writes them for later stages."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
+
+from pipeline.store.encoding import decode_json, encode_json
+
+NO_CHAMPION = "no champion: every design of the trial diverged"  # status of a trial without survivors
+OK_STATUS = "ok"  # status of a trial with a champion
+
+ScoreName: TypeAlias = Literal[
+    "fitness", "predicted", "predicted_sd", "zero_shot", "zero_shot_com", "adapted", "adapted_com"
+]
+"""Fields of TrialScores."""
+SCORE_NAMES: tuple[ScoreName, ...] = get_args(ScoreName)
+
+
+@dataclass(frozen=True)
+class TrialScores:
+    """How far a trial's champion gets where it evolved and in True Slush [m]; NaN where its rollout diverged."""
+
+    fitness: float  # where it evolved, in the objective's unit: μ - kσ for an ensemble
+    predicted: float  # displacement of its root where it evolved: the mean over members for an ensemble, μ
+    predicted_sd: float | None  # its standard deviation over members, σ; None without an ensemble
+    zero_shot: float  # displacement of its root in True Slush
+    zero_shot_com: float  # displacement of its centre of mass in True Slush
+    adapted: float | None = None  # of its root with a controller that evolved there; None if not adapted
+    adapted_com: float | None = None  # displacement of its centre of mass, likewise
+
+    def finite(self, name: ScoreName) -> float | None:
+        """Return a score; None if there is none or its rollout diverged."""
+        value: float | None = getattr(self, name)
+        return value if value is not None and math.isfinite(value) else None
+
+    def by_name(self) -> dict[str, float | None]:
+        """Return every score, as :meth:`finite` does."""
+        return {name: self.finite(name) for name in SCORE_NAMES}
+
+
+def finite_scores(scores: Iterable[TrialScores | None], name: ScoreName) -> list[float]:
+    """Return one score of every champion that has it; see :meth:`TrialScores.finite`."""
+    found = [one.finite(name) for one in scores if one is not None]
+    return [value for value in found if value is not None]
+
+
+def encode_scores(scores: TrialScores | None) -> bytes:
+    """Return the file of a trial's scores, where None stands for a trial without a champion.
+
+    A score is null where its rollout diverged. Those of an adaptation are left out where there was none.
+    """
+    if scores is None:
+        return encode_json({"status": NO_CHAMPION})
+    not_written = () if scores.adapted is not None else ("adapted", "adapted_com")
+    written = {name: value for name, value in scores.by_name().items() if name not in not_written}
+    return encode_json({"status": OK_STATUS, **written})
+
+
+def decode_scores(data: bytes, source: str) -> TrialScores | None:
+    """Undo :func:`encode_scores`; ``source`` names the trial in messages."""
+    read = decode_json(data, source)
+    if read.pop("status") == NO_CHAMPION:
+        return None
+    diverged = {name: math.nan for name, value in read.items() if value is None and name != "predicted_sd"}
+    return TrialScores(**read | diverged)
