@@ -185,7 +185,7 @@ def _item(
         for trial, (share,) in sorted(upstream["assess"].done.items(), key=lambda entry: entry[0].label):
             inputs[InputName(ASSESSED, trial)] = Input(share, (PREDICTIONS,))
     if isinstance(spec, specs.StatisticsSpec):
-        failed = {trial.label: why for trial, why in upstream["transfer"].failed.items()}
+        failed = {trial.label: str(why) for trial, why in upstream["transfer"].failed.items()}
         spec = replace(spec, failed=failed, not_assessed=_why_not_assessed(settings, upstream))
     elif not isinstance(spec, specs.MatrixSpec | specs.TankSpec):
         networks, why = _networks(settings, upstream, spec)

@@ -37,7 +37,6 @@ from pipeline.store.store import Store
 from pipeline.store.tables import Columns, rows_of
 from pipeline.workflow.identity import Arm, ChainId, InputName, TrialId, deepest_first, trials_of
 from pipeline.workflow.stage import (
-    NOT_POSSIBLE,
     Chain,
     Execution,
     Files,
@@ -141,11 +140,15 @@ def _item(
     if (family := _family_trial(settings, upstream["evolve"].done)) is not None:
         for number, segment in enumerate(upstream["evolve"].done[family]):
             inputs[InputName(HISTORIES, family, number)] = Input(segment, (segments.HISTORY,))
-    lost = [(f"{name}: {identity.label} ", why) for name in upstream for identity, why in upstream[name].failed.items()]
+    lost = [
+        (why.tried, f"{name}: {identity.label} {why}")
+        for name in upstream
+        for identity, why in upstream[name].failed.items()
+    ]
     spec = PageItemSpec(
         chain.spec,
-        failed=tuple(what + why for what, why in lost if not why.startswith(NOT_POSSIBLE)),
-        not_possible=tuple(what + why for what, why in lost if why.startswith(NOT_POSSIBLE)),
+        failed=tuple(words for tried, words in lost if tried),
+        not_possible=tuple(words for tried, words in lost if not tried),
         digests=tuple(
             (name, identity.label, manifests[-1].digest)
             for name in upstream

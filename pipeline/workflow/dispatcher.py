@@ -18,7 +18,7 @@ from pipeline.workflow.code_digest import recorded_code
 from pipeline.workflow.graph import ChainProgress, StageRun, is_split
 from pipeline.workflow.identity import InputName, to_json
 from pipeline.workflow.progress import Bar
-from pipeline.workflow.stage import Files, Input, Inputs, Item, Job
+from pipeline.workflow.stage import Failure, Files, Input, Inputs, Item, Job
 
 _N_ATTEMPTS = 2  # attempts at an item by itself before it counts as failed
 _QUEUED_PER_CORE = 2  # batches submitted to the cluster per core, so that no core waits for this process
@@ -204,7 +204,7 @@ class _Dispatcher:
             return
         progress.n_failures += 1
         if progress.n_failures >= _N_ATTEMPTS:
-            progress.failed = f"failed after {_N_ATTEMPTS} attempts at {item.label}: {failure.reason}"
+            progress.failed = Failure(f"failed after {_N_ATTEMPTS} attempts at {item.label}: {failure.reason}")
             self._run.say(f"{self._stage.name}: {progress.chain.label} {progress.failed}")
 
     def _commit(self, progress: ChainProgress, item: Item[Any], files: Files, seconds: float) -> None:

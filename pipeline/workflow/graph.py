@@ -18,7 +18,7 @@ from pipeline.store.store import Store
 from pipeline.workflow.code_digest import is_of_other_code
 from pipeline.workflow.identity import to_json
 from pipeline.workflow.progress import Work
-from pipeline.workflow.stage import NOT_POSSIBLE, AnyStage, Chain, Item, MissingInputs, Results, Upstream
+from pipeline.workflow.stage import AnyStage, Chain, Failure, Item, MissingInputs, Results, Upstream
 
 
 @dataclass
@@ -28,7 +28,7 @@ class ChainProgress:
     chain: Chain[Any]
     manifests: list[Manifest] = field(default_factory=list)
     n_failures: int = 0  # consecutive failures of the next item, computed by itself
-    failed: str | None = None  # why the chain can't go on, if it can't
+    failed: Failure | None = None  # why the chain can't go on, if it can't
     alone: bool = False  # whether the next item has failed: it is tried again by itself, so that no other fails with it
     slowest: float = 0.0  # seconds per weighted unit of the slowest committed item with the same execution options
 
@@ -87,7 +87,7 @@ class StageRun:
             try:
                 self.advance(progress)
             except MissingInputs as missing:
-                progress.failed = f"{NOT_POSSIBLE}{missing}"
+                progress.failed = Failure(str(missing), tried=False)
             found.append(progress)
         return found
 

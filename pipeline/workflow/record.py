@@ -74,7 +74,7 @@ class DrivenStudy:
             for index, manifest in enumerate(manifests)
         ]
         failed = [
-            FailedChain(name, chain.label, why)
+            FailedChain(name, chain.label, str(why))
             for name, results in upstream.items()
             for chain, why in results.failed.items()
         ]

@@ -30,11 +30,20 @@ Files = Mapping[str, bytes]  # an item's results: contents by file name
 
 Inputs = Mapping[InputName, Files]  # contents of an item's inputs, in the order in which the item lists them
 
-NOT_POSSIBLE = "not possible: "  # how the reason begins where a chain was never tried because one of its inputs failed
-
 
 class MissingInputs(PuddleError):  # noqa: N818 (a state, not a fault)
     """An item needs results that are not there; the message says which, and how to get them."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a chain can't go on."""
+
+    reason: str
+    tried: bool = True  # whether its next item was tried; False where an input of the item failed
+
+    def __str__(self) -> str:
+        return self.reason if self.tried else f"not possible: {self.reason}"
 
 
 @dataclass(frozen=True)
@@ -145,7 +154,7 @@ class Results:
 
     stage: str
     done: Mapping[ChainId, tuple[Manifest, ...]]  # manifests of every complete chain, in the order of the plan
-    failed: Mapping[ChainId, str] = field(default_factory=dict)  # reasons of the chains that failed
+    failed: Mapping[ChainId, Failure] = field(default_factory=dict)
     unfinished: tuple[ChainId, ...] = ()  # chains that have items still to do
     n_done: Mapping[ChainId, int] = field(default_factory=dict)  # number of items done of every chain
     seconds: float = 0.0  # core-seconds that the items took, on the machines that made them

@@ -160,7 +160,7 @@ class StudyMirror:
         trials = [self._trial(stage, one.chain, results.done[one.chain], one) for one in summary.trials]
         if stage.curves:
             trials += [
-                replace(self._trial(stage, chain, ()), tags={"failure": why}, status="FAILED")
+                replace(self._trial(stage, chain, ()), tags={"failure": str(why)}, status="FAILED")
                 for chain, why in results.failed.items()
             ]
         self._background.do(partial(self._tracker.mirror, study, run, trials))

@@ -18,7 +18,7 @@ from pipeline.stages.report_replays import replays_of
 from pipeline.stages.transfer import SCORE, SCORED, read_scores
 from pipeline.store.encoding import decode_json, encode_json
 from pipeline.workflow.identity import Arm, InputName, TrialId, trials_of
-from pipeline.workflow.stage import NOT_POSSIBLE, Execution
+from pipeline.workflow.stage import Execution, Failure
 from tasks.world import ENVIRONMENTS
 
 
@@ -166,13 +166,13 @@ def test_an_arm_without_a_champion_leaves_no_film_and_no_failure(study, settings
 def test_failed_and_untried_work_items_are_listed_apart(study, settings):
     _, upstream = study
     first, second = trials_of(settings, "transfer")[:2]
-    reasons = "failed after 2 attempts at a: not possible: an error", f"{NOT_POSSIBLE}evolve of a: not done"
+    reasons = Failure("failed after 2 attempts at a: not possible: an error"), Failure("evolve of a", tried=False)
     lost = dict(zip((first, second), reasons, strict=True))
     chain = next(chain for chain in REPORT.plan(settings) if chain.label == PAGE)
     upstream = {**upstream, "transfer": replace(upstream["transfer"], failed=lost)}
     spec = REPORT.item(settings, chain, 0, None, upstream).spec
     assert spec.failed == (f"transfer: {first.label} {lost[first]}",)
-    assert spec.not_possible == (f"transfer: {second.label} {lost[second]}",)
+    assert spec.not_possible == (f"transfer: {second.label} not possible: evolve of a",)
 
 
 def test_segments_of_a_very_long_trial_stay_in_their_order(study, settings):

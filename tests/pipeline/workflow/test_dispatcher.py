@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Sequence
 
 import pytest
-from small_study import ON_DRY_LAND, digests, labelled, run
+from small_study import ON_DRY_LAND, digests, run
 
 from pipeline.cluster import Cluster, Handle, Outcome, Ticket, serial_cluster
 from pipeline.config.loading import parse
@@ -69,7 +69,8 @@ def _evolve(settings: Settings, store: Store, *stuck: str, free_at: float = 0.0)
     """Evolve where some trials hang, and return why each failed."""
     with serial_cluster() as inner:
         cluster = Stuck(inner, *stuck, free_at=free_at)
-        return labelled(run(settings, store, cluster, [EVOLVE], clock=cluster.clock)["evolve"].failed)
+        failed = run(settings, store, cluster, [EVOLVE], clock=cluster.clock)["evolve"].failed
+    return {trial.label: failure.reason for trial, failure in failed.items()}
 
 
 def test_an_item_that_hangs_fails_in_every_run(tmp_path):
@@ -289,7 +290,8 @@ def test_items_of_a_failed_batch_are_retried_one_by_one(tmp_path):
     assert sum(batch == [2] for batch in batches) == 2  # attempts by itself
     assert all(len(batch) == 1 or 2 not in batch for batch in batches[1:])
     assert any(len(batch) > 1 for batch in batches[1:])  # the others are batched again
-    ((trial, why),) = found["evolve"].failed.items()
+    ((trial, failure),) = found["evolve"].failed.items()
+    why = failure.reason
     assert trial.label == "dry_land/1m/trial-2" and "2 attempts" in why and "no such luck" in why
     del sound["evolve"].done[trial]
     assert digests(found) == digests(sound)

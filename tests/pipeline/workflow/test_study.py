@@ -17,7 +17,7 @@ from pipeline.stages.part import PartId
 from pipeline.store.store import Store
 from pipeline.workflow.dispatcher import run_stage
 from pipeline.workflow.graph import StageRun, require, results_of, survey
-from pipeline.workflow.stage import AnyStage, Execution, Files, Inputs, Job
+from pipeline.workflow.stage import AnyStage, Execution, Failure, Files, Inputs, Job
 
 TINY = """
 name: tiny
@@ -161,7 +161,8 @@ def test_statistics_wait_for_every_trial(serial_run):
 def test_failed_chains_stop_no_stage(serial_run):
     """What depends on them is not possible, and all else goes on."""
     store, upstream = serial_run
-    lost = dataclasses.replace(upstream["collect"], done={}, failed={PartId("throws-0"): "failed after 2 attempts"})
+    failed = {PartId("throws-0"): Failure("failed after 2 attempts")}
+    lost = dataclasses.replace(upstream["collect"], done={}, failed=failed)
     found = {"collect": lost}
     for stage in STAGES[1:]:
         require(tiny(), stage, STAGES, found, how_to_run=str)
@@ -189,9 +190,10 @@ def test_an_item_that_fails_twice_stops_nothing_else(serial_run, tmp_path):
     store = Store.open(tmp_path / "store", create=True)
     with serial_cluster() as cluster:
         found = run(tiny(), store, cluster, tuple(stages), said.append)
-    assert "no such luck" in labelled(found["evolve"].failed)["dry_land/1m/trial-0"]
+    assert "no such luck" in labelled(found["evolve"].failed)["dry_land/1m/trial-0"].reason
     assert any("dry_land/1m/trial-0" in line and "2 attempts" in line for line in said)
-    assert "failed after" in labelled(found["transfer"].failed)["dry_land/1m/trial-0"]
+    untried = labelled(found["transfer"].failed)["dry_land/1m/trial-0"]
+    assert not untried.tried and "failed after" in untried.reason
     of_all = ("analyse/statistics", "analyse/transfer-matrix", "analyse/exploiters")
     undisturbed = {label: d for label, d in digests(upstream).items() if not label.startswith("report/")}
 
