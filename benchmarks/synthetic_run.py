@@ -16,12 +16,12 @@ import numpy as np
 import yaml
 
 from benchmarks.synthetic_tank import Camera, Scene, film_board, sticker
-from pipeline.commands.run_comparison import RobotKit, read_kit
+from pipeline.commands.run_comparison import read_kit
 from pipeline.store.tables import Columns, csv_of
 from pipeline.vision.kit_markers import markers_of
 from pipeline.vision.markers_file import Markers, TaggedBar
 from pipeline.vision.video import film
-from tasks.analysis.built_run import joint_angles
+from tasks.analysis.built_run import BuiltRobot, joint_angles
 from tasks.arrays import Float64
 from tasks.design import N_LINKS, rest_pose
 from tasks.fabrication.kit_settings import KitSettings, ThrowingKit
@@ -46,7 +46,7 @@ def tank_markers(*, waterline_tags: bool) -> Markers:
     return Markers.model_validate(markers.model_dump() | {"tank": tank.model_dump()})
 
 
-def motion_of(robot: RobotKit, seconds: float, slower: float) -> tuple[Float64, Float64]:
+def motion_of(robot: BuiltRobot, seconds: float, slower: float) -> tuple[Float64, Float64]:
     """Simulate a kit's robot.
 
     Args:
@@ -71,16 +71,15 @@ def motion_of(robot: RobotKit, seconds: float, slower: float) -> tuple[Float64, 
     return time, poses
 
 
-def _risen(robot: RobotKit, time: Float64, poses: Float64) -> Float64:
+def _risen(robot: BuiltRobot, time: Float64, poses: Float64) -> Float64:
     """Lower the angles of the joints by the timeline's envelope while it rises. The root's path stays."""
-    line, ramp = robot.timeline, robot.choices.playback.ramp
-    rising = np.flatnonzero(time < ramp)
+    rising = np.flatnonzero(time < robot.ramp)
     seen = poses[rising]
-    share = envelope(time[rising], duration=float(line.time[-1]), ramp=ramp)[:, None]
-    angle = joint_angles(robot.design, line.joints, {link: seen[:, link, 2] for link in range(N_LINKS)})
+    share = envelope(time[rising], duration=float(robot.commanded_time[-1]), ramp=robot.ramp)[:, None]
+    angle = joint_angles(robot.design, robot.joints, {link: seen[:, link, 2] for link in range(N_LINKS)})
     bodies = robot.design[np.zeros(len(rising), dtype=int)]
     turned = bodies.rest_angle.copy()
-    turned[:, list(line.joints)] += share * angle
+    turned[:, list(robot.joints)] += share * angle
     x, y, angles = rest_pose(replace(bodies, rest_angle=turned))
     cosine, sine = np.cos(seen[:, :1, 2]), np.sin(seen[:, :1, 2])
     risen = poses.copy()
@@ -90,7 +89,7 @@ def _risen(robot: RobotKit, time: Float64, poses: Float64) -> Float64:
     return risen
 
 
-def parts_of(robot: RobotKit, markers: Markers) -> list[tuple[int, TaggedBar]]:
+def parts_of(robot: BuiltRobot, markers: Markers) -> list[tuple[int, TaggedBar]]:
     """Return what the camera sees, from the back to the front: links from the last to the root, then their tags."""
     tags = markers.robot
     length = robot.scale * robot.design.length_scale[0]
@@ -101,7 +100,7 @@ def parts_of(robot: RobotKit, markers: Markers) -> list[tuple[int, TaggedBar]]:
     return bodies[::-1] + [(link, sticker(tags.first + link, tags.tag_size)) for link in reversed(range(N_LINKS))]
 
 
-def film_run(out: Path, scene: Scene, robot: RobotKit, seconds: float, slower: float) -> Columns:
+def film_run(out: Path, scene: Scene, robot: BuiltRobot, seconds: float, slower: float) -> Columns:
     """Film a run.
 
     Args:

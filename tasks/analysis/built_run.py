@@ -2,7 +2,8 @@
 
 The robot's joints follow a timeline that rises from rest, so where its start is not known, it is the shift in time at
 which the joints that the camera saw fit the timeline best. What is common to all joints' lags then vanishes in the
-start, and only differences between joints remain.
+start, and only differences between joints remain. Then the start is that at which the joints lag as simulated, on
+average.
 """
 
 from collections.abc import Mapping
@@ -12,6 +13,9 @@ import numpy as np
 
 from tasks.arrays import Float64
 from tasks.design import N_LINKS, Designs, rest_pose
+from tasks.simulation import OK, simulate
+from tasks.simulation.box2d import Column
+from tasks.world import EnsembleMedium, Environment, Physics, ResidualSlush
 
 _FREQUENCIES = np.linspace(0.5, 2.0, 151)  # shares of the gait's that are tried
 _MOST_OFF = 0.1  # share by which the frequency of a gait, or a distance of links, may differ
@@ -26,6 +30,33 @@ class RunError(ValueError):
     """A run is not one of this robot. The message says why."""
 
 
+LinkPath = tuple[Float64, Float64]  # (n,) times [s] and (n, 3) x, y [m] and angle [rad] of a link
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltRobot:
+    """A robot that was built, and how it is simulated."""
+
+    name: str
+    design: Designs
+    scale: float  # bench metres per simulated metre
+    time_scale: float  # bench seconds per simulated second
+    joints: tuple[int, ...]  # driven joints, by the numbers of their child links
+    commanded_time: Float64  # (n_commands,) of the servos' timeline [s of the bench]
+    commanded: Float64  # (n_commands, n_joints) angles from rest [rad]
+    ramp: float  # time in which the servos rise from rest, and in which they return to it [s of the bench]
+    environment: Environment
+    physics: Physics
+    n_settle: int  # steps of a rollout before displacement is measured
+    n_measure: int  # steps over which it is measured
+    predicted: Float64 | None  # (n_members,) displacements of the root in a rollout [m of simulation]
+
+    @property
+    def frequency(self) -> float:
+        """Frequency of the gait on the bench [Hz]."""
+        return float(self.design.frequency[0]) / self.time_scale
+
+
 @dataclass(frozen=True)
 class Gait:
     """A joint's oscillation offset + amplitude · sin(2π f t + phase)."""
@@ -33,6 +64,107 @@ class Gait:
     amplitude: float  # [rad]
     phase: float  # [rad]
     left: float  # share of the variance that it does not explain
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """A run, measured or simulated, at bench scale, from the moment on at which its gait is steady."""
+
+    time: Float64  # (n_frames,) since the timeline began [s]
+    x: Float64  # (n_frames,) of the root, from where it began [m]
+    y: Float64  # (n_frames,) over the waterline [m]
+    angle: Float64  # (n_frames, n_joints) of the joints from rest [rad]
+    speed: float  # [m/s]
+    gaits: tuple[Gait, ...]
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What an ensemble predicts of a run."""
+
+    mean: float
+    low: float
+    high: float
+
+    def holds(self, value: float) -> bool:
+        """Return whether a value is inside the interval."""
+        return self.low <= value <= self.high
+
+
+@dataclass(frozen=True, eq=False)
+class RunPredictor:
+    """A study's ensemble, which predicts a run of the robot."""
+
+    study: str
+    ensemble: EnsembleMedium
+    physics: Physics  # of the study's robots; that of the built robot may differ
+
+
+@dataclass(frozen=True, eq=False)
+class RunComparison:
+    """A run, its simulation and its prediction."""
+
+    robot: BuiltRobot
+    measured: RobotMotion
+    simulated: RobotMotion
+    lags: Float64  # (2, n_joints) measured and simulated, behind the command [rad]
+    start_known: bool  # whether lags are absolute; if not, they are relative to the mean over the joints
+    promise: Promise | None  # of the speed [m/s]
+    predictor: RunPredictor | None  # whose ensemble that is; None for the one that the kit records
+    members: Float64 | None  # (n_members, n_frames) x of each member's root at ``simulated.time`` [m]
+
+    @property
+    def same_way(self) -> bool:
+        """Whether the robot and its simulation went the same way."""
+        return self.measured.speed * self.simulated.speed > 0
+
+
+def compare_with_simulation(
+    robot: BuiltRobot, paths: Mapping[int, LinkPath], *, start: float | None, predictor: RunPredictor | None
+) -> RunComparison:
+    """Compare a run with its simulation, and with what an ensemble predicts of it.
+
+    Args:
+        robot: the robot.
+        paths: path of each link that was tracked.
+        start: when the servos' timeline began, on the clock of the paths [s]; None if the joints must tell.
+        predictor: a study's ensemble; None for the prediction that the robot's kit records, if it does.
+
+    Returns:
+        The steady parts of the run and of its simulation, and the prediction for that time.
+
+    Raises:
+        RunError: the run is not of this robot or too short, or its simulation diverged.
+    """
+    if 0 not in paths:
+        raise RunError("no tag of link 0, the root, was tracked: expected it, because its path is compared")
+    time, root = paths[0]
+    poses = {
+        link: np.column_stack([np.interp(time, link_time, path[:, i]) for i in range(3)])
+        for link, (link_time, path) in paths.items()
+    }
+    check_robot(robot.design, {link: pose[:, :2] for link, pose in poses.items()}, robot.scale)
+    angle = joint_angles(robot.design, robot.joints, {link: pose[:, 2] for link, pose in poses.items()})
+    if start is None:
+        check_frequency(time, angle, robot.frequency)  # first, because a start is found in any gait of this frequency
+    began = start_of_run(time, angle, robot.commanded_time, robot.commanded) if start is None else start
+    measured, simulated, lags = _beside_simulation(robot, time - began, root, angle)
+    if start is None:  # what all joints share is not known: let it be the simulation's
+        shared = lags.mean(axis=1)
+        began -= (shared[1] - shared[0]) / (2 * np.pi * robot.frequency)
+        measured, simulated, lags = _beside_simulation(robot, time - began, root, angle)
+        lags = lags - lags.mean(axis=1, keepdims=True)
+    members, promise = None, None
+    if predictor is not None:
+        environment = ResidualSlush(depth=robot.environment.depth, ensemble=predictor.ensemble)
+        where = f"under the ensemble of study {predictor.study}"
+        _, members = _simulated(robot, environment, predictor.physics, measured, where)
+        speeds = [steady_speed(simulated.time, x, 1 / robot.frequency) for x in members]
+        promise = promise_of(np.array(speeds))
+    elif robot.predicted is not None:
+        seconds = robot.n_measure * robot.physics.time_step * robot.time_scale
+        promise = promise_of(robot.predicted * robot.scale / seconds)
+    return RunComparison(robot, measured, simulated, lags, start is not None, promise, predictor, members)
 
 
 def fit_gait(time: Float64, angle: Float64, frequency: float) -> Gait:
@@ -182,19 +314,6 @@ def start_of_run(time: Float64, angle: Float64, commanded_time: Float64, command
     return best
 
 
-@dataclass(frozen=True)
-class Promise:
-    """What an ensemble predicts of a run."""
-
-    mean: float
-    low: float
-    high: float
-
-    def holds(self, value: float) -> bool:
-        """Return whether a value is inside the interval."""
-        return self.low <= value <= self.high
-
-
 def promise_of(predictions: Float64) -> Promise:
     """Return the mean of (n_members,) predictions, with two of their standard deviations to either side."""
     mean, spread = float(predictions.mean()), _DEVIATIONS * float(predictions.std())
@@ -219,3 +338,63 @@ def steady_speed(time: Float64, x: Float64, period: float) -> float:
         )
     first, last = time <= time[0] + period, time >= time[-1] - period
     return float((x[last].mean() - x[first].mean()) / (time[last].mean() - time[first].mean()))
+
+
+def _beside_simulation(
+    robot: BuiltRobot, time: Float64, root: Float64, angle: Float64
+) -> tuple[RobotMotion, RobotMotion, Float64]:
+    """Return the steady part of a run, as long a one of its simulation, and the lags of both.
+
+    Args:
+        robot: the robot.
+        time: (n_frames,) since the timeline began [s].
+        root: (n_frames, 3) poses of the root.
+        angle: (n_frames, n_joints) of the joints from rest [rad].
+    """
+    end = float(robot.commanded_time[-1])
+    ramp = min(robot.ramp, end / 2)
+    steady = (time >= ramp) & (time <= end - ramp)
+    if steady.sum() < _LEAST_FRAMES:
+        raise RunError(
+            f"the gait is steady in {steady.sum()} frames: expected a video of the run between {ramp:g} and "
+            f"{end - ramp:g} s after the servos began; it shows {time[0]:.1f} to {time[-1]:.1f} s"
+        )
+    check_frequency(time[steady], angle[steady], robot.frequency)
+    measured = _motion(time[steady], root[steady, :2], angle[steady], robot)
+    simulated, _ = _simulated(robot, robot.environment, robot.physics, measured, "in True Slush")
+    commanded = robot.design.phase[0, list(robot.joints)]
+    lags = np.array(
+        [[at - gait.phase for at, gait in zip(commanded, run.gaits, strict=True)] for run in (measured, simulated)]
+    )
+    return measured, simulated, (lags + np.pi) % (2 * np.pi) - np.pi
+
+
+def _motion(time: Float64, position: Float64, angle: Float64, robot: BuiltRobot) -> RobotMotion:
+    gaits = tuple(fit_gait(time, joint_angle, robot.frequency) for joint_angle in angle.T)
+    speed = steady_speed(time, position[:, 0], 1 / robot.frequency)
+    return RobotMotion(time, position[:, 0] - position[0, 0], position[:, 1], angle, speed, gaits)
+
+
+def _simulated(
+    robot: BuiltRobot, environment: Environment, physics: Physics, measured: RobotMotion, where: str
+) -> tuple[RobotMotion, Float64]:
+    """Simulate as long a run after settling, from the same phase of the gait on.
+
+    Returns the first member's, and (n_members, n_steps) x of all [m].
+    """
+    step = physics.time_step * robot.time_scale
+    n_steps = int(np.ceil((measured.time[-1] - measured.time[0]) / step)) + 1
+    period = 1 / robot.frequency
+    n_settle = robot.n_settle
+    n_settle += round(((measured.time[0] - step * (n_settle + 1)) % period) / step)
+    rollouts = simulate(robot.design, environment, n_settle=n_settle, n_measure=n_steps, trace=True, physics=physics)
+    if rollouts.trace is None or not (rollouts.status == OK).all():
+        raise RunError(f"its simulation {where} diverged, so there is nothing to compare with")
+    trace = rollouts.trace.reshape(-1, *rollouts.trace.shape[-3:])[:, n_settle:].astype(np.float64)
+    time = np.asarray(step * (n_settle + 1 + np.arange(n_steps)), dtype=np.float64)
+    angles = {link: trace[0, :, link, Column.ANGLE] for link in range(N_LINKS)}
+    angle = joint_angles(robot.design, robot.joints, angles)
+    root = robot.scale * trace[:, :, 0, : Column.Y + 1]
+    motion = _motion(time, root[0], angle, robot)
+    x = root[:, :, Column.X]
+    return motion, x - x[:, :1]

@@ -117,35 +117,6 @@ def test_the_simulation_as_a_robot_is_as_simulated(run, tmp_path, capsys):
     assert page.read_text().count("<svg") == 2
 
 
-def test_lags_are_the_simulations_own(run, robot, tmp_path, capsys):
-    """A joint lags behind its command as in the simulation; a servo that is 100 ms late is as much later."""
-    _, trace, _ = run
-    _, said, _ = compared(run, tmp_path, capsys, "--start", BEGAN)
-    late = trace.copy()
-    late_steps = round(0.1 / STEP)
-    turned = late[:-late_steps, 4:, 2] - late[:-late_steps, :1, 2]
-    late[late_steps:, 4:, 2] = late[late_steps:, :1, 2] + turned
-    tracks_of(tmp_path / "late.csv", late, links=(0, 2, 4))
-    _, later, _ = compared(run, tmp_path, capsys, "--start", BEGAN, tracks=tmp_path / "late.csv")
-
-    def lag(text, joint):
-        line = next(line for line in text.splitlines() if line.startswith(f"joint {joint}"))
-        return float(line.split("(")[1].split()[0])
-
-    assert lag(later, 4) - lag(said, 4) == pytest.approx(100, abs=10)
-    assert lag(later, 2) == pytest.approx(lag(said, 2), abs=2)
-
-
-def test_an_unknown_start_is_where_the_joints_lag_as_simulated(run, tmp_path, capsys, monkeypatch):
-    """The figure of the joints would otherwise show all of them ahead of their simulation."""
-    seen = []
-    monkeypatch.setattr("pipeline.commands.run_comparison.render_run", lambda of, name: seen.append(of) or "")
-    assert compared(run, tmp_path, capsys)[0] == 0
-    (of,) = seen
-    ahead = [real.phase - expected.phase for real, expected in zip(of.measured.gaits, of.simulated.gaits, strict=True)]
-    assert np.mean(ahead) == pytest.approx(0.0, abs=np.radians(0.5))
-
-
 @pytest.mark.parametrize(
     ("off", "verdict"), [(0.0, "The robot did what was promised"), (0.02, "The robot did not do what was promised")]
 )

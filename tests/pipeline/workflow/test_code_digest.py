@@ -57,6 +57,7 @@ def test_every_module_of_the_science_is_among_what_some_stage_imports():
     of_commands = {
         "pipeline.report.column_figures",
         "pipeline.report.pair_page",
+        "pipeline.report.run_page",
         "pipeline.report.sensitivity_page",
         "pipeline.report.transfer_latex",
         "tasks.analysis.built_run",

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from tasks.analysis.built_run import (
+    BuiltRobot,
     RunError,
     check_frequency,
     check_robot,
+    compare_with_simulation,
     fit_gait,
     joint_angles,
     promise_of,
@@ -15,8 +17,75 @@ from tasks.analysis.built_run import (
 )
 from tasks.design import rest_pose
 from tasks.fabrication.timeline import Playback, timeline_of
+from tasks.simulation import simulate
+from tasks.world import Physics, TrueSlush, froude_time
 
 TIME = np.arange(0, 6, 1 / 60)
+SCALE = 0.07  # bench metres per simulated metre
+LOCKED = Physics(passive_joints="locked", link_collisions=True)
+STEP = LOCKED.time_step * froude_time(SCALE)  # [s of the bench]
+BEGAN = 1.7  # when the servos begin on the clock of the tracks [s]
+
+
+@pytest.fixture(scope="module")
+def robot(crane):
+    playback = Playback(duration=10.0)
+    line = timeline_of(crane, playback, time_scale=froude_time(SCALE))
+    return BuiltRobot(
+        name="crane",
+        design=crane,
+        scale=SCALE,
+        time_scale=froude_time(SCALE),
+        joints=line.joints,
+        commanded_time=line.time,
+        commanded=line.angle,
+        ramp=playback.ramp,
+        environment=TrueSlush(depth=2.0),
+        physics=LOCKED,
+        n_settle=200,
+        n_measure=1200,
+        predicted=None,
+    )
+
+
+@pytest.fixture(scope="module")
+def trace(robot):
+    """(n_steps, n_links, 6) states of its simulation."""
+    return simulate(robot.design, robot.environment, n_settle=0, n_measure=1900, trace=True, physics=LOCKED).trace[0]
+
+
+def filmed(trace, links=(0, 2, 4)):
+    """What a camera sees of a simulated run at bench scale, 60 times a second."""
+    steps = STEP * (1 + np.arange(len(trace)))
+    frame = np.arange(0.0, steps[-1], 1 / 60)
+    found = {}
+    for link in links:
+        pose = [np.interp(frame, steps, trace[:, link, i]) for i in range(3)]
+        found[link] = (frame + BEGAN, np.column_stack(pose) * (SCALE, SCALE, 1.0))
+    return found
+
+
+def test_lags_are_the_simulations_own(robot, trace):
+    """A joint lags behind its command as in the simulation; a servo that is 100 ms late is as much later."""
+    n_late = round(0.1 / STEP)
+    late = trace.copy()
+    turned = late[:-n_late, 4:, 2] - late[:-n_late, :1, 2]
+    late[n_late:, 4:, 2] = late[n_late:, :1, 2] + turned
+    lags = [
+        compare_with_simulation(robot, filmed(run), start=BEGAN, predictor=None).lags / (2 * np.pi * robot.frequency)
+        for run in (trace, late)
+    ]
+    assert robot.joints == (2, 4)
+    assert (lags[1] - lags[0])[0] == pytest.approx([0.0, 0.1], abs=0.01)  # [s]
+    assert abs((lags[1] - lags[0])[0, 0]) < 0.002 and (lags[0][1] == lags[1][1]).all()
+
+
+def test_an_unknown_start_is_where_the_joints_lag_as_simulated(robot, trace):
+    """The figure of the joints would otherwise show all of them ahead of their simulation."""
+    found = compare_with_simulation(robot, filmed(trace), start=None, predictor=None)
+    pairs = zip(found.measured.gaits, found.simulated.gaits, strict=True)
+    assert np.mean([real.phase - expected.phase for real, expected in pairs]) == pytest.approx(0, abs=np.radians(0.5))
+    assert not found.start_known and found.lags.mean(axis=1) == pytest.approx([0, 0], abs=1e-12)
 
 
 def test_a_gait_is_its_amplitude_and_phase():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,10 +11,8 @@ from pipeline.report.drawing import FAINT, FIGURE_WIDTH, INK, Drawing, Missing, 
 from pipeline.report.moving import document
 from pipeline.report.page import inline_svg
 from pipeline.text import escape
+from tasks.analysis.built_run import RunComparison
 from tasks.world import ENVIRONMENTS
-
-if TYPE_CHECKING:
-    from pipeline.commands.run_comparison import RunComparison
 
 _SIMULATED, _PROMISED = ENVIRONMENTS["true_slush"].color, ENVIRONMENTS["residual_slush"].color
 _PERIODS = 3.0  # of the gait that the figure of the joints shows
@@ -29,10 +26,10 @@ def render_run(comparison: RunComparison, run: str) -> str:
     )
     measured, simulated = comparison.measured, comparison.simulated
     rows: list[tuple[str, ...]] = [
-        ("speed [mm/s]", f"{1000 * measured.speed:+z.1f}", f"{1000 * simulated.speed:+z.1f}", _promised(comparison))
+        ("speed [mm/s]", in_mm(measured.speed), in_mm(simulated.speed), _promised(comparison))
     ]
-    lag = "lag behind the command" if comparison.start_known else "lag relative to the mean of the joints"
-    for column, joint in enumerate(comparison.kit.timeline.joints):
+    lag = words_for_lags(comparison)
+    for column, joint in enumerate(comparison.robot.joints):
         amplitudes = (f"±{np.degrees(run_.gaits[column].amplitude):.0f}" for run_ in (measured, simulated))
         rows.append((f"joint {joint}: amplitude [°]", *amplitudes, ""))
         rows.append(
@@ -40,10 +37,10 @@ def render_run(comparison: RunComparison, run: str) -> str:
         )
     cells = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     shown = "".join(_figure(figure) for figure in figures)
-    note = f" But {escape(comparison.note)}." if comparison.note else ""
+    note = f" But {escape(words)}." if (words := note_on(comparison)) else ""
     body = f"""<main>
-<header><p class="study">puddle · {escape(run)}</p><h1>The run of {escape(comparison.kit.name)}</h1>
-<p class="finding">{escape(comparison.verdict)}</p></header>
+<header><p class="study">puddle · {escape(run)}</p><h1>The run of {escape(comparison.robot.name)}</h1>
+<p class="finding">{escape(verdict(comparison))}</p></header>
 <div class="figures">{shown}</div>
 <div class="scroll"><table><thead><tr><th></th><th>measured</th><th>simulated</th><th>promised</th></tr></thead>
 <tbody>{cells}</tbody></table></div>
@@ -51,16 +48,61 @@ def render_run(comparison: RunComparison, run: str) -> str:
 slush of the kit's settings. Promised: the mean of the ensemble's members, two standard deviations to either side. The
 members' disagreement is a lower bound on the uncertainty.{note}</p>
 </main>"""
-    return document(title=f"Run of {escape(comparison.kit.name)}", policy="img-src data:", body=body)
+    return document(title=f"Run of {escape(comparison.robot.name)}", policy="img-src data:", body=body)
+
+
+def verdict(comparison: RunComparison) -> str:
+    """Say in a sentence whether the robot did what was promised."""
+    measured, simulated, promise = comparison.measured.speed, comparison.simulated.speed, comparison.promise
+    went = f"it went {in_mm(measured)} mm/s"
+    if promise is None:
+        share = f"{measured / simulated:.0%} of" if comparison.same_way else "against"
+        return (
+            f"No ensemble promised anything: {went}, {share} the {in_mm(simulated)} mm/s of its simulation. Name the "
+            f"study that it comes from with --study."
+        )
+    low, high = promise.low, promise.high
+    predictor = comparison.predictor
+    promised_by = "the kit's ensemble" if predictor is None else f"the ensemble of study {predictor.study}"
+    promised = f"the {in_mm(low)} to {in_mm(high)} mm/s that {promised_by} promised"
+    if not promise.holds(measured):
+        return (
+            f"The robot did not do what was promised: {went}, {'less' if measured < low else 'more'} than {promised}."
+        )
+    vague = ", but the promise leaves the direction open" if low < 0 < high else ""
+    return f"The robot did what was promised{vague}: {went}, within {promised}."
+
+
+def note_on(comparison: RunComparison) -> str:
+    """Say in what the study that predicts the run simulates another robot than the one that was built, if it does."""
+    if comparison.predictor is None:
+        return ""
+    physics = comparison.robot.physics, comparison.predictor.physics
+    built, evolved = (one.model_dump(mode="json") for one in physics)
+    other = [f"{name} {evolved[name]} (built: {built[name]})" for name in built if built[name] != evolved[name]]
+    if not other:
+        return ""
+    return (
+        f"study {comparison.predictor.study} promised it of robots with {', '.join(other)}; a difference need not be "
+        f"the networks' error"
+    )
+
+
+def words_for_lags(comparison: RunComparison) -> str:
+    """Say what the lags of the joints are relative to."""
+    return "lag behind the command" if comparison.start_known else "lag relative to the mean of the joints"
+
+
+def in_mm(speed: float) -> str:
+    """Write a speed [m/s] in mm/s."""
+    return f"{1000 * speed:+z.1f}"
 
 
 def _promised(comparison: RunComparison) -> str:
     if comparison.promise is None:
         return ""
-    mean, low, high = (
-        f"{1000 * speed:+z.1f}" for speed in (comparison.promise.mean, comparison.promise.low, comparison.promise.high)
-    )
-    return f"{mean} ({low} to {high})"
+    mean, low, high = comparison.promise.mean, comparison.promise.low, comparison.promise.high
+    return f"{in_mm(mean)} ({in_mm(low)} to {in_mm(high)})"
 
 
 def _figure(drawn: Drawing | Missing) -> str:
@@ -104,7 +146,7 @@ def _path(comparison: RunComparison) -> tuple[Figure, str]:
 
 def _joints(comparison: RunComparison) -> tuple[Figure, str]:
     """Draw the angles of the joints over a few periods of the gait."""
-    joints, frequency = comparison.kit.timeline.joints, comparison.kit.frequency
+    joints, frequency = comparison.robot.joints, comparison.robot.frequency
     figure = Figure(figsize=(FIGURE_WIDTH, 1.0 + 1.6 * len(joints)), layout="constrained")
     every = figure.subplots(len(joints), sharex=True, squeeze=False)[:, 0]
     for column, (axes, joint) in enumerate(zip(every, joints, strict=True)):
