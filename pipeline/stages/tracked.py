@@ -19,7 +19,7 @@ from pipeline.workflow.identity import InputName
 from pipeline.workflow.stage import Files, Inputs, OutsideFile
 from tasks.tracks import Bars, TrackError, Tracks, TrackTable
 from tasks.tracks.effects import Fall, Memory, falls_oddly
-from tasks.tracks.residuals import TrackReport, checked_paths
+from tasks.tracks.residuals import TrackReport, check_throws
 from tasks.tracks.table import Paths, length_scale_of, time_scale_of
 
 TRACK_REPORT = "tracks.json"  # what the tracks are like
@@ -134,7 +134,7 @@ def check_tracks(settings: Settings) -> Paths | None:
         return None
     read = read_tracks({name: file.read() for name, file in outside_files(settings.tracks).items()})
     try:
-        return checked_paths(read.table, read.bars, settings.tracks)[0]
+        return check_throws(read.table, read.bars, settings.tracks, settings.physics)
     except TrackError as error:
         raise PuddleError(f"{settings.tracks.file}: {error}") from None
 

@@ -53,6 +53,7 @@ class Track:
     deviation: Float64  # (n, 3) standard deviations of the pose
     noise_px: Float64  # (n,) deviation of the corners [px]
     n_lost: int  # frames between its first and its last in which it is not seen
+    lost_from_sight: bool  # whether it ends because the bar is not seen, rather than outside the zone or at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +228,8 @@ def _tracked(
             unwrapped = np.column_stack((pose[span, :2], np.unwrap(pose[span, 2])))
             deviation = px[span, None] * np.sqrt(variance)
             n_lost = int(span[-1] - span[0] + 1 - len(span))
-            tracks.append(Track(number, bar, span, time[span], unwrapped, deviation, px[span], n_lost))
+            lost_from_sight = bool((n_seen[span[-1] + 1 : span[-1] + 2] == 0).any())
+            tracks.append(Track(number, bar, span, time[span], unwrapped, deviation, px[span], n_lost, lost_from_sight))
     if not options.robot:
         tracks.sort(key=lambda track: track.time[0])
         tracks = [Track(**{**vars(track), "throw": first + i}) for i, track in enumerate(tracks)]
@@ -262,6 +264,12 @@ def _lines(
         lines.append(
             f"{name}: {what}, lost in {lost} of {seen + lost} frames ({lost / (seen + lost):.1%}); corners to "
             f"{noise:.2f} px, which is {1000 * x:.2f} mm and {np.degrees(angle):.2f}°"
+        )
+    n_cut = sum(track.lost_from_sight for track in tracks)
+    if n_cut and not robot:
+        lines.append(
+            f"{name}: {n_cut} throw{'s end' if n_cut > 1 else ' ends'} where the bar is lost from sight inside the tank; "
+            f"the check film shows where"
         )
     return lines
 

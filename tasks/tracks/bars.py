@@ -10,6 +10,8 @@ from tasks.tracks.conventions import Tracks
 from tasks.tracks.table import TrackError, first, length_scale_of, metres
 
 _TOLERANCE = 0.1  # share by which a bar may differ from a link
+_BAR_DENSITY = 800.0  # of a bar that floats as a link does [kg/m³]
+_THICKNESS = 1e-3, 1.0  # that a bar of that density may have on the bench [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,4 +63,12 @@ def length_scales(bars: Bars, tracks: Tracks) -> dict[int, float]:
             f"throw {bars.throw[k]}: the bar's mass is {bars.mass[k]:g} kg and that of most bars {typical:g} kg: "
             f"expected equal masses, because every link has the same: ballast the bars, or give masses in kg"
         )
+    if tracks.scaling == "froude":
+        thickness = typical / (_BAR_DENSITY * length_scale_of(tracks) ** 2)
+        if not _THICKNESS[0] < thickness < _THICKNESS[1]:
+            raise TrackError(
+                f"the mass of most bars is {typical:g} kg, and bars that float as links do would be "
+                f"{1000 * thickness:.3g} mm thick: expected {1000 * _THICKNESS[0]:g} to {1000 * _THICKNESS[1]:g} mm: "
+                f"give masses in kg"
+            )
     return dict(zip(bars.throw.tolist(), length.tolist(), strict=True))

@@ -1,6 +1,7 @@
 """Effects that thrown bars show and links in a model of state and medium do not: walls, the floor, and memory.
 
-A bar that hits a wall of the tank bounces, and one at its floor rests: neither is a residual of the medium. A fluid
+A bar that hits a wall of the tank bounces or stops, and one on its floor may rest: neither is a residual of the
+medium. A fluid
 that is set in motion (added mass, a wake) pushes on a bar by what it did before, while residuals are learned from the
 present state alone. Such effects are reported; rows at contacts are left out.
 
@@ -15,13 +16,18 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tasks.arrays import Bools, Int64
+from tasks.arrays import Bools, Float64, Int64
 from tasks.residual import MeasuredTransitions
 from tasks.tracks.table import Paths, TrackError
 
 _SLOWEST_CONTACT = 0.5  # speed before and after a contact [m/s]: drag turns no bar at that speed within a frame
 _SD_OF_CONTACT = 6.0  # of the difference of two positions, that both speeds exceed
 _FRAMES_AROUND = 2  # frames before and after a contact that are left out
+_AT_THE_EDGE = 0.1  # from where bars get farthest out or deepest, at which one may touch a wall or the floor [m]
+_STOPPED = 0.2  # share of its speed that a bar keeps at most, where it stops
+_LEAST_STOPS = 3  # bars that stop at a wall; one alone may have been stopped by drag
+_MOST_STOPS_ELSEWHERE = 0.1  # share of the fast bars elsewhere that drag stops as soon
+_REST_TIME, _REST_WAY = 1.0, 0.02  # a bar rests that moves by less in this time [s], [m]; buoyancy lifts it by more
 
 _LAG = (6, 3.0)  # steps and frames, whichever is longer, over which the acceleration before a state is taken
 _N_NEIGHBOURS = 12
@@ -33,11 +39,12 @@ _SD_OF_MEMORY = 5.0
 _OF_FREE_FALL, _MORE_UP, _LEAST_UP = 0.1, 5, 0.02  # tolerance of free fall; how many more rows, and what share of all
 _SD_OF_GRAVITY = 5.0  # deviations of the estimated fall
 _GRAVITY_OFF = 0.15  # share of gravity by which the fall in air may differ
+_MOST_GRAVITY_OFF = 1.5  # factor from which tracks are refused
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Frames at which bars turn back at once; each (n_throws, n_frames)."""
+    """Frames at which bars touch a wall or the floor; each (n_throws, n_frames)."""
 
     left: Bools
     right: Bools
@@ -59,30 +66,103 @@ class Contacts:
         return near
 
 
-def contacts(paths: Paths, position_sd: tuple[float, float]) -> Contacts:
-    """Find where bars bounce: x turns back within a frame, or y turns from down to up.
+def n_contacts(at: Bools) -> int:
+    """Return the number of contacts in (n_throws, n_frames) frames, each of which may last for several."""
+    return int(np.count_nonzero(at[:, 1:] & ~at[:, :-1]) + np.count_nonzero(at[:, 0]))
 
-    Drag never reverses a velocity, and buoyancy does so slowly.
+
+def contacts(paths: Paths, long_axes: Float64, position_sd: tuple[float, float]) -> Contacts:
+    """Find where bars bounce off a wall or the floor, stop at a wall, or rest on the floor.
 
     Args:
         paths: the throws.
+        long_axes: (n_throws,) of their bars [m].
         position_sd: deviations of measurements of x and y [m].
 
     Returns:
         The frames of contacts.
     """
-    n_throws, n_frames = paths.time.shape
+    x_sd, y_sd = position_sd
+    left, right = _bounces(paths, 0, x_sd)
+    floor, _ = _bounces(paths, 1, y_sd)
+    reach_x, reach_y = _reach(paths, long_axes)
+    left |= _stops(paths, -paths.pose[..., 0], reach_x, x_sd)
+    right |= _stops(paths, paths.pose[..., 0], reach_x, x_sd)
+    return Contacts(left, right, floor | _rests(paths, reach_y, max(position_sd)))
+
+
+def _reach(paths: Paths, long_axes: Float64) -> tuple[Float64, Float64]:
+    """Return how far each bar reaches from its centre along x and y; each (n_throws, n_frames) [m]."""
+    sin, cos = np.abs(np.sin(paths.pose[..., 2])), np.abs(np.cos(paths.pose[..., 2]))
+    length = long_axes[:, None]
+    return (length * sin + cos / length) / 2, (length * cos + sin / length) / 2
+
+
+def _velocity(paths: Paths, position: Float64, sd: float) -> tuple[Float64, Float64]:
+    """Return the velocity in each interval between frames, and the least speed that counts as fast there [m/s]."""
     interval = np.where(paths.seen[:, 1:], np.diff(paths.time, axis=1), np.inf)
-    turned = []
-    for axis, sd in enumerate(position_sd):
-        velocity = np.diff(paths.pose[..., axis], axis=1) / interval
-        fast = np.abs(velocity) > np.maximum(_SLOWEST_CONTACT, _SD_OF_CONTACT * np.sqrt(2) * sd / interval)
-        before, after, both = velocity[:, :-1], velocity[:, 1:], fast[:, :-1] & fast[:, 1:]
-        up, down = np.zeros((2, n_throws, n_frames), dtype=bool)
-        up[:, 1:-1], down[:, 1:-1] = both & (before < 0) & (after > 0), both & (before > 0) & (after < 0)
-        turned.append((up, down))
-    (left, right), (floor, _) = turned
-    return Contacts(left, right, floor)
+    return np.diff(position, axis=1) / interval, np.maximum(
+        _SLOWEST_CONTACT, _SD_OF_CONTACT * np.sqrt(2) * sd / interval
+    )
+
+
+def _bounces(paths: Paths, axis: int, sd: float) -> tuple[Bools, Bools]:
+    """Return the frames at which a coordinate turns upward, and downward, at once.
+
+    Drag never reverses a velocity, and buoyancy does so slowly.
+    """
+    velocity, least = _velocity(paths, paths.pose[..., axis], sd)
+    fast = np.abs(velocity) > least
+    up, down = np.zeros((2, *paths.time.shape), dtype=bool)
+    before, after, both = velocity[:, :-1], velocity[:, 1:], fast[:, :-1] & fast[:, 1:]
+    up[:, 1:-1], down[:, 1:-1] = both & (before < 0) & (after > 0), both & (before > 0) & (after < 0)
+    return up, down
+
+
+def _stops(paths: Paths, outward: Float64, reach: Float64, sd: float) -> Bools:
+    """Return the frames at which bars stop where no bar gets farther out.
+
+    Drag, too, may stop a fast bar within a few frames. At a wall several bars stop at one place, and of those that are
+    as fast elsewhere hardly any does.
+
+    Args:
+        paths: the throws.
+        outward: (n_throws, n_frames) positions of the bars [m], growing towards the wall.
+        reach: (n_throws, n_frames) of the bars from their centres [m].
+        sd: deviation of a measurement [m].
+    """
+    edge = outward + reach
+    velocity, least = _velocity(paths, outward, sd)
+    # The bar may touch the wall between two frames: the intervals before and after it are compared.
+    fast = (velocity > least)[:, :-2] & paths.seen[:, 3:]
+    stops = fast & (velocity[:, 2:] < _STOPPED * velocity[:, :-2])
+    near = edge[:, 2:-1] > edge[paths.seen].max() - _AT_THE_EDGE - _SD_OF_CONTACT * sd
+    at = np.zeros(paths.time.shape, dtype=bool)
+    n_elsewhere, n_stops_elsewhere = np.count_nonzero(fast & ~near), np.count_nonzero(stops & ~near)
+    if (stops & near).any(axis=1).sum() >= _LEAST_STOPS and n_stops_elsewhere <= _MOST_STOPS_ELSEWHERE * n_elsewhere:
+        at[:, 2:-1] = stops & near
+    return at
+
+
+def _rests(paths: Paths, reach: Float64, sd: float) -> Bools:
+    """Return the frames in which bars below the surface lie still where no bar gets deeper: on the floor.
+
+    Args:
+        paths: the throws.
+        reach: (n_throws, n_frames) of the bars from their centres along y [m].
+        sd: deviation of a measurement [m].
+    """
+    n = max(round(_REST_TIME / float(np.median(np.diff(paths.time, axis=1)[paths.seen[:, 1:]]))), 2)  # intervals
+    at = np.zeros(paths.time.shape, dtype=bool)
+    if paths.time.shape[1] <= n:
+        return at
+    y, lower = paths.pose[..., 1], paths.pose[..., 1] - reach
+    on_floor = (y + reach < 0) & (lower < lower[paths.seen].min() + _AT_THE_EDGE + _SD_OF_CONTACT * sd)
+    ways = np.ptp(np.lib.stride_tricks.sliding_window_view(paths.pose[..., :2], n + 1, axis=1), axis=-1)
+    still = on_floor[:, n:] & paths.seen[:, n:] & (ways < _REST_WAY + _SD_OF_CONTACT * sd).all(axis=-1)
+    for shift in range(n + 1):
+        at[:, shift : shift + still.shape[1]] |= still
+    return at
 
 
 @dataclass(frozen=True)
@@ -94,17 +174,34 @@ class Fall:
     sd: float
 
 
-def refuse_upward_falls(transitions: MeasuredTransitions, gravity: float, time_step: float) -> None:
-    """Refuse tracks in which bars fall freely upward and hardly ever down.
+def check_falls(transitions: MeasuredTransitions, gravity: float, time_step: float) -> Fall:
+    """Refuse tracks in which bars fall upward, or in air far faster or slower than bars do.
 
     Args:
         transitions: rows of all throws.
         gravity: [m/s²].
         time_step: of the simulation [s].
 
+    Returns:
+        The fall of bars in air.
+
     Raises:
-        TrackError: y grows downward.
+        TrackError: y grows downward, or the scale or the clock is wrong.
     """
+    _refuse_upward_falls(transitions, gravity, time_step)
+    fall = fall_in_air(transitions, gravity, time_step)
+    share = -fall.acceleration / gravity if gravity else 1.0
+    if falls_oddly(fall, gravity) and not 1 / _MOST_GRAVITY_OFF < share < _MOST_GRAVITY_OFF:
+        raise TrackError(
+            f"bars above the water fall at {-fall.acceleration:.3g} ± {fall.sd:.2g} m/s² of simulation, expected "
+            f"{gravity:g}: check tracks.length_unit, tracks.metres_per_metre, the scale of the calibration, the unit "
+            f"of time, and the frame rate (slow motion is tracked with --slowdown)"
+        )
+    return fall
+
+
+def _refuse_upward_falls(transitions: MeasuredTransitions, gravity: float, time_step: float) -> None:
+    """Refuse tracks in which bars fall freely upward and hardly ever down: y grows downward."""
     a_x, a_y = transitions.residual[:, 3:5].T / time_step
     level = np.abs(a_x) < _OF_FREE_FALL * gravity
     up, down = (level & (np.abs(a_y - gravity + sign * gravity) < _OF_FREE_FALL * gravity) for sign in (-1, 1))
@@ -136,8 +233,7 @@ def fall_in_air(transitions: MeasuredTransitions, gravity: float, time_step: flo
     n_throws = len(np.unique(transitions.throw[dry]))
     # The steps of a throw share their errors, so only throws count as independent.
     scatter = float(np.sqrt(np.sum(weight * np.square(transitions.residual[dry, 4] - mean)) / weight.sum() / n_throws))
-    fall = Fall(int(dry.sum()), mean / time_step - gravity, scatter / time_step)
-    return fall
+    return Fall(int(dry.sum()), mean / time_step - gravity, scatter / time_step)
 
 
 def falls_oddly(fall: Fall, gravity: float) -> bool:

@@ -11,7 +11,7 @@ from tasks.residual import MeasuredTransitions, observe
 from tasks.simulation.free_links import FreeLinks
 from tasks.tracks.bars import Bars, length_scales
 from tasks.tracks.conventions import Tracks
-from tasks.tracks.effects import Fall, Memory, contacts, fall_in_air, memory, refuse_upward_falls
+from tasks.tracks.effects import Contacts, Fall, Memory, check_falls, contacts, memory, n_contacts
 from tasks.tracks.smoother import Measured, Smoothed, smooth
 from tasks.tracks.table import Paths, TrackError, TrackTable, paths_of
 from tasks.world import Physics
@@ -38,7 +38,7 @@ class TrackReport:
     memory: Memory
 
 
-def checked_paths(table: TrackTable, bars: Bars, tracks: Tracks) -> tuple[Paths, Float64]:
+def _checked_paths(table: TrackTable, bars: Bars, tracks: Tracks) -> tuple[Paths, Float64]:
     """Return the throws in the simulation's units, and the (n_throws,) long axes of their bars [m].
 
     Args:
@@ -55,6 +55,32 @@ def checked_paths(table: TrackTable, bars: Bars, tracks: Tracks) -> tuple[Paths,
     if missing:
         raise TrackError(f"throw {missing[0]} has no bar: give its length, width and mass")
     return paths, np.array([long_axes[int(throw)] for throw in paths.throw])
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimate:
+    """What smoothed poses alone say of the throws."""
+
+    paths: Paths
+    long_axes: Float64  # (n_throws,) of their bars [m]
+    time: Float64  # (n_throws, n_steps + 1) of the simulation's steps [s]; padding repeats the last
+    smoothed: list[Smoothed]  # x, y and the angle
+    contacts: Contacts
+    n_gaps: int
+    n_rows_in_gaps: int
+    n_rows_at_contacts: int
+    usable: Bools  # (n_throws, n_steps) steps outside gaps and away from contacts
+    transitions: MeasuredTransitions
+    fall: Fall
+
+
+def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> Paths:
+    """Return the throws in the simulation's units, if networks can learn from them.
+
+    Raises:
+        TrackError: something is wrong with a throw or a bar, or with how bars fall.
+    """
+    return _estimate(table, bars, tracks, physics).paths
 
 
 def residual_transitions(
@@ -76,9 +102,37 @@ def residual_transitions(
         MeasuredTransitions with their uncertainty, ordered by throw and step, and what the tracks are like.
 
     Raises:
-        TrackError: something is wrong with a throw or a bar.
+        TrackError: something is wrong with a throw or a bar, or with how bars fall.
     """
-    paths, long_axes = checked_paths(table, bars, tracks)
+    first = _estimate(table, bars, tracks, physics)
+    paths, turned, smoothed, transitions = first.paths, first.contacts, first.smoothed, first.transitions
+    recalled = memory(transitions, physics.time_step, _typical_interval(paths))
+    if tracks.fit == "rollouts":
+        smoothed, in_range = _rolled_out(first, physics, n_iterations)
+        transitions = _transitions(paths, first.long_axes, smoothed, physics, first.usable & in_range)
+    typical = np.median(transitions.residual_sd[:, 3:], axis=0)
+    where = [_where(paths, frames, axis) for frames, axis in ((turned.left, 0), (turned.right, 0), (turned.floor, 1))]
+    report = TrackReport(
+        n_throws=len(paths.throw),
+        n_frames=int(paths.seen.sum()),
+        frame_interval=_typical_interval(paths),
+        n_gaps=first.n_gaps,
+        n_rows_in_gaps=first.n_rows_in_gaps,
+        noise=(smoothed[0].noise.measurement, smoothed[1].noise.measurement, smoothed[2].noise.measurement),
+        sd_given=paths.sd is not None,
+        residual_sd=(float(typical[0]), float(typical[1]), float(typical[2])),
+        n_contacts=(n_contacts(turned.left), n_contacts(turned.right), n_contacts(turned.floor)),
+        contact_at=(where[0], where[1], where[2]),
+        n_rows_at_contacts=first.n_rows_at_contacts,
+        fall=first.fall,
+        memory=recalled,
+    )
+    return transitions, report
+
+
+def _estimate(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> _Estimate:
+    """Check throws, smooth their poses, and compare each step with the base simulator's."""
+    paths, long_axes = _checked_paths(table, bars, tracks)
     dt = physics.time_step
     n_steps = np.floor(paths.time[:, -1] / dt + 1e-6).astype(int)
     if (n_steps < 1).any():
@@ -87,36 +141,28 @@ def residual_transitions(
     step = np.minimum(np.arange(n_steps.max() + 1), n_steps[:, None])
     time = np.minimum(step * dt, paths.time[:, -1:])
     smoothed = _smoothed(paths, paths.pose, time)
-    turned = contacts(paths, (smoothed[0].noise.measurement, smoothed[1].noise.measurement))
+    turned = contacts(paths, long_axes, (smoothed[0].noise.measurement, smoothed[1].noise.measurement))
 
     real = np.arange(n_steps.max()) < n_steps[:, None]
     in_gap, n_gaps = _in_gaps(paths, time)
     at_contact = _near_frames(paths, turned.around, time)
     usable = real & ~in_gap & ~at_contact
+    if not usable.any():
+        raise TrackError("every step is in a gap between frames or at a wall or the floor: film throws in open water")
     transitions = _transitions(paths, long_axes, smoothed, physics, usable)
-    refuse_upward_falls(transitions, physics.gravity, dt)
-    effects = fall_in_air(transitions, physics.gravity, dt), memory(transitions, dt, _typical_interval(paths))
-    if tracks.fit == "rollouts":
-        smoothed, in_range = _rolled_out(paths, long_axes, turned.any, transitions, time, physics, n_iterations)
-        transitions = _transitions(paths, long_axes, smoothed, physics, usable & in_range)
-    typical = np.median(transitions.residual_sd[:, 3:], axis=0)
-    where = [_where(paths, frames, axis) for frames, axis in ((turned.left, 0), (turned.right, 0), (turned.floor, 1))]
-    report = TrackReport(
-        n_throws=len(paths.throw),
-        n_frames=int(paths.seen.sum()),
-        frame_interval=_typical_interval(paths),
+    return _Estimate(
+        paths,
+        long_axes,
+        time,
+        smoothed,
+        turned,
         n_gaps=n_gaps,
         n_rows_in_gaps=int((real & in_gap).sum()),
-        noise=(smoothed[0].noise.measurement, smoothed[1].noise.measurement, smoothed[2].noise.measurement),
-        sd_given=paths.sd is not None,
-        residual_sd=(float(typical[0]), float(typical[1]), float(typical[2])),
-        n_contacts=(int(turned.left.sum()), int(turned.right.sum()), int(turned.floor.sum())),
-        contact_at=(where[0], where[1], where[2]),
         n_rows_at_contacts=int((real & at_contact & ~in_gap).sum()),
-        fall=effects[0],
-        memory=effects[1],
+        usable=usable,
+        transitions=transitions,
+        fall=check_falls(transitions, physics.gravity, dt),
     )
-    return transitions, report
 
 
 def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
@@ -129,35 +175,24 @@ def _smoothed(paths: Paths, pose: Float64, time: Float64) -> list[Smoothed]:
     ]
 
 
-def _rolled_out(
-    paths: Paths,
-    long_axes: Float64,
-    turned: Bools,
-    transitions: MeasuredTransitions,
-    time: Float64,
-    physics: Physics,
-    n_iterations: int,
-) -> tuple[list[Smoothed], Bools]:
+def _rolled_out(first: _Estimate, physics: Physics, n_iterations: int) -> tuple[list[Smoothed], Bools]:
     """Fit a model of the medium, roll the throws out, and smooth by how much the poses seen differ from them.
 
     Args:
-        paths: the throws.
-        long_axes: (n_throws,) of their bars [m].
-        turned: (n_throws, n_frames) frames at contacts.
-        transitions: a first estimate.
-        time: (n_throws, n_times) of the steps [s].
+        first: what smoothed poses alone say.
         physics: constants of the base simulator.
         n_iterations: iterations of the fit.
 
     Returns:
-        The states, and which of the (n_throws, n_times - 1) steps begin no faster than smoothed poses ever do: how fast
-        a bar was before its first frame, drag soon hides.
+        The states, and which of the (n_throws, n_steps) steps begin no faster than smoothed poses ever do: how fast a
+        bar was before its first frame, drag soon hides.
     """
     from tasks.residual.rollouts import SeenPaths, fit_medium, follow  # imports torch
 
+    paths = first.paths
     at_frames = _smoothed(paths, paths.pose, paths.time)
     noise = np.array([coordinate.noise.measurement for coordinate in at_frames])
-    begins = turned.copy()
+    begins = first.contacts.any
     begins[:, 0] = True
     begins[:, 1:] |= _gaps(paths)
     seen = SeenPaths(
@@ -167,15 +202,15 @@ def _rolled_out(
         velocity=np.stack([coordinate.mean[..., 1] for coordinate in at_frames], axis=-1),
         seen=paths.seen,
         begins=begins & paths.seen,
-        length_scale=long_axes,
+        length_scale=first.long_axes,
     )
-    model = fit_medium(seen, transitions, physics, n_iterations=n_iterations)
-    seen_pose, pose, velocity = follow(model, seen, time, physics)
-    smoothed = _smoothed(paths, paths.pose - seen_pose, time)
+    model = fit_medium(seen, first.transitions, physics, n_iterations=n_iterations)
+    seen_pose, pose, velocity = follow(model, seen, first.time, physics)
+    smoothed = _smoothed(paths, paths.pose - seen_pose, first.time)
     for axis, coordinate in enumerate(smoothed):
         coordinate.mean[..., 0] += pose[..., axis]
         coordinate.mean[..., 1] += velocity[..., axis]
-    fastest = np.abs(transitions.state[:, 3:]).max(axis=0)
+    fastest = np.abs(first.transitions.state[:, 3:]).max(axis=0)
     found = np.stack([coordinate.mean[:, :-1, 1] for coordinate in smoothed], axis=-1)
     return smoothed, (np.abs(found) <= fastest).all(axis=-1)
 

@@ -16,6 +16,8 @@ _MAX_TURN = 0.75 * np.pi  # between two frames; half a turn might have been eith
 _AWAY = 10.0  # times the usual change of velocity between frames, that a jump away and back is at least
 _UNLIKE = 0.15  # share of the changes of velocity around it that such a jump may leave unexplained
 _MIN_WAY, _MAX_WAY = 0.01, 500.0  # that throws cover [m of simulation]
+_LEAST_SHARE = 1 / 100  # of what most throws cover, that each does
+_MOST_TURNS = 4 * np.pi  # typical angle in radians at most; degrees exceed 2π, unless nearly every bar is upright
 
 
 class TrackError(ValueError):
@@ -100,6 +102,7 @@ def paths_of(table: TrackTable, tracks: Tracks) -> Paths:
     paths = Paths(numbers, time, pose, sd, np.arange(n_frames) <= last[:, None])
     _check_ways(paths, tracks)
     _check_jumps(paths, tracks)
+    _check_angles(table, tracks)
     return paths
 
 
@@ -136,13 +139,35 @@ def _check_times(throw: int, time: Float64) -> None:
 def _check_ways(paths: Paths, tracks: Tracks) -> None:
     """Refuse units that can't be: a bar moves by some of its lengths."""
     pose = paths.pose[..., :2]
-    way = float(np.median(np.ptp(pose, axis=1).max(axis=1)))
+    ways = np.ptp(pose, axis=1).max(axis=1)
+    way, unit = float(np.median(ways)), metres(tracks) / length_scale_of(tracks)
     if not _MIN_WAY < way < _MAX_WAY:
-        unit = metres(tracks) / length_scale_of(tracks)
         raise TrackError(
             f"the throws move by {way / unit:.3g} {tracks.length_unit} (median), or {way:.3g} m of simulation: "
             f"expected {_MIN_WAY:g} to {_MAX_WAY:g} m of simulation: check tracks.length_unit (m or mm) and "
             f"tracks.scaling"
+        )
+    if (k := first(ways < _LEAST_SHARE * way)) is not None:
+        raise TrackError(
+            f"throw {paths.throw[k]} moves by {ways[k] / unit:.3g} {tracks.length_unit}, the others by "
+            f"{way / unit:.3g} {tracks.length_unit} (median): give all throws in one unit, and leave out bars that "
+            f"were not thrown"
+        )
+
+
+def _check_angles(table: TrackTable, tracks: Tracks) -> None:
+    """Refuse angles in the other unit: bars turn, but seldom several times."""
+    if tracks.angle_unit == "deg":
+        most = float(np.quantile(np.abs(table.angle), 0.9))
+        if most <= 2 * np.pi:
+            raise TrackError(
+                f"nine in ten angles are at most {most:.3g}°, so that every bar would be upright: check "
+                f"tracks.angle_unit (rad or deg)"
+            )
+    elif (typical := float(np.median(np.abs(table.angle)))) > _MOST_TURNS:
+        raise TrackError(
+            f"angles are {typical:.3g} rad (median), expected at most {_MOST_TURNS:.3g}: check tracks.angle_unit (rad "
+            f"or deg)"
         )
 
 

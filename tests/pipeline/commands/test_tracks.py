@@ -141,6 +141,8 @@ def test_bad_tracks_are_refused_before_anything_is_written(
     ("overrides", "message"),
     [
         (["tracks.length_unit=mm"], "check tracks.length_unit (m or mm), tracks.scaling and tracks.metres_per_metre"),
+        (["tracks.flip_y=true"], "bars fall freely upward"),
+        (["tracks.angle_unit=deg"], "so that every bar would be upright: check tracks.angle_unit"),
         (["tracks.scaling=none"], "which is 1 to 3 m: check tracks.length_unit"),
         (["tracks.angle_unit=deg", "tracks.metres_per_metre=0.01"], "check tracks.length_unit"),
         (["replicates=1", "designed_throws.source=tracks"], "only throws can be tracked"),

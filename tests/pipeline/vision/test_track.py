@@ -52,6 +52,7 @@ def test_throws_are_where_they_were(tank, tmp_path, lens, capsys):
     assert bars["mass"] == pytest.approx(0.8 * 1000 * 0.05 * 0.07**2, abs=1e-6)
     n_frames = len(list(frames(tmp_path / "tracks-check.mp4")))
     assert f"{n_frames} frames" in said and "dropped by the camera" in said and "3 throws, lost in" in said
+    assert "2 throws end where the bar is lost from sight inside the tank" in said  # the third ends with the video
     assert ("views of the board" in said) == lens
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tracks-bars.csv", "tracks-check.mp4", "tracks.csv"]
 

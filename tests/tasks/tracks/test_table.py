@@ -115,3 +115,28 @@ def test_positions_in_another_unit_are_refused(table: TrackTable, unit: float) -
     slow = replace(table, x=table.x * unit, y=table.y * unit)
     with pytest.raises(TrackError, match=r"the throws move by .* check tracks.length_unit \(m or mm\) and tracks.scal"):
         paths_of(slow, PLAIN)
+
+
+def test_one_throw_in_another_unit_is_refused(table: TrackTable) -> None:
+    """It is in metres, among others in millimetres."""
+    other = table.throw == 2
+    mixed = replace(table, **{name: getattr(table, name) * np.where(other, 1, 1000) for name in ("x", "y")})
+    with pytest.raises(
+        TrackError, match=r"throw 2 moves by 0\.\d+ mm, the others by [\d.]+ mm \(median\): give all throws"
+    ):
+        paths_of(mixed, Tracks(file="tracks.csv", length_unit="mm"))
+
+
+@pytest.mark.parametrize(
+    ("said", "factor", "message"),
+    [
+        ("deg", 1.0, r"nine in ten angles are at most \d\.\d+°.* check tracks\.angle_unit"),
+        ("rad", 180 / np.pi, r"angles are [\d.]+ rad \(median\), expected at most 12\.6: check tracks\.angle_unit"),
+    ],
+)
+def test_angles_in_another_unit_are_refused(table: TrackTable, said: str, factor: float, message: str) -> None:
+    turns = np.tile(0.5 + 0.02 * np.arange(len(table.time) // 4), 4)  # 28° and more, by a degree a frame
+    with pytest.raises(TrackError, match=message):
+        paths_of(replace(table, angle=turns * factor), Tracks(file="tracks.csv", angle_unit=said))
+    stated = Tracks(file="tracks.csv", angle_unit="deg" if said == "rad" else "rad")
+    paths_of(replace(table, angle=turns * factor), stated)
