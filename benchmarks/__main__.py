@@ -60,12 +60,12 @@ def main() -> None:
         console.print(f"[dim]{measure.__doc__}[/dim]")
         figures += measure()
     table = Table(title=f"One core of {machine()['cpu']}")
-    for heading in ("what", "median", "spread", "unit", "promised"):
+    for heading in ("what", "median", "spread", "unit", "bound"):
         table.add_column(heading, justify="left" if heading in ("what", "unit") else "right")
     for figure in figures:
         low, high = min(figure.rounds), max(figure.rounds)
-        promise = "" if figure.promise is None else f"{figure.promise_text} {'✓' if figure.kept else '✗'}"
-        table.add_row(figure.name, f"{figure.median:.3g}", f"{low:.3g} to {high:.3g}", figure.unit, promise)
+        bound = "" if figure.bound is None else f"{figure.bound_text} {'✓' if figure.met else '✗'}"
+        table.add_row(figure.name, f"{figure.median:.3g}", f"{low:.3g} to {high:.3g}", figure.unit, bound)
     console.print(table)
     OUT.write_text(json.dumps({"machine": machine(), "figures": [figure.as_dict() for figure in figures]}, indent=1))
     console.print(f"written to {OUT}")

@@ -127,7 +127,7 @@ def steps() -> list[Figure]:
     figures = []
     population = designs()
     _batch(population, DryLand(0.0))
-    for depth, promise in ((0.0, 0.5), (1.0, None), (9.0, 0.35)):
+    for depth, bound in ((0.0, 0.5), (1.0, None), (9.0, 0.35)):
         environment = TrueSlush(depth)
         ours, bare, whole, script = [], [], [], []
         for _ in range(N_ROUNDS):
@@ -137,7 +137,7 @@ def steps() -> list[Figure]:
             script.append(_obvious(population, environment))
         unit = "µs per robot and step"
         figures += [
-            Figure(f"batch engine, d = {depth:g}", ours, unit, promise),
+            Figure(f"batch engine, d = {depth:g}", ours, unit, bound),
             Figure(f"pybox2d's Step alone, d = {depth:g}", bare, unit),
             Figure(f"reference engine, d = {depth:g}", whole, unit),
             Figure(f"the obvious script, d = {depth:g}", script, unit),

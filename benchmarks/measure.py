@@ -11,14 +11,14 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Figure:
-    """A quantity measured in several rounds, and its promised bound."""
+    """A quantity measured in several rounds, and its bound."""
 
     name: str
     rounds: Sequence[float]
     unit: str
-    promise: float | None = None
+    bound: float | None = None
     at_least: bool = False
-    """Whether the promise is a lower bound."""
+    """Whether the bound is a lower one."""
 
     @property
     def median(self) -> float:
@@ -26,20 +26,20 @@ class Figure:
         return statistics.median(self.rounds)
 
     @property
-    def kept(self) -> bool:
-        """Whether the median meets the promise, if there is one."""
-        if self.promise is None:
+    def met(self) -> bool:
+        """Whether the median meets the bound, if there is one."""
+        if self.bound is None:
             return True
-        return self.median >= self.promise if self.at_least else self.median <= self.promise
+        return self.median >= self.bound if self.at_least else self.median <= self.bound
 
     @property
-    def promise_text(self) -> str:
-        """Promise as text."""
-        return f"{'≥' if self.at_least else '≤'} {self.promise:g}"
+    def bound_text(self) -> str:
+        """Bound as text."""
+        return f"{'≥' if self.at_least else '≤'} {self.bound:g}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figure for JSON."""
-        return {**vars(self), "rounds": list(self.rounds), "median": self.median, "kept": self.kept}
+        return {**vars(self), "rounds": list(self.rounds), "median": self.median, "met": self.met}
 
 
 def seconds(run: Callable[[], Any]) -> float:

@@ -128,8 +128,8 @@ def generation() -> list[Figure]:
             for _ in range(3)
         ]
         scaled = [r * N_STEPS / N_TIMED for r in rounds]
-        promise = 16.0 if width == 256 else None
-        figures.append(Figure(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", promise))
+        bound = 16.0 if width == 256 else None
+        figures.append(Figure(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", bound))
     return figures
 
 

@@ -23,15 +23,15 @@ def section(results: dict[str, Any]) -> str:
         f"One core of: {where}.",
         "Medians of repeated rounds; a ratio compares what ran in the same round.",
         "",
-        "| what | median | spread | unit | promised |",
+        "| what | median | spread | unit | bound |",
         "|---|--:|--:|---|---|",
     ]
     for figure in results["figures"]:
-        bound = f"{'≥' if figure['at_least'] else '≤'} {figure['promise']} {'✓' if figure['kept'] else '✗'}"
-        promise = "" if figure["promise"] is None else bound
+        words = f"{'≥' if figure['at_least'] else '≤'} {figure['bound']} {'✓' if figure['met'] else '✗'}"
+        bound = "" if figure["bound"] is None else words
         low, high = min(figure["rounds"]), max(figure["rounds"])
         median, spread = f"{figure['median']:.3g}", f"{low:.3g} to {high:.3g}"
-        lines.append(f"| {figure['name']} | {median} | {spread} | {figure['unit']} | {promise} |")
+        lines.append(f"| {figure['name']} | {median} | {spread} | {figure['unit']} | {bound} |")
     return "\n".join(lines)
 
 

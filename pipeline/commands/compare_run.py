@@ -1,4 +1,4 @@
-"""puddle compare-run: whether the robot that was built did what was promised."""
+"""puddle compare-run: whether a built robot moves as predicted."""
 
 from pathlib import Path
 from typing import Annotated
@@ -34,9 +34,9 @@ def compare_run(
     out: Annotated[Path, typer.Option("--out", help="The page (.html).")] = Path("run.html"),
     store: StorePath = DEFAULT_STORE,
 ) -> None:
-    """Compare the run of a built robot with its simulation, and with what the ensemble promised.
+    """Compare the run of a built robot with its simulation, and with what the ensemble predicted.
 
-    Path, speed and the phase lag of each joint stand on the terminal and on a page. The promise is that of a study's
+    Path, speed and the phase lag of each joint stand on the terminal and on a page. The prediction is that of a study's
     ensemble (--study), or what the kit records; its interval is two standard deviations of the members to either side.
     """
     from pipeline.commands.run_comparison import RunSource, compare_built_run

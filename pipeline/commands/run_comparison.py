@@ -178,8 +178,9 @@ def _lines(comparison: RunComparison) -> list[str]:
         f"{1000 * simulated.y.mean():+z.0f} mm",
         f"speed: {in_mm(measured.speed)} mm/s, simulated {in_mm(simulated.speed)} mm/s",
     ]
-    if (promise := comparison.promise) is not None:
-        lines.append(f"promised: {in_mm(promise.mean)} mm/s, within {in_mm(promise.low)} to {in_mm(promise.high)}")
+    if (prediction := comparison.prediction) is not None:
+        low, high = in_mm(prediction.low), in_mm(prediction.high)
+        lines.append(f"predicted: {in_mm(prediction.mean)} mm/s, within {low} to {high}")
     if note := note_on(comparison):
         lines.append(f"note: {note}")
     lag = words_for_lags(comparison)

@@ -14,7 +14,7 @@ from pipeline.text import escape
 from tasks.analysis.built_run import RunComparison
 from tasks.world import ENVIRONMENTS
 
-_SIMULATED, _PROMISED = ENVIRONMENTS["true_slush"].color, ENVIRONMENTS["residual_slush"].color
+_SIMULATED, _PREDICTED = ENVIRONMENTS["true_slush"].color, ENVIRONMENTS["residual_slush"].color
 _PERIODS = 3.0  # of the gait that the figure of the joints shows
 
 
@@ -26,7 +26,7 @@ def render_run(comparison: RunComparison, run: str) -> str:
     )
     measured, simulated = comparison.measured, comparison.simulated
     rows: list[tuple[str, ...]] = [
-        ("speed [mm/s]", in_mm(measured.speed), in_mm(simulated.speed), _promised(comparison))
+        ("speed [mm/s]", in_mm(measured.speed), in_mm(simulated.speed), _predicted(comparison))
     ]
     lag = words_for_lags(comparison)
     for column, joint in enumerate(comparison.robot.joints):
@@ -42,35 +42,33 @@ def render_run(comparison: RunComparison, run: str) -> str:
 <header><p class="study">puddle · {escape(run)}</p><h1>The run of {escape(comparison.robot.name)}</h1>
 <p class="finding">{escape(verdict(comparison))}</p></header>
 <div class="figures">{shown}</div>
-<div class="scroll"><table><thead><tr><th></th><th>measured</th><th>simulated</th><th>promised</th></tr></thead>
+<div class="scroll"><table><thead><tr><th></th><th>measured</th><th>simulated</th><th>predicted</th></tr></thead>
 <tbody>{cells}</tbody></table></div>
 <p class="small">The gait was steady for {measured.time[-1] - measured.time[0]:.1f} s. Simulated: the true
-slush of the kit's settings. Promised: the mean of the ensemble's members, two standard deviations to either side. The
+slush of the kit's settings. Predicted: the mean of the ensemble's members, two standard deviations to either side. The
 members' disagreement is a lower bound on the uncertainty.{note}</p>
 </main>"""
     return document(title=f"Run of {escape(comparison.robot.name)}", policy="img-src data:", body=body)
 
 
 def verdict(comparison: RunComparison) -> str:
-    """Say in a sentence whether the robot did what was promised."""
-    measured, simulated, promise = comparison.measured.speed, comparison.simulated.speed, comparison.promise
+    """Say in a sentence whether the robot moved as predicted."""
+    measured, simulated, prediction = comparison.measured.speed, comparison.simulated.speed, comparison.prediction
     went = f"it went {in_mm(measured)} mm/s"
-    if promise is None:
+    if prediction is None:
         share = f"{measured / simulated:.0%} of" if comparison.same_way else "against"
         return (
-            f"No ensemble promised anything: {went}, {share} the {in_mm(simulated)} mm/s of its simulation. Name the "
+            f"No ensemble predicts this run: {went}, {share} the {in_mm(simulated)} mm/s of its simulation. Name the "
             f"study that it comes from with --study."
         )
-    low, high = promise.low, promise.high
+    low, high = prediction.low, prediction.high
     predictor = comparison.predictor
-    promised_by = "the kit's ensemble" if predictor is None else f"the ensemble of study {predictor.study}"
-    promised = f"the {in_mm(low)} to {in_mm(high)} mm/s that {promised_by} promised"
-    if not promise.holds(measured):
-        return (
-            f"The robot did not do what was promised: {went}, {'less' if measured < low else 'more'} than {promised}."
-        )
-    vague = ", but the promise leaves the direction open" if low < 0 < high else ""
-    return f"The robot did what was promised{vague}: {went}, within {promised}."
+    predicted_by = "the kit's ensemble" if predictor is None else f"the ensemble of study {predictor.study}"
+    predicted = f"the {in_mm(low)} to {in_mm(high)} mm/s that {predicted_by} predicted"
+    if not prediction.holds(measured):
+        return f"The robot did not move as predicted: {went}, {'less' if measured < low else 'more'} than {predicted}."
+    vague = ", but the prediction leaves the direction open" if low < 0 < high else ""
+    return f"The robot moved as predicted{vague}: {went}, within {predicted}."
 
 
 def note_on(comparison: RunComparison) -> str:
@@ -83,7 +81,7 @@ def note_on(comparison: RunComparison) -> str:
     if not other:
         return ""
     return (
-        f"study {comparison.predictor.study} promised it of robots with {', '.join(other)}; a difference need not be "
+        f"study {comparison.predictor.study} predicts robots with {', '.join(other)}; a difference need not be "
         f"the networks' error"
     )
 
@@ -98,10 +96,10 @@ def in_mm(speed: float) -> str:
     return f"{1000 * speed:+z.1f}"
 
 
-def _promised(comparison: RunComparison) -> str:
-    if comparison.promise is None:
+def _predicted(comparison: RunComparison) -> str:
+    if comparison.prediction is None:
         return ""
-    mean, low, high = comparison.promise.mean, comparison.promise.low, comparison.promise.high
+    mean, low, high = comparison.prediction.mean, comparison.prediction.low, comparison.prediction.high
     return f"{in_mm(mean)} ({in_mm(low)} to {in_mm(high)})"
 
 
@@ -112,7 +110,7 @@ def _figure(drawn: Drawing | Missing) -> str:
 
 
 def _path(comparison: RunComparison) -> tuple[Figure, str]:
-    """Draw x over time, with the promise as a band."""
+    """Draw x over time, with the prediction as a band."""
     figure = Figure(figsize=(FIGURE_WIDTH, 4.4), layout="constrained")
     axes, heights = figure.subplots(2, sharex=True, height_ratios=(3, 1))
     time, simulated = (
@@ -125,14 +123,14 @@ def _path(comparison: RunComparison) -> tuple[Figure, str]:
             simulated,
             1000 * (middle - spread),
             1000 * (middle + spread),
-            color=_PROMISED,
+            color=_PREDICTED,
             alpha=0.25,
             lw=0,
-            label="promised",
+            label="predicted",
         )
-    elif comparison.promise is not None:
-        edges = [1000 * speed * time for speed in (comparison.promise.low, comparison.promise.high)]
-        axes.fill_between(time, *edges, color=_PROMISED, alpha=0.25, lw=0, label="promised")
+    elif comparison.prediction is not None:
+        edges = [1000 * speed * time for speed in (comparison.prediction.low, comparison.prediction.high)]
+        axes.fill_between(time, *edges, color=_PREDICTED, alpha=0.25, lw=0, label="predicted")
     for axis, values in ((axes, "x"), (heights, "y")):
         axis.plot(simulated, 1000 * getattr(comparison.simulated, values), color=_SIMULATED, label="simulated")
         axis.plot(time, 1000 * getattr(comparison.measured, values), color=INK, label="measured")

@@ -1,4 +1,4 @@
-"""A built robot's run beside its simulation: speed, gait of each joint, and whether the promise held.
+"""A built robot's run beside its simulation: speed, gait of each joint, and whether its prediction held.
 
 The robot's joints follow a timeline that rises from rest, so where its start is not known, it is the shift in time at
 which the joints that the camera saw fit the timeline best. What is common to all joints' lags then vanishes in the
@@ -79,8 +79,8 @@ class RobotMotion:
 
 
 @dataclass(frozen=True)
-class Promise:
-    """What an ensemble predicts of a run."""
+class SpeedPrediction:
+    """The speed that an ensemble predicts of a run [m/s]: the mean over members, and the limits of an interval."""
 
     mean: float
     low: float
@@ -109,7 +109,7 @@ class RunComparison:
     simulated: RobotMotion
     lags: Float64  # (2, n_joints) measured and simulated, behind the command [rad]
     start_known: bool  # whether lags are absolute; if not, they are relative to the mean over the joints
-    promise: Promise | None  # of the speed [m/s]
+    prediction: SpeedPrediction | None
     predictor: RunPredictor | None  # whose ensemble that is; None for the one that the kit records
     members: Float64 | None  # (n_members, n_frames) x of each member's root at ``simulated.time`` [m]
 
@@ -154,17 +154,17 @@ def compare_with_simulation(
         began -= (shared[1] - shared[0]) / (2 * np.pi * robot.frequency)
         measured, simulated, lags = _beside_simulation(robot, time - began, root, angle)
         lags = lags - lags.mean(axis=1, keepdims=True)
-    members, promise = None, None
+    members, prediction = None, None
     if predictor is not None:
         environment = ResidualSlush(depth=robot.environment.depth, ensemble=predictor.ensemble)
         where = f"under the ensemble of study {predictor.study}"
         _, members = _simulated(robot, environment, predictor.physics, measured, where)
         speeds = [steady_speed(simulated.time, x, 1 / robot.frequency) for x in members]
-        promise = promise_of(np.array(speeds))
+        prediction = speed_prediction(np.array(speeds))
     elif robot.predicted is not None:
         seconds = robot.n_measure * robot.physics.time_step * robot.time_scale
-        promise = promise_of(robot.predicted * robot.scale / seconds)
-    return RunComparison(robot, measured, simulated, lags, start is not None, promise, predictor, members)
+        prediction = speed_prediction(robot.predicted * robot.scale / seconds)
+    return RunComparison(robot, measured, simulated, lags, start is not None, prediction, predictor, members)
 
 
 def fit_gait(time: Float64, angle: Float64, frequency: float) -> Gait:
@@ -314,10 +314,10 @@ def start_of_run(time: Float64, angle: Float64, commanded_time: Float64, command
     return best
 
 
-def promise_of(predictions: Float64) -> Promise:
+def speed_prediction(predictions: Float64) -> SpeedPrediction:
     """Return the mean of (n_members,) predictions, with two of their standard deviations to either side."""
     mean, spread = float(predictions.mean()), _DEVIATIONS * float(predictions.std())
-    return Promise(mean, mean - spread, mean + spread)
+    return SpeedPrediction(mean, mean - spread, mean + spread)
 
 
 def steady_speed(time: Float64, x: Float64, period: float) -> float:

@@ -338,8 +338,8 @@ def test_sensitivity_is_that_of_its_result():
     assert sensitivity_page(SENSITIVITY.validate_json(page.with_suffix(".json").read_bytes())) == page.read_text()
 
 
-def promised_names() -> Iterator[str]:
-    """Return the names of the figures with a promise in the benchmarks, as regular expressions."""
+def bounded_names() -> Iterator[str]:
+    """Return the names of the figures with a bound in the benchmarks, as regular expressions."""
     for module in sorted((ROOT / "benchmarks").glob("*.py")):
         for call in ast.walk(ast.parse(module.read_text())):
             if isinstance(call, ast.Call) and ast.unparse(call.func) == "Figure" and len(call.args) == 4:
@@ -347,8 +347,8 @@ def promised_names() -> Iterator[str]:
                 yield "".join(re.escape(part.value) if isinstance(part, ast.Constant) else ".+" for part in parts)
 
 
-def test_every_promise_was_measured():
-    measured = {figure["name"] for figure in json.loads(RESULTS.read_text())["figures"] if figure["promise"]}
-    promised = list(promised_names())
-    assert len(promised) > 10
-    assert [name for name in promised if not any(re.fullmatch(name, one) for one in measured)] == []
+def test_every_bound_was_measured():
+    measured = {figure["name"] for figure in json.loads(RESULTS.read_text())["figures"] if figure["bound"]}
+    bounded = list(bounded_names())
+    assert len(bounded) > 10
+    assert [name for name in bounded if not any(re.fullmatch(name, one) for one in measured)] == []

@@ -60,6 +60,7 @@ WORDS = (
     Word("rejection sampling", prose=r"drawn again until|drawn until"),
     Word("controller", r"drives?", where=r"(tasks|tests/tasks)/(simulation|world|design)/"),
     Word("servo, play", r"drives?", where=r"pipeline/servo/"),
+    Word("prediction; bound, guarantee", r"promis\w+", r"promis\w+", except_in=r"shared/browser|report/test_browser"),
     Word("model exploitation", prose=r"liv(es?|ing) off"),
     Word("hallucinated dynamics", r"imagined", r"imagined"),
     Word("environment, arm", r"^_?worlds?$|world_of|world_inputs|shared_world|n_worlds\w*", except_in=BOX2D),

@@ -1,8 +1,8 @@
 """A simulated disk that can lose power at any of the six effects of pipeline/store/disk.py.
 
 Two faults are simulated. A process that dies loses nothing that it has written. A power cut loses what was not synced:
-POSIX promises for a file the content at its last fsync, and for a folder the list of names at the folder's last fsync;
-of everything since, any part may be there or missing, in any order. This module keeps account of both, and writes the
+POSIX guarantees the content of a file at its last fsync, and the list of names of a folder at the folder's last fsync.
+Of everything since, any part may be there or missing, in any order. This module keeps account of both, and writes the
 disk as it could be found after the cut.
 """
 

@@ -94,9 +94,9 @@ def compared(run, tmp_path, capsys, *options, tracks=None, kit=None):
     return code, (said.out if code == 0 else said.err), page
 
 
-def promising(run, tmp_path, mean, spread):
+def predicting(run, tmp_path, mean, spread):
     """Return a kit whose ensemble predicted a speed [m/s] and a deviation."""
-    kit = tmp_path / "promising"
+    kit = tmp_path / "predicting"
     shutil.copytree(run[0] / "kit", kit)
     document = json.loads((kit / "kit.json").read_text())
     metres = TIME * 20.0 / 0.07
@@ -107,7 +107,7 @@ def promising(run, tmp_path, mean, spread):
 
 def test_the_simulation_as_a_robot_is_as_simulated(run, tmp_path, capsys):
     code, said, page = compared(run, tmp_path, capsys, "--start", BEGAN)
-    assert code == 0 and "No ensemble promised anything" in said
+    assert code == 0 and "No ensemble predicts this run" in said
     lines = {line.split(":")[0]: line for line in said.splitlines()}
     measured, simulated = (float(word) for word in re.findall(r"[+-][\d.]+", lines["speed"]))
     assert measured == pytest.approx(1000 * run[2], abs=0.3)
@@ -118,22 +118,22 @@ def test_the_simulation_as_a_robot_is_as_simulated(run, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("off", "verdict"), [(0.0, "The robot did what was promised"), (0.02, "The robot did not do what was promised")]
+    ("off", "verdict"), [(0.0, "The robot moved as predicted"), (0.02, "The robot did not move as predicted")]
 )
-def test_the_last_line_says_whether_the_promise_held(run, tmp_path, capsys, off, verdict):
-    code, said, _ = compared(run, tmp_path, capsys, kit=promising(run, tmp_path, run[2] + off, 0.003))
+def test_the_last_line_says_whether_the_prediction_held(run, tmp_path, capsys, off, verdict):
+    code, said, _ = compared(run, tmp_path, capsys, kit=predicting(run, tmp_path, run[2] + off, 0.003))
     assert code == 0 and said.splitlines()[-1].startswith(verdict)
-    assert ("less than the +" in said) == (off > 0) and said.endswith("mm/s that the kit's ensemble promised.\n")
+    assert ("less than the +" in said) == (off > 0) and said.endswith("mm/s that the kit's ensemble predicted.\n")
     assert "lag relative to the mean of the joints" in said
 
 
-def test_a_promise_that_leaves_the_direction_open_is_not_praised(run, tmp_path, capsys):
+def test_a_prediction_that_leaves_the_direction_open_is_not_praised(run, tmp_path, capsys):
     """Tenths, so that a speed just outside of an interval does not read as its limit."""
-    _, said, _ = compared(run, tmp_path, capsys, kit=promising(run, tmp_path, run[2], 0.1))
-    promised = re.escape(f"{1000 * run[2] - 200:+.1f} to {1000 * run[2] + 200:+.1f} mm/s")
+    _, said, _ = compared(run, tmp_path, capsys, kit=predicting(run, tmp_path, run[2], 0.1))
+    predicted = re.escape(f"{1000 * run[2] - 200:+.1f} to {1000 * run[2] + 200:+.1f} mm/s")
     assert re.fullmatch(
-        r"The robot did what was promised, but the promise leaves the direction open: it went [+-]\d+\.\d mm/s, within "
-        rf"the {promised} that the kit's ensemble promised\.",
+        r"The robot moved as predicted, but the prediction leaves the direction open: it went [+-]\d+\.\d mm/s, within "
+        rf"the {predicted} that the kit's ensemble predicted\.",
         said.splitlines()[-1],
     )
 
@@ -141,10 +141,10 @@ def test_a_promise_that_leaves_the_direction_open_is_not_praised(run, tmp_path, 
 def test_a_study_predicts_the_path_of_every_member(run, recorded, tmp_path, capsys):
     """The study's robots do not collide; the kit's do."""
     code, said, page = compared(run, tmp_path, capsys, "--study", "tiny", "--store", recorded)
-    assert code == 0 and said.endswith("mm/s that the ensemble of study tiny promised.\n")
-    mean, low, high = re.search(r"promised: (\S+) mm/s, within (\S+) to (\S+)", said).groups()
+    assert code == 0 and said.endswith("mm/s that the ensemble of study tiny predicted.\n")
+    mean, low, high = re.search(r"predicted: (\S+) mm/s, within (\S+) to (\S+)", said).groups()
     assert f"<td>{mean} ({low} to {high})</td>" in page.read_text()
-    note = "study tiny promised it of robots with "
+    note = "study tiny predicts robots with "
     assert note in said and note in page.read_text() and "link_collisions False (built: True)" in said
 
 
@@ -174,7 +174,7 @@ def test_tracks_of_something_else(run, robot, tmp_path, capsys):
 
 
 def test_a_kit_of_another_gait_and_what_is_no_kit(run, robot, tmp_path, capsys):
-    kit = promising(run, tmp_path, 0.0, 1.0)
+    kit = predicting(run, tmp_path, 0.0, 1.0)
     faster = replace(robot, frequency=robot.frequency / 1.5)
     (kit / "design.json").write_text(json.dumps(design_document(faster)))
     for start in ((), ("--start", BEGAN)):
@@ -206,7 +206,7 @@ def test_a_filmed_robot_that_is_slower_than_its_simulation_is_found_to_be(run, t
     truth = film_run(video, Scene(camera, markers), read_kit(folder / "kit"), seconds, slower=0.5)
     steady = (truth["throw"] == 0) & (truth["time"] >= 1.0 + Playback().ramp)  # the servos begin after a second
 
-    kit = promising(run, tmp_path, speed, 0.1 * speed)
+    kit = predicting(run, tmp_path, speed, 0.1 * speed)
     code, said, _ = compared(run, tmp_path, capsys, "--markers", tmp_path / "markers.yaml", tracks=video, kit=kit)
     assert code == 0 and "5 links, lost in 0 of" in said  # the tag of link 1 is behind that of the root
     lasted = float(re.search(r"crane: ([\d.]+) s of steady gait", said)[1])
@@ -216,5 +216,5 @@ def test_a_filmed_robot_that_is_slower_than_its_simulation_is_found_to_be(run, t
     assert measured == pytest.approx(slow, abs=0.001 / (lasted - period)) and slow == pytest.approx(speed / 2, rel=0.1)
     assert simulated == pytest.approx(speed, rel=0.05)
     assert said.splitlines()[-1].startswith(
-        f"The robot did not do what was promised: it went {1000 * measured:+.1f} mm/s, less"
+        f"The robot did not move as predicted: it went {1000 * measured:+.1f} mm/s, less"
     )

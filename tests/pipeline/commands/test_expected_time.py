@@ -21,7 +21,7 @@ def test_every_stage_has_a_time_that_cores_shorten(name):
 
 @pytest.mark.parametrize(("name", "least", "most"), [("smoke", 10, 120), ("laptop", 600, 2400), ("row", 5400, 21600)])
 def test_the_time_of_a_preset_is_that_of_the_readme(name, least, most):
-    """A minute, half an hour and three hours on two cores, within the factor of two that is promised."""
+    """A minute, half an hour and three hours on two cores, within the factor of two that is stated."""
     assert least <= sum(expected_seconds(load(Settings, preset_path(name)), 2.0).values()) <= most
 
 

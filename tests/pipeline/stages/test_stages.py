@@ -1,4 +1,4 @@
-"""The contract of every stage (pipeline/workflow/stage.py), and what the stages of this study promise beyond it."""
+"""The contract of every stage (pipeline/workflow/stage.py), and what the stages of this study do beyond it."""
 
 import json
 

@@ -11,7 +11,7 @@ from tasks.analysis.built_run import (
     compare_with_simulation,
     fit_gait,
     joint_angles,
-    promise_of,
+    speed_prediction,
     start_of_run,
     steady_speed,
 )
@@ -172,7 +172,7 @@ def test_the_swing_of_the_gait_does_not_count_as_speed():
         steady_speed(TIME, x, 4.0)
 
 
-def test_a_promise_is_two_deviations_to_either_side():
-    promise = promise_of(np.array([1.0, 3.0]))
-    assert (promise.low, promise.mean, promise.high) == (0.0, 2.0, 4.0)
-    assert promise.holds(0.1) and not promise.holds(4.1)
+def test_a_prediction_is_two_deviations_to_either_side():
+    prediction = speed_prediction(np.array([1.0, 3.0]))
+    assert (prediction.low, prediction.mean, prediction.high) == (0.0, 2.0, 4.0)
+    assert prediction.holds(0.1) and not prediction.holds(4.1)

@@ -28,13 +28,13 @@ def exploiter(study):
 
 
 def test_a_planted_hallucination_is_ranked_first(study):
-    """By what it promised where the truth is known, and by what the members say of it where it is not."""
+    """By what was predicted of it where the truth is known, and by what the members say of it where it is not."""
     liar = exploiter(study)
     unknown = np.full(len(study.true), np.nan)
-    promised = rank_exploiters(study.predicted.mean(axis=0), study.true, unknown)
-    assert (promised[0].rank, promised[0].design, promised[0].ranked_by) == (1, liar, "excess")
-    assert promised[0].excess > 0.3  # of a quarter of the members, in 200 steps
-    assert all(row.excess == 0 for row in promised[1:])  # these predictions were true
+    against_truth = rank_exploiters(study.predicted.mean(axis=0), study.true, unknown)
+    assert (against_truth[0].rank, against_truth[0].design, against_truth[0].ranked_by) == (1, liar, "excess")
+    assert against_truth[0].excess > 0.3  # of a quarter of the members, in 200 steps
+    assert all(row.excess == 0 for row in against_truth[1:])  # these predictions were true
 
     by_outcome = rank_exploiters(study.predicted.mean(axis=0), unknown, study.predicted.std(axis=0))
     said = disagreement(study.designs, study.trace, study.planted, PHYSICS)

@@ -149,7 +149,7 @@ def test_a_diverged_robot_has_a_status_and_the_same_fate_as_in_the_reference_eng
 @compiled_only
 def test_ten_thousand_designs_in_one_call_and_no_memory_that_grows_with_steps():
     peaks = peaks_of_memory(random_designs(10_000, np.random.default_rng(4)), PHYSICS)
-    assert peaks[0] < 200e6  # bytes; the promise is 1 GB
+    assert peaks[0] < 200e6  # bytes; the bound is 1 GB
     assert peaks[1] < 1.01 * peaks[0]
 
 
