@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 _WIDTH = 80
 _START_OF_A_PAGE = b"<!doctype html"
-_LEGEND = (
+_LEGEND = (  # {} is how large a negligible difference may be
     "Mean ± SD over trials [m]; difference with the 95 % interval of Welch's test; Hedges' g; p of Welch's test after "
     "Holm's correction over all rows; where a study has replicates, interval and p include the variance between these. "
-    "✓ negligible: the interval lies within ± 20 % of what B's designs evolved in True Slush travel; ≠ not negligible: "
+    "✓ negligible: the interval lies within {} of what B's designs evolved in True Slush travel; ≠ not negligible: "
     "it lies outside; ? cannot tell, and how many trials each study would need."
 )
 
@@ -83,6 +83,7 @@ def check_page_path(out: Path) -> None:
 def comparison_lines(pair: "StudyPair") -> Iterator[str]:
     """Describe a comparison in lines of 80 columns: the settings that differ, and a row for each test."""
     from pipeline.report.pair_page import INDEPENDENCE, headline
+    from tasks.analysis.paper import NEGLIGIBLE_WORDS
 
     for letter, study in pair.studies:
         yield f"{letter}: study {study.name}" + (f", in {study.store}" if study.store else "")
@@ -103,7 +104,7 @@ def comparison_lines(pair: "StudyPair") -> Iterator[str]:
     for reason, n in Counter(row.judgement.why for row in pair.differences if row.difference.low is None).items():
         yield from textwrap.wrap(f"– {reason} ({n} rows)", _WIDTH)
     yield ""
-    yield from textwrap.wrap(_LEGEND, _WIDTH)
+    yield from textwrap.wrap(_LEGEND.format(NEGLIGIBLE_WORDS), _WIDTH)
     yield ""
     yield from textwrap.wrap(INDEPENDENCE, _WIDTH)
 
@@ -121,9 +122,9 @@ def _replicates(row: "StudyDifference") -> str:
 
 def _row(row: "StudyDifference") -> str:
     from pipeline.report.page_tables import VERDICT_MARKS
-    from pipeline.report.pair_page import QUANTITY_WORDS
     from pipeline.report.wording import p_value
     from tasks.analysis.equivalence import MOST_TRIALS
+    from tasks.analysis.scores import QUANTITY_WORDS
 
     g = "-" if row.hedges_g.value is None else _short(row.hedges_g.value, 2)
     p = "-" if row.clustered_holm is None else p_value(row.clustered_holm).replace(" ", "")

@@ -1,7 +1,6 @@
 """What `puddle study` shows when it is done: the headline figures, where the page is, and what to do next."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import get_args
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from pipeline.stages.transfer import read_scores
 from pipeline.stages.trial_scores import TrialScores, finite_scores
 from pipeline.store.store import Store
 from pipeline.workflow.stage import Upstream
-from tasks.analysis.comparison import Quantity
+from tasks.analysis.scores import QUANTITY_WORDS
 from tasks.world import ENVIRONMENTS, EnvironmentName
 
 
@@ -62,7 +61,7 @@ def _figures(settings: Settings, upstream: Upstream, store: Store) -> Iterator[s
         if environment not in arms:
             continue
         arm = arms[environment]
-        columns = {name: finite_scores(arm, name) for name in get_args(Quantity)}
+        columns = {name: finite_scores(arm, name) for name in QUANTITY_WORDS}
         cells = [segments.mean_and_deviation(values) for values in columns.values()]
         yield f"  {style.label:<28} " + " ".join(f"{cell:>14}" for cell in cells)
         sd, fitness = _mean(finite_scores(arm, "predicted_sd")), _mean(finite_scores(arm, "fitness"))

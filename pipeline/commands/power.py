@@ -1,7 +1,7 @@
 """puddle power: how many trials a difference needs."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,10 +12,10 @@ from pipeline.errors import PuddleError
 
 if TYPE_CHECKING:
     from pipeline.results.recorded_study import Study
-    from tasks.analysis.comparison import Quantity
+    from tasks.analysis.scores import Quantity
 
 _DIFFERENCES = (1.0, 2.0, 5.0)  # [m]
-_QUANTITIES: "Mapping[Quantity, str]" = {"zero_shot": "zero-shot", "adapted": "adapted"}
+_QUANTITIES: "tuple[Quantity, ...]" = ("zero_shot", "adapted")
 
 
 @with_options
@@ -52,6 +52,7 @@ def power_lines(study: "Study", differences: Sequence[float], power: float) -> I
         PuddleError: a difference or the power is out of range, or no arm has two champions.
     """
     from tasks.analysis.replicates import nested
+    from tasks.analysis.scores import QUANTITY_WORDS
     from tasks.analysis.statistical_power import effective_deviation, n_nested_trials_for
 
     if not 0 < power < 1:
@@ -63,14 +64,16 @@ def power_lines(study: "Study", differences: Sequence[float], power: float) -> I
     arms = dict.fromkeys(zip(scores.depth, scores.evolved_in, strict=True))
     rows, any_nested = [], False
     for depth, environment in sorted(arms, key=lambda arm: -arm[0]):
-        for quantity, words in _QUANTITIES.items():
+        for quantity in _QUANTITIES:
             sample = scores.sample(environment, quantity, depth)
             n = len(sample.values)
             if n > 1:
                 needed = (n_nested_trials_for(difference, sample, power=power) for difference in differences)
                 cells = "".join(f"{'>100,000' if k is None else f'{k:,}':>9}" for k in needed)
                 sd = effective_deviation(sample)
-                rows.append(f"{f'{depth:g} m':>6}  {environment:<22} {words:<9} {n:>4} {sd:>7.2f}{cells}")
+                rows.append(
+                    f"{f'{depth:g} m':>6}  {environment:<22} {QUANTITY_WORDS[quantity]:<9} {n:>4} {sd:>7.2f}{cells}"
+                )
                 any_nested |= nested(sample)
     if not rows:
         raise PuddleError(f"study {study.name} has no arm with two champions, so no deviation over trials is known")

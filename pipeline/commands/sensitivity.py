@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pipeline.stages.trial_scores import TrialScores
     from pipeline.workflow.identity import TrialId
     from pipeline.workflow.stage import Upstream
-    from tasks.analysis.comparison import ScoredArm
+    from tasks.analysis.scores import ScoredArm
     from tasks.arrays import Float64
 
 _LAST_STAGE = "transfer"

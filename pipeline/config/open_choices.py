@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from pipeline.config.loading import parse
 from pipeline.config.settings import Settings
-from tasks.analysis.comparison import ScoredArm
+from tasks.analysis.scores import ScoredArm
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from pipeline.report.findings import Findings
 from pipeline.report.replay import Replay
 from tasks.analysis import paper
-from tasks.analysis.comparison import BEST
 from tasks.analysis.member_error import MemberError
+from tasks.analysis.scores import BEST
 from tasks.analysis.uncertainty import RESOLUTION
 from tasks.arrays import Float64
 from tasks.world import ENVIRONMENTS, EnvironmentName

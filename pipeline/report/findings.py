@@ -6,11 +6,12 @@ from typing import Literal
 
 from tasks.analysis.against_paper import Row
 from tasks.analysis.attribution import Attribution, TransferMatrix
-from tasks.analysis.comparison import Contrast, EvolvedIn
+from tasks.analysis.comparison import Contrast
 from tasks.analysis.coverage import CoverageRow
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import Histograms, Regression
+from tasks.analysis.scores import EvolvedIn
 from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.analysis.uncertainty import Estimate
 from tasks.analysis.variance_split import VarianceRow

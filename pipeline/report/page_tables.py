@@ -14,7 +14,7 @@ from pipeline.text import escape
 from tasks.analysis.against_paper import Row
 from tasks.analysis.comparison import Contrast, SignificanceTest
 from tasks.analysis.equivalence import Verdict
-from tasks.analysis.paper import is_t_test, name_of, t_test_words
+from tasks.analysis.paper import NEGLIGIBLE_WORDS, is_t_test, name_of, t_test_words
 from tasks.analysis.tank import Crossing, Tank, TankTrials
 from tasks.evolution import OBJECTIVES
 
@@ -137,9 +137,10 @@ def contrasts(findings: Findings) -> str:
     verdicts = f": {count_verdicts(row.verdict for row in stated)}" if stated else ""
     rule = (
         " “Less” and “greater” agree with the paper if the whole interval of the difference has that direction. "
-        "“No difference” agrees if that interval lies within ± 20 % of the displacement of the designs evolved in True "
-        "Slush: a large p-value shows nothing. The paper’s tests are one family, judged by Holm’s procedure, so that "
-        "with a probability of about 95 % none is misjudged; the interval that judged each is in brackets."
+        f"“No difference” agrees if that interval lies within {NEGLIGIBLE_WORDS} of the displacement of the designs "
+        "evolved in True Slush: a large p-value shows nothing. The paper’s tests are one family, judged by Holm’s "
+        "procedure, so that with a probability of about 95 % none is misjudged; the interval that judged each is in "
+        "brackets."
     )
     return (
         f'<div id="contrasts"><h3>{len(ranked)} t tests, by p-value{verdicts}</h3>{content}{links("contrasts.csv")}'

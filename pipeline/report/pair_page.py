@@ -19,13 +19,12 @@ from pipeline.report.page_tables import count_verdicts, typeset, verdict_mark
 from pipeline.report.transfer_table import members_line
 from pipeline.report.wording import NONE, absent, interval, number, p_value, table
 from pipeline.text import escape
-from tasks.analysis.comparison import Quantity
 from tasks.analysis.equivalence import MOST_TRIALS
+from tasks.analysis.paper import NEGLIGIBLE_WORDS
+from tasks.analysis.scores import QUANTITY_WORDS
 from tasks.analysis.study_differences import StudyDifference
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, ObjectiveName
 from tasks.world import ENVIRONMENTS, EnvironmentName
-
-QUANTITY_WORDS: Mapping[Quantity, str] = {"predicted": "predicted", "zero_shot": "zero-shot", "adapted": "adapted"}
 
 _POLICY = "script-src 'none'; img-src data:"
 _CSS = """
@@ -73,11 +72,11 @@ NOTE = (
     "p-values are those of Welch’s test, two-sided, which does not assume equal variances. If a study has several "
     "replicates of its throws and networks, they include the variance between these. Below a p-value is the one "
     "after Holm’s correction over all tests of this page. Hedges’ g is the difference in pooled standard deviations, "
-    "with its 95 % interval. A difference is negligible (“agrees”) if its whole 95 % interval lies within ± 20 % of "
-    "the displacement of B’s designs evolved in True Slush at that depth, or of B’s mean of the same arm if there are "
-    "none. It “differs” if the interval lies outside. Otherwise there are too few trials to tell, and each study would "
-    "need the number that is given. A large p-value alone shows nothing. Each verdict is of its row alone, without a "
-    "correction for the number of rows."
+    "with its 95 % interval. A difference is negligible (“agrees”) if its whole 95 % interval lies within "
+    f"{NEGLIGIBLE_WORDS} of the displacement of B’s designs evolved in True Slush at that depth, or of B’s mean of the "
+    "same arm if there are none. It “differs” if the interval lies outside. Otherwise there are too few trials to "
+    "tell, and each study would need the number that is given. A large p-value alone shows nothing. Each verdict is of "
+    "its row alone, without a correction for the number of rows."
 )
 """How the table of tests is to be read."""
 

@@ -11,6 +11,8 @@ from pydantic import TypeAdapter
 from pipeline.report.wording import NONE, p_value, signed
 from tasks.analysis.comparison import Group
 from tasks.analysis.equivalence import MOST_TRIALS, Verdict
+from tasks.analysis.paper import NEGLIGIBLE_WORDS
+from tasks.analysis.scores import QUANTITY_WORDS, Quantity
 from tasks.analysis.uncertainty import LEVEL
 from tasks.analysis.variant_effects import Effect, effects
 
@@ -24,7 +26,6 @@ _VERDICTS: Mapping[str, str] = {
     "cannot tell": "cannot tell",
     "not comparable": "not comparable",
 }
-_SCORES = {"zero_shot": "zero-shot", "adapted": "adapted"}
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class SensitivityRow:
     instead: str
     setting: str
     environment: str
-    score: str  # zero_shot or adapted
+    score: Quantity  # zero_shot or adapted
     study: str
     digest: str
     displacement: tuple[float | None, ...]  # of each trial's champion [m]
@@ -157,7 +158,7 @@ def _table(found: Sensitivity) -> Iterator[str]:
             row.name,
             row.decided,
             row.instead,
-            f"{_SCORES[row.score]}{home}",
+            f"{QUANTITY_WORDS[row.score]}{home}",
             f"{effect.variant.n}" if effect.variant.n == effect.base.n else f"{effect.variant.n}, {effect.base.n}",
             _spread(effect.base),
             _spread(effect.variant),
@@ -181,13 +182,13 @@ def _conclusions(found: Sensitivity) -> Iterator[str]:
 
 
 def _definitions(found: Sensitivity) -> str:
-    bounds = {f"{_SCORES[row.score]} ± {effect.bound:.1f} m" for row, effect in found.effects()}
+    bounds = {f"{QUANTITY_WORDS[row.score]} ± {effect.bound:.1f} m" for row, effect in found.effects()}
     return (
         f"Differences are variant minus base, with the 95 % interval of Student's t test; p is that test's after "
         f"Holm's correction over the {len(found.rows)} variants. A variant is negligible if the interval lies within "
-        f"± 20 % of the base's mean ({', '.join(sorted(bounds))}), and matters if it lies outside. Otherwise these "
-        f"trials cannot tell, except that there is a difference where p is below 0.05; in brackets, how many trials of "
-        f"each study would."
+        f"{NEGLIGIBLE_WORDS} of the base's mean ({', '.join(sorted(bounds))}), and matters if it lies outside. "
+        f"Otherwise these trials cannot tell, except that there is a difference where p is below 0.05; in brackets, "
+        f"how many trials of each study would."
     )
 
 

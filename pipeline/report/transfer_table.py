@@ -8,6 +8,7 @@ from pipeline.report.findings import Findings
 from pipeline.report.wording import NONE, absent, number, percent, scrolling, table
 from pipeline.text import escape
 from tasks.analysis import paper
+from tasks.analysis.scores import QUANTITY_WORDS
 from tasks.analysis.variance_split import VarianceRow
 from tasks.evolution import OBJECTIVES, PAPERS_OBJECTIVE, Objective
 from tasks.world import ENVIRONMENTS, EnvironmentName
@@ -135,7 +136,7 @@ def variance_table(findings: Findings) -> str:
     for arm_of, of_quantity in sorted(by_arm.items(), key=lambda entry: -entry[0][1]):
         largest = max(of_quantity.values(), key=lambda row: row.n)
         head = f"{escape(arm_words(*arm_of))}<small>n = {largest.n} in {largest.n_replicates} replicates</small>"
-        cells = (_deviations(of_quantity.get(name)) for name in ("predicted", "zero_shot", "adapted"))
+        cells = (_deviations(of_quantity.get(name)) for name in QUANTITY_WORDS)
         rows.append([head, *cells])
     title = "Variance between and within replicates"
     note = (

@@ -33,7 +33,7 @@ from tasks.design import Designs
 from tasks.evolution import OBJECTIVES
 
 if TYPE_CHECKING:
-    from tasks.analysis.comparison import Scores
+    from tasks.analysis.scores import Scores
     from tasks.world import EnsembleMedium
 
 CHAMPIONS = "champions"  # name of the table of champions
@@ -183,7 +183,7 @@ class Study:
         """Return the displacements of all champions, each with the replicate that its trial depends on."""
         import numpy as np
 
-        from tasks.analysis.comparison import Scores
+        from tasks.analysis.scores import Scores
 
         rows = self.champions().to_pydict()
         of_trials = zip(rows["environment"], rows["depth"], rows["trial"], strict=True)

@@ -7,7 +7,6 @@ Slush: the gap that remains is the body's fault.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import get_args
 
 import numpy as np
 
@@ -36,7 +35,7 @@ from pipeline.workflow.stage import (
     TrialSummary,
     Upstream,
 )
-from tasks.analysis.comparison import Quantity
+from tasks.analysis.scores import QUANTITY_WORDS
 from tasks.design import Designs, as_many_genes
 from tasks.evolution import Deviation, disagreement
 
@@ -192,7 +191,7 @@ def _summarise(settings: Settings, results: Results, store: Store) -> Summary:
         for environment in dict.fromkeys(e for e, d, _ in settings.grid.trials() if d == depth):
             arm = [champion for trial, champion in scores.items() if trial.arm == Arm(environment, depth)]
             cells = []
-            for name in get_args(Quantity):
+            for name in QUANTITY_WORDS:
                 values = finite_scores(arm, name)
                 cells.append(segments.mean_and_deviation(values))
                 if values:

@@ -31,15 +31,7 @@ from functools import partial
 import numpy as np
 from numpy.random import Generator
 
-from tasks.analysis.comparison import (
-    BEST,
-    ScoredArm,
-    Scores,
-    SignificanceTest,
-    nested_difference,
-    nested_ratio,
-    student,
-)
+from tasks.analysis.comparison import SignificanceTest, nested_difference, nested_ratio, student
 from tasks.analysis.equivalence import Judgement, Verdict, judge_direction, judge_equivalence
 from tasks.analysis.paper import (
     AGGREGATES,
@@ -73,6 +65,7 @@ from tasks.analysis.replicates import (
     nested,
     terms_of_ratio,
 )
+from tasks.analysis.scores import BEST, ScoredArm, Scores
 from tasks.analysis.tank import TankTrials
 from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, bootstrap, is_constant
 from tasks.arrays import Float64

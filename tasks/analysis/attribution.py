@@ -24,8 +24,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.random import Generator
 
-from tasks.analysis.comparison import EvolvedIn, Scores, nested_difference, nested_ratio
+from tasks.analysis.comparison import nested_difference, nested_ratio
 from tasks.analysis.replicates import NestedSample, mean_of, nested, nested_sample, ratio_of_sums, sum_of_means
+from tasks.analysis.scores import QUANTITY_WORDS, EvolvedIn, Scores
 from tasks.analysis.uncertainty import Estimate, bootstrap, finite
 from tasks.arrays import Float64, Floats, Int64
 from tasks.world import ENVIRONMENTS
@@ -72,9 +73,7 @@ def attribute(scores: Scores, *, rng: Generator) -> tuple[Attribution, ...]:
 
 
 def _attribution(scores: Scores, arm: EvolvedIn, depth: float, rng: Generator) -> Attribution:
-    predicted, zero_shot, adapted = (
-        scores.values(arm, quantity, depth) for quantity in ("predicted", "zero_shot", "adapted")
-    )
+    predicted, zero_shot, adapted = (scores.values(arm, quantity, depth) for quantity in QUANTITY_WORDS)
     replicate = scores.replicate[scores.rows(arm, depth)]
     best, best_adapted = (scores.sample("true_slush", quantity, depth) for quantity in ("zero_shot", "adapted"))
     both = np.isfinite(zero_shot) & np.isfinite(adapted)

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from tasks.analysis.comparison import BEST, ScoredArm
 from tasks.analysis.prediction import Figure, mean_less_deviations
+from tasks.analysis.scores import BEST, QUANTITY_WORDS, ScoredArm
 from tasks.world import ENVIRONMENTS
 
 Claim = Literal["less", "greater", "no difference"]
@@ -14,6 +14,7 @@ DEPTH = 9.0  # depth of the paper's prediction accuracy and of Fig. 4A [m]
 N_TRIALS = 10  # trials of each environment at each depth: "Evolution"
 N_ASSESSED = 2 * N_TRIALS  # trials that the designs of the prediction accuracy come from: "Prediction Accuracy"
 NEGLIGIBLE = 0.2  # share of the displacement of designs evolved in True Slush: smaller differences count as none
+NEGLIGIBLE_WORDS = f"± {100 * NEGLIGIBLE:g} %"
 NEGLIGIBLE_RATIO = 0.15  # the same of ratios of displacements
 NEGLIGIBLE_FIGURE: Mapping[Figure, float] = {"r": 0.15, "slope": 0.25}  # the same of figures of a regression
 SIGNIFICANT, INSIGNIFICANT = 1e-4, 0.01  # the paper's two thresholds: p below the first, p above the second
@@ -84,14 +85,12 @@ PHYSICAL: Mapping[str, tuple[str, str]] = {
 }
 """Results of the built robot."""
 
-_QUANTITIES: Mapping[str, str] = {"predicted": "predicted", "zero_shot": "zero-shot", "adapted": "adapted"}
-
 
 def name_of(arm: ScoredArm) -> str:
     """Return an arm's label; zero-shot designs of True Slush are at home there, so 'zero-shot' is left out."""
     evolved_in, quantity = arm
     label = ENVIRONMENTS[evolved_in].label
-    return label if arm == BEST else f"{label} {_QUANTITIES[quantity]}"
+    return label if arm == BEST else f"{label} {QUANTITY_WORDS[quantity]}"
 
 
 _T_TEST = "Student's t at "

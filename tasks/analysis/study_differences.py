@@ -3,8 +3,8 @@
 The settings of two studies differ, and with them the variances of their champions, so the intervals and p-values are
 Welch's. Where a study has several replicates, they include the variance between these
 (:mod:`tasks.analysis.replicates`), and numbers of trials that would tell are of as many more replicates. Holm's
-correction has all tests of the comparison as its family. A difference is negligible within ± 20 % of the displacement
-of the designs that evolved in True Slush in the reference, study B.
+correction has all tests of the comparison as its family. A difference is negligible within ``NEGLIGIBLE`` times the
+displacement of the designs that evolved in True Slush in the reference, study B.
 
 Trials of two studies count as independent. If they share their seed, they may be alike, which makes the tests cautious.
 Trials that no setting tells apart are the very same, with the same values to the last bit. Where that is so of a whole
@@ -13,24 +13,11 @@ group, there is no test, because it would compare results with themselves.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import get_args
 
-from tasks.analysis.comparison import (
-    BEST,
-    EvolvedIn,
-    Group,
-    Quantity,
-    ScoredArm,
-    Scores,
-    SignificanceTest,
-    clustered,
-    group,
-    hedges_g,
-    holm,
-    nested_difference,
-)
+from tasks.analysis.comparison import Group, SignificanceTest, clustered, group, hedges_g, holm, nested_difference
 from tasks.analysis.equivalence import Judgement, judge_equivalence
 from tasks.analysis.paper import NEGLIGIBLE
+from tasks.analysis.scores import BEST, QUANTITY_WORDS, EvolvedIn, Quantity, ScoredArm, Scores
 from tasks.analysis.uncertainty import RESOLUTION, Estimate, finite
 from tasks.world import ENVIRONMENTS
 
@@ -68,10 +55,9 @@ def compare_studies(a: Scores, b: Scores) -> tuple[StudyDifference, ...]:
 
 
 def _differences(a: Scores, b: Scores) -> Iterator[StudyDifference]:
-    quantities: tuple[Quantity, ...] = get_args(Quantity)
     for depth in sorted(set(a.depths()) & set(b.depths()), reverse=True):
         for evolved_in in ENVIRONMENTS:
-            for quantity in quantities:
+            for quantity in QUANTITY_WORDS:
                 if (evolved_in, quantity) == _AT_HOME:
                     continue
                 if all(len(finite(scores.values(evolved_in, quantity, depth))) for scores in (a, b)):

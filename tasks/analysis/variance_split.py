@@ -3,12 +3,11 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import get_args
 
 import scipy
 
-from tasks.analysis.comparison import EvolvedIn, Quantity, Scores
 from tasks.analysis.replicates import NestedSample, components
+from tasks.analysis.scores import QUANTITY_WORDS, EvolvedIn, Quantity, Scores
 from tasks.analysis.uncertainty import LEVEL, RESOLUTION, Estimate, is_constant
 from tasks.world import ENVIRONMENTS
 
@@ -35,10 +34,9 @@ def variances(scores: Scores) -> tuple[VarianceRow, ...]:
 
 
 def _rows(scores: Scores) -> Iterator[VarianceRow]:
-    quantities: tuple[Quantity, ...] = get_args(Quantity)
     for evolved_in in ENVIRONMENTS:
         for depth in scores.depths():
-            for quantity in quantities:
+            for quantity in QUANTITY_WORDS:
                 sample = scores.sample(evolved_in, quantity, depth)
                 if len(sample.values) > 1:
                     yield _row(sample, evolved_in, quantity, depth)

@@ -1,7 +1,7 @@
 """Sensitivity: whether making a choice otherwise, one at a time, changes how far champions travel.
 
 The tests are those of the paper: Student's t, two-sided, with its interval of the difference. Holm's correction has all
-variants as its family. A difference is negligible within ± 20 % of the base's mean; see tasks/analysis/equivalence.py.
+variants as its family. A difference is negligible within ``NEGLIGIBLE`` times the base's mean; see equivalence.py.
 The number of trials is that which shows a difference of that size, from the base's own deviation, at the level that
 Holm's correction asks of the smallest p-value.
 """

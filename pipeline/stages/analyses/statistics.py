@@ -19,7 +19,7 @@ from pipeline.workflow.identity import InputName, TrialId
 from pipeline.workflow.stage import Files, Inputs, Job
 from tasks.analysis.against_paper import Row, against_paper
 from tasks.analysis.attribution import Attribution, attribute
-from tasks.analysis.comparison import CONTRASTS, PAPERS_CONTRASTS, Contrast, Scores, sweep
+from tasks.analysis.comparison import CONTRASTS, PAPERS_CONTRASTS, Contrast, sweep
 from tasks.analysis.paper import DEPTH, name_of
 from tasks.analysis.prediction import (
     Regression,
@@ -30,6 +30,7 @@ from tasks.analysis.prediction import (
     members,
     members_ranges,
 )
+from tasks.analysis.scores import Scores
 from tasks.analysis.variance_split import VarianceRow, variances
 from tasks.arrays import Float64, Int64
 from tasks.evolution import Deviation

@@ -24,12 +24,13 @@ from pipeline.report.findings import (
 from pipeline.report.replay import Replay, replay_of
 from tasks.analysis.against_paper import against_paper
 from tasks.analysis.attribution import attribute, transfer_matrix
-from tasks.analysis.comparison import Scores, sweep
+from tasks.analysis.comparison import sweep
 from tasks.analysis.coverage import EVERYTHING, CoverageRow
 from tasks.analysis.hallucination import rank_exploiters
 from tasks.analysis.luck import Luck
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import accuracy, aggregates, histograms, members, members_ranges
+from tasks.analysis.scores import Scores
 from tasks.analysis.uncertainty import Estimate, mean
 from tasks.analysis.variance_split import variances
 from tasks.design import random_designs

@@ -12,10 +12,11 @@ from pipeline.store.encoding import decode_table, encode_table
 from pipeline.store.tables import columns_of, csv_of, rows_of
 from tasks.analysis.against_paper import Row, against_paper
 from tasks.analysis.attribution import Attribution, attribute
-from tasks.analysis.comparison import Comparison, Contrast, Scores, sweep
+from tasks.analysis.comparison import Comparison, Contrast, sweep
 from tasks.analysis.hallucination import Exploiter, rank_exploiters
 from tasks.analysis.member_error import MemberError
 from tasks.analysis.prediction import Regression, accuracy, members_ranges
+from tasks.analysis.scores import Scores
 from tasks.analysis.uncertainty import Estimate
 
 

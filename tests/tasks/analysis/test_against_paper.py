@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from tasks.analysis.against_paper import against_paper, with_tank_tests
-from tasks.analysis.comparison import Scores, nested_difference, nested_ratio
+from tasks.analysis.comparison import nested_difference, nested_ratio
 from tasks.analysis.paper import (
     AGGREGATES,
     CROSSES_THE_TANK,
@@ -19,6 +19,7 @@ from tasks.analysis.paper import (
 )
 from tasks.analysis.prediction import MembersRange, Regression
 from tasks.analysis.replicates import NestedSample, components
+from tasks.analysis.scores import Scores
 from tasks.analysis.tank import TankTrials
 from tasks.analysis.uncertainty import Estimate
 

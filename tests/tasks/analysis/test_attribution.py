@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tasks.analysis.attribution import attribute, transfer_matrix
-from tasks.analysis.comparison import Scores, nested_ratio
+from tasks.analysis.comparison import nested_ratio
 from tasks.analysis.replicates import mean_of, sum_of_means
+from tasks.analysis.scores import Scores
 from tasks.analysis.uncertainty import Estimate
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis.comparison import Scores, clustered, difference, group, hedges_g, holm, nested_difference, welch
+from tasks.analysis.comparison import clustered, difference, group, hedges_g, holm, nested_difference, welch
 from tasks.analysis.equivalence import judge_equivalence
 from tasks.analysis.paper import NEGLIGIBLE
+from tasks.analysis.scores import Scores
 from tasks.analysis.study_differences import compare_studies
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tasks.analysis.comparison import Scores
+from tasks.analysis.scores import Scores
 from tasks.analysis.variance_split import variances
 
 NAN = float("nan")
