@@ -89,9 +89,9 @@ class Robot:
             area, moment = area_and_second_moment(wet, tuple(link.worldCenter))
             dt, velocity, omega = physics.time_step, link.linearVelocity, link.angularVelocity
             k = 0.5 * slush.density * slush.linear_drag * area / link.mass
-            slowed = 1 + k * velocity.length * dt
+            divisor = 1 + k * velocity.length * dt
             lift = slush.density * physics.gravity * area / link.mass * dt
-            link.linearVelocity = (velocity.x / slowed, velocity.y / slowed + lift)
+            link.linearVelocity = (velocity.x / divisor, velocity.y / divisor + lift)
             k_r = slush.density * slush.angular_drag * moment / link.inertia
             link.angularVelocity = omega / (1 + k_r * abs(omega) * dt)
         self.world.Step(physics.time_step, physics.velocity_iterations, physics.position_iterations)

@@ -98,10 +98,10 @@ class MediumModel(nn.Module):
         drag = torch.bmm(D.reshape(-1, 2, 2), u[:, :, None])[:, :, 0]
         mean_drag = nn.functional.softplus((D[:, :1] + D[:, 3:]) / 2)
         lost = self._dt * nn.functional.softplus(kappa) * omega.abs()
-        slowed = torch.cat(
+        by_drag = torch.cat(
             [-drag * speed_dt / (1 + mean_drag * speed_dt), (-omega * lost / (1 + lost))[:, None]], dim=1
         )
-        change: Tensor = slowed + self._dt * b + self.residual_deviation * self.rest(inputs)
+        change: Tensor = by_drag + self._dt * b + self.residual_deviation * self.rest(inputs)
         return change
 
 

@@ -83,7 +83,7 @@ class DragLaw(Parameters):
     Exact, because Euler overshoots above 10 m/s and diverges above 19 m/s, and throws begin at up to 28 m/s."""
 
 
-def slowed(velocity: Floats, lost: Floats, integration: Integration) -> Floats:
+def after_drag(velocity: Floats, lost: Floats, integration: Integration) -> Floats:
     """Return a velocity after a step of quadratic drag; the batch engine has the same operations.
 
     Args:
@@ -123,9 +123,9 @@ class Slush(DragLaw):
             speed_x = speed_y = np.sqrt(links.vx * links.vx + links.vy * links.vy)
         lift = (self.density * physics.gravity * dt) * area / links.mass
         return VelocityChange(
-            vx=slowed(links.vx, k_dt * speed_x, self.drag_integration) - links.vx,
-            vy=(slowed(links.vy, k_dt * speed_y, self.drag_integration) + lift) - links.vy,
-            omega=slowed(links.omega, k_r_dt * abs(links.omega), self.drag_integration) - links.omega,
+            vx=after_drag(links.vx, k_dt * speed_x, self.drag_integration) - links.vx,
+            vy=(after_drag(links.vy, k_dt * speed_y, self.drag_integration) + lift) - links.vy,
+            omega=after_drag(links.omega, k_r_dt * abs(links.omega), self.drag_integration) - links.omega,
         )
 
 

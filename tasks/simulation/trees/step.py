@@ -106,7 +106,7 @@ def immersion(length: Numeric, width: Numeric, y: Numeric, cos: Numeric, sin: Nu
 
 
 @inline
-def _slowed(velocity: Numeric, lost: Numeric, integration: int) -> Numeric:
+def _after_drag(velocity: Numeric, lost: Numeric, integration: int) -> Numeric:
     """Return a velocity after drag; as in slush.py.
 
     Args:
@@ -165,9 +165,10 @@ def slush_change(
     if scene.by_component:
         speed_x, speed_y = abs(vx), abs(vy)
     lift = scene.lift * area / mass
-    slow_x, slow_y = _slowed(vx, k_dt * speed_x, scene.integration), _slowed(vy, k_dt * speed_y, scene.integration)
-    slow_omega = _slowed(omega, k_r_dt * abs(omega), scene.integration)
-    return slow_x - vx, (slow_y + lift) - vy, slow_omega - omega
+    after_x = _after_drag(vx, k_dt * speed_x, scene.integration)
+    after_y = _after_drag(vy, k_dt * speed_y, scene.integration)
+    after_omega = _after_drag(omega, k_r_dt * abs(omega), scene.integration)
+    return after_x - vx, (after_y + lift) - vy, after_omega - omega
 
 
 @inline

@@ -54,8 +54,8 @@ def test_a_false_thrust_is_the_error_of_its_member_where_it_is(study):
 def test_the_truth_is_there_to_measure_errors_by(study):
     """Submerged at 20 m/s: k = ½ · 1.25 · 10, and v is divided by 1 + k |v| dt in a step; buoyancy is 1.25 g."""
     rows = rows_of(study.planted, links_at([-3], [20.0]))
-    slowed = 1 + 0.5 * 1.25 * 10 * 20 / 60
-    assert rows[0, "vx", "all", "all"].rms_true == pytest.approx(60 * (20 - 20 / slowed), rel=1e-5)
+    divisor = 1 + 0.5 * 1.25 * 10 * 20 / 60
+    assert rows[0, "vx", "all", "all"].rms_true == pytest.approx(60 * (20 - 20 / divisor), rel=1e-5)
     assert rows[0, "vy", "all", "all"].rms_true == pytest.approx(1.25 * 9.8, rel=1e-4)
 
 

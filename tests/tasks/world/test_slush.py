@@ -173,9 +173,9 @@ def test_drag_slows_and_never_reverses(seed: int, exponent: int, factor: float) 
     slush = Slush(linear_drag=10 * factor, angular_drag=20 * factor)
     after = added(links, slush.velocity_change(links, Physics(gravity=0.0)))
     for name in ("vx", "vy", "omega"):
-        before, slowed = getattr(links, name), getattr(after, name)
-        assert (slowed * np.sign(before) >= 0).all()
-        assert (np.abs(slowed) <= np.abs(before)).all()
+        before, after_drag = getattr(links, name), getattr(after, name)
+        assert (after_drag * np.sign(before) >= 0).all()
+        assert (np.abs(after_drag) <= np.abs(before)).all()
 
 
 @pytest.mark.parametrize("form", ["vector", "by_component"])
