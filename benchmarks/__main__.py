@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks import engines, evolution, networks
-from benchmarks.measure import Figure
+from benchmarks.measure import Benchmark
 
 OUT = Path("bench.json")
 
@@ -36,7 +36,7 @@ def machine() -> dict[str, str | int | None]:
         "cpu": cpu,
         "cores": os.cpu_count(),
         "python": platform.python_version(),
-        "lanes": engines.N_LANES,
+        "lanes": engines.WIDEST,
         "commit": said.stdout.strip() or None,
     }
 
@@ -44,7 +44,7 @@ def machine() -> dict[str, str | int | None]:
 def main() -> None:
     """Measure, print a table and write the results."""
     console = Console(width=118)
-    figures: list[Figure] = []
+    figures: list[Benchmark] = []
     for measure in (
         engines.first_generation,
         engines.steps,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import obvious
-from benchmarks.measure import Figure, seconds
+from benchmarks.measure import Benchmark, seconds
 from tasks.design import Designs, Morphology, random_designs
 from tasks.design.body import kinematic_trees, rigid_bodies
 from tasks.simulation import batch, reference, simulate
@@ -25,13 +25,13 @@ from tasks.simulation.simd.lanes import widest
 from tasks.simulation.trees.groups import Groups
 from tasks.world import DryLand, Environment, Physics, Slush, TrueSlush
 
-N_LANES = widest()
+WIDEST = widest()
 N_DESIGNS = 64
 N_STEPS = 1400
 N_ROUNDS = 7
-N_GENERATIONS = 20
+_N_GENERATIONS = 20
 """Generations of the batch engine per round."""
-PHYSICS = Physics()
+_PHYSICS = Physics()
 AS_BUILT = Physics(passive_joints="locked", link_collisions=True, max_motor_torque=30.0)
 """Physics of the robot that was built: rigid bodies that collide."""
 BUILDABLE = Morphology(n_actuated=2, unjoined_links="apart")
@@ -42,7 +42,7 @@ def designs(morphology: Morphology = Morphology()) -> Designs:  # noqa: B008 (it
     return random_designs(N_DESIGNS, np.random.default_rng(64), morphology=morphology)
 
 
-def first_generation() -> list[Figure]:
+def first_generation() -> list[Benchmark]:
     """Time the first generation of a trial: with compilation of all kernels, then with kernels from the cache."""
     program = (
         "import time\n"
@@ -65,19 +65,19 @@ def first_generation() -> list[Figure]:
             for _ in range(4)
         )
     return [
-        Figure("first generation, compiling", [cold], "s", 40.0),
-        Figure("first generation, from the cache", warm, "s", 1.0),
+        Benchmark("first generation, compiling", [cold], "s", 40.0),
+        Benchmark("first generation, from the cache", warm, "s", 1.0),
     ]
 
 
 def _batch(designs: Designs, environment: Environment) -> float:
     """Step several generations, as a study does: one takes milliseconds."""
-    scene = batch.scene_of(environment, PHYSICS)
+    scene = batch.scene_of(environment, _PHYSICS)
     taken = 0.0
-    for _ in range(N_GENERATIONS):
-        groups = Groups(designs, PHYSICS, n_members=1, n_lanes=N_LANES)
+    for _ in range(_N_GENERATIONS):
+        groups = Groups(designs, _PHYSICS, n_members=1, n_lanes=WIDEST)
         taken += seconds(partial(groups.advance, scene, 0, N_STEPS, None))
-    return taken / N_GENERATIONS / N_DESIGNS / N_STEPS * 1e6
+    return taken / _N_GENERATIONS / N_DESIGNS / N_STEPS * 1e6
 
 
 def _batch_of_bodies(designs: Designs, environment: Environment) -> float:
@@ -86,7 +86,7 @@ def _batch_of_bodies(designs: Designs, environment: Environment) -> float:
     return seconds(lambda: robots.advance(scene, 0, N_STEPS, None)) / N_DESIGNS / N_STEPS * 1e6
 
 
-def _bare_steps(designs: Designs, environment: Environment, physics: Physics = PHYSICS) -> float:
+def _bare_steps(designs: Designs, environment: Environment, physics: Physics = _PHYSICS) -> float:
     """Time pybox2d's Step of all robots and nothing else."""
     trees, controllers = kinematic_trees(designs, density=physics.link_density), Controllers.of(designs)
     rigid = rigid_bodies(designs, passive_joints=physics.passive_joints)
@@ -109,7 +109,7 @@ def _reference(designs: Designs, environment: Environment) -> float:
 
 
 def _obvious(designs: Designs, environment: Environment) -> float:
-    robots = [obvious.Robot(designs, i, environment.depth, PHYSICS, Slush()) for i in range(len(designs))]
+    robots = [obvious.Robot(designs, i, environment.depth, _PHYSICS, Slush()) for i in range(len(designs))]
 
     def run() -> None:
         for robot in robots:
@@ -119,7 +119,7 @@ def _obvious(designs: Designs, environment: Environment) -> float:
     return seconds(run) / len(designs) / N_STEPS * 1e6
 
 
-def steps() -> list[Figure]:
+def steps() -> list[Benchmark]:
     """Step 64 robots in True Slush from the spawn: the batch engine and its peers.
 
     The bare Step has neither slush nor motor commands, so its robots lie on the ground.
@@ -137,17 +137,17 @@ def steps() -> list[Figure]:
             script.append(_obvious(population, environment))
         unit = "µs per robot and step"
         figures += [
-            Figure(f"batch engine, d = {depth:g}", ours, unit, bound),
-            Figure(f"pybox2d's Step alone, d = {depth:g}", bare, unit),
-            Figure(f"reference engine, d = {depth:g}", whole, unit),
-            Figure(f"the obvious script, d = {depth:g}", script, unit),
-            Figure(f"Step alone over batch, d = {depth:g}", _over(bare, ours), "times", 20.0, at_least=True),
-            Figure(f"obvious script over batch, d = {depth:g}", _over(script, ours), "times", 400.0, at_least=True),
+            Benchmark(f"batch engine, d = {depth:g}", ours, unit, bound),
+            Benchmark(f"pybox2d's Step alone, d = {depth:g}", bare, unit),
+            Benchmark(f"reference engine, d = {depth:g}", whole, unit),
+            Benchmark(f"the obvious script, d = {depth:g}", script, unit),
+            Benchmark(f"Step alone over batch, d = {depth:g}", _over(bare, ours), "times", 20.0, at_least=True),
+            Benchmark(f"obvious script over batch, d = {depth:g}", _over(script, ours), "times", 400.0, at_least=True),
         ]
     return figures
 
 
-def bodies() -> list[Figure]:
+def bodies() -> list[Benchmark]:
     """Step 64 robots of rigid bodies that collide, with two motors each: the batch engine and pybox2d."""
     figures = []
     population = designs(BUILDABLE)
@@ -160,9 +160,9 @@ def bodies() -> list[Figure]:
             bare.append(_bare_steps(population, environment, AS_BUILT))
         unit = "µs per robot and step"
         figures += [
-            Figure(f"batch engine, bodies, d = {depth:g}", ours, unit),
-            Figure(f"pybox2d's Step alone, bodies, d = {depth:g}", bare, unit),
-            Figure(f"Step alone over batch, bodies, d = {depth:g}", _over(bare, ours), "times", 3.0, at_least=True),
+            Benchmark(f"batch engine, bodies, d = {depth:g}", ours, unit),
+            Benchmark(f"pybox2d's Step alone, bodies, d = {depth:g}", bare, unit),
+            Benchmark(f"Step alone over batch, bodies, d = {depth:g}", _over(bare, ours), "times", 3.0, at_least=True),
         ]
     return figures
 
@@ -171,11 +171,11 @@ def _over(theirs: list[float], ours: list[float]) -> list[float]:
     return [a / b for a, b in zip(theirs, ours, strict=True)]
 
 
-def packing() -> list[Figure]:
+def packing() -> list[Benchmark]:
     """Time the packing of 64 designs, repeated and once after rollouts as in a study, as a share of the rollouts."""
     population, environment = designs(), TrueSlush(9.0)
-    scene = batch.scene_of(environment, PHYSICS)
-    pack = partial(Groups, population, PHYSICS, n_members=1, n_lanes=N_LANES)
+    scene = batch.scene_of(environment, _PHYSICS)
+    pack = partial(Groups, population, _PHYSICS, n_members=1, n_lanes=WIDEST)
     again, once = [], []
     for _ in range(N_ROUNDS):
         groups = pack()
@@ -183,7 +183,7 @@ def packing() -> list[Figure]:
         once.append(100 * seconds(pack) / rollouts)
         again.append(100 * statistics.median(seconds(pack) for _ in range(20)) / rollouts)
     name = "packing 64 designs over their rollouts, d = 9"
-    return [Figure(name, again, "%", 5.0), Figure(f"{name}, once after them", once, "%")]
+    return [Benchmark(name, again, "%", 5.0), Benchmark(f"{name}, once after them", once, "%")]
 
 
 def _work(barrier: Any, results: Any, n_rounds: int) -> None:
@@ -209,9 +209,9 @@ def _rate(n_processes: int, n_rounds: int) -> float:
     return rate
 
 
-def two_processes() -> list[Figure]:
+def two_processes() -> list[Benchmark]:
     """Compare two processes on two cores with one, by CPU time."""
     if (os.cpu_count() or 1) < 2:
         return []
     ratios = [_rate(2, 8) / _rate(1, 8) for _ in range(3)]
-    return [Figure("two processes over one", ratios, "times", 1.8, at_least=True)]
+    return [Benchmark("two processes over one", ratios, "times", 1.8, at_least=True)]

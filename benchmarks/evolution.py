@@ -9,7 +9,7 @@ from typing import Any
 from unittest import mock
 
 from benchmarks.engines import N_DESIGNS, N_ROUNDS
-from benchmarks.measure import Figure
+from benchmarks.measure import Benchmark
 from pipeline.store.encoding import encode_arrays, encode_table
 from tasks.design import Designs
 from tasks.evolution import Afpo, Evaluation, Trial, evaluate, evolve
@@ -22,7 +22,7 @@ LAPTOP_POPULATION = 16
 """Population size of the preset `laptop`."""
 
 
-def own_work() -> list[Figure]:
+def own_work() -> list[Benchmark]:
     """Measure ask, tell, packing and the record of 64 designs, without networks, and then with the record's tables.
 
     All are shares of whole generations, over a segment of N_GENERATIONS.
@@ -33,8 +33,8 @@ def own_work() -> list[Figure]:
     for environment in environments:
         own, with_tables = zip(*(_shares(environment, trial) for trial in range(N_ROUNDS)), strict=True)
         where, unit = f"{type(environment).__name__}, d = {environment.depth:g}", "% of a generation"
-        figures.append(Figure(f"AFPO's own work, {where}", own, unit, 10.0))
-        figures.append(Figure(f"AFPO's own work and its tables, {where}", with_tables, unit))
+        figures.append(Benchmark(f"AFPO's own work, {where}", own, unit, 10.0))
+        figures.append(Benchmark(f"AFPO's own work and its tables, {where}", with_tables, unit))
     return figures
 
 
@@ -74,7 +74,7 @@ def _shares(environment: Environment, trial: int) -> tuple[float, float]:
     return 100 * own / evolved, 100 * (own + encoding) / (evolved + encoding)
 
 
-def batched_trials() -> list[Figure]:
+def batched_trials() -> list[Benchmark]:
     """Compare four batched trials of 16 designs with four trials one by one."""
     figures = []
     for environment in (TrueSlush(0.0), TrueSlush(1.0), TrueSlush(9.0)):
@@ -83,7 +83,7 @@ def batched_trials() -> list[Figure]:
         for trials in (range(first, first + 4) for first in range(0, 4 * N_ROUNDS, 4)):
             one_by_one = sum(_seconds(environment, [trial]) for trial in trials)
             shares.append(100 * _seconds(environment, trials) / one_by_one)
-        figures.append(Figure(f"four trials batched over one by one, d = {environment.depth:g}", shares, "%"))
+        figures.append(Benchmark(f"four trials batched over one by one, d = {environment.depth:g}", shares, "%"))
     return figures
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
-from benchmarks.synthetic_tank import Camera, Scene, film_board, render, throws_for_bars
+from benchmarks.synthetic_tank import TankCamera, TankScene, film_board, render, throws_for_bars
 from benchmarks.tracks import (
     DEPTH,
     N_DATA_SETS,
@@ -38,7 +38,7 @@ from tasks.tracks import Tracks, residual_transitions
 from tasks.world import Slush, TrueSlush
 
 _N_VIDEOS, _N_THROWS = 10, 50  # in each video
-_CAMERA = Camera(width=1210, height=1060, field=0.82)  # the pixels of 1080p, as far as the tank reaches
+_CAMERA = TankCamera(width=1210, height=1060, field=0.82)  # the pixels of 1080p, as far as the tank reaches
 
 
 def markers() -> Markers:
@@ -58,7 +58,7 @@ def film(folder: Path, video: int) -> Path:
     path = folder / f"throws-{video}.mp4"
     if not path.exists():
         starts, bars = throws_of(video)
-        scene = Scene(_CAMERA, markers(), rng=generator(2, "filmed throws", video))
+        scene = TankScene(_CAMERA, markers(), rng=generator(2, "filmed throws", video))
         begun = folder / f"begun-{video}.mp4"
         render(begun, scene, starts, bars, SECONDS * TIME)
         begun.rename(path)

@@ -10,7 +10,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Figure:
+class Benchmark:
     """A quantity measured in several rounds, and its bound."""
 
     name: str

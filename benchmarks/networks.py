@@ -16,7 +16,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from benchmarks.engines import N_ROUNDS, N_STEPS, designs
-from benchmarks.measure import Figure, seconds
+from benchmarks.measure import Benchmark, seconds
 from tasks.residual import OBSERVATION, Architecture, Training
 from tasks.residual.descent import Descent
 from tasks.residual.ensemble import Ensemble
@@ -87,7 +87,7 @@ def ensemble(
     return Ensemble(tuple(weights), tuple(np.zeros((n_members, b), np.float32) for b in sizes[1:]), inputs)
 
 
-def inference() -> list[Figure]:
+def inference() -> list[Benchmark]:
     """Evaluate 8 members on 384 samples each: the kernel, torch's bmm, the core's peak."""
     _peak(10)
     figures = []
@@ -109,15 +109,17 @@ def inference() -> list[Figure]:
             ratios.append(theirs / ours)
         shape = f"{hidden_layers} × {width}"
         figures += [
-            Figure(f"networks {shape}", rates, "million rows/s"),
-            Figure(f"networks {shape} of the fp32 peak", shares, "%", 70.0 if width == 256 else None, at_least=True),
-            Figure(f"networks {shape} over torch", ratios, "times", 1.3 if width in (64, 128) else None, at_least=True),
-            Figure(f"networks {shape} from torch, relative", [float(error)], "1", 1e-5),
+            Benchmark(f"networks {shape}", rates, "million rows/s"),
+            Benchmark(f"networks {shape} of the fp32 peak", shares, "%", 70.0 if width == 256 else None, at_least=True),
+            Benchmark(
+                f"networks {shape} over torch", ratios, "times", 1.3 if width in (64, 128) else None, at_least=True
+            ),
+            Benchmark(f"networks {shape} from torch, relative", [float(error)], "1", 1e-5),
         ]
-    return [Figure("fp32 peak of the core", [peak_gflops() for _ in range(N_ROUNDS)], "GFLOP/s"), *figures]
+    return [Benchmark("fp32 peak of the core", [peak_gflops() for _ in range(N_ROUNDS)], "GFLOP/s"), *figures]
 
 
-def generation() -> list[Figure]:
+def generation() -> list[Benchmark]:
     """Evaluate a generation in Residual Slush: 64 designs, 8 members."""
     figures = []
     for hidden_layers, width in SHAPES:
@@ -129,11 +131,11 @@ def generation() -> list[Figure]:
         ]
         scaled = [r * N_STEPS / N_TIMED for r in rounds]
         bound = 16.0 if width == 256 else None
-        figures.append(Figure(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", bound))
+        figures.append(Benchmark(f"a generation, 8 members of {hidden_layers} × {width}", scaled, "s", bound))
     return figures
 
 
-def training() -> list[Figure]:
+def training() -> list[Benchmark]:
     """Train networks of three shapes for some iterations: the kernel and torch."""
     figures = []
     for (hidden_layers, width), batch_size in (((2, 32), 2048), ((3, 64), 4096), ((4, 256), 16384)):
@@ -158,7 +160,7 @@ def training() -> list[Figure]:
             ratios.append(by_torch / by_kernel)
         shape = f"{hidden_layers} × {width}"
         figures += [
-            Figure(f"a training iteration of {batch_size:,} samples, {shape}", times, "ms"),
-            Figure(f"training {shape} over torch", ratios, "times"),
+            Benchmark(f"a training iteration of {batch_size:,} samples, {shape}", times, "ms"),
+            Benchmark(f"training {shape} over torch", ratios, "times"),
         ]
     return figures

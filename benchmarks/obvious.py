@@ -15,12 +15,12 @@ from tasks.design import Designs
 from tasks.design.body import kinematic_trees
 from tasks.world import Physics, Slush
 
-Point = tuple[float, float]
+_Point = tuple[float, float]
 
 
-def clip_below(polygon: list[Point], height: float) -> list[Point]:
+def clip_below(polygon: list[_Point], height: float) -> list[_Point]:
     """Clip the part of a polygon below a height (Sutherland and Hodgman)."""
-    below: list[Point] = []
+    below: list[_Point] = []
     for (x1, y1), (x2, y2) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
         if y1 <= height:
             below.append((x1, y1))
@@ -30,7 +30,7 @@ def clip_below(polygon: list[Point], height: float) -> list[Point]:
     return below
 
 
-def area_and_second_moment(polygon: list[Point], about: Point) -> tuple[float, float]:
+def area_and_second_moment(polygon: list[_Point], about: _Point) -> tuple[float, float]:
     """Compute area and polar second moment of a polygon about a point."""
     area = moment = 0.0
     px, py = about

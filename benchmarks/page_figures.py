@@ -10,7 +10,7 @@ from statistics import fmean
 import numpy as np
 import scipy
 
-from benchmarks.sentences import Results
+from benchmarks.sentences import Recorded
 from benchmarks.tracks_tables import Share, share_of
 from tasks.analysis import paper
 from tasks.analysis.comparison import nested_difference
@@ -20,39 +20,39 @@ from tasks.world import ENVIRONMENTS
 EQUAL = 0.1  # relative difference of means that count as equal
 
 
-def _moments(study: Results, environment: str, quantity: str, depth: float) -> Results:
-    found: list[Results] = [of for of in study["arms"] if (of["environment"], of["depth"]) == (environment, depth)]
+def _moments(study: Recorded, environment: str, quantity: str, depth: float) -> Recorded:
+    found: list[Recorded] = [of for of in study["arms"] if (of["environment"], of["depth"]) == (environment, depth)]
     if len(found) != 1 or quantity not in found[0]:
         raise ValueError(
             f"study {study['study']} has no {quantity} of {environment} at {depth:g} m, which a page quotes"
         )
-    moments: Results = found[0][quantity]
+    moments: Recorded = found[0][quantity]
     return moments
 
 
-def mean(study: Results, environment: str, quantity: str, depth: float = paper.DEPTH) -> float:
+def mean(study: Recorded, environment: str, quantity: str, depth: float = paper.DEPTH) -> float:
     """Return the mean of an arm [m]."""
     found: float = _moments(study, environment, quantity, depth)["mean"]
     return found
 
 
-def spread(study: Results, environment: str, quantity: str) -> str:
+def spread(study: Recorded, environment: str, quantity: str) -> str:
     """Return mean ± deviation of an arm at 9 m."""
     moments = _moments(study, environment, quantity, paper.DEPTH)
     return f"{moments['mean']:.1f} ± {moments['sd']:.1f}"
 
 
-def share(study: Results, environment: str, quantity: str = "zero_shot", of: str = "zero_shot") -> float:
+def share(study: Recorded, environment: str, quantity: str = "zero_shot", of: str = "zero_shot") -> float:
     """Return an arm's share of *E* at 9 m."""
     return mean(study, environment, quantity) / mean(study, "true_slush", of)
 
 
-def kept(study: Results, environment: str, depth: float = paper.DEPTH, of: str = "predicted") -> float:
+def kept(study: Recorded, environment: str, depth: float = paper.DEPTH, of: str = "predicted") -> float:
     """Return how much of its prediction an arm travels, or of another quantity."""
     return mean(study, environment, "zero_shot", depth) / mean(study, environment, of, depth)
 
 
-def shortfall(study: Results, environment: str) -> float:
+def shortfall(study: Recorded, environment: str) -> float:
     """Return how far an arm stays behind its prediction at 9 m [m]."""
     return mean(study, environment, "predicted") - mean(study, environment, "zero_shot")
 
@@ -62,33 +62,33 @@ def percent(share: float) -> str:
     return f"{100 * share:z.0f}".replace("-", "−")
 
 
-def _fit(study: Results, learned_from: str) -> Results:
+def _fit(study: Recorded, learned_from: str) -> Recorded:
     """Return R and slope of an ensemble's mean."""
     (row,) = (row for row in study["accuracy"] if (row["learned_from"], row["name"]) == (learned_from, "mean"))
-    found: Results = row
+    found: Recorded = row
     return found
 
 
 # -- studies ---------------------------------------------------------------------------------------------------------
 
 
-def _of_data_sets(study: Results, environment: str = "designed_throws", n: int = 2) -> list[list[Results]]:
+def _of_data_sets(study: Recorded, environment: str = "designed_throws", n: int = 2) -> list[list[Recorded]]:
     rows = [row for row in study["champions"] if row["environment"] == environment]
     return [[row for row in rows if row["trial"] % n == k] for k in range(n)]
 
 
-def _shares_of_data_sets(study: Results, environment: str, n: int) -> list[str]:
+def _shares_of_data_sets(study: Recorded, environment: str, n: int) -> list[str]:
     best = mean(study, "true_slush", "zero_shot")
     of_each = _of_data_sets(study, environment, n)
     return [percent(fmean(row["zero_shot"] for row in rows) / best) for rows in of_each]
 
 
-def shares_of_data_sets(desk: Results) -> Mapping[str, str]:
+def shares_of_data_sets(desk: Recorded) -> Mapping[str, str]:
     """Return the shares of *E* of the robots of each of two data sets."""
     return dict(zip(("first", "second"), _shares_of_data_sets(desk, "designed_throws", 2), strict=True))
 
 
-def shares_of_five(replicates: Results) -> Mapping[str, str]:
+def shares_of_five(replicates: Recorded) -> Mapping[str, str]:
     """Return the shares of *E* of the robots of each of five data sets, of the paper's and of designed throws."""
     return {
         f"{name}_{k}": share
@@ -97,14 +97,14 @@ def shares_of_five(replicates: Results) -> Mapping[str, str]:
     }
 
 
-def _sample(study: Results, environment: str) -> NestedSample:
+def _sample(study: Recorded, environment: str) -> NestedSample:
     rows = [row for row in study["champions"] if row["environment"] == environment]
     learned = ENVIRONMENTS[environment].networks != "none"
     replicate = [row["trial"] % study["n_replicates"] if learned else 0 for row in rows]
     return nested_sample(np.array([row["zero_shot"] for row in rows]), np.array(replicate))
 
 
-def differences(replicates: Results) -> Mapping[str, str]:
+def differences(replicates: Recorded) -> Mapping[str, str]:
     """Return how much farther robots of designed throws travel, with intervals that include that between replicates."""
     found = {}
     for name, other in (("papers", "residual_slush"), ("best", "true_slush"), ("randomised", "randomised_slush")):
@@ -114,65 +114,65 @@ def differences(replicates: Results) -> Mapping[str, str]:
     return found
 
 
-def desk_holds(desk: Results) -> bool:
+def desk_holds(desk: Recorded) -> bool:
     """Whether two of the five champions of the first data set travel half as far, and all reach *E* adapted."""
     first, _ = _of_data_sets(desk)
     n_short = sum(row["zero_shot"] < 0.6 * row["predicted"] for row in first)
     return (len(first), n_short) == (5, 2) and share(desk, "designed_throws", "adapted", "adapted") > 1 - EQUAL
 
 
-def first_is_luckiest(replicates: Results) -> bool:
+def first_is_luckiest(replicates: Recorded) -> bool:
     """Whether robots of the paper's throws keep most with the first of five data sets."""
     of_each = [fmean(row["zero_shot"] for row in rows) for rows in _of_data_sets(replicates, "residual_slush", 5)]
     return max(of_each) == of_each[0]
 
 
-def differences_hold(replicates: Results) -> bool:
+def differences_hold(replicates: Recorded) -> bool:
     """Whether robots of designed throws are ahead of those of the paper's throws, and perhaps not of the others."""
     found = {name: float(metres.replace("−", "-")) for name, metres in differences(replicates).items()}
     return found["papers_low"] > 0 > max(found["best_low"], found["randomised_low"])
 
 
-def papers_order_holds(laptop: Results) -> bool:
+def papers_order_holds(laptop: Recorded) -> bool:
     """Whether arms are in the paper's order in slush: Dry Land, the paper's throws, True Slush."""
     order = ("dry_land", "residual_slush", "true_slush")
     ordered = [[mean(laptop, name, "zero_shot", depth) for name in order] for depth in _depths(laptop) if depth > 0]
     return all(means == sorted(means) for means in ordered)
 
 
-def ahead(laptop: Results) -> Mapping[str, str]:
+def ahead(laptop: Recorded) -> Mapping[str, str]:
     """Return at how many depths robots of designed throws are ahead of those of the paper's throws."""
     depths = _depths(laptop)
     arms = [[mean(laptop, name, "zero_shot", of) for of in depths] for name in ("designed_throws", "residual_slush")]
     return {"ahead": str(sum(one > other for one, other in zip(*arms, strict=True))), "depths": str(len(depths))}
 
 
-def _depths(study: Results) -> list[float]:
+def _depths(study: Recorded) -> list[float]:
     return sorted({arm["depth"] for arm in study["arms"]})
 
 
-def designed_throws_hold(laptop: Results) -> bool:
+def designed_throws_hold(laptop: Recorded) -> bool:
     """Whether robots of designed throws travel as far as predicted, and almost as far as those of True Slush."""
     fit, close = _fit(laptop, "designed_throws"), share(laptop, "designed_throws")
     predicts = fit["r"] > 0.9 and math.isclose(fit["slope"], 1, abs_tol=EQUAL)
     return predicts and close > 0.85 and abs(kept(laptop, "designed_throws") - 1) < EQUAL
 
 
-def t_tests(laptop: Results) -> Mapping[str, str]:
+def t_tests(laptop: Recorded) -> Mapping[str, str]:
     """Return how many of the paper's t tests have each outcome."""
     n = laptop["verdicts"]["t_tests"]
     counts = {"all": sum(n.values()), "same": n["agrees"], "other": n["differs"], "untold": n["cannot tell"]}
     return {name: f"{count}" for name, count in counts.items()}
 
 
-def key_claim_is_undecided(laptop: Results) -> bool:
+def key_claim_is_undecided(laptop: Recorded) -> bool:
     """Whether all t tests can be judged, and that on zero-shot robots of Residual Slush at 9 m is undecided."""
     key = "Student's t at 9 m: Residual Slush zero-shot against Dry Land adapted"
     (verdict,) = (row["verdict"] for row in laptop["comparison"] if row["what"] == key)
     return bool(verdict == "cannot tell" and not laptop["verdicts"]["t_tests"]["not comparable"])
 
 
-def magnitudes(laptop: Results, magnitudes: Results) -> Mapping[str, str]:
+def magnitudes(laptop: Recorded, magnitudes: Recorded) -> Mapping[str, str]:
     """Return how much less far magnitudes take robots of the paper's throws, how much farther others, and Welch's p."""
     found = {}
     for name, arm, sign in (("less", "residual_slush", -1), ("farther", "designed_throws", 1)):
@@ -187,17 +187,17 @@ def magnitudes(laptop: Results, magnitudes: Results) -> Mapping[str, str]:
 # -- why our E goes farther ------------------------------------------------------------------------------------------
 
 
-def _choices(choices: Results, *wanted: str) -> list[Results]:
+def _choices(choices: Recorded, *wanted: str) -> list[Recorded]:
     return [row for row in choices["rows"] if row["setting"] and row["setting"].partition("=")[0] in wanted]
 
 
-def _redrawn(choices: Results) -> Results:
+def _redrawn(choices: Recorded) -> Recorded:
     (row,) = (row for row in choices["rows"] if row["setting"] == "evolution.afpo.mutation.changed_genes=redraw")
-    found: Results = row
+    found: Recorded = row
     return found
 
 
-def variation(choices: Results) -> Mapping[str, str]:
+def variation(choices: Recorded) -> Mapping[str, str]:
     """Return the range of *E* over ways to vary designs, and what resampled genes give the paper's ten trials."""
     means = [row["mean"] for row in choices["rows"] if row["group"] == "How designs vary"]
     row, (low, high) = _redrawn(choices), _repeated(choices)
@@ -211,7 +211,7 @@ def variation(choices: Results) -> Mapping[str, str]:
     }
 
 
-def _repeated(choices: Results) -> tuple[float, float]:
+def _repeated(choices: Recorded) -> tuple[float, float]:
     """Return the 95 % interval of the mean of the paper's ten trials, if they resampled genes as ours did."""
     row = _redrawn(choices)
     error = row["sd"] * math.sqrt(1 / row["n"] + 1 / paper.N_TRIALS)
@@ -219,7 +219,7 @@ def _repeated(choices: Results) -> tuple[float, float]:
     return row["mean"] - half, row["mean"] + half
 
 
-def variation_holds(choices: Results) -> bool:
+def variation_holds(choices: Recorded) -> bool:
     """Whether resampled genes get less far than ours, and as far as the paper's trials."""
     ours, row, (low, high) = choices["rows"][0], _redrawn(choices), _repeated(choices)
     moments = [of[name] for of in (ours, row) for name in ("mean", "sd", "n")]
@@ -227,7 +227,7 @@ def variation_holds(choices: Results) -> bool:
     return p < 0.001 and row["mean"] < ours["mean"] and low < paper.MEANS["true_slush", "zero_shot"][0] < high
 
 
-def small_effects(choices: Results) -> Mapping[str, str]:
+def small_effects(choices: Recorded) -> Mapping[str, str]:
     """Return the largest effect of the choices that do not matter, and the gap to the paper [m]."""
     ours, papers = choices["rows"][0]["mean"], paper.MEANS["true_slush", "zero_shot"][0]
     small = _choices(choices, "slush.drag", "slush.drag_integration", "physics.spawn")
@@ -235,14 +235,14 @@ def small_effects(choices: Results) -> Mapping[str, str]:
     return {"most": f"{max(abs(row['mean'] - ours) for row in small):.0f}", "gap": f"{ours - papers:.1f}"}
 
 
-def reach(choices: Results) -> Mapping[str, str]:
+def reach(choices: Recorded) -> Mapping[str, str]:
     """Return how far the whole robot gets where its root alone travels [m]."""
     reaching = _choices(choices, "physics.range_of_motion", "physics.motor_gain")
     com = sorted(row["com"] for row in reaching if row["setting"] != "physics.motor_gain=3")
     return {"low": f"{com[0]:.1f}", "high": f"{com[-1]:.1f}"}
 
 
-def sensitivity_holds(sensitivity: Results) -> bool:
+def sensitivity_holds(sensitivity: Recorded) -> bool:
     """Whether intervals of the differences, in means of the base, are as the sentence says of its four variants."""
     found = {row["name"]: row for row in sensitivity["rows"]}
     within = [_interval(found[name]) for name in ("joint-limits", "motors-after-settling")]
@@ -253,14 +253,14 @@ def sensitivity_holds(sensitivity: Results) -> bool:
     )
 
 
-def spans_the_bound(sensitivity: Results, variant: str) -> bool:
+def spans_the_bound(sensitivity: Recorded, variant: str) -> bool:
     """Whether the interval of a variant's difference, in means of the base, contains a bound of what is negligible."""
     (row,) = (row for row in sensitivity["rows"] if row["name"] == variant)
     low, high = _interval(row)
     return any(low < bound < high for bound in (-paper.NEGLIGIBLE, paper.NEGLIGIBLE))
 
 
-def mutation_at_two_scales(sensitivity: Results, choices: Results) -> Mapping[str, str]:
+def mutation_at_two_scales(sensitivity: Recorded, choices: Recorded) -> Mapping[str, str]:
     """Return what resampled genes and steps of 0.5 change at two scales of evolution [m]."""
     there = {row["name"]: fmean(row["displacement"]) - fmean(row["base"]) for row in sensitivity["rows"]}
     ours = choices["rows"][0]["mean"]
@@ -274,7 +274,7 @@ def mutation_at_two_scales(sensitivity: Results, choices: Results) -> Mapping[st
     return {name: f"{metres:.1f}" for name, metres in found.items()}
 
 
-def _interval(row: Results) -> tuple[float, float]:
+def _interval(row: Recorded) -> tuple[float, float]:
     base, variant = row["base"], row["displacement"]
     found = scipy.stats.ttest_ind(variant, base).confidence_interval()
     return found.low / fmean(base), found.high / fmean(base)
@@ -283,7 +283,7 @@ def _interval(row: Results) -> tuple[float, float]:
 # -- throws, tracks, videos ------------------------------------------------------------------------------------------
 
 
-def _error(throws: Results, n_throws: int, network: str = "2 × 32", inputs: int = 6, of: str = "robots") -> float:
+def _error(throws: Recorded, n_throws: int, network: str = "2 × 32", inputs: int = 6, of: str = "robots") -> float:
     """Return the mean error of networks over depths and components, with about 100,000 transitions or fewer."""
     (error,) = (
         row["error"]
@@ -295,7 +295,7 @@ def _error(throws: Results, n_throws: int, network: str = "2 × 32", inputs: int
     return fmean(share for shares in error.values() for share in shares)
 
 
-def errors_hold(throws: Results) -> bool:
+def errors_hold(throws: Recorded) -> bool:
     """Whether errors of networks are the shares that the page names."""
     designed = _error(throws, 2500)
     expected = (
@@ -308,7 +308,7 @@ def errors_hold(throws: Results) -> bool:
     return all(math.isclose(found, stated, abs_tol=tolerance) for found, stated, tolerance in expected)
 
 
-def tracks_hold(tracks: Results) -> bool:
+def tracks_hold(tracks: Recorded) -> bool:
     """Whether tracks lose a quarter, and 2 mm of noise or 100 throws more than half, of what exact states give."""
     of = {row["learned_from"]: fmean(row["displacement"]) for row in tracks["studies"]}
     rows = [row for row in tracks["studies"] if row["learned_from"] == "tracks" and row["rate"] == 60]
@@ -321,7 +321,7 @@ def tracks_hold(tracks: Results) -> bool:
     return all(math.isclose(share, 0.75, abs_tol=0.05) for share in quarter) and max(half) < 0.5
 
 
-def _shares_of_exact_states(tracks: Results) -> dict[str, Share]:
+def _shares_of_exact_states(tracks: Recorded) -> dict[str, Share]:
     """Return what tracks at 60 frames a second without noise, and the synthetic video, give of exact states."""
     by_source = {row["learned_from"]: row for row in tracks["studies"] if "rate" not in row}
     (video,) = (row for row in tracks["studies"] if row["learned_from"] == "video")
@@ -336,18 +336,18 @@ def _shares_of_exact_states(tracks: Results) -> dict[str, Share]:
     }
 
 
-def shares_of_exact_states(tracks: Results) -> dict[str, str]:
+def shares_of_exact_states(tracks: Recorded) -> dict[str, str]:
     """Return the shares of exact states in percent."""
     return {name: percent(found.value) for name, found in _shares_of_exact_states(tracks).items()}
 
 
-def intervals_contain_one(tracks: Results) -> bool:
+def intervals_contain_one(tracks: Recorded) -> bool:
     """Whether neither share differs from that of exact states, nor rules out the loss of a fifth."""
     found = _shares_of_exact_states(tracks).values()
     return all(share.low < 0.85 and share.high > 1 for share in found)
 
 
-def throws_matter_most(studies: Results) -> bool:
+def throws_matter_most(studies: Recorded) -> bool:
     """Whether robots of the paper's throws keep little whatever the ensemble.
 
     Also whether the prediction falls towards the truth with k, and whether a single network's robots of designed throws
@@ -361,28 +361,28 @@ def throws_matter_most(studies: Results) -> bool:
     return max(papers) < 1 / 3 and gaps[1] < gaps[0] and math.isclose(single, fmean(ensembles), rel_tol=2 * EQUAL)
 
 
-def _arms(study: Results) -> set[str]:
+def _arms(study: Recorded) -> set[str]:
     return {of["environment"] for of in study["arms"]}
 
 
-def _bars(video: Results, case: str) -> list[Results]:
+def _bars(video: Recorded, case: str) -> list[Recorded]:
     return [row for row in video["cases"] if row["case"] == case]
 
 
-def video_holds(video: Results) -> bool:
+def video_holds(video: Recorded) -> bool:
     """Whether positions from videos are off by a quarter of a millimetre, most of it constant."""
     seen = [row for row in video["cases"] if "exact" not in row["case"]]
     constant = all(row["jitter_mm"] < row["position_mm"] / 2 for row in seen)
     return constant and math.isclose(fmean(row["position_mm"] for row in seen), 0.25, abs_tol=0.05)
 
 
-def slow_bars_hold(video: Results) -> bool:
+def slow_bars_hold(video: Recorded) -> bool:
     """Whether the stated uncertainty of bars that are not fast is right within a fifth with a board."""
     slow = [row for row in video["cases"] if row["case"].endswith(", board") and row["band"][1] < 1]
     return all(abs(row["stated_mm"] / row["jitter_mm"] - 1) < 0.205 for row in slow)
 
 
-def too_small(video: Results) -> Mapping[str, str]:
+def too_small(video: Recorded) -> Mapping[str, str]:
     """Return by how much the stated uncertainty of fast bars is too small, with a board and without."""
     fast = {"board": _bars(video, "60/s, board")[-1], "share": _bars(video, "60/s, no board")[-1]}
     return {name: percent(1 - row["stated_mm"] / row["jitter_mm"]) for name, row in fast.items()}
@@ -391,12 +391,12 @@ def too_small(video: Results) -> Mapping[str, str]:
 # -- benchmarks ------------------------------------------------------------------------------------------------------
 
 
-def medians(benchmarks: Results, name: str) -> list[float]:
+def medians(benchmarks: Recorded, name: str) -> list[float]:
     """Return the medians of a benchmark over depths."""
     return [of["median"] for of in benchmarks["figures"] if of["name"].startswith(f"{name}, d = ")]
 
 
-def own_work(benchmarks: Results) -> Mapping[str, str]:
+def own_work(benchmarks: Recorded) -> Mapping[str, str]:
     """Return the ranges of AFPO's own work and of its tables [%]."""
     median = {of["name"]: of["median"] for of in benchmarks["figures"]}
     arms = ("DryLand, d = 9", "TrueSlush, d = 1", "TrueSlush, d = 9")

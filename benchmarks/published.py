@@ -23,10 +23,9 @@ from typing import Any
 
 from benchmarks.page_sentences import SENTENCES
 from benchmarks.results_tables import TABLES, transfer
-from benchmarks.sentences import complaints, with_figures
+from benchmarks.sentences import ROOT, complaints, with_figures
 from tasks.analysis import paper
 
-ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 PICTURES = "results/pictures.json"  # of each picture of docs: which figure of which results, their digest, and its own

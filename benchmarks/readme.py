@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-RESULTS = ROOT / "benchmarks" / "results.json"
+from benchmarks.sentences import ROOT
+
+MEASURED = ROOT / "benchmarks" / "results.json"
 """The recorded run that the page shows."""
-PAGE = ROOT / "docs" / "performance.md"
+PERFORMANCE_PAGE = ROOT / "docs" / "performance.md"
 BEGIN, END = "<!-- from benchmarks/results.json: python -m benchmarks.readme -->", "<!-- end -->"
 
 
@@ -45,8 +45,8 @@ def with_section(page: str, results: dict[str, Any]) -> str:
 def main() -> None:
     """Record a run, if one is given, and write the table."""
     if len(sys.argv) > 1:
-        shutil.copyfile(sys.argv[1], RESULTS)
-    PAGE.write_text(with_section(PAGE.read_text(), json.loads(RESULTS.read_text())))
+        shutil.copyfile(sys.argv[1], MEASURED)
+    PERFORMANCE_PAGE.write_text(with_section(PERFORMANCE_PAGE.read_text(), json.loads(MEASURED.read_text())))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from benchmarks.throws import errors, robots
 from benchmarks.tracks import displacements, learned
 from pipeline.store.provenance import environment as provenance
 from tasks.analysis.coverage import observed_states
+from tasks.analysis.paper import DEPTH
 from tasks.arrays import Float32
 from tasks.design import random_designs
 from tasks.evolution import EMPTY_POPULATION, PAPERS_OBJECTIVE, Afpo, Trial, evaluate, evolve
@@ -29,11 +30,10 @@ from tasks.seeding import generator
 from tasks.simulation import simulate
 from tasks.world import DryLand, Environment, Physics, ResidualSlush, Slush, TrueSlush
 
-DEPTH = 9.0  # [m]
-N_STEPS = 200  # of each throw
+_N_STEPS = 200  # of each throw
 N_THROWS = (100, 500)
-N_ROUNDS = (1, 2, 4)
-N_REPLICATES = 3
+_N_ROUNDS = (1, 2, 4)
+_N_REPLICATES = 3
 _PILOT_GENERATIONS, _N_RANDOM, _N_TRIALS = 50, 64, 10
 _N_SETTLE = 200  # steps
 _AFPO = Afpo.model_validate({"population_size": 16, "mutation": {"step": 0.2}})
@@ -44,14 +44,14 @@ def thrown_in_rounds(n_throws: int, n_rounds: int, replicate: int) -> Transition
     """Return the transitions of as many throws, the first round's evenly spread and the others suggested."""
     rng = generator(1, "rounds", n_rounds, replicate)
     first, *others = (len(part) for part in np.array_split(np.arange(n_throws), n_rounds))
-    throws = Throws(design="robots", n_throws=first, n_steps=N_STEPS)
+    throws = Throws(design="robots", n_throws=first, n_steps=_N_STEPS)
     starts = initial_states(throws, generator(1, "throws", replicate), _PHYSICS)
-    so_far = simulate_throws(starts, N_STEPS, Slush(), _PHYSICS)
+    so_far = simulate_throws(starts, _N_STEPS, Slush(), _PHYSICS)
     for n in others:
         ensemble = learned(so_far)
         starts = suggest_throws(n, pilots(ensemble, rng), so_far.observation, ensemble, rng, physics=_PHYSICS)
         starts = replace(starts, throw=starts.throw + so_far.throw.max() + 1)
-        so_far = Transitions.concatenate([so_far, simulate_throws(starts, N_STEPS, Slush(), _PHYSICS)])
+        so_far = Transitions.concatenate([so_far, simulate_throws(starts, _N_STEPS, Slush(), _PHYSICS)])
     return so_far
 
 
@@ -83,7 +83,7 @@ def main() -> None:
     at = robots(DEPTH)
     if "in_true_slush" not in document:
         document["in_true_slush"] = displacements(true, true, n_trials=_N_TRIALS)
-    for n_throws, replicate, n_rounds in product(N_THROWS, range(N_REPLICATES), N_ROUNDS):
+    for n_throws, replicate, n_rounds in product(N_THROWS, range(_N_REPLICATES), _N_ROUNDS):
         identity = {"n_throws": n_throws, "n_rounds": n_rounds, "replicate": replicate}
         if any(identity.items() <= row.items() for row in document["rows"]):
             continue

@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-Results = Mapping[str, Any]
+Recorded = Mapping[str, Any]
 
 _FIGURE = r"[−\d][\d.,]*(?: ± [\d.]+)?"
 
 
-def _no_figures(*_results: Results) -> Mapping[str, str]:
+def _no_figures(*_results: Recorded) -> Mapping[str, str]:
     return {}
 
 
-def _is_true(*_results: Results) -> bool:
+def _is_true(*_results: Recorded) -> bool:
     return True
 
 
@@ -44,7 +44,7 @@ class Sentence:
         return re.compile("".join(word + figure for word, figure in zip(words, figures, strict=True)))
 
     @cached_property
-    def results(self) -> list[Results]:
+    def results(self) -> list[Recorded]:
         """The contents of its results files."""
         return [json.loads((ROOT / name).read_text(encoding="utf-8")) for name in self.of]
 

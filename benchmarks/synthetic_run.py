@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from benchmarks.synthetic_tank import Camera, Scene, film_board, sticker
+from benchmarks.synthetic_tank import TankCamera, TankScene, film_board, sticker
 from pipeline.commands.run_comparison import read_kit
 from pipeline.store.tables import Columns, csv_of
 from pipeline.vision.kit_markers import markers_of
@@ -100,7 +100,7 @@ def parts_of(robot: BuiltRobot, markers: Markers) -> list[tuple[int, TaggedBar]]
     return bodies[::-1] + [(link, sticker(tags.first + link, tags.tag_size)) for link in reversed(range(N_LINKS))]
 
 
-def film_run(out: Path, scene: Scene, robot: BuiltRobot, seconds: float, slower: float) -> Columns:
+def film_run(out: Path, scene: TankScene, robot: BuiltRobot, seconds: float, slower: float) -> Columns:
     """Film a run.
 
     Args:
@@ -145,7 +145,7 @@ def main() -> None:
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     markers, rng = tank_markers(waterline_tags=given.waterline_tags), generator(0, "synthetic run")
-    scene = Scene(Camera(exposure=0.004), markers, rng=rng, waterline_at=_TANK.waterline)
+    scene = TankScene(TankCamera(exposure=0.004), markers, rng=rng, waterline_at=_TANK.waterline)
     tracks = film_run(given.out / "run.mp4", scene, read_kit(given.kit), given.seconds, given.slower)
     (given.out / "run.csv").write_bytes(csv_of(tracks))
     film_board(given.out / "board.mp4", scene.camera, markers, 12, rng)

@@ -40,7 +40,7 @@ _AIR, _WATER, _PAPER, _INK = 205.0, 165.0, 240.0, 25.0  # grey levels
 
 
 @dataclass(frozen=True)
-class Camera:
+class TankCamera:
     """The camera and what it does to a picture."""
 
     width: int = 1920
@@ -113,10 +113,10 @@ def _face(bar: TaggedBar, dictionary: Dictionary, pixel: float) -> tuple[Float32
 
 
 @dataclass(frozen=True)
-class Scene:
+class TankScene:
     """A tank in front of a camera."""
 
-    camera: Camera
+    camera: TankCamera
     markers: Markers
     behind: float = 0.003  # distance of the bars behind the front [m]
     waterline_at: float | None = None  # height of the water where tags show it [m]
@@ -215,7 +215,7 @@ def states_of(starts: Starts, seconds: float) -> tuple[Float32, Float64]:
     return np.stack(states, axis=1), step * np.arange(n_steps + 1)
 
 
-def render(out: Path, scene: Scene, starts: Starts, bars: Sequence[int], seconds: float) -> list[tuple[float, ...]]:
+def render(out: Path, scene: TankScene, starts: Starts, bars: Sequence[int], seconds: float) -> list[tuple[float, ...]]:
     """Film throws one after another.
 
     Args:
@@ -259,7 +259,7 @@ def render(out: Path, scene: Scene, starts: Starts, bars: Sequence[int], seconds
     return rows
 
 
-def film_board(out: Path, camera: Camera, markers: Markers, n_views: int, rng: np.random.Generator) -> None:
+def film_board(out: Path, camera: TankCamera, markers: Markers, n_views: int, rng: np.random.Generator) -> None:
     """Film the printed board from several sides.
 
     Args:
@@ -313,15 +313,16 @@ def main() -> None:
     options.add_argument("--throws", type=int, default=4)
     options.add_argument("--seconds", type=float, default=0.5)
     options.add_argument("--rate", type=float, default=60.0)
-    options.add_argument("--exposure", type=float, default=Camera.exposure)
+    options.add_argument("--exposure", type=float, default=TankCamera.exposure)
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     throwing = ThrowingKit(tank_length=1.1, tank_height=0.62, waterline=0.32)
     markers = markers_of(throwing, throwing_bars(throwing, KitSettings(), 1000.0))
-    camera, rng = Camera(rate=given.rate, exposure=given.exposure), generator(given.seed, "synthetic tank", given.rate)
+    camera = TankCamera(rate=given.rate, exposure=given.exposure)
+    rng = generator(given.seed, "synthetic tank", given.rate)
     starts, bars = throws_for_bars(given.throws, markers, rng)
-    rows = render(given.out / "throws.mp4", Scene(camera, markers, rng=rng), starts, bars, given.seconds)
+    rows = render(given.out / "throws.mp4", TankScene(camera, markers, rng=rng), starts, bars, given.seconds)
     write_truth(given.out / "truth.csv", rows)
     film_board(given.out / "board.mp4", camera, markers, 12, rng)
     document = yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False)

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from benchmarks.published import RESULTS
-from benchmarks.synthetic_tank import SCALE, Camera, Scene, film_board, render, states_of, throws_for_bars
+from benchmarks.synthetic_tank import SCALE, TankCamera, TankScene, film_board, render, states_of, throws_for_bars
 from pipeline.store.provenance import environment as provenance
 from pipeline.store.tables import Columns, csv_of
 from pipeline.vision.kit_markers import markers_of
@@ -34,7 +34,7 @@ from tasks.world import Physics, Slush, froude_time
 _N_THROWS, _SECONDS = 20, 0.5
 _EXACT = 1e-6  # deviation that is stated of exact positions [m] and angles [rad]
 _SPEED = SCALE / froude_time(SCALE)  # bench m/s per m/s of simulation
-BANDS = (0.0, 0.1, 0.3, 0.6, 2.0)  # speeds at bench scale [m/s]
+_SPEED_BANDS = (0.0, 0.1, 0.3, 0.6, 2.0)  # speeds at bench scale [m/s]
 CASES = (
     ("60/s, board", 60.0),
     ("60/s, no board", 60.0),
@@ -49,7 +49,7 @@ def table_of(path: Path) -> Any:
     return np.genfromtxt(path, delimiter=",", names=True)
 
 
-def measure(folder: Path, camera: Camera, lens: str) -> list[dict[str, Any]]:
+def measure(folder: Path, camera: TankCamera, lens: str) -> list[dict[str, Any]]:
     """Film, track and compare.
 
     Args:
@@ -65,7 +65,7 @@ def measure(folder: Path, camera: Camera, lens: str) -> list[dict[str, Any]]:
     markers = markers_of(throwing, throwing_bars(throwing, KitSettings(), 1000.0))
     starts, bars = throws_for_bars(_N_THROWS, markers, generator(0, "tank video"))
     if not (folder / "truth.json").exists():
-        scene = Scene(camera, markers, rng=generator(0, "tank video", camera.rate))
+        scene = TankScene(camera, markers, rng=generator(0, "tank video", camera.rate))
         rows = render(folder / "throws.mp4", scene, starts, bars, _SECONDS)
         film_board(folder / "board.mp4", camera, markers, 20, generator(1, "tank video", camera.rate))
         (folder / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json"), sort_keys=False))
@@ -89,7 +89,7 @@ def measure(folder: Path, camera: Camera, lens: str) -> list[dict[str, Any]]:
     shown, seen = np.hypot(*truth[:, 5:7].T), np.hypot(*truth[row, 5:7].T)
     speed, residual, size = _residual_errors(tracks, of_bars, truth, starts)
     found = []
-    for low, high in pairwise(BANDS):
+    for low, high in pairwise(_SPEED_BANDS):
         tracked, filmed, step = ((of >= low) & (of < high) for of in (seen, shown, speed))
         found.append(
             {
@@ -163,7 +163,7 @@ def main(words: Sequence[str] | None = None) -> None:
     work: Path = options.parse_args(words).work
     cases = []
     for name, rate in CASES:
-        rows = measure(work / f"{rate:.0f}", Camera(rate=rate), name.split(", ")[1])
+        rows = measure(work / f"{rate:.0f}", TankCamera(rate=rate), name.split(", ")[1])
         cases += [{"case": name, **row} for row in rows]
         print(*cases[-len(rows) :], sep="\n", flush=True)
     document = {"schema": "puddle.tank_video", "version": 1, "made_with": dict(provenance()), "cases": cases}

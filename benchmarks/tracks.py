@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks import throws
 from benchmarks.published import RESULTS
 from pipeline.store.provenance import environment as provenance
+from tasks.analysis.paper import DEPTH
 from tasks.arrays import Float64
 from tasks.design.genes import concatenate
 from tasks.evolution import EMPTY_POPULATION, PAPERS_OBJECTIVE, Afpo, Trial, evaluate, evolve
@@ -42,14 +43,14 @@ _FINE = 960  # steps of the tank in a second of simulation
 _N_MEMBERS, _N_TRIALS, _N_GENERATIONS = 4, 16, 300
 N_DATA_SETS = 8  # of a study: sets of throws with an ensemble each, in which as many of its trials evolve
 N_MORE_TRIALS = 48  # of the studies that show whether tracks without noise, and videos, are as good as exact states
-DEPTH, _FLUIDS_DEPTH = 9.0, 2.0  # [m]
+_FLUIDS_DEPTH = 2.0  # [m]
 _TRAINING = Training(n_iterations=11_000, batch_size=2048, learning_rate=1e-2, loss="mse")
 _AFPO = Afpo.model_validate({"population_size": 16, "mutation": {"step": 0.2}})
 PHYSICS = Physics()
 
 
 @dataclasses.dataclass(frozen=True)
-class Camera:
+class SimulatedCamera:
     """What is seen of the throws."""
 
     n_throws: int = 500
@@ -81,7 +82,7 @@ def paths(n_throws: int, medium: Medium, data_set: int = 0) -> Float64:
     return np.stack(poses, axis=1).astype(np.float64)
 
 
-def tracked(camera: Camera, medium: Medium, data_set: int = 0) -> tuple[TrackTable, Bars]:
+def tracked(camera: SimulatedCamera, medium: Medium, data_set: int = 0) -> tuple[TrackTable, Bars]:
     """Film the throws; return the tracks in units of the bench."""
     path = paths(camera.n_throws, medium, data_set)
     time_seen = np.arange(int(SECONDS * TIME * camera.rate) + 1) / camera.rate
@@ -141,21 +142,24 @@ def residual_errors(transitions: Transitions, medium: Medium) -> dict[str, list[
 
 
 CAMERAS = (
-    Camera(),
-    Camera(noise_mm=0.3, noise_deg=0.5),
-    Camera(rate=120.0, noise_mm=0.3, noise_deg=0.5),
-    Camera(noise_mm=1.0, noise_deg=1.0),
-    Camera(noise_mm=2.0, noise_deg=2.0),
+    SimulatedCamera(),
+    SimulatedCamera(noise_mm=0.3, noise_deg=0.5),
+    SimulatedCamera(rate=120.0, noise_mm=0.3, noise_deg=0.5),
+    SimulatedCamera(noise_mm=1.0, noise_deg=1.0),
+    SimulatedCamera(noise_mm=2.0, noise_deg=2.0),
 )
-FEWER = (Camera(n_throws=250, noise_mm=0.3, noise_deg=0.5), Camera(n_throws=100, noise_mm=0.3, noise_deg=0.5))
+FEWER = (
+    SimulatedCamera(n_throws=250, noise_mm=0.3, noise_deg=0.5),
+    SimulatedCamera(n_throws=100, noise_mm=0.3, noise_deg=0.5),
+)
 
 Fit = Literal["rollouts", "steps"]  # of the settings tracks.fit
-Row = dict[str, Any]
-Measurement = tuple[Row, Callable[[], Row]]  # what identifies a row, and what measures the rest of it
+_Row = dict[str, Any]
+Measurement = tuple[_Row, Callable[[], _Row]]  # what identifies a row, and what measures the rest of it
 
 
 @cache
-def measured(camera: Camera, medium: Medium, fit: Fit = "rollouts", data_set: int = 0) -> Transitions:
+def measured(camera: SimulatedCamera, medium: Medium, fit: Fit = "rollouts", data_set: int = 0) -> Transitions:
     """Return the transitions of filmed throws."""
     return residual_transitions(*tracked(camera, medium, data_set), Tracks(file="tracks", fit=fit), PHYSICS)[0]
 
@@ -170,7 +174,7 @@ def robots() -> Iterator[Measurement]:
     """Yield what networks get wrong along the paths of robots that evolved in True Slush, by what they learned from."""
     at = cache(lambda: throws.robots(DEPTH))
 
-    def errors(transitions: Transitions) -> Row:
+    def errors(transitions: Transitions) -> _Row:
         return {"error": throws.errors(learned(transitions), *at())}
 
     yield {"learned_from": "exact states", "n_throws": 500}, lambda: errors(exact(500, Slush()))
@@ -187,7 +191,7 @@ def study(
     *,
     n_data_sets: int = 1,
     n_trials: int = _N_TRIALS,
-) -> Row:
+) -> _Row:
     """Evolve in networks, and return where the champions get in the environment that they were learned from.
 
     Args:
@@ -220,7 +224,7 @@ def studies() -> Iterator[Measurement]:
 
 def fluids() -> Iterator[Measurement]:
     """Yield where champions get in fluids that the learner does not know, learned from tracks with sin θ."""
-    camera, inputs = Camera(noise_mm=0.1, noise_deg=0.2), (*OBSERVATION, "sin_angle")
+    camera, inputs = SimulatedCamera(noise_mm=0.1, noise_deg=0.2), (*OBSERVATION, "sin_angle")
     for name, true in (("anisotropic", AnisotropicPool(_FLUIDS_DEPTH)), ("flowing", FlowingPool(_FLUIDS_DEPTH))):
         row = {"fluid": name, "learned_from": "nothing"}
         yield row, lambda at=true: {"displacement": displacements(at, at)}

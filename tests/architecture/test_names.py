@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import PurePath
 
 import pytest
-from source import ROOT, SOURCES, syntax
+from source import ROOT, SOURCES, syntax, tracked_files
 
 SAME_ROLE = {
     "fabrication": {"tasks", "pipeline"},
@@ -24,6 +24,7 @@ SAME_ROLE = {
 OF_A_CONTRACT = {"STAGE"}
 """Constants that every module of a kind defines."""
 
+WITH_BENCHMARKS = [*SOURCES, *tracked_files("benchmarks/*.py")]
 MOST_LOOSE_MODULES = 4
 MOST_LINES = 450
 
@@ -49,13 +50,13 @@ def defined(name: str) -> Iterator[str]:
 def homes() -> dict[str, set[str]]:
     """Give the modules that define each class and public constant."""
     found = defaultdict(set)
-    for module in SOURCES:
+    for module in WITH_BENCHMARKS:
         for name in defined(module):
             found[name].add(module)
     return found
 
 
-@pytest.mark.parametrize("module", SOURCES)
+@pytest.mark.parametrize("module", WITH_BENCHMARKS)
 def test_a_class_or_public_constant_has_a_name_that_no_other_has(module: str) -> None:
     twice = {name: sorted(homes()[name] - {module}) for name in defined(module) if len(homes()[name]) > 1}
     if twice:

@@ -17,7 +17,7 @@ import yaml
 from typer.testing import CliRunner
 
 from benchmarks import published
-from benchmarks.readme import PAGE, RESULTS, with_section
+from benchmarks.readme import MEASURED, PERFORMANCE_PAGE, with_section
 from benchmarks.sentences import with_figures
 from pipeline.commands.app import app
 from pipeline.commands.options import StudyOptions
@@ -269,8 +269,8 @@ def test_the_tree_shows_exactly_the_folders_that_exist():
 
 
 def test_performance_is_that_of_a_benchmark():
-    text = PAGE.read_text()
-    assert with_section(text, json.loads(RESULTS.read_text())) == text
+    text = PERFORMANCE_PAGE.read_text()
+    assert with_section(text, json.loads(MEASURED.read_text())) == text
 
 
 @pytest.mark.parametrize("page", published.PAGES, ids=lambda page: page.name)
@@ -342,13 +342,13 @@ def bounded_names() -> Iterator[str]:
     """Return the names of the figures with a bound in the benchmarks, as regular expressions."""
     for module in sorted((ROOT / "benchmarks").glob("*.py")):
         for call in ast.walk(ast.parse(module.read_text())):
-            if isinstance(call, ast.Call) and ast.unparse(call.func) == "Figure" and len(call.args) == 4:
+            if isinstance(call, ast.Call) and ast.unparse(call.func) == "Benchmark" and len(call.args) == 4:
                 parts = call.args[0].values if isinstance(call.args[0], ast.JoinedStr) else [call.args[0]]
                 yield "".join(re.escape(part.value) if isinstance(part, ast.Constant) else ".+" for part in parts)
 
 
 def test_every_bound_was_measured():
-    measured = {figure["name"] for figure in json.loads(RESULTS.read_text())["figures"] if figure["bound"]}
+    measured = {figure["name"] for figure in json.loads(MEASURED.read_text())["figures"] if figure["bound"]}
     bounded = list(bounded_names())
     assert len(bounded) > 10
     assert [name for name in bounded if not any(re.fullmatch(name, one) for one in measured)] == []

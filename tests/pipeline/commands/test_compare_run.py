@@ -194,16 +194,16 @@ def test_a_filmed_robot_that_is_slower_than_its_simulation_is_found_to_be(run, t
     """
     pytest.importorskip("cv2", reason="opencv-python-headless is not installed")
     from benchmarks.synthetic_run import film_run
-    from benchmarks.synthetic_tank import Camera, Scene
+    from benchmarks.synthetic_tank import TankCamera, TankScene
 
     folder, _, speed = run
     tank = ThrowingKit(tank_length=0.64, tank_height=0.46, waterline=0.12)
     markers = markers_of(tank, throwing_bars(tank, KitSettings(), 1000.0))
     markers = markers.model_copy(update={"robot": RobotTags(tag_size=0.025)})  # 4 px for each of its squares
     (tmp_path / "markers.yaml").write_text(yaml.safe_dump(markers.model_dump(mode="json")))
-    camera = Camera(width=800, height=592, field=0.82, distance=1.1, rate=12, exposure=0.004)
+    camera = TankCamera(width=800, height=592, field=0.82, distance=1.1, rate=12, exposure=0.004)
     video, seconds, period = tmp_path / "run.mp4", 6.2, TIME / 0.2
-    truth = film_run(video, Scene(camera, markers), read_kit(folder / "kit"), seconds, slower=0.5)
+    truth = film_run(video, TankScene(camera, markers), read_kit(folder / "kit"), seconds, slower=0.5)
     steady = (truth["throw"] == 0) & (truth["time"] >= 1.0 + Playback().ramp)  # the servos begin after a second
 
     kit = predicting(run, tmp_path, speed, 0.1 * speed)
