@@ -19,6 +19,7 @@ from typing import Any
 import hypothesis
 import numpy as np
 import pytest
+from database_template import copied_databases
 
 from pipeline.cluster import Cluster, ray_cluster
 from tasks.design import N_LINKS, Designs
@@ -118,6 +119,13 @@ def write_to_memory() -> None:
     """
     if MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ROOM_BYTES:
         os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def empty_databases(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Spare MLflow the making of a database per store, but in tests/pipeline/tracking."""
+    with copied_databases(tmp_path_factory.mktemp("empty-database")):
+        yield
 
 
 @pytest.fixture(scope="session")
