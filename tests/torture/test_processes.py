@@ -227,6 +227,7 @@ def wait_for(find):
 def test_a_second_driver_is_refused_and_the_first_is_named(tmp_path: Path):
     with driver(tmp_path, *ENDLESS, "--workers", "0") as first:
         wait_for(lambda: list(tmp_path.glob("store/items/evolve/*/*/manifest.json")))
+        first.process.send_signal(signal.SIGSTOP)  # it need not work while the second one starts
         with driver(tmp_path, *ENDLESS, "--workers", "0") as second:
             assert second.process.wait(60) == 2
             said = second.said()
@@ -278,7 +279,8 @@ def test_a_run_listens_on_the_loopback_alone_and_connects_to_no_other_host(tortu
     torture.times(1, 1)
     seen: set[str] = set()
     n_inspections = 0
-    with driver(tmp_path, "--workers", "2", command="study" if torture.large else "collect") as one:
+    n_workers, command = ("2", "study") if torture.large else ("1", "collect")
+    with driver(tmp_path, "--workers", n_workers, command=command) as one:
         while one.process.poll() is None:
             for process in one.family():
                 with contextlib.suppress(psutil.Error):
