@@ -100,6 +100,7 @@ def submitted(place: Path, *words: str, number: int, script: Path = SCRIPT, n_no
         "PATH": os.pathsep.join([str(place / "bin"), str(Path(sys.executable).parent), os.environ["PATH"]]),
         "PYTHONPATH": str(ROOT),
         "PUDDLE_MARK": mark,
+        "MLFLOW_TRACKING_URI": "http://127.0.0.1:1",  # no server: a study without MLflow takes four core-seconds less
         "SLURM_SUBMIT_DIR": str(place),
         "SLURM_JOB_ID": str(number),
         "SLURM_JOB_NODELIST": "node[1-2]",
