@@ -14,7 +14,6 @@ from pipeline.workflow.identity import arms_of, trials_of
 from tasks.analysis.coverage import EVERYTHING
 from tasks.analysis.equivalence import VERDICTS
 from tasks.analysis.paper import is_t_test
-from tasks.analysis.paper import is_t_test
 from tasks.analysis.prediction import mean_less_deviations
 
 SCHEMA = "puddle.results"

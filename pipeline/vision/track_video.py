@@ -268,8 +268,8 @@ def _lines(
     n_cut = sum(track.lost_from_sight for track in tracks)
     if n_cut and not robot:
         lines.append(
-            f"{name}: {n_cut} throw{'s end' if n_cut > 1 else ' ends'} where the bar is lost from sight inside the tank; "
-            f"the check film shows where"
+            f"{name}: {n_cut} throw{'s end' if n_cut > 1 else ' ends'} where the bar is lost from sight inside the "
+            "tank; the check film shows where"
         )
     return lines
 

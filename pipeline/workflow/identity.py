@@ -52,11 +52,6 @@ def item_label(chain: ChainId, index: int) -> str:
     return f"{chain.label}#{index}"
 
 
-def item_label(chain: ChainId, index: int) -> str:
-    """Name an item of a chain, as the record of a study lists it."""
-    return f"{chain.label}#{index}"
-
-
 @dataclass(frozen=True)
 class Arm:
     """An environment at one depth: all its trials are samples of one distribution."""

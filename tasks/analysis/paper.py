@@ -113,16 +113,3 @@ def t_test_words(depth: float, a: ScoredArm, b: ScoredArm) -> str:
 def is_t_test(what: str) -> bool:
     """Return whether a result of the comparison with the paper is a t test, by its name."""
     return what.startswith(_T_TEST)
-
-
-_T_TEST = "Student's t at "
-
-
-def t_test_words(depth: float, a: ScoredArm, b: ScoredArm) -> str:
-    """Name a t test between two arms at a depth [m], as the comparison with the paper lists it."""
-    return f"{_T_TEST}{depth:g} m: {name_of(a)} against {name_of(b)}"
-
-
-def is_t_test(what: str) -> bool:
-    """Return whether a result of the comparison with the paper is a t test, by its name."""
-    return what.startswith(_T_TEST)

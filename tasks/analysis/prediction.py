@@ -82,9 +82,6 @@ def mean_less_deviations(k: float) -> str:
 _MEMBER = "member "
 
 
-_MEMBER = "member "
-
-
 def members(predicted: Floats) -> dict[str, Float64]:
     """Name each member's row of (n_members, n_designs) predictions."""
     return {f"{_MEMBER}{k}": np.asarray(row, dtype=np.float64) for k, row in enumerate(predicted)}

@@ -77,6 +77,15 @@ class _Estimate:
 def check_throws(table: TrackTable, bars: Bars, tracks: Tracks, physics: Physics) -> Paths:
     """Return the throws in the simulation's units, if networks can learn from them.
 
+    Args:
+        table: the tracks.
+        bars: the bar of each throw.
+        tracks: units, axes and scale.
+        physics: constants of the base simulator.
+
+    Returns:
+        The throws.
+
     Raises:
         TrackError: something is wrong with a throw or a bar, or with how bars fall.
     """
